@@ -1,0 +1,1 @@
+"""Co-simulation: systems, the master, the gap between a flight and its twin, the command line."""

@@ -1,0 +1,194 @@
+"""Native FMUs: C source, one compiler call, one archive. Same inputs give the same bytes."""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterable, Mapping
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import platformdirs
+
+from twin.component import Variable
+from twin.errors import FmuError
+
+from .description import build_description, model_description
+from .model import FmuModel
+
+CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
+"""No -ffast-math in physics: results are the same bits on every compiler that was tried."""
+
+_NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
+_PLATFORM_FOLDER = {2: "linux64", 3: "x86_64-linux"}
+_HEADERS = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+
+
+def build(model: FmuModel, path: Path, fmi: int = 2) -> Path:
+    """Build a co-simulation FMU with its sources inside.
+
+    Args:
+        model: What the FMU computes.
+        path: File to write; its folder must exist.
+        fmi: 2 or 3.
+
+    Returns:
+        The path.
+
+    Raises:
+        FmuError: Unknown FMI version, no compiler, or the compiler failed.
+    """
+    if fmi not in _HEADERS:
+        raise FmuError(f"{model.name}: FMI {fmi} is not supported; choose 2 or 3.")
+    sources = _sources(model, fmi)
+    token = _token(model, fmi, sources)
+    sources["model.h"] = _model_header(model, token)
+    compiled = tuple(name for name in sorted(sources) if name.endswith(".c"))
+    members = {
+        "modelDescription.xml": model_description(model, fmi, token, compiled),
+        f"binaries/{_PLATFORM_FOLDER[fmi]}/{model.name}.so": _compile(
+            model.name, sources, compiled
+        ),
+        **{f"sources/{name}": text.encode() for name, text in sources.items()},
+        **{f"resources/{name}": content for name, content in model.resources.items()},
+    }
+    if fmi == 3:
+        members["sources/buildDescription.xml"] = build_description(model, compiled)
+    _write_archive(path, members)
+    return path
+
+
+def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
+    """C files and headers of the FMU, `model.h` excepted (it holds the token of the rest)."""
+    own = resources.files(__package__) / "c"
+    headers = resources.files("fmpy") / "c-code"
+    texts = {name: (own / name).read_text() for name in ("core.c", "core.h", f"fmi{fmi}.c")}
+    texts |= {name: (headers / name).read_text() for name in _HEADERS[fmi]}
+    texts["model.c"] = model.source
+    texts["tables.c"] = _tables(model)
+    return texts
+
+
+def _token(model: FmuModel, fmi: int, sources: Mapping[str, str]) -> str:
+    """Instantiation token: the same for the same content, different for any other."""
+    digest = hashlib.sha256(
+        repr((model.name, model.max_step_s, sorted(model.defines.items()))).encode()
+    )
+    digest.update(model_description(model, fmi, "", ()))
+    for name in sorted(sources):
+        digest.update(name.encode() + sources[name].encode())
+    for name in sorted(model.resources):
+        digest.update(name.encode() + model.resources[name])
+    return str(uuid.uuid5(_NAMESPACE, digest.hexdigest()))
+
+
+def _model_header(model: FmuModel, token: str) -> str:
+    first = {
+        c: 1 + sum(v.causality in before for v in model.variables)
+        for c, before in (("INPUT", ("parameter",)), ("OUTPUT", ("parameter", "input")))
+    }
+    defines = {
+        "N_VARIABLES": len(model.variables) + 1,
+        "FIRST_INPUT": first["INPUT"],
+        "FIRST_OUTPUT": first["OUTPUT"],
+        "N_STATES": len(model.state_names),
+        "MAX_STEP": repr(model.max_step_s),
+        "MODEL_TOKEN": f'"{token}"',
+        **model.defines,
+    }
+    lines = "\n".join(f"#define {name} {value}" for name, value in defines.items())
+    return f"#ifndef UAVTWIN_MODEL_H\n#define UAVTWIN_MODEL_H\n{lines}\n#endif\n"
+
+
+def _tables(model: FmuModel) -> str:
+    """Interface table and state names as C data."""
+
+    def row(v: Variable) -> str:
+        causality = {
+            "parameter": "FIXED_PARAMETER" if v.fixed else "PARAMETER",
+            "input": "INPUT",
+            "output": "OUTPUT",
+        }[v.causality]
+        low = "-HUGE_VAL" if v.minimum is None else repr(float(v.minimum))
+        high = "HUGE_VAL" if v.maximum is None else repr(float(v.maximum))
+        return (
+            f'    {{"{v.name}", "{v.unit}", {causality}, {int(v.boolean)}, '
+            f"{float(v.start)!r}, {low}, {high}}},"
+        )
+
+    rows = "\n".join(row(v) for v in model.variables)
+    states = "".join(f'"{name}", ' for name in model.state_names)
+    return (
+        '#include <math.h>\n\n#include "core.h"\n\n'
+        "const Variable variables[N_VARIABLES] = {\n"
+        f'    {{"time", "s", OUTPUT, 0, 0, -HUGE_VAL, HUGE_VAL}},\n{rows}\n}};\n'
+        f"const char* const state_names[N_STATES + 1] = {{{states}0}};\n"
+    )
+
+
+def _compile(name: str, sources: Mapping[str, str], compiled: Iterable[str]) -> bytes:
+    """Shared library of the sources, from the cache when the same was compiled before."""
+    compiler = _compiler()
+    digest = hashlib.sha256(repr((name, CFLAGS, _compiler_version(compiler))).encode())
+    for file in sorted(sources):
+        digest.update(file.encode() + sources[file].encode())
+    cached = cache_folder() / f"{digest.hexdigest()}.so"
+    if cached.is_file():
+        return cached.read_bytes()
+    with tempfile.TemporaryDirectory() as folder:
+        for file, text in sources.items():
+            Path(folder, file).write_text(text)
+        # Relative names and a fixed order: nothing of this machine enters the binary.
+        command = [compiler, *CFLAGS, "-shared", "-s", "-o", f"{name}.so", *compiled, "-lm"]
+        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if result.returncode != 0:
+            raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
+        binary = Path(folder, f"{name}.so").read_bytes()
+    cached.parent.mkdir(parents=True, exist_ok=True)
+    partial = cached.with_suffix(f".{os.getpid()}")
+    partial.write_bytes(binary)
+    partial.replace(cached)
+    return binary
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept: `UAVTWIN_CACHE`, else the user's cache folder."""
+    return Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
+
+
+def _compiler() -> str:
+    name = os.environ.get("CC", "cc")
+    found = shutil.which(name)
+    if found is None:
+        raise FmuError(
+            f"No C compiler: {name!r} is not on the path. Install one (Debian: apt install gcc) "
+            f"or set CC."
+        )
+    return found
+
+
+@lru_cache
+def _compiler_version(compiler: str) -> str:
+    return subprocess.run(
+        [compiler, "--version"], capture_output=True, text=True, check=False
+    ).stdout
+
+
+def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
+    """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+        for name in sorted(members):
+            info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
+            info.compress_type = zipfile.ZIP_DEFLATED
+            info.create_system = 3
+            info.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            archive.writestr(info, members[name])
+    partial.replace(path)

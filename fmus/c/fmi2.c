@@ -1,0 +1,225 @@
+/* FMI 2.0 co-simulation in terms of core.h. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core.h"
+#include "fmi2Functions.h"
+
+typedef struct {
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+    double start_time;
+    char name[1]; /* grows with the instance name */
+} Host;
+
+static Host* host(fmi2Component c) { return ((Instance*)c)->host; }
+
+static fmi2Status status(fmi2Component c, int code) {
+    if (code == 0) return fmi2OK;
+    Host* h = host(c);
+    if (h->logger)
+        h->logger(h->environment, h->name, fmi2Error, "logStatusError", "%s", ((Instance*)c)->message);
+    return fmi2Error;
+}
+
+static fmi2Status refuse(fmi2Component c, const char* what) {
+    snprintf(((Instance*)c)->message, sizeof((Instance*)c)->message, "%s", what);
+    return status(c, -1);
+}
+
+/* "file:///a%20b/resources" -> "/a b/resources"; a path stays as it is. */
+static void path_of_uri(const char* uri, char* path, size_t size) {
+    const char* p = uri;
+    if (strncmp(p, "file://", 7) == 0) {
+        p += 7;
+        if (strncmp(p, "localhost/", 10) == 0) p += 9;
+#ifdef _WIN32
+        if (p[0] == '/' && p[1] && p[2] == ':') p++;
+#endif
+    } else if (strncmp(p, "file:", 5) == 0) {
+        p += 5;
+    } else {
+        snprintf(path, size, "%s", uri);
+        return;
+    }
+    size_t n = 0;
+    for (; *p && n + 1 < size; p++, n++) {
+        unsigned byte;
+        if (*p == '%' && sscanf(p + 1, "%2x", &byte) == 1) {
+            path[n] = (char)byte;
+            p += 2;
+        } else {
+            path[n] = *p;
+        }
+    }
+    path[n] = 0;
+}
+
+const char* fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char* fmi2GetVersion(void) { return fmi2Version; }
+
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions* functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn) {
+    (void)visible, (void)loggingOn;
+    fmi2CallbackLogger logger = functions ? functions->logger : NULL;
+    fmi2ComponentEnvironment environment = functions ? functions->componentEnvironment : NULL;
+    const char* name = instanceName ? instanceName : "";
+    char message[320] = "", path[4096] = "";
+    Instance* c = NULL;
+    Host* h = NULL;
+    if (fmuType != fmi2CoSimulation) {
+        snprintf(message, sizeof message, "only co-simulation is supported");
+    } else if (!fmuGUID || strcmp(fmuGUID, MODEL_TOKEN) != 0) {
+        snprintf(message, sizeof message, "GUID does not match: binary and modelDescription.xml differ");
+    } else if ((h = calloc(1, sizeof *h + strlen(name)))) {
+        path_of_uri(fmuResourceLocation ? fmuResourceLocation : "", path, sizeof path);
+        c = core_new(path, message, sizeof message);
+    }
+    if (!c) {
+        free(h);
+        if (logger) logger(environment, name, fmi2Error, "logStatusError", "%s", message);
+        return NULL;
+    }
+    strcpy(h->name, name);
+    h->logger = logger;
+    h->environment = environment;
+    c->host = h;
+    return c;
+}
+
+void fmi2FreeInstance(fmi2Component c) {
+    if (!c) return;
+    free(host(c));
+    core_free(c);
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+    (void)c, (void)on, (void)n, (void)categories;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
+                               fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
+    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
+    host(c)->start_time = startTime;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
+    return status(c, core_enter_initialization(c, host(c)->start_time));
+}
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return status(c, core_exit_initialization(c)); }
+fmi2Status fmi2Terminate(fmi2Component c) { return status(c, core_terminate(c)); }
+fmi2Status fmi2Reset(fmi2Component c) {
+    core_reset(c);
+    host(c)->start_time = 0;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
+    for (size_t i = 0; i < n; i++)
+        if (core_get(c, vr[i], &value[i])) return status(c, -1);
+    return fmi2OK;
+}
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
+    for (size_t i = 0; i < n; i++)
+        if (core_set(c, vr[i], value[i])) return status(c, -1);
+    return fmi2OK;
+}
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
+    double v;
+    for (size_t i = 0; i < n; i++) {
+        if (core_get(c, vr[i], &v)) return status(c, -1);
+        value[i] = v != 0 ? fmi2True : fmi2False;
+    }
+    return fmi2OK;
+}
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
+    for (size_t i = 0; i < n; i++)
+        if (core_set(c, vr[i], value[i] ? 1 : 0)) return status(c, -1);
+    return fmi2OK;
+}
+#define NO_VARIABLES(NAME, TYPE)                                                                       \
+    fmi2Status NAME(fmi2Component c, const fmi2ValueReference vr[], size_t n, TYPE value[]) {          \
+        (void)vr, (void)value;                                                                         \
+        return n == 0 ? fmi2OK : refuse(c, #NAME ": the FMU has no variable of this type");            \
+    }
+NO_VARIABLES(fmi2GetInteger, fmi2Integer)
+NO_VARIABLES(fmi2SetInteger, const fmi2Integer)
+NO_VARIABLES(fmi2GetString, fmi2String)
+NO_VARIABLES(fmi2SetString, const fmi2String)
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate* state) {
+    if (!*state && !(*state = malloc(core_saved_size()))) return refuse(c, "out of memory");
+    core_save(c, *state);
+    return fmi2OK;
+}
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
+    return state ? status(c, core_restore(c, state, core_saved_size())) : refuse(c, "no state was saved");
+}
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate* state) {
+    (void)c;
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi2OK;
+}
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t* size) {
+    (void)c, (void)state;
+    *size = core_saved_size();
+    return fmi2OK;
+}
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
+    if (!state || size < core_saved_size()) return refuse(c, "buffer too small for the saved state");
+    memcpy(bytes, state, core_saved_size());
+    return fmi2OK;
+}
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate* state) {
+    Instance probe = *(Instance*)c; /* checks tag and size without touching the instance */
+    if (core_restore(&probe, bytes, size)) return refuse(c, probe.message);
+    if (!*state && !(*state = malloc(size))) return refuse(c, "out of memory");
+    memcpy(*state, bytes, size);
+    return fmi2OK;
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean noSetFMUStatePrior) {
+    (void)noSetFMUStatePrior;
+    return status(c, core_step(c, time, h));
+}
+fmi2Status fmi2CancelStep(fmi2Component c) { return refuse(c, "no step is pending"); }
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference a[], size_t na,
+                                        const fmi2ValueReference b[], size_t nb, const fmi2Real db[],
+                                        fmi2Real da[]) {
+    (void)a, (void)na, (void)b, (void)nb, (void)db, (void)da;
+    return refuse(c, "directional derivatives are not provided");
+}
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                       const fmi2Integer order[], const fmi2Real value[]) {
+    (void)vr, (void)n, (void)order, (void)value;
+    return refuse(c, "input derivatives are not supported");
+}
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                        const fmi2Integer order[], fmi2Real value[]) {
+    (void)vr, (void)n, (void)order, (void)value;
+    return refuse(c, "output derivatives are not supported");
+}
+
+#define NO_PENDING_STATUS(NAME, TYPE)                                                \
+    fmi2Status NAME(fmi2Component c, const fmi2StatusKind kind, TYPE* value) {       \
+        (void)c, (void)kind, (void)value;                                            \
+        return fmi2Discard;                                                          \
+    }
+NO_PENDING_STATUS(fmi2GetStatus, fmi2Status)
+NO_PENDING_STATUS(fmi2GetIntegerStatus, fmi2Integer)
+NO_PENDING_STATUS(fmi2GetBooleanStatus, fmi2Boolean)
+NO_PENDING_STATUS(fmi2GetStringStatus, fmi2String)
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real* value) {
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = ((Instance*)c)->state.v[0];
+    return fmi2OK;
+}

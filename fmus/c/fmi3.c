@@ -1,0 +1,251 @@
+/* FMI 3.0 co-simulation in terms of core.h. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "core.h"
+#include "fmi3Functions.h"
+
+typedef struct {
+    fmi3LogMessageCallback log;
+    fmi3InstanceEnvironment environment;
+} Host;
+
+static fmi3Status status(fmi3Instance c, int code) {
+    if (code == 0) return fmi3OK;
+    Host* h = ((Instance*)c)->host;
+    if (h->log) h->log(h->environment, fmi3Error, "logStatusError", ((Instance*)c)->message);
+    return fmi3Error;
+}
+
+static fmi3Status refuse(fmi3Instance c, const char* what) {
+    snprintf(((Instance*)c)->message, sizeof((Instance*)c)->message, "%s", what);
+    return status(c, -1);
+}
+
+const char* fmi3GetVersion(void) { return fmi3Version; }
+
+fmi3Instance fmi3InstantiateCoSimulation(
+    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
+    fmi3Boolean loggingOn, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+    const fmi3ValueReference requiredIntermediateVariables[], size_t nRequiredIntermediateVariables,
+    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3IntermediateUpdateCallback intermediateUpdate) {
+    (void)instanceName, (void)visible, (void)loggingOn, (void)earlyReturnAllowed;
+    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
+    char message[320] = "";
+    Instance* c = NULL;
+    Host* h = NULL;
+    if (eventModeUsed) {
+        snprintf(message, sizeof message, "event mode is not supported");
+    } else if (!instantiationToken || strcmp(instantiationToken, MODEL_TOKEN) != 0) {
+        snprintf(message, sizeof message,
+                 "instantiation token does not match: binary and modelDescription.xml differ");
+    } else if ((h = calloc(1, sizeof *h))) {
+        c = core_new(resourcePath ? resourcePath : "", message, sizeof message);
+    }
+    if (!c) {
+        free(h);
+        if (log) log(environment, fmi3Error, "logStatusError", message);
+        return NULL;
+    }
+    h->log = log;
+    h->environment = environment;
+    c->host = h;
+    return c;
+}
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String a, fmi3String b, fmi3String c, fmi3Boolean d,
+                                          fmi3Boolean e, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback log) {
+    (void)a, (void)b, (void)c, (void)d, (void)e;
+    if (log) log(environment, fmi3Error, "logStatusError", "only co-simulation is supported");
+    return NULL;
+}
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String a, fmi3String b, fmi3String c, fmi3Boolean d,
+                                               fmi3Boolean e, fmi3InstanceEnvironment environment,
+                                               fmi3LogMessageCallback log, fmi3ClockUpdateCallback f,
+                                               fmi3LockPreemptionCallback g, fmi3UnlockPreemptionCallback h) {
+    (void)a, (void)b, (void)c, (void)d, (void)e, (void)f, (void)g, (void)h;
+    if (log) log(environment, fmi3Error, "logStatusError", "only co-simulation is supported");
+    return NULL;
+}
+
+void fmi3FreeInstance(fmi3Instance c) {
+    if (!c) return;
+    free(((Instance*)c)->host);
+    core_free(c);
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
+    (void)c, (void)on, (void)n, (void)categories;
+    return fmi3OK;
+}
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
+                                       fmi3Float64 startTime, fmi3Boolean stopTimeDefined,
+                                       fmi3Float64 stopTime) {
+    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
+    return status(c, core_enter_initialization(c, startTime));
+}
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return status(c, core_exit_initialization(c)); }
+fmi3Status fmi3Terminate(fmi3Instance c) { return status(c, core_terminate(c)); }
+fmi3Status fmi3Reset(fmi3Instance c) {
+    core_reset(c);
+    return fmi3OK;
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[],
+                          size_t nValues) {
+    if (n != nValues) return refuse(c, "fmi3GetFloat64: every variable is a scalar");
+    for (size_t i = 0; i < n; i++)
+        if (core_get(c, vr[i], &value[i])) return status(c, -1);
+    return fmi3OK;
+}
+fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
+                          size_t nValues) {
+    if (n != nValues) return refuse(c, "fmi3SetFloat64: every variable is a scalar");
+    for (size_t i = 0; i < n; i++)
+        if (core_set(c, vr[i], value[i])) return status(c, -1);
+    return fmi3OK;
+}
+fmi3Status fmi3GetBoolean(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Boolean value[],
+                          size_t nValues) {
+    double v;
+    if (n != nValues) return refuse(c, "fmi3GetBoolean: every variable is a scalar");
+    for (size_t i = 0; i < n; i++) {
+        if (core_get(c, vr[i], &v)) return status(c, -1);
+        value[i] = v != 0;
+    }
+    return fmi3OK;
+}
+fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Boolean value[],
+                          size_t nValues) {
+    if (n != nValues) return refuse(c, "fmi3SetBoolean: every variable is a scalar");
+    for (size_t i = 0; i < n; i++)
+        if (core_set(c, vr[i], value[i] ? 1 : 0)) return status(c, -1);
+    return fmi3OK;
+}
+
+#define NO_VARIABLES(TYPE)                                                                              \
+    fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3##TYPE v[],   \
+                             size_t m) {                                                                \
+        (void)vr, (void)v, (void)m;                                                                     \
+        return n == 0 ? fmi3OK : refuse(c, "fmi3Get" #TYPE ": the FMU has no variable of this type");   \
+    }                                                                                                   \
+    fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n,                   \
+                             const fmi3##TYPE v[], size_t m) {                                          \
+        (void)vr, (void)v, (void)m;                                                                     \
+        return n == 0 ? fmi3OK : refuse(c, "fmi3Set" #TYPE ": the FMU has no variable of this type");   \
+    }
+NO_VARIABLES(Float32)
+NO_VARIABLES(Int8)
+NO_VARIABLES(UInt8)
+NO_VARIABLES(Int16)
+NO_VARIABLES(UInt16)
+NO_VARIABLES(Int32)
+NO_VARIABLES(UInt32)
+NO_VARIABLES(Int64)
+NO_VARIABLES(UInt64)
+NO_VARIABLES(String)
+
+fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, size_t sizes[],
+                         fmi3Binary v[], size_t m) {
+    (void)vr, (void)sizes, (void)v, (void)m;
+    return n == 0 ? fmi3OK : refuse(c, "fmi3GetBinary: the FMU has no variable of this type");
+}
+fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const size_t sizes[],
+                         const fmi3Binary v[], size_t m) {
+    (void)vr, (void)sizes, (void)v, (void)m;
+    return n == 0 ? fmi3OK : refuse(c, "fmi3SetBinary: the FMU has no variable of this type");
+}
+
+fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState* state) {
+    if (!*state && !(*state = malloc(core_saved_size()))) return refuse(c, "out of memory");
+    core_save(c, *state);
+    return fmi3OK;
+}
+fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
+    return state ? status(c, core_restore(c, state, core_saved_size())) : refuse(c, "no state was saved");
+}
+fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState* state) {
+    (void)c;
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi3OK;
+}
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t* size) {
+    (void)c, (void)state;
+    *size = core_saved_size();
+    return fmi3OK;
+}
+fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
+    if (!state || size < core_saved_size()) return refuse(c, "buffer too small for the saved state");
+    memcpy(bytes, state, core_saved_size());
+    return fmi3OK;
+}
+fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState* state) {
+    Instance probe = *(Instance*)c; /* checks tag and size without touching the instance */
+    if (core_restore(&probe, (const char*)bytes, size)) return refuse(c, probe.message);
+    if (!*state && !(*state = malloc(size))) return refuse(c, "out of memory");
+    memcpy(*state, bytes, size);
+    return fmi3OK;
+}
+
+fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boolean noSetFMUStatePrior,
+                      fmi3Boolean* eventHandlingNeeded, fmi3Boolean* terminateSimulation,
+                      fmi3Boolean* earlyReturn, fmi3Float64* lastSuccessfulTime) {
+    (void)noSetFMUStatePrior;
+    int code = core_step(c, time, h);
+    if (eventHandlingNeeded) *eventHandlingNeeded = fmi3False;
+    if (terminateSimulation) *terminateSimulation = fmi3False;
+    if (earlyReturn) *earlyReturn = fmi3False;
+    if (lastSuccessfulTime) *lastSuccessfulTime = ((Instance*)c)->state.v[0];
+    return status(c, code);
+}
+
+/* Everything below belongs to capabilities that modelDescription.xml does not claim. */
+#define UNSUPPORTED(NAME, ...)                                 \
+    fmi3Status NAME(fmi3Instance c, ##__VA_ARGS__) {           \
+        return refuse(c, #NAME " is not supported by this FMU"); \
+    }
+#pragma GCC diagnostic ignored "-Wunused-parameter"
+typedef const fmi3ValueReference Vr[];
+UNSUPPORTED(fmi3GetClock, Vr vr, size_t n, fmi3Clock v[])
+UNSUPPORTED(fmi3SetClock, Vr vr, size_t n, const fmi3Clock v[])
+UNSUPPORTED(fmi3GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t* n)
+UNSUPPORTED(fmi3GetVariableDependencies, fmi3ValueReference vr, size_t a[], fmi3ValueReference b[], size_t d[],
+            fmi3DependencyKind k[], size_t n)
+UNSUPPORTED(fmi3GetDirectionalDerivative, Vr u, size_t nu, Vr k, size_t nk, const fmi3Float64 seed[], size_t ns,
+            fmi3Float64 d[], size_t nd)
+UNSUPPORTED(fmi3GetAdjointDerivative, Vr u, size_t nu, Vr k, size_t nk, const fmi3Float64 seed[], size_t ns,
+            fmi3Float64 d[], size_t nd)
+UNSUPPORTED(fmi3EnterConfigurationMode)
+UNSUPPORTED(fmi3ExitConfigurationMode)
+UNSUPPORTED(fmi3EnterEventMode)
+UNSUPPORTED(fmi3EnterStepMode)
+UNSUPPORTED(fmi3EnterContinuousTimeMode)
+UNSUPPORTED(fmi3EvaluateDiscreteStates)
+UNSUPPORTED(fmi3UpdateDiscreteStates, fmi3Boolean* a, fmi3Boolean* b, fmi3Boolean* d, fmi3Boolean* e,
+            fmi3Boolean* f, fmi3Float64* t)
+UNSUPPORTED(fmi3GetIntervalDecimal, Vr vr, size_t n, fmi3Float64 v[], fmi3IntervalQualifier q[])
+UNSUPPORTED(fmi3GetIntervalFraction, Vr vr, size_t n, fmi3UInt64 a[], fmi3UInt64 b[], fmi3IntervalQualifier q[])
+UNSUPPORTED(fmi3GetShiftDecimal, Vr vr, size_t n, fmi3Float64 v[])
+UNSUPPORTED(fmi3GetShiftFraction, Vr vr, size_t n, fmi3UInt64 a[], fmi3UInt64 b[])
+UNSUPPORTED(fmi3SetIntervalDecimal, Vr vr, size_t n, const fmi3Float64 v[])
+UNSUPPORTED(fmi3SetIntervalFraction, Vr vr, size_t n, const fmi3UInt64 a[], const fmi3UInt64 b[])
+UNSUPPORTED(fmi3SetShiftDecimal, Vr vr, size_t n, const fmi3Float64 v[])
+UNSUPPORTED(fmi3SetShiftFraction, Vr vr, size_t n, const fmi3UInt64 a[], const fmi3UInt64 b[])
+UNSUPPORTED(fmi3CompletedIntegratorStep, fmi3Boolean a, fmi3Boolean* b, fmi3Boolean* d)
+UNSUPPORTED(fmi3SetTime, fmi3Float64 t)
+UNSUPPORTED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
+UNSUPPORTED(fmi3GetContinuousStateDerivatives, fmi3Float64 x[], size_t n)
+UNSUPPORTED(fmi3GetEventIndicators, fmi3Float64 x[], size_t n)
+UNSUPPORTED(fmi3GetContinuousStates, fmi3Float64 x[], size_t n)
+UNSUPPORTED(fmi3GetNominalsOfContinuousStates, fmi3Float64 x[], size_t n)
+UNSUPPORTED(fmi3GetNumberOfEventIndicators, size_t* n)
+UNSUPPORTED(fmi3GetNumberOfContinuousStates, size_t* n)
+UNSUPPORTED(fmi3GetOutputDerivatives, Vr vr, size_t n, const fmi3Int32 order[], fmi3Float64 v[], size_t m)
+UNSUPPORTED(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 t)

@@ -1,0 +1,137 @@
+"""What the builder turns into an FMU: an interface table, dependencies and C source."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from twin.component import Component, Variable
+
+
+@dataclass(frozen=True, slots=True)
+class FmuModel:
+    """Everything an FMU holds, apart from the FMI version it speaks.
+
+    Attributes:
+        name: Model identifier, a C identifier.
+        variables: In value-reference order from 1 on: parameters, inputs, outputs.
+        dependencies: Inputs on which each output directly depends during simulation.
+        initial_dependencies: Inputs and parameters on which each output depends at the end of
+            initialisation.
+        state_names: Continuous states, for messages.
+        defines: Further lines of `model.h`.
+        source: C source of the model, `model.c` without its tables.
+        max_step_s: Longest internal step.
+        resources: Files of the resources folder.
+    """
+
+    name: str
+    description: str
+    variables: tuple[Variable, ...]
+    dependencies: Mapping[str, tuple[str, ...]]
+    initial_dependencies: Mapping[str, tuple[str, ...]]
+    state_names: tuple[str, ...]
+    source: str
+    max_step_s: float
+    defines: Mapping[str, int] = field(default_factory=dict)
+    resources: Mapping[str, bytes] = field(default_factory=dict)
+
+
+def component_model(component: Component) -> FmuModel:
+    """The FMU model of a CasADi component: kernels generated as C."""
+    return FmuModel(
+        name=component.name,
+        description=component.description,
+        variables=component.variables,
+        dependencies=_dependencies(component),
+        initial_dependencies=_initial_dependencies(component),
+        state_names=tuple(s.name for s in component.states),
+        source=_kernel_source(component),
+        max_step_s=component.max_step_s,
+    )
+
+
+def _kernel_source(component: Component) -> str:
+    functions = (component.initial, component.step, component.outputs)
+    generator = ca.CodeGenerator(
+        "kernel", {"with_header": False, "casadi_int": "int", "with_export": False}
+    )
+    for function in functions:
+        generator.add(function)
+    work = max(f.sz_w() for f in functions) + 1
+    integers = max(f.sz_iw() for f in functions) + 1
+    arguments = max(f.sz_arg() for f in functions) + 1
+    results = max(f.sz_res() for f in functions) + 1
+    return f"""\
+#include "core.h"
+
+{generator.dump()}
+
+/* CasADi kernels behind the interface of core.h. They read inputs while they write results, so
+ * the two never share a buffer. */
+#define PARAMETERS (s->v + 1)
+#define INPUTS (s->v + FIRST_INPUT)
+
+int model_open(const char* resources, void** data, char* message, size_t size) {{
+    (void)resources, (void)message, (void)size;
+    *data = NULL;
+    return 0;
+}}
+void model_close(void* data) {{ (void)data; }}
+
+void model_initial(const State* s, const void* data, double* x) {{
+    (void)data;
+    const double* arg[{arguments}] = {{INPUTS, PARAMETERS}};
+    double* res[{results}] = {{x}};
+    int iw[{integers}];
+    double w[{work}];
+    initial(arg, res, iw, w, 0);
+}}
+void model_step(const State* s, const void* data, double h, double* x_next) {{
+    (void)data;
+    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS, &h}};
+    double* res[{results}] = {{x_next}};
+    int iw[{integers}];
+    double w[{work}];
+    step(arg, res, iw, w, 0);
+}}
+void model_outputs(State* s, void* data) {{
+    (void)data;
+    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS}};
+    double* res[{results}] = {{s->v + FIRST_OUTPUT}};
+    int iw[{integers}];
+    double w[{work}];
+    outputs(arg, res, iw, w, 0);
+}}
+"""
+
+
+def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
+    """Inputs that each output feels directly, from the sparsity of the equations."""
+    pattern = _pattern(component.outputs, 1, len(component.inputs))
+    return {
+        y: tuple(u for u, hit in zip(component.input_names, row, strict=True) if hit)
+        for y, row in zip(component.output_names, pattern, strict=True)
+    }
+
+
+def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:
+    """Inputs and parameters that each output feels at the end of initialisation."""
+    u = ca.SX.sym("u", len(component.inputs))
+    p = ca.SX.sym("p", len(component.parameters))
+    y = component.outputs(component.initial(u, p), u, p)
+    f = ca.Function("f", [ca.vertcat(p, u)], [y])
+    names = [v.name for v in component.parameters + component.inputs]
+    return {
+        name: tuple(n for n, hit in zip(names, row, strict=True) if hit)
+        for name, row in zip(component.output_names, _pattern(f, 0, len(names)), strict=True)
+    }
+
+
+def _pattern(function: ca.Function, argument: int, width: int) -> np.ndarray:
+    sparsity = function.jac_sparsity(0, argument)
+    dense = np.zeros((function.size1_out(0), width), dtype=bool)
+    rows, columns = sparsity.get_triplet()
+    dense[rows, columns] = True
+    return dense

@@ -1,0 +1,47 @@
+"""Units of FMU variables as exponents of the SI base units that FMI knows."""
+
+import re
+
+BASE_UNITS: dict[str, dict[str, int]] = {
+    "1": {},
+    "m": {"m": 1},
+    "m/s": {"m": 1, "s": -1},
+    "m/s2": {"m": 1, "s": -2},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "s": {"s": 1},
+    "Hz": {"s": -1},
+    "1/s": {"s": -1},
+    "kg": {"kg": 1},
+    "kg.m2": {"kg": 1, "m": 2},
+    "N": {"kg": 1, "m": 1, "s": -2},
+    "N/m": {"kg": 1, "s": -2},
+    "N.s/m": {"kg": 1, "s": -1},
+    "N.s2/m2": {"kg": 1, "m": -1},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "A": {"A": 1},
+    "A.s": {"A": 1, "s": 1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "Pa": {"kg": 1, "m": -1, "s": -2},
+    "T": {"kg": 1, "s": -2, "A": -1},
+}
+
+
+def base_exponents(unit: str) -> dict[str, int]:
+    """Exponents of kg, m, s, A, K, mol, cd, rad.
+
+    A coefficient of a polynomial of the rotor speed, "U.sK/radK", is U times s^K / rad^K.
+
+    Raises:
+        KeyError: The unit is unknown: add it to `BASE_UNITS`.
+    """
+    if unit in BASE_UNITS:
+        return BASE_UNITS[unit]
+    match = re.fullmatch(r"(N|N\.m)\.s(\d*)/rad(\d*)", unit)
+    if match is None or match[2] != match[3]:
+        raise KeyError(f"unit {unit!r} is not in fmus/units.py")
+    power = int(match[2] or 1)
+    base = dict(BASE_UNITS[match[1]])
+    return {**base, "s": base.get("s", 0) + power, "rad": -power}

@@ -1,0 +1,272 @@
+"""A component of the twin: equations written once in CasADi, with an interface table.
+
+From one `Component` come the Python evaluation (one sample or a batch), the C source of a
+native FMU, and the Jacobians. Equations have the form
+
+    x(0) = initial(u, p),   dx/dt = derivatives(x, u, p),   y = outputs(x, u, p)
+
+and are integrated by the classical Runge-Kutta method of fourth order (RK4) with the inputs
+held over the step, followed by an optional projection (a quaternion back to unit length).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import ModelError
+
+Array = NDArray[np.float64]
+Causality = Literal["parameter", "input", "output"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One row of a component's interface table: a scalar that an FMI tool sees.
+
+    Attributes:
+        name: FMI name, dots for structure (`rotor_1.x`).
+        causality: Who sets it.
+        unit: SI unit; "1" for a pure number.
+        description: One line.
+        start: Value before anybody sets it; an output has none.
+        minimum: Smallest allowed value, itself allowed.
+        maximum: Largest allowed value, itself allowed.
+        fixed: A parameter that counts only until initialisation ends.
+        boolean: A truth value, held as 0 or 1.
+    """
+
+    name: str
+    causality: Causality
+    unit: str
+    description: str
+    start: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    fixed: bool = False
+    boolean: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A continuous state: integrated by the component, seen through its outputs."""
+
+    name: str
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Component:
+    """Equations and interface table. Made by `ComponentBuilder`, never changed after.
+
+    Attributes:
+        initial: `(u, p) -> x`.
+        derivatives: `(x, u, p) -> dx/dt`.
+        step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
+        outputs: `(x, u, p) -> y`.
+        max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
+
+    The CasADi functions take columns; a matrix with one column per sample is a batch.
+    """
+
+    name: str
+    description: str
+    parameters: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    output_variables: tuple[Variable, ...]
+    states: tuple[State, ...]
+    initial: ca.Function
+    derivatives: ca.Function
+    step: ca.Function
+    outputs: ca.Function
+    max_step_s: float
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """Interface table in value-reference order: parameters, inputs, outputs."""
+        return self.parameters + self.inputs + self.output_variables
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(v.name for v in self.inputs)
+
+    @cached_property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(v.name for v in self.output_variables)
+
+    def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
+        """Start values of the parameters, some of them changed; shape (n_p,).
+
+        Raises:
+            ModelError: A name is not a parameter, or a value is outside its range.
+        """
+        return _values(self.name, self.parameters, changes or {})
+
+    def input_values(self, changes: Mapping[str, float] | None = None) -> Array:
+        """Start values of the inputs, some of them changed; shape (n_u,)."""
+        return _values(self.name, self.inputs, changes or {})
+
+    def with_starts(self, starts: Mapping[str, float]) -> "Component":
+        """The same equations with other start values of parameters or inputs."""
+        known = {v.name for v in self.parameters + self.inputs}
+        for name in starts:
+            if name not in known:
+                raise ModelError(unknown_name(self.name, "parameter or input", name, known))
+        return replace(
+            self,
+            parameters=tuple(
+                replace(v, start=starts.get(v.name, v.start)) for v in self.parameters
+            ),
+            inputs=tuple(replace(v, start=starts.get(v.name, v.start)) for v in self.inputs),
+        )
+
+    def advance(self, x: Array, u: Array, p: Array, duration_s: float) -> Array:
+        """Integrate over one communication step exactly as the FMU does; shape (n_x,)."""
+        n, h = substeps(duration_s, self.max_step_s)
+        for _ in range(n):
+            x = np.asarray(self.step(x, u, p, h), dtype=np.float64).ravel()
+        return x
+
+
+def substeps(duration_s: float, max_step_s: float) -> tuple[int, float]:
+    """Number and length of the equal RK4 steps in one communication step."""
+    n = max(1, int(np.ceil(duration_s / max_step_s - 1e-6)))
+    return n, duration_s / n
+
+
+def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
+    """Text of the error for a misspelt name, with the nearest known one."""
+    known = sorted(known)
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(known)}."
+    return f"{owner}: there is no {kind} {name!r}. {hint}"
+
+
+def check_range(owner: str, variable: Variable, value: float) -> None:
+    """Raise `ModelError` if the value is not finite or outside the variable's range."""
+    low, high = variable.minimum, variable.maximum
+    if not np.isfinite(value):
+        raise ModelError(f"{owner}: {variable.name} = {value} must be a finite number.")
+    if (low is not None and value < low) or (high is not None and value > high):
+        span = f"[{'-inf' if low is None else low:}, {'inf' if high is None else high}]"
+        raise ModelError(
+            f"{owner}: {variable.name} = {value:g} {variable.unit} is outside its range {span}."
+        )
+
+
+def _values(owner: str, table: tuple[Variable, ...], changes: Mapping[str, float]) -> Array:
+    by_name = {v.name: v for v in table}
+    for name, value in changes.items():
+        if name not in by_name:
+            kind = table[0].causality if table else "variable"
+            raise ModelError(unknown_name(owner, kind, name, by_name))
+        check_range(owner, by_name[name], value)
+    return np.array([changes.get(v.name, v.start) for v in table], dtype=np.float64)
+
+
+class ComponentBuilder:
+    """Collects the interface table and the equations of one component, in reading order."""
+
+    def __init__(self, name: str, description: str, max_step_s: float = 1e-3) -> None:
+        self._name, self._description, self._max_step_s = name, description, max_step_s
+        self._variables: dict[str, tuple[Variable, ca.SX]] = {}
+        self._states: dict[str, tuple[State, ca.SX, ca.SX]] = {}
+        self._rates: dict[str, ca.SX] = {}
+        self._projections: dict[str, ca.SX] = {}
+
+    def parameter(
+        self,
+        name: str,
+        start: float,
+        unit: str,
+        description: str,
+        *,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        fixed: bool = False,
+        boolean: bool = False,
+    ) -> ca.SX:
+        """Declare a parameter and return its symbol."""
+        variable = Variable(
+            name, "parameter", unit, description, start, minimum, maximum, fixed, boolean
+        )
+        check_range(self._name, variable, start)
+        return self._declare(variable, ca.SX.sym(name))
+
+    def input(self, name: str, unit: str, description: str, start: float = 0.0) -> ca.SX:
+        """Declare an input and return its symbol."""
+        return self._declare(Variable(name, "input", unit, description, start), ca.SX.sym(name))
+
+    def output(self, name: str, unit: str, description: str, expression: ca.SX | float) -> None:
+        """Declare an output and its equation."""
+        self._declare(Variable(name, "output", unit, description), ca.SX(expression))
+
+    def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
+        """Declare a state with its initial value, an expression of inputs and parameters."""
+        symbol = ca.SX.sym(name)
+        self._states[name] = (State(name, unit, description), symbol, ca.SX(initial))
+        return symbol
+
+    def derivative(self, name: str, rate: ca.SX | float) -> None:
+        """Give the time derivative of a state."""
+        self._rates[name] = ca.SX(rate)
+
+    def projection(self, name: str, expression: ca.SX) -> None:
+        """Replace a state after each step by an expression of the states."""
+        self._projections[name] = expression
+
+    def build(self) -> Component:
+        """Turn the collected equations into a component."""
+        table = {
+            c: [(v, e) for v, e in self._variables.values() if v.causality == c]
+            for c in ("parameter", "input", "output")
+        }
+        x = _column(symbol for _, symbol, _ in self._states.values())
+        u = _column(symbol for _, symbol in table["input"])
+        p = _column(symbol for _, symbol in table["parameter"])
+        h = ca.SX.sym("h")
+        x0 = _column(initial for _, _, initial in self._states.values())
+        rates = _column(self._rates[name] for name in self._states)
+        projected = _column(
+            self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+        y = _column(expression for _, expression in table["output"])
+        f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
+        project = ca.Function("project", [x], [projected])
+        k1 = f(x, u, p)
+        k2 = f(x + h / 2 * k1, u, p)
+        k3 = f(x + h / 2 * k2, u, p)
+        k4 = f(x + h * k3, u, p)
+        x_next = ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+        return Component(
+            name=self._name,
+            description=self._description,
+            parameters=tuple(v for v, _ in table["parameter"]),
+            inputs=tuple(v for v, _ in table["input"]),
+            output_variables=tuple(v for v, _ in table["output"]),
+            states=tuple(state for state, _, _ in self._states.values()),
+            initial=ca.Function("initial", [u, p], [ca.cse(x0)], ["u", "p"], ["x"]),
+            derivatives=f,
+            step=ca.Function("step", [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"]),
+            outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
+            max_step_s=self._max_step_s,
+        )
+
+    def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        if variable.name in self._variables:
+            raise ModelError(f"{self._name}: {variable.name!r} is declared twice.")
+        self._variables[variable.name] = (variable, expression)
+        return expression
+
+
+def _column(parts: Iterable[ca.SX]) -> ca.SX:
+    parts = list(parts)
+    return ca.vertcat(*parts) if parts else ca.SX(0, 1)

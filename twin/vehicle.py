@@ -1,0 +1,690 @@
+"""Vehicle files: the numbers of one aircraft, each with unit and source, as TOML.
+
+`docs/vehicle.md` describes the format for people; `FIELDS` below is its one definition.
+"""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pint
+from numpy.typing import NDArray
+
+from .errors import ModelError
+
+Array = NDArray[np.float64]
+GRAVITY_M_S2 = 9.80665
+"""Standard gravity, CGPM 1901."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One key of a vehicle file.
+
+    Attributes:
+        unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
+            whose value has unit U.
+        shape: "scalar", "vector", "n x 3", "list", "text" or "polynomial".
+        required: Whether a file without it is refused.
+        positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
+            when >= 0 is enough.
+        meaning: One line for the documentation.
+    """
+
+    unit: str
+    shape: str
+    required: bool
+    positive: bool | None
+    meaning: str
+
+
+FIELDS: dict[str, Field] = {
+    "body.mass": Field("kg", "scalar", True, True, "Take-off mass, battery included."),
+    "body.inertia": Field(
+        "kg*m^2",
+        "vector",
+        True,
+        None,
+        "Inertia about the centre of mass, body FRD: [Ixx, Iyy, Izz] or "
+        "[Ixx, Iyy, Izz, Ixy, Ixz, Iyz] with the elements of the matrix (not the products "
+        "with opposite sign).",
+    ),
+    "body.drag_linear": Field(
+        "N*s/m",
+        "vector",
+        False,
+        False,
+        "Linear drag [x, y, z] in body axes: force = -drag * air-relative velocity. Given in "
+        "1/s it is multiplied by the mass.",
+    ),
+    "body.drag_quadratic": Field(
+        "N*s^2/m^2",
+        "vector",
+        False,
+        False,
+        "Quadratic drag [x, y, z] in body axes, 0.5 rho Cd A: force = -drag |v_i| v_i.",
+    ),
+    "body.leg_height": Field(
+        "m",
+        "scalar",
+        False,
+        False,
+        "Height of the centre of mass over the ground when standing; feet are below the "
+        "rotors. Without it: half the largest rotor arm.",
+    ),
+    "rotors.position": Field(
+        "m",
+        "n x 3",
+        True,
+        None,
+        "Rotor hubs [x forward, y right, z down] from the centre of mass, one row per motor, "
+        "in the order of the motor commands cmd_1, cmd_2, ...",
+    ),
+    "rotors.direction": Field(
+        "", "list", True, None, 'Sense of rotation seen from above, "cw" or "ccw", per rotor.'
+    ),
+    "rotors.thrust_from_speed": Field(
+        "poly:N",
+        "polynomial",
+        False,
+        None,
+        "Thrust of one rotor against its speed. A single value k means k * speed^2.",
+    ),
+    "rotors.thrust_from_command": Field(
+        "poly:N", "polynomial", False, None, "Thrust of one rotor against its command."
+    ),
+    "rotors.speed_from_command": Field(
+        "poly:rad/s", "polynomial", False, None, "Steady rotor speed against its command."
+    ),
+    "rotors.torque_per_thrust": Field(
+        "m", "scalar", False, False, "Reaction torque over thrust of one rotor."
+    ),
+    "rotors.torque_from_speed": Field(
+        "poly:N*m",
+        "polynomial",
+        False,
+        None,
+        "Reaction torque of one rotor against its speed. A single value k means k * speed^2.",
+    ),
+    "rotors.torque_from_command": Field(
+        "poly:N*m", "polynomial", False, None, "Reaction torque of one rotor against its command."
+    ),
+    "rotors.command_range": Field(
+        "",
+        "pair",
+        False,
+        None,
+        "Raw command at cmd = 0 and at cmd = 1 (e.g. [1100, 1950] us, [0, 65535]); every "
+        "polynomial of the command is in raw commands. Without it: [0, 1].",
+    ),
+    "rotors.lag": Field(
+        "s",
+        "lag",
+        False,
+        True,
+        "Time constant of the first-order lag from command to rotor speed (to effective "
+        "command when thrust comes from the command): one value, or [up, down].",
+    ),
+    "rotors.spin_inertia": Field(
+        "kg*m^2",
+        "scalar",
+        False,
+        False,
+        "Inertia of one rotor with its bell about its axis: gyroscopic torque. Needs the speed.",
+    ),
+    "rotors.reference_voltage": Field(
+        "V",
+        "scalar",
+        False,
+        True,
+        "Battery voltage at which the maps from the command hold. Without it voltage is ignored.",
+    ),
+    "rotors.voltage_exponent": Field(
+        "1",
+        "scalar",
+        False,
+        None,
+        "The map from the command is multiplied by (voltage / reference)^exponent. Default 1.",
+    ),
+    "imu.position": Field(
+        "m", "vector", False, None, "Accelerometer [x, y, z] from the centre of mass, body FRD."
+    ),
+    "imu.accel_cutoff": Field(
+        "Hz", "scalar", False, True, "Second-order low-pass of the accelerometer; absent: none."
+    ),
+    "imu.gyro_cutoff": Field(
+        "Hz", "scalar", False, True, "Second-order low-pass of the gyroscope; absent: none."
+    ),
+    "battery.full_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when full."),
+    "battery.empty_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when empty."),
+    "battery.capacity": Field("A*s", "scalar", False, True, "Charge from full to empty."),
+    "battery.resistance": Field("ohm", "scalar", False, False, "Internal resistance."),
+    "battery.hover_current": Field("A", "scalar", False, True, "Current drawn in hover."),
+}
+"""Every key a vehicle file may hold, in the order of the documentation."""
+
+_REQUIRED_BATTERY = ("full_voltage", "empty_voltage", "capacity", "resistance", "hover_current")
+
+
+@dataclass(frozen=True, slots=True)
+class Battery:
+    """A battery as open-circuit voltage, falling linearly with charge, behind a resistance."""
+
+    full_voltage_v: float
+    empty_voltage_v: float
+    capacity_a_s: float
+    resistance_ohm: float
+    hover_current_a: float
+
+
+@dataclass(frozen=True, slots=True)
+class Rotors:
+    """Rotors of one aircraft, all alike but for place and sense of rotation.
+
+    Polynomials are ascending coefficients: of the rotor speed in rad/s, or of the command 0..1.
+
+    Attributes:
+        position_m: Hubs from the centre of mass, body FRD, shape (n, 3).
+        direction: +1 clockwise seen from above, -1 counter-clockwise, shape (n,).
+        thrust_n: Thrust polynomial, of the speed if `from_speed`, else of the command.
+        torque_n_m: Reaction torque polynomial of the same argument.
+        speed_rad_s: Speed polynomial of the command; None for a vehicle known by rotor speed.
+        lag_up_s: Time constant when speeding up; 0 without lag.
+        lag_down_s: Time constant when slowing down; 0 without lag.
+        spin_inertia_kg_m2: Of one rotor about its axis; 0 when unknown.
+        reference_voltage_v: Voltage at which the maps of the command hold; None: ignored.
+        voltage_exponent: Power of (voltage / reference) that scales the map of the command.
+    """
+
+    position_m: Array
+    direction: Array
+    from_speed: bool
+    thrust_n: tuple[float, ...]
+    torque_n_m: tuple[float, ...]
+    speed_rad_s: tuple[float, ...] | None
+    lag_up_s: float
+    lag_down_s: float
+    spin_inertia_kg_m2: float
+    reference_voltage_v: float | None
+    voltage_exponent: float
+
+    @property
+    def count(self) -> int:
+        """Number of rotors."""
+        return len(self.direction)
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """One aircraft in SI units, body FRD about the centre of mass.
+
+    Attributes:
+        inertia_kg_m2: Inertia matrix, shape (3, 3).
+        drag_linear_n_s_m: Per body axis, shape (3,).
+        drag_quadratic_n_s2_m2: Per body axis, shape (3,).
+        leg_height_m: Centre of mass over the ground when standing.
+        imu_position_m: Accelerometer from the centre of mass, shape (3,).
+        sources: Pedigree of each number, by its key in the file; "default: ..." where the file
+            is silent and a default stands in.
+        doubts: What looks odd but is not refused.
+    """
+
+    name: str
+    description: str
+    mass_kg: float
+    inertia_kg_m2: Array
+    drag_linear_n_s_m: Array
+    drag_quadratic_n_s2_m2: Array
+    leg_height_m: float
+    rotors: Rotors
+    imu_position_m: Array
+    accel_cutoff_hz: float | None
+    gyro_cutoff_hz: float | None
+    battery: Battery | None
+    sources: Mapping[str, str]
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def drive(self) -> Literal["command", "rotor_speed"]:
+        """What the vehicle's rotors are driven by when nothing else is asked for."""
+        return (
+            "rotor_speed" if self.rotors.from_speed and not self.rotors.speed_rad_s else "command"
+        )
+
+    @property
+    def hover_thrust_n(self) -> float:
+        """Thrust of one rotor in hover, equally shared."""
+        return self.mass_kg * GRAVITY_M_S2 / self.rotors.count
+
+    def with_mass(self, mass_kg: float) -> "Vehicle":
+        """The same vehicle with another mass."""
+        return replace(self, mass_kg=mass_kg)
+
+
+def builtin_vehicles() -> tuple[str, ...]:
+    """Names of the vehicle files that ship with the program."""
+    folder = resources.files(__package__) / "vehicles"
+    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir()))
+
+
+def load_vehicle(name_or_path: str | Path) -> Vehicle:
+    """Read a vehicle file, or a built-in vehicle by its name.
+
+    Raises:
+        ModelError: No such vehicle, or the file is wrong; the text names file, key and value.
+    """
+    text_name = str(name_or_path)
+    if text_name in builtin_vehicles():
+        text = (resources.files(__package__) / "vehicles" / f"{text_name}.toml").read_text("utf-8")
+        return parse_vehicle(text, f"{text_name}.toml")
+    path = Path(name_or_path)
+    if not path.is_file():
+        near = get_close_matches(text_name, builtin_vehicles(), n=1)
+        hint = f" Did you mean {near[0]!r}?" if near else ""
+        raise ModelError(
+            f"{text_name}: neither a vehicle file nor a built-in vehicle.{hint} "
+            f"Built in: {', '.join(builtin_vehicles())}; the format is in docs/vehicle.md."
+        )
+    try:
+        text = path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path.name}: cannot be read as text: {error}.") from error
+    return parse_vehicle(text, path.name)
+
+
+def parse_vehicle(text: str, file: str) -> Vehicle:
+    """Build a vehicle from the text of a vehicle file; `file` names it in errors."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{file}: not valid TOML: {error}.") from error
+    return _Reader(file, tree).vehicle()
+
+
+class _Reader:
+    """Reads one parsed vehicle file, checking every key against `FIELDS`."""
+
+    def __init__(self, file: str, tree: dict[str, Any]) -> None:
+        self.file, self.tree = file, tree
+        self.sources: dict[str, str] = {}
+        self.doubts: list[str] = []
+
+    def vehicle(self) -> Vehicle:
+        self._check_keys()
+        mass = float(self._number("body.mass"))
+        drag = self._vector("body.drag_linear", 3, mass_kg=mass)
+        rotors = self._rotors()
+        arm = float(np.linalg.norm(rotors.position_m[:, :2], axis=1).max())
+        leg = self._optional("body.leg_height", f"half the largest rotor arm, {arm / 2:g} m")
+        vehicle = Vehicle(
+            name=self._text("name", Path(self.file).stem),
+            description=self._text("description", ""),
+            mass_kg=mass,
+            inertia_kg_m2=self._inertia(),
+            drag_linear_n_s_m=drag,
+            drag_quadratic_n_s2_m2=self._vector("body.drag_quadratic", 3),
+            leg_height_m=arm / 2 if leg is None else leg,
+            rotors=rotors,
+            imu_position_m=self._vector("imu.position", 3),
+            accel_cutoff_hz=self._optional("imu.accel_cutoff", "no low-pass"),
+            gyro_cutoff_hz=self._optional("imu.gyro_cutoff", "no low-pass"),
+            battery=self._battery(),
+            sources=self.sources,
+            doubts=tuple(self.doubts),
+        )
+        self._check_hover(vehicle)
+        return vehicle
+
+    # -- keys ------------------------------------------------------------------------------
+
+    def _check_keys(self) -> None:
+        sections = {key.split(".")[0] for key in FIELDS}
+        for name, value in self.tree.items():
+            if name in ("name", "description"):
+                continue
+            if name not in sections:
+                raise self._unknown("section", name, sections | {"name", "description"})
+            if not isinstance(value, dict):
+                raise ModelError(f"{self.file}: [{name}] must be a table of keys.")
+            for key in value:
+                if f"{name}.{key}" not in FIELDS:
+                    known = {k.split(".")[1] for k in FIELDS if k.startswith(f"{name}.")}
+                    raise self._unknown(f"key in [{name}]", key, known)
+        for key, field in FIELDS.items():
+            if field.required and self._entry(key) is None:
+                raise ModelError(f"{self.file}: {key} is missing: {field.meaning}")
+
+    def _unknown(self, kind: str, name: str, known: set[str]) -> ModelError:
+        near = get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+        hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(sorted(known))}."
+        return ModelError(f"{self.file}: unknown {kind}: {name!r}. {hint}")
+
+    def _entry(self, key: str) -> dict[str, Any] | None:
+        section, name = key.split(".")
+        entry = self.tree.get(section, {}).get(name)
+        if entry is None:
+            return None
+        if not isinstance(entry, dict) or not ({"value", "coefficients"} & set(entry)):
+            unit = FIELDS[key].unit.removeprefix("poly:")
+            raise ModelError(
+                f"{self.file}: {key} = {entry!r} needs unit and source, as in "
+                f'{name} = {{ value = ..., unit = "{unit or "1"}", source = "..." }}.'
+            )
+        allowed = {"value", "coefficients", "unit", "source", "of"}
+        for part in entry:
+            if part not in allowed:
+                raise self._unknown(f"part of {key}", part, allowed)
+        if not isinstance(entry.get("source"), str) or not entry["source"].strip():
+            raise ModelError(
+                f"{self.file}: {key} has no source. Say where the number comes from; "
+                f'"made up" is an honest source.'
+            )
+        self.sources[key] = entry["source"]
+        return entry
+
+    # -- values ----------------------------------------------------------------------------
+
+    def _text(self, key: str, default: str) -> str:
+        value = self.tree.get(key, default)
+        if not isinstance(value, str):
+            raise ModelError(f"{self.file}: {key} = {value!r} must be text.")
+        return value
+
+    def _array(self, key: str, raw: Any) -> Array:
+        try:
+            values = np.asarray(raw, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ModelError(f"{self.file}: {key} = {raw!r} must be numbers.") from None
+        if isinstance(raw, bool | str) or values.dtype.kind != "f":
+            raise ModelError(f"{self.file}: {key} = {raw!r} must be numbers.")
+        if not np.all(np.isfinite(values)):
+            raise ModelError(f"{self.file}: {key} = {raw!r} must be finite.")
+        return values
+
+    def _si(
+        self, key: str, entry: dict[str, Any], unit: str, mass_kg: float | None = None
+    ) -> Array:
+        values = self._array(key, entry.get("value"))
+        given = entry.get("unit")
+        if not isinstance(given, str):
+            raise ModelError(f'{self.file}: {key} has no unit. Add unit = "{unit}" or another one.')
+        factor, dimension_ok = _factor(given, unit)
+        if not dimension_ok and mass_kg is not None:
+            per_mass, dimension_ok = _factor(given, f"({unit})/kg")
+            factor = per_mass * mass_kg
+        if not dimension_ok:
+            raise ModelError(
+                f'{self.file}: {key} has unit "{given}", which is not a unit of the kind "{unit}".'
+            )
+        return values * factor
+
+    def _check_sign(self, key: str, values: Array, positive: bool | None) -> None:
+        if positive is None:
+            return
+        if np.any(values <= 0) if positive else np.any(values < 0):
+            bound = "positive" if positive else "zero or positive"
+            raise ModelError(f"{self.file}: {key} = {values.tolist()} must be {bound}.")
+
+    def _number(self, key: str) -> float:
+        entry = self._entry(key)
+        assert entry is not None
+        values = self._si(key, entry, FIELDS[key].unit)
+        if values.shape != ():
+            raise ModelError(f"{self.file}: {key} = {entry.get('value')!r} must be one number.")
+        self._check_sign(key, values, FIELDS[key].positive)
+        return float(values)
+
+    def _optional(self, key: str, default: str) -> float | None:
+        if self._entry(key) is None:
+            self.sources[key] = f"default: {default}"
+            return None
+        return self._number(key)
+
+    def _vector(self, key: str, size: int, mass_kg: float | None = None) -> Array:
+        entry = self._entry(key)
+        if entry is None:
+            self.sources[key] = "default: zero"
+            return np.zeros(size)
+        values = self._si(key, entry, FIELDS[key].unit, mass_kg)
+        if values.shape != (size,):
+            raise ModelError(
+                f"{self.file}: {key} = {entry['value']!r} must be a list of {size} numbers."
+            )
+        self._check_sign(key, values, FIELDS[key].positive)
+        return values
+
+    def _inertia(self) -> Array:
+        key = "body.inertia"
+        entry = self._entry(key)
+        assert entry is not None
+        values = self._si(key, entry, FIELDS[key].unit)
+        if values.shape not in ((3,), (6,)):
+            raise ModelError(
+                f"{self.file}: {key} = {entry['value']!r} must be [Ixx, Iyy, Izz] or "
+                f"[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]."
+            )
+        xx, yy, zz, xy, xz, yz = [*values, 0.0, 0.0, 0.0][:6]
+        matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        principal = np.linalg.eigvalsh(matrix)
+        if principal[0] <= 0:
+            raise ModelError(
+                f"{self.file}: {key} = {entry['value']!r} is not positive definite "
+                f"(smallest principal moment {principal[0]:g} kg*m^2)."
+            )
+        if principal[0] + principal[1] < principal[2]:
+            self.doubts.append(
+                f"{key}: the two smaller principal moments add up to less than the largest; "
+                f"no real body has that."
+            )
+        return matrix
+
+    def _polynomial(self, key: str) -> tuple[float, ...] | None:
+        """Ascending coefficients in SI: of the speed in rad/s, or of the command 0..1."""
+        entry = self._entry(key)
+        if entry is None:
+            return None
+        unit = FIELDS[key].unit.removeprefix("poly:")
+        of_speed = key.endswith("from_speed")
+        if "value" in entry:
+            if not of_speed:
+                raise ModelError(
+                    f"{self.file}: {key} needs coefficients = [c0, c1, ...] in ascending powers "
+                    f"of the command."
+                )
+            square = self._si(key, entry, f"{unit}*s^2/rad^2")
+            if square.shape != ():
+                raise ModelError(
+                    f"{self.file}: {key}: a single value k means k * speed^2; for a polynomial "
+                    f"write coefficients = [c0, c1, c2]."
+                )
+            self._check_sign(key, square, True)
+            return (0.0, 0.0, float(square))
+        c = self._si(key, {**entry, "value": entry["coefficients"]}, unit)
+        if c.ndim != 1 or not 1 <= len(c) <= 8:
+            raise ModelError(f"{self.file}: {key}: coefficients must be a list of 1 to 8 numbers.")
+        if of_speed:
+            of = entry.get("of")
+            if not isinstance(of, str):
+                raise ModelError(
+                    f'{self.file}: {key} needs of = "rad/s" (or "rpm"): the unit of the speed.'
+                )
+            per_rad_s, ok = _factor("rad/s", of)
+            if not ok:
+                raise ModelError(f'{self.file}: {key}: of = "{of}" is not a rotor speed.')
+            return tuple(float(ck * per_rad_s**k) for k, ck in enumerate(c))
+        if "of" in entry:
+            raise ModelError(
+                f"{self.file}: {key} is a polynomial of the command; its raw range is "
+                f"rotors.command_range, so 'of' has no place here."
+            )
+        low, high = self._command_range()
+        shifted = np.polynomial.Polynomial(c)(np.polynomial.Polynomial([low, high - low]))
+        coefficients = np.zeros(len(c))
+        coefficients[: len(shifted.coef)] = shifted.coef
+        return tuple(float(ck) for ck in coefficients)
+
+    def _command_range(self) -> tuple[float, float]:
+        entry = self._entry("rotors.command_range")
+        if entry is None:
+            self.sources["rotors.command_range"] = "default: commands are 0..1"
+            return 0.0, 1.0
+        values = self._array("rotors.command_range", entry.get("value"))
+        if values.shape != (2,) or values[0] == values[1]:
+            raise ModelError(
+                f"{self.file}: rotors.command_range = {entry.get('value')!r} must be two "
+                f"different numbers: raw command at cmd = 0 and at cmd = 1."
+            )
+        return float(values[0]), float(values[1])
+
+    # -- groups ----------------------------------------------------------------------------
+
+    def _one_of(self, what: str, *keys: str) -> str:
+        given = [k for k in keys if self._entry(k) is not None]
+        if len(given) != 1:
+            state = "none is given" if not given else f"{' and '.join(given)} are given"
+            raise ModelError(
+                f"{self.file}: {what} needs exactly one of {', '.join(keys)}; {state}."
+            )
+        return given[0]
+
+    def _rotors(self) -> Rotors:
+        position_entry = self._entry("rotors.position")
+        assert position_entry is not None
+        position = self._si("rotors.position", position_entry, "m")
+        if position.ndim != 2 or position.shape[1] != 3 or not 3 <= len(position) <= 12:
+            raise ModelError(
+                f"{self.file}: rotors.position must be 3 to 12 rows of [x, y, z]; it has shape "
+                f"{position.shape}."
+            )
+        thrust_key = self._one_of(
+            "thrust", "rotors.thrust_from_speed", "rotors.thrust_from_command"
+        )
+        from_speed = thrust_key.endswith("speed")
+        thrust, torque = self._polynomial(thrust_key), self._torque(from_speed, thrust_key)
+        assert thrust is not None
+        speed = self._polynomial("rotors.speed_from_command")
+        if speed is not None and not from_speed:
+            raise ModelError(
+                f"{self.file}: rotors.speed_from_command is of no use with thrust_from_command. "
+                f"Give thrust_from_speed, or leave the speed out."
+            )
+        spin = self._optional("rotors.spin_inertia", "0, no gyroscopic torque")
+        if spin and not from_speed:
+            raise ModelError(
+                f"{self.file}: rotors.spin_inertia needs the rotor speed: give thrust_from_speed "
+                f"(and speed_from_command for a vehicle driven by commands)."
+            )
+        reference = self._optional("rotors.reference_voltage", "voltage is ignored")
+        exponent = self._optional("rotors.voltage_exponent", "1")
+        up, down = self._lag()
+        return Rotors(
+            position_m=position,
+            direction=self._direction(len(position)),
+            from_speed=from_speed,
+            thrust_n=thrust,
+            torque_n_m=torque,
+            speed_rad_s=speed,
+            lag_up_s=up,
+            lag_down_s=down,
+            spin_inertia_kg_m2=spin or 0.0,
+            reference_voltage_v=reference,
+            voltage_exponent=1.0 if exponent is None else exponent,
+        )
+
+    def _torque(self, from_speed: bool, thrust_key: str) -> tuple[float, ...]:
+        own = "rotors.torque_from_speed" if from_speed else "rotors.torque_from_command"
+        key = self._one_of("reaction torque", "rotors.torque_per_thrust", own)
+        if key == own:
+            torque = self._polynomial(own)
+            assert torque is not None
+            return torque
+        ratio = self._number(key)
+        thrust = self._polynomial(thrust_key)
+        assert thrust is not None
+        return tuple(ratio * c for c in thrust)
+
+    def _direction(self, count: int) -> Array:
+        entry = self._entry("rotors.direction")
+        assert entry is not None
+        words = entry.get("value")
+        if not isinstance(words, list) or any(w not in ("cw", "ccw") for w in words):
+            raise ModelError(
+                f'{self.file}: rotors.direction = {words!r} must be a list of "cw" and "ccw", '
+                f"seen from above."
+            )
+        if len(words) != count:
+            raise ModelError(
+                f"{self.file}: rotors.direction has {len(words)} entries, rotors.position {count}."
+            )
+        return np.array([1.0 if w == "cw" else -1.0 for w in words])
+
+    def _lag(self) -> tuple[float, float]:
+        entry = self._entry("rotors.lag")
+        if entry is None:
+            self.sources["rotors.lag"] = "default: no lag"
+            return 0.0, 0.0
+        values = np.atleast_1d(self._si("rotors.lag", entry, "s"))
+        self._check_sign("rotors.lag", values, True)
+        if values.shape not in ((1,), (2,)) or np.any(values < 1e-3):
+            raise ModelError(
+                f"{self.file}: rotors.lag = {entry['value']!r} must be one time constant or "
+                f"[up, down], at least 1 ms; leave it out for none."
+            )
+        return float(values[0]), float(values[-1])
+
+    def _battery(self) -> Battery | None:
+        if "battery" not in self.tree:
+            return None
+        for name in _REQUIRED_BATTERY:
+            if self._entry(f"battery.{name}") is None:
+                raise ModelError(f"{self.file}: [battery] is given without {name}.")
+        full, empty, capacity, resistance, current = (
+            self._number(f"battery.{name}") for name in _REQUIRED_BATTERY
+        )
+        if empty >= full:
+            raise ModelError(
+                f"{self.file}: battery.empty_voltage = {empty:g} V must be below "
+                f"battery.full_voltage = {full:g} V."
+            )
+        return Battery(full, empty, capacity, resistance, current)
+
+    def _check_hover(self, vehicle: Vehicle) -> None:
+        rotors = vehicle.rotors
+        if vehicle.drive == "rotor_speed":
+            return
+        command = np.linspace(0.0, 1.0, 201)
+        argument = (
+            np.polynomial.polynomial.polyval(command, rotors.speed_rad_s)
+            if rotors.speed_rad_s
+            else command
+        )
+        most = float(np.max(np.polynomial.polynomial.polyval(argument, rotors.thrust_n)))
+        if most < vehicle.hover_thrust_n:
+            raise ModelError(
+                f"{self.file}: cannot hover: {rotors.count} rotors give at most "
+                f"{most * rotors.count:.4g} N, the weight is "
+                f"{vehicle.mass_kg * GRAVITY_M_S2:.4g} N. Check the thrust map, its unit and "
+                f"rotors.command_range."
+            )
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry[Any]:
+    return pint.UnitRegistry()
+
+
+def _factor(given: str, wanted: str) -> tuple[float, bool]:
+    """Factor from one unit to another, and whether they are of one kind."""
+    registry = _registry()
+    try:
+        return float(registry.Quantity(1.0, given).to(wanted).magnitude), True
+    except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
+        return 1.0, False
+    except Exception as error:  # pint raises tokenizer and attribute errors for bad text
+        raise ModelError(f'"{given}" is not a unit: {error}.') from error
