@@ -15,11 +15,25 @@ typedef struct {
 
 static Host* host(fmi2Component c) { return ((Instance*)c)->host; }
 
+/* The logger takes a printf format. Many importers never expand it, so the text goes in as the
+ * format itself, with its percent signs doubled. */
+static void log_error(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char* name,
+                      const char* message) {
+    char format[700];
+    size_t n = 0;
+    if (!logger) return;
+    for (const char* p = message; *p && n + 2 < sizeof format; p++) {
+        if (*p == '%') format[n++] = '%';
+        format[n++] = *p;
+    }
+    format[n] = 0;
+    logger(environment, name, fmi2Error, "logStatusError", format);
+}
+
 static fmi2Status status(fmi2Component c, int code) {
     if (code == 0) return fmi2OK;
     Host* h = host(c);
-    if (h->logger)
-        h->logger(h->environment, h->name, fmi2Error, "logStatusError", "%s", ((Instance*)c)->message);
+    log_error(h->logger, h->environment, h->name, ((Instance*)c)->message);
     return fmi2Error;
 }
 
@@ -79,7 +93,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     }
     if (!c) {
         free(h);
-        if (logger) logger(environment, name, fmi2Error, "logStatusError", "%s", message);
+        log_error(logger, environment, name, message);
         return NULL;
     }
     strcpy(h->name, name);
