@@ -1,0 +1,280 @@
+"""The gap between a flight and its twin: teacher-forced and short-horizon residuals.
+
+Short-horizon: replay FMU, airframe FMU and IMU FMU stepped by the master, the airframe restarted
+from the measured state every horizon through its start values.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus import build, component_model, replay_model
+from twin.airframe import AXES, airframe
+from twin.component import Component
+from twin.errors import LogError
+from twin.flightlog import Flight
+from twin.frames import rotation_vector
+from twin.imu import imu
+from twin.measured import MeasuredMotion, measured_motion
+from twin.residuals import Channel, FlightGap
+from twin.teacher_forced import (
+    GRID_S,
+    Inputs,
+    airframe_inputs,
+    choose_drive,
+    measured_states,
+    predicted_readings,
+    teacher_forced_channels,
+)
+from twin.vehicle import GRAVITY_M_S2, Vehicle
+
+from .master import Master
+from .system import System, connect
+
+Array = NDArray[np.float64]
+DEFAULT_HORIZON_S = 0.5
+LIFT_OFF_HEIGHT_M = 0.1
+"""Above its resting place by this much, a vehicle counts as airborne."""
+_POSE = tuple(f"{s}_{a}" for s in ("pos", "vel") for a in AXES) + tuple(f"q_{a}" for a in "wxyz")
+_RATES = tuple(f"omega_{a}" for a in AXES)
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """A flight on the grid of its twin: components, inputs and measured states."""
+
+    airframe: Component
+    imu: Component
+    inputs: Inputs
+    motion: MeasuredMotion
+    states: Array
+    phases: NDArray[np.str_]
+    airborne: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+
+def prepare(flight: Flight, vehicle: Vehicle) -> Twin:
+    """Put a flight onto the grid of a twin.
+
+    Raises:
+        LogError: The flight lacks what the vehicle needs, is too short, or never flies.
+    """
+    body = airframe(vehicle, choose_drive(flight, vehicle))
+    time = flight.table["time"].to_numpy(dtype=np.float64)
+    if len(time) < 2 or time[-1] - time[0] < 2 * GRID_S:
+        raise LogError(f"{flight.name}: too short: {len(time)} samples.")
+    first = round(float(time[0]) / GRID_S)
+    t = np.arange(first, int(np.floor(float(time[-1]) / GRID_S + 1e-6)) + 1) * GRID_S
+    motion = measured_motion(flight)
+    inputs = airframe_inputs(flight, vehicle, body, t)
+    phases = _phases(flight, t)
+    airborne = _airborne(vehicle, body, inputs, motion, phases)
+    if not airborne.any():
+        raise LogError(
+            f"{flight.name}: never airborne with {vehicle.name}: the commands never carry more "
+            f"than half of its weight above the ground. Check the vehicle file."
+        )
+    states = measured_states(body, motion, inputs)
+    on_ground = float(np.mean(~airborne))
+    notes = list(motion.notes + inputs.notes)
+    if on_ground > 0:
+        notes.append(f"{on_ground * (t[-1] - t[0]):.1f} s on the ground are left out")
+    return Twin(body, imu(vehicle), inputs, motion, states, phases, airborne, tuple(notes))
+
+
+def flight_gap(
+    flight: Flight,
+    vehicle: Vehicle,
+    horizon_s: float = DEFAULT_HORIZON_S,
+    progress: Callable[[float], None] | None = None,
+) -> FlightGap:
+    """Residuals of one flight against one vehicle.
+
+    Args:
+        flight: As read by `twin.flightlog.read_flight`.
+        vehicle: As read by `twin.vehicle.load_vehicle`.
+        horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
+        progress: Called with the share done, 0..1.
+
+    Raises:
+        LogError: The flight cannot be compared with this vehicle.
+    """
+    if not horizon_s >= 0.01 or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
+        raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
+    twin = prepare(flight, vehicle)
+    readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
+    channels = teacher_forced_channels(
+        flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases
+    )
+    short, notes = _short_horizon(flight, twin, horizon_s, progress or (lambda _: None))
+    warnings = [f"{f.where}: {f.message}" for f in flight.findings if f.severity != "info"]
+    return FlightGap(
+        flight=flight.name,
+        vehicle=vehicle.name,
+        channels=tuple(channels + short),
+        phases=_spans(twin.inputs.t_s, twin.phases),
+        warnings=tuple([*twin.notes, *notes, *warnings]),
+        facts=dict(flight.facts),
+    )
+
+
+# -- short horizon --------------------------------------------------------------------------
+
+
+def _short_horizon(
+    flight: Flight, twin: Twin, horizon_s: float, progress: Callable[[float], None]
+) -> tuple[list[Channel], list[str]]:
+    """Restart, step through the FMUs, compare at the end of each window."""
+    motion = twin.motion
+    if motion.attitude is None or motion.velocity is None or motion.rates is None:
+        return [], ["no short-horizon residuals: they need attitude, velocity and body rates"]
+    steps = round(horizon_s / GRID_S)
+    starts = [k for k in _windows(twin, steps)]
+    if not starts:
+        return [], [f"no stretch of {horizon_s:g} s of measured flight for short-horizon residuals"]
+    ends = np.array([k + steps for k in starts])
+    predicted = np.empty((len(starts), len(_POSE) + 3))
+    with (
+        tempfile.TemporaryDirectory(prefix="uavtwin-") as folder,
+        _open(flight, twin, Path(folder)) as master,
+    ):
+        for row, k in enumerate(starts):
+            begin = twin.inputs.t_s[k]
+            master.initialize(begin, start_values(twin, k))
+            recording = master.run(begin + horizon_s, GRID_S, "settled", every=steps)
+            predicted[row] = recording.values[-1]
+            progress((row + 1) / len(starts))
+    return _end_channels(twin, ends, predicted, horizon_s), []
+
+
+def _open(flight: Flight, twin: Twin, folder: Path) -> Master:
+    """Replay, airframe and IMU as FMUs behind the master."""
+    fmus = {
+        "replay": build(replay_model(flight, twin.inputs.columns), folder / "replay.fmu"),
+        "airframe": build(component_model(twin.airframe), folder / "airframe.fmu"),
+        "imu": build(component_model(twin.imu), folder / "imu.fmu"),
+    }
+    system = System(
+        fmus,
+        connect("replay", "airframe", twin.inputs.columns)
+        + connect("airframe", "imu", twin.imu.input_names),
+        starts={"airframe.ground.enabled": 0.0},
+    )
+    return Master(system, record=[f"airframe.{n}" for n in _POSE] + [f"imu.gyro_{a}" for a in AXES])
+
+
+def start_values(twin: Twin, k: int) -> dict[str, float]:
+    """Start values of the airframe FMU for the measured state at grid point k."""
+    return {
+        f"airframe.initial.{state.name}": float(value)
+        for state, value in zip(twin.airframe.states, twin.states[k], strict=True)
+    }
+
+
+def _windows(twin: Twin, steps: int) -> Iterator[int]:
+    """Grid points at which a window starts: airborne and measured from start to end."""
+    known = twin.airborne & np.all(np.isfinite(twin.states), axis=1)
+    unknown_before = np.concatenate([[0], np.cumsum(~known)])
+    k = int(np.argmax(known))
+    while k + steps < len(known):
+        if unknown_before[k + steps + 1] == unknown_before[k]:
+            yield k
+            k += steps
+        else:
+            k += 1
+
+
+def _end_channels(
+    twin: Twin, ends: NDArray[np.intp], predicted: Array, horizon_s: float
+) -> list[Channel]:
+    names = [s.name for s in twin.airframe.states]
+    t, phase = twin.inputs.t_s[ends], twin.phases[ends]
+
+    def state(group: tuple[str, ...]) -> Array:
+        return twin.states[np.ix_(ends, [names.index(n) for n in group])]
+
+    measured, channels = state(_POSE), []
+    for i, name in enumerate(_POSE[:6]):
+        if name.startswith("pos") and twin.motion.position is None:
+            continue
+        unit = "m" if name.startswith("pos") else "m/s"
+        channels.append(Channel(name, unit, horizon_s, t, measured[:, i], predicted[:, i], phase))
+    # Attitude relative to the level attitude of the same heading, in body axes.
+    level = np.zeros((len(ends), 4))
+    level[:, 0] = 1.0
+    q_measured, q_twin = measured[:, 6:], predicted[:, 6:10]
+    residual = rotation_vector(q_measured, q_twin)
+    reading = rotation_vector(q_measured, level)
+    for i, axis in enumerate(AXES):
+        channels.append(
+            Channel(
+                f"att_{axis}",
+                "rad",
+                horizon_s,
+                t,
+                reading[:, i],
+                reading[:, i] - residual[:, i],
+                phase,
+            )
+        )
+    rates = state(_RATES)
+    for i, axis in enumerate(AXES):
+        channels.append(
+            Channel(f"gyro_{axis}", "rad/s", horizon_s, t, rates[:, i], predicted[:, 10 + i], phase)
+        )
+    return channels
+
+
+# -- phases ---------------------------------------------------------------------------------
+
+
+def _phases(flight: Flight, t_s: Array) -> NDArray[np.str_]:
+    """Phase of the last row at or before each time, "" where the flight says nothing."""
+    if "phase" not in flight.table:
+        return np.full(len(t_s), "", dtype="<U8")
+    rows = np.searchsorted(flight.table["time"].to_numpy(), t_s + 1e-9, side="right") - 1
+    text = flight.table["phase"].fillna("").to_numpy(dtype="<U8")
+    return np.asarray(text[np.maximum(rows, 0)])
+
+
+def _spans(t_s: Array, phases: NDArray[np.str_]) -> tuple[tuple[str, float, float], ...]:
+    changes = np.flatnonzero(phases[1:] != phases[:-1]) + 1
+    edges = [0, *changes.tolist(), len(t_s) - 1]
+    return tuple(
+        (str(phases[a]), float(t_s[a]), float(t_s[b]))
+        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        if phases[a]
+    )
+
+
+def _airborne(
+    vehicle: Vehicle,
+    body: Component,
+    inputs: Inputs,
+    motion: MeasuredMotion,
+    phases: NDArray[np.str_],
+) -> NDArray[np.bool_]:
+    """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
+    resting place where the record starts at rest and holds a position."""
+    n = vehicle.rotors.count
+    p = body.parameter_values()
+    x = np.tile(
+        np.asarray(body.initial(inputs.u[0], p), dtype=np.float64).ravel(), (len(inputs.t_s), 1)
+    )
+    rotors = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
+    x[:, rotors] = inputs.rotor_states
+    y = np.asarray(body.outputs(x.T, inputs.u.T, np.tile(p[:, None], len(x))), dtype=np.float64)
+    thrust = sum(y[body.output_names.index(f"thrust_{i}")] for i in range(1, n + 1))
+    carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
+    airborne = carried & (phases != "ground")
+    starts_in_air = bool(np.median(carried[: max(1, round(0.2 / GRID_S))]))
+    if motion.position is not None and not starts_in_air:
+        height = -motion.position.at(inputs.t_s)[:, 2]
+        rest = height[np.isfinite(height) & ~carried]
+        if len(rest):
+            airborne &= ~(height < float(np.median(rest)) + LIFT_OFF_HEIGHT_M)
+    return np.asarray(airborne, dtype=np.bool_)

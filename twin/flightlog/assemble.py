@@ -1,0 +1,58 @@
+"""Signals with their own clocks put together into one flight table."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .clock import far_off
+from .columns import in_order
+from .flight import Array
+
+
+@dataclass(slots=True)
+class Rows:
+    """Collects signals, each with its own time stamps, and lays them out row by row."""
+
+    signals: list[tuple[tuple[str, ...], NDArray[np.int64], Array]] = field(default_factory=list)
+
+    def add(
+        self, names: tuple[str, ...], t_us: NDArray[np.int64], values: Array
+    ) -> tuple[int, int]:
+        """Add columns that are sampled together.
+
+        Args:
+            names: Column names.
+            t_us: Strictly increasing times, us, shape (n,).
+            values: Shape (n, len(names)).
+
+        Returns:
+            Number of samples left out because they are older than the record, and because one
+            of their values is not finite.
+        """
+        early = t_us < 0
+        broken = ~np.isfinite(values).all(axis=1) & ~early
+        good = ~early & ~broken
+        if good.any():
+            self.signals.append((names, t_us[good], values[good]))
+        return int(early.sum()), int(broken.sum())
+
+    def times_us(self) -> tuple[NDArray[np.int64], int]:
+        """Times of all rows, strictly increasing, and how many were left out as absurd."""
+        if not self.signals:
+            return np.zeros(0, dtype=np.int64), 0
+        t_us = np.unique(np.concatenate([t for _, t, _ in self.signals]))
+        far = far_off(t_us)
+        return t_us[~far], int(far.sum())
+
+    def table(self, t_us: NDArray[np.int64]) -> pd.DataFrame:
+        """Flight table on these times, NaN where a signal has no sample; no `phase` yet."""
+        columns: dict[str, Array] = {"time": np.asarray(t_us * 1e-6, dtype=np.float64)}
+        for names, t, values in self.signals:
+            row = np.minimum(np.searchsorted(t_us, t), len(t_us) - 1)
+            here = t_us[row] == t
+            for k, name in enumerate(names):
+                column = columns.setdefault(name, np.full(len(t_us), np.nan))
+                column[row[here]] = values[here, k]
+        return pd.DataFrame({name: columns[name] for name in in_order(columns)})

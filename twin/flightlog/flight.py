@@ -1,0 +1,70 @@
+"""A flight in memory: the flight table of `docs/flight_table.md` plus what its reader doubts."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..errors import LogError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """Something a reader counted, dropped, filled or doubts."""
+
+    severity: Literal["info", "warning", "error"]
+    where: str
+    message: str
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
+
+    Attributes:
+        name: Short name, usually the stem of the file.
+        table: Flight table; `time` in s from 0, strictly increasing; NaN where a signal has no
+            sample in that row. `phase` is a text column, "" where unknown.
+        findings: What the reader counted or doubts, in the order of reading.
+        facts: What the log says about itself (vehicle, firmware, rates, match of rebuilt
+            commands), printable key by key.
+        source: File it came from.
+    """
+
+    name: str
+    table: pd.DataFrame
+    findings: tuple[Finding, ...] = ()
+    facts: dict[str, str] = field(default_factory=dict)
+    source: Path | None = None
+
+    def has(self, *columns: str) -> bool:
+        """Whether every column is there with at least one finite sample."""
+        return all(c in self.table and bool(self.table[c].notna().any()) for c in columns)
+
+    def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
+        """Samples at the rows where all the columns are finite.
+
+        Args:
+            columns: Names of flight-table columns that are sampled together.
+
+        Returns:
+            Times in s, shape (n,), and values, shape (n, len(columns)).
+
+        Raises:
+            LogError: A column is missing or has no finite sample.
+        """
+        missing = [c for c in columns if not self.has(c)]
+        if missing:
+            raise LogError(
+                f"{self.name}: no samples of {', '.join(missing)}. "
+                f"The flight has: {', '.join(c for c in self.table if self.has(c))}."
+            )
+        rows = self.table[["time", *columns]].dropna().to_numpy(dtype=np.float64)
+        return rows[:, 0], rows[:, 1:]

@@ -1,0 +1,165 @@
+"""The flight table as a file: Parquet, or CSV with the same header.
+
+`columns.COLUMNS` is the definition of the table; `validate.validate` what is checked.
+"""
+
+import dataclasses
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..errors import LogError
+from .columns import is_known
+from .flight import Finding, Flight
+from .validate import check_columns, validate
+
+_METADATA = b"uavtwin"
+_NOT_A_NUMBER = ["", "nan", "NaN", "NAN"]
+
+
+def read_table(path: Path, blob: bytes) -> Flight:
+    """Read a flight table.
+
+    Args:
+        path: File name.
+        blob: Content of the file, Parquet or CSV.
+
+    Raises:
+        LogError: It contradicts the definition of the flight table.
+    """
+    findings: list[Finding] = []
+    facts: dict[str, str] = {}
+    if blob.startswith(b"PAR1"):
+        raw = _parquet(path, blob, facts, findings)
+        facts.setdefault("format", "flight table, Parquet")
+    else:
+        raw = _csv(path, blob, findings)
+        facts["format"] = "flight table, CSV"
+    findings += check_columns(path.name, [str(c) for c in raw.columns])
+    raw = raw[[c for c in raw.columns if is_known(str(c))]]
+    table = pd.DataFrame({c: _numbers(path, raw[c]) for c in raw if c != "phase"})
+    table["phase"] = _phase(raw)
+    table, doubts = validate(path.name, table)
+    return Flight(path.stem, table, (*findings, *doubts), facts, path)
+
+
+def write_flight(flight: Flight, path: str | Path) -> None:
+    """Write the table of a flight; an existing file is replaced.
+
+    Args:
+        flight: Flight; its facts and findings go along in Parquet, CSV has no room for them.
+        path: File ending in `.parquet` or `.csv`.
+    """
+    path = Path(path)
+    try:
+        if path.suffix == ".parquet":
+            about = {
+                "facts": flight.facts,
+                "findings": [dataclasses.asdict(f) for f in flight.findings],
+            }
+            arrow = pa.Table.from_pandas(flight.table, preserve_index=False)
+            arrow = arrow.replace_schema_metadata({_METADATA: json.dumps(about).encode()})
+            pq.write_table(arrow, path)
+        elif path.suffix == ".csv":
+            flight.table.to_csv(path, index=False, lineterminator="\n")
+        else:
+            raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error}.") from None
+
+
+def _parquet(
+    path: Path, blob: bytes, facts: dict[str, str], findings: list[Finding]
+) -> pd.DataFrame:
+    """Parquet -> columns as they are; facts and findings of the writer are taken over."""
+    try:
+        arrow = pq.read_table(io.BytesIO(blob))
+        repeated = {n for n in arrow.column_names if arrow.column_names.count(n) > 1}
+        if repeated:
+            raise LogError(f"{path.name}: column {sorted(repeated)[0]} stands there twice.")
+        frame = arrow.to_pandas(ignore_metadata=True)
+    except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
+        raise LogError(
+            f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
+            "cut short cannot be read at all: copy it again."
+        ) from None
+    try:
+        about = json.loads((arrow.schema.metadata or {}).get(_METADATA, b"{}"))
+        facts |= {str(k): str(v) for k, v in about.get("facts", {}).items()}
+        findings += [Finding(**f) for f in about.get("findings", [])]
+    except (ValueError, TypeError, AttributeError):
+        findings.append(Finding("warning", "file", "what the writer noted cannot be read"))
+    return frame
+
+
+def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
+    """CSV -> columns as they are; a last row without line end is dropped and counted."""
+    try:
+        text = blob.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise LogError(
+            f"{path.name}: not UTF-8 text at byte {error.start}; save it as such."
+        ) from None
+    lines = text.splitlines()
+    header = [c.strip().strip('"') for c in lines[0].split(",")]
+    if len(header) == 1 and any(s in lines[0] for s in ";\t"):
+        raise LogError(f"{path.name}: columns must be separated by commas: '{lines[0][:40]}'.")
+    repeated = {n for n in header if header.count(n) > 1}
+    if repeated:
+        raise LogError(f"{path.name}: column {sorted(repeated)[0]} stands there twice.")
+    if len(lines) > 1 and not text.endswith(("\n", "\r")):
+        findings.append(
+            Finding("warning", "file", "cut short? The last row has no line end and is not used")
+        )
+        lines = lines[:-1]
+    for k, line in enumerate(lines[1:], 1):
+        if line.strip() and line.count(",") != len(header) - 1:
+            raise LogError(
+                f"{path.name}: data row {k} has {line.count(',') + 1} fields, the header has "
+                f"{len(header)}."
+            )
+    try:
+        return pd.read_csv(
+            io.StringIO("\n".join(lines[1:])),
+            header=None,
+            names=header,
+            dtype={"phase": str},
+            float_precision="round_trip",
+            na_values=_NOT_A_NUMBER,
+            keep_default_na=False,
+            low_memory=False,
+            skipinitialspace=True,
+        )
+    except pd.errors.EmptyDataError:
+        raise LogError(f"{path.name}: a header and no row below it.") from None
+    except (pd.errors.ParserError, ValueError) as error:
+        raise LogError(f"{path.name}: not readable as CSV: {error}.") from None
+
+
+def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
+    """A column as float64; anything else is an error with its row."""
+    if pd.api.types.is_numeric_dtype(column.dtype):
+        return column.astype(np.float64)
+    numbers = pd.to_numeric(column, errors="coerce").astype(np.float64)
+    text = np.flatnonzero(np.isnan(numbers.to_numpy()) & column.notna().to_numpy())
+    if len(text) or not pd.api.types.is_string_dtype(column.dtype):
+        k = int(text[0]) if len(text) else 0
+        raise LogError(
+            f"{path.name}: {column.name} in data row {k + 1} is '{column.iloc[k]}', not a number "
+            f"({max(len(text), 1)} such values). Leave a cell empty where there is no sample."
+        )
+    return numbers
+
+
+def _phase(raw: pd.DataFrame) -> "pd.Series[Any]":
+    """Phase as text, "" where there is none."""
+    if "phase" not in raw:
+        return pd.Series("", index=raw.index, dtype=object)
+    phase = raw["phase"].astype(object)
+    return phase.where(phase.notna(), "").map(str).astype(object)

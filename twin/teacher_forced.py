@@ -1,0 +1,232 @@
+"""Teacher-forced evaluation: measured state and inputs in, predicted sensor readings out.
+
+The airframe's own equations are evaluated at the measured state on a time grid, in one batch;
+only the rotor states, which nobody measures, are integrated from the commands, with the same RK4
+step as in the FMU.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .airframe import AXES
+from .component import Component
+from .errors import LogError
+from .flightlog import Flight
+from .flightlog.columns import ACC, motor_columns
+from .measured import (
+    RATE_CUTOFF_HZ,
+    MeasuredMotion,
+    Signal,
+    differentiate,
+    zero_phase,
+)
+from .residuals import Channel
+from .rotors import Drive
+from .vehicle import Vehicle
+
+Array = NDArray[np.float64]
+GRID_S = 1e-3
+"""Step of the grid: the communication step of the co-simulation."""
+_WARM_UP_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """Inputs of the airframe on a grid.
+
+    Attributes:
+        columns: Flight-table columns that are airframe inputs of the same name.
+        t_s: Grid, shape (n,).
+        u: All inputs of the airframe in its order, shape (n, n_u).
+        rotor_states: Rotor states of the airframe, shape (n, n_r); n_r may be 0.
+        notes: What was assumed.
+    """
+
+    columns: tuple[str, ...]
+    t_s: Array
+    u: Array
+    rotor_states: Array
+    notes: tuple[str, ...]
+
+
+def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
+    """Measured rotor speeds where vehicle and flight allow it, else commands.
+
+    Raises:
+        LogError: The flight has neither, or not for each rotor of the vehicle.
+    """
+    n = vehicle.rotors.count
+    rotors, commands = motor_columns("rotor", n), motor_columns("cmd", n)
+    if vehicle.rotors.from_speed and flight.has(*rotors):
+        return "rotor_speed"
+    if vehicle.drive == "command" and flight.has(*commands):
+        if flight.has(f"cmd_{n + 1}"):
+            raise LogError(
+                f"{flight.name}: has more motor commands than the {n} rotors of {vehicle.name}; "
+                f"choose the vehicle file of this aircraft."
+            )
+        return "command"
+    needed = rotors if vehicle.drive == "rotor_speed" else commands
+    missing = [c for c in needed if not flight.has(c)]
+    raise LogError(
+        f"{flight.name}: no samples of {', '.join(missing)}, which drive the {n} rotors of "
+        f"{vehicle.name}. The flight has: {', '.join(c for c in flight.table if flight.has(c))}."
+    )
+
+
+def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
+    """Inputs of the airframe on a uniform grid of `GRID_S`: the last sample held, wind zero."""
+    notes: list[str] = []
+    u = np.tile(airframe.input_values(), (len(t_s), 1))
+    columns = []
+    for i, name in enumerate(airframe.input_names):
+        if name.startswith("wind_"):
+            continue
+        if flight.has(name):
+            u[:, i] = Signal(*flight.signal([name])).held(t_s)[:, 0]
+            columns.append(name)
+        else:
+            notes.append(
+                f"no {name} in the flight: {name} = {u[0, i]:g} {airframe.inputs[i].unit} assumed"
+            )
+    return Inputs(tuple(columns), t_s, u, _rotor_states(airframe, u), tuple(notes))
+
+
+def _rotor_states(airframe: Component, u: Array) -> Array:
+    """Integrate the rotor states alone over the inputs, settled on the first input."""
+    index = [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
+    if not index:
+        return np.zeros((len(u), 0))
+    p = airframe.parameter_values()
+    r, v = ca.SX.sym("r", len(index)), ca.SX.sym("v", u.shape[1])
+    x = ca.SX(airframe.initial(airframe.input_values(), p))
+    x[index] = r
+    step = ca.Function("rotor_step", [r, v], [airframe.step(x, v, p, GRID_S)[index]])
+    warm = round(_WARM_UP_S / GRID_S)
+    held = np.vstack([np.tile(u[:1], (warm, 1)), u[:-1]])
+    start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
+    states = step.mapaccum("rotor_states", len(held))(start, held.T)
+    return np.asarray(states, dtype=np.float64).T[warm - 1 :]
+
+
+def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs) -> Array:
+    """Full airframe states at the grid, shape (n, n_x), NaN where nothing was measured.
+
+    Position, velocity and attitude that the flight lacks altogether stay at rest, level, at the
+    origin: specific force and angular acceleration need them for drag alone.
+    """
+    t = inputs.t_s
+    x = np.zeros((len(t), len(airframe.states)))
+    column = {s.name: i for i, s in enumerate(airframe.states)}
+    x[:, column["q_w"]] = 1.0
+    groups = (
+        ([f"pos_{a}" for a in AXES], motion.position),
+        ([f"vel_{a}" for a in AXES], motion.velocity),
+        ([f"q_{a}" for a in "wxyz"], motion.attitude),
+        ([f"omega_{a}" for a in AXES], motion.rates),
+    )
+    for names, signal in groups:
+        if signal is not None:
+            values = signal.at(t)
+            if signal is motion.attitude:
+                values = values / np.linalg.norm(values, axis=1, keepdims=True)
+            x[:, [column[n] for n in names]] = values
+    rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
+    x[:, rotors] = inputs.rotor_states
+    return x
+
+
+def predicted_readings(
+    airframe: Component, imu: Component, x: Array, u: Array
+) -> tuple[Array, tuple[str, ...]]:
+    """Readings of the IMU and true motion at every grid point.
+
+    Args:
+        airframe: Component; its ground is switched off, the flight's contact is not measured.
+        imu: Component fed by the airframe's outputs.
+        x: States, shape (n, n_x).
+        u: Inputs, shape (n, n_u).
+
+    Returns:
+        Values, shape (n, k), and their names: IMU outputs, then airframe outputs.
+    """
+    p = airframe.parameter_values({"ground.enabled": 0.0})
+    y = np.asarray(airframe.outputs(x.T, u.T, np.tile(p[:, None], len(x))), dtype=np.float64).T
+    sensed = y[:, [airframe.output_names.index(n) for n in imu.input_names]]
+    p_imu = imu.parameter_values()
+    if imu.states:
+        start = np.asarray(imu.initial(sensed[0], p_imu), dtype=np.float64).ravel()
+        accumulate = imu.step.mapaccum("imu_states", len(sensed))
+        clean = np.where(np.isfinite(sensed), sensed, 0.0)
+        later = np.asarray(
+            accumulate(start, clean.T, np.tile(p_imu[:, None], len(x)), GRID_S), dtype=np.float64
+        )
+        states = np.column_stack([start, later[:, :-1]])
+    else:
+        states = np.zeros((0, len(x)))
+    readings = np.asarray(
+        imu.outputs(states, sensed.T, np.tile(p_imu[:, None], len(x))), dtype=np.float64
+    ).T
+    return np.hstack([readings, y]), imu.output_names + airframe.output_names
+
+
+def teacher_forced_channels(
+    flight: Flight,
+    motion: MeasuredMotion,
+    t_s: Array,
+    readings: Array,
+    names: tuple[str, ...],
+    airborne: NDArray[np.bool_],
+    phases: NDArray[np.str_],
+) -> list[Channel]:
+    """Channels of horizon 0: accelerometer, and angular acceleration from the gyroscope.
+
+    Measured and predicted angular acceleration pass the same zero-phase low-pass at
+    `RATE_CUTOFF_HZ`, the measured one as body rates before they are differentiated.
+
+    Args:
+        flight: Its own samples are the times of the comparison.
+        motion: Measured motion.
+        t_s: Grid of the prediction, shape (n,).
+        readings: Prediction on the grid, shape (n, k).
+        names: Names of the columns of `readings`.
+        airborne: Whether the grid point counts, shape (n,).
+        phases: Phase at the grid points, shape (n,).
+    """
+    channels: list[Channel] = []
+
+    def add(name: str, unit: str, t: Array, measured: Array, predicted: Array) -> None:
+        near = np.clip(np.searchsorted(t_s, t), 0, len(t_s) - 1)
+        good = airborne[near] & np.isfinite(measured) & np.isfinite(predicted)
+        if good.any():
+            channels.append(
+                Channel(
+                    name, unit, 0.0, t[good], measured[good], predicted[good], phases[near][good]
+                )
+            )
+
+    if flight.has(*ACC):
+        t, acc = flight.signal(ACC)
+        inside = (t >= t_s[0]) & (t <= t_s[-1])
+        for i, name in enumerate(ACC):
+            predicted = _sampled(t_s, readings[:, names.index(name)], t[inside])
+            add(name, "m/s²", t[inside], acc[inside, i], predicted)
+    if motion.rates is not None:
+        inside = (motion.rates.t_s >= t_s[0]) & (motion.rates.t_s <= t_s[-1])
+        t = motion.rates.t_s[inside]
+        measured = differentiate(motion.rates)[inside]
+        for i, axis in enumerate(AXES):
+            grid = readings[:, names.index(f"angular_acceleration_{axis}")]
+            raw = _sampled(t_s, grid, t)
+            bad = ~np.isfinite(raw)
+            smooth = zero_phase(Signal(t, np.where(bad, 0.0, raw)[:, None]), RATE_CUTOFF_HZ)[:, 0]
+            add(f"angacc_{axis}", "rad/s²", t, measured[:, i], np.where(bad, np.nan, smooth))
+    return channels
+
+
+def _sampled(t_grid: Array, values: Array, t_s: Array) -> Array:
+    """Linear interpolation between grid points, NaN next to NaN."""
+    return np.interp(t_s, t_grid, values)
