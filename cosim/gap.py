@@ -271,7 +271,9 @@ def _airborne(
     thrust = sum(y[body.output_names.index(f"thrust_{i}")] for i in range(1, n + 1))
     carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
     airborne = carried & (phases != "ground")
-    starts_in_air = bool(np.median(carried[: max(1, round(0.2 / GRID_S))]))
+    starts_in_air = (
+        bool(np.median(carried[: max(1, round(0.2 / GRID_S))])) and phases[0] != "ground"
+    )
     if motion.position is not None and not starts_in_air:
         height = -motion.position.at(inputs.t_s)[:, 2]
         rest = height[np.isfinite(height) & ~carried]

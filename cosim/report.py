@@ -39,6 +39,10 @@ Phases = Sequence[tuple[str, float, float]]
 MAX_POINTS = 20_000
 """Samples of one trace above which the plot, never the numbers, is thinned."""
 
+AGREEMENT = 0.1
+"""Share of the signal below which the slow part of a residual is called agreement. With the noise
+of the built-in flights alone it reaches 0.08."""
+
 _MEASURED, _TWIN, _RESIDUAL = "#000000", "#1f5fd0", "#8a8f98"
 _PHASE_TINT = {
     "ground": "#b9bec7",
@@ -137,9 +141,10 @@ def claim(places: Sequence[Ranked]) -> str:
     if worst.phase:
         where += f" during {worst.phase}"
     size = f"{_number(worst.score.rms)} {_unit(worst.unit)} rms, {_percent(worst.score.share)}"
-    if worst.score.slow_share < 0.05:
+    if worst.weight < AGREEMENT:
         return (
-            "Twin and flight agree: the slow part of the residual stays below 5 % of the signal "
+            "Twin and flight agree: the slow part of the residual stays below "
+            f"{_percent(AGREEMENT)} of the signal "
             f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
         )
     return f"Twin and flight disagree most in {where}: {size} of the signal."
@@ -168,7 +173,14 @@ def _detail(places: Sequence[Ranked]) -> str:
     if math.isfinite(score.rms_ci95[0]):
         low, high = score.rms_ci95
         text += f"95 % interval of the rms: {_number(low)} to {_number(high)}. "
-    return text + f"n = {score.n}."
+    text += f"n = {score.n}."
+    later = next((p for p in places if p.horizon_s > 0), None)
+    if later and places[0].horizon_s == 0:
+        text += (
+            f" Restarted from the measured state, the twin is off by {_number(later.score.rms)} "
+            f"{_unit(later.unit)} rms in {describe(later.channel)} after {later.horizon_s:g} s."
+        )
+    return text
 
 
 def _flight(index: int, gap: FlightGap) -> dict[str, Any]:

@@ -141,13 +141,19 @@ class Spectrum:
 
 @dataclass(frozen=True, slots=True)
 class Ranked:
-    """A place where twin and flight disagree: one channel in one phase."""
+    """A place where twin and flight disagree: one channel in one phase.
+
+    Attributes:
+        weight: Residual below `SLOW_HZ`, rms, over the rms of the measured signal about its mean
+            on the largest axis of the channel's vector.
+    """
 
     channel: str
     phase: str
     unit: str
     horizon_s: float
     score: Score
+    weight: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,18 +298,26 @@ def summaries(gaps: Sequence[FlightGap]) -> dict[str, Summary]:
 def rank(pooled: Mapping[str, Summary], min_n: int = 20) -> list[Ranked]:
     """Where twin and flight disagree, the worst first.
 
-    Ordered by the share of the signal that the residual *below `SLOW_HZ`* makes up: an
-    unmodelled force shows there, while vibration would put the noisiest sensor first. A phase
-    with fewer than `min_n` samples is left out (short-horizon channels: fewer than 4), and so
-    is a flat signal.
+    Ordered by the residual *below `SLOW_HZ`* over the signal of the channel's vector (the
+    largest of its axes): an unmodelled force shows there, while vibration would put the noisiest
+    sensor first, and an axis that hardly moves the one with the least signal. Teacher-forced
+    places come before short-horizon ones: those show what an error in the former grows to. A
+    phase with fewer than `min_n` samples is left out (short-horizon channels: fewer than 4), and
+    so is a flat signal.
     """
+    signal: dict[tuple[str, float], float] = {}
+    for key, s in pooled.items():
+        if math.isfinite(s.total.share) and s.total.share > 0:
+            vector = (key.split("_")[0], s.horizon_s)
+            signal[vector] = max(signal.get(vector, 0.0), s.total.rms / s.total.share)
     places = [
-        Ranked(key, phase, s.unit, s.horizon_s, score)
+        Ranked(key, phase, s.unit, s.horizon_s, score, score.slow_rms / signal[vector])
         for key, s in pooled.items()
+        if (vector := (key.split("_")[0], s.horizon_s)) in signal
         for phase, score in (s.by_phase or {"": s.total}).items()
         if score.n >= (min_n if s.horizon_s == 0 else 4) and math.isfinite(score.share)
     ]
-    return sorted(places, key=lambda p: -p.score.slow_share)
+    return sorted(places, key=lambda p: (p.horizon_s > 0, -p.weight))
 
 
 def gap_json(gaps: Sequence[FlightGap]) -> dict[str, Any]:

@@ -82,11 +82,6 @@ def _driven_by_command(m: ComponentBuilder, rotors: Rotors) -> list[ca.SX]:
         m.input(f"cmd_{i}", "1", f"Command of motor {i}, 0..1") for i in range(1, rotors.count + 1)
     ]
     steady = [ca.fmin(ca.fmax(c, 0.0), 1.0) for c in commands]
-    if rotors.speed_rad_s:
-        speed = _coefficients(
-            m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
-        )
-        steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
     if rotors.reference_voltage_v is not None:
         reference = m.parameter(
             "reference_voltage",
@@ -99,11 +94,16 @@ def _driven_by_command(m: ComponentBuilder, rotors: Rotors) -> list[ca.SX]:
             "voltage_exponent",
             rotors.voltage_exponent,
             "1",
-            "Power of voltage over reference voltage that scales the map of the command",
+            "Power of voltage over reference voltage that multiplies the command",
         )
         voltage = m.input("vbat_v", "V", "Battery voltage", rotors.reference_voltage_v)
         scale = ca.fmax(voltage / reference, 0.0) ** exponent
-        steady = [s * scale for s in steady]
+        steady = [c * scale for c in steady]
+    if rotors.speed_rad_s:
+        speed = _coefficients(
+            m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
+        )
+        steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
     if rotors.lag_up_s == 0:
         return steady
     up = m.parameter("lag.up", rotors.lag_up_s, "s", "Rotor time constant, rising", minimum=1e-3)

@@ -143,14 +143,14 @@ FIELDS: dict[str, Field] = {
         "scalar",
         False,
         True,
-        "Battery voltage at which the maps from the command hold. Without it voltage is ignored.",
+        "Battery voltage at which the maps of the command hold. Without it voltage is ignored.",
     ),
     "rotors.voltage_exponent": Field(
         "1",
         "scalar",
         False,
         None,
-        "The map from the command is multiplied by (voltage / reference)^exponent. Default 1.",
+        "The command is multiplied by (voltage / reference)^exponent before the maps. Default 1.",
     ),
     "imu.position": Field(
         "m", "vector", False, None, "Accelerometer [x, y, z] from the centre of mass, body FRD."
@@ -199,7 +199,7 @@ class Rotors:
         lag_down_s: Time constant when slowing down; 0 without lag.
         spin_inertia_kg_m2: Of one rotor about its axis; 0 when unknown.
         reference_voltage_v: Voltage at which the maps of the command hold; None: ignored.
-        voltage_exponent: Power of (voltage / reference) that scales the map of the command.
+        voltage_exponent: Power of (voltage / reference) that multiplies the command.
     """
 
     position_m: Array
