@@ -1,0 +1,123 @@
+"""`uavtwin check`: what a file holds, what is wrong with it, what it is good for."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from fmus.inspect import inspect_fmu
+from twin.errors import TwinError
+from twin.flightlog import Flight, read_flight
+from twin.flightlog.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.vehicle import FIELDS, load_vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """What `check` says of one file."""
+
+    file: str
+    facts: dict[str, str]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    good_for: tuple[str, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        """The report as plain data."""
+        return {
+            "file": self.file,
+            "facts": self.facts,
+            "problems": list(self.problems),
+            "notes": list(self.notes),
+            "good_for": list(self.good_for),
+        }
+
+    def print(self, console: Console) -> None:
+        """Print the report for a person."""
+        console.print(self.file, style="bold", markup=False)
+        for name, value in self.facts.items():
+            console.print(f"  {name:16s} {value}", markup=False)
+        for problem in self.problems:
+            console.print(f"  problem: {problem}", style="red", markup=False)
+        for note in self.notes:
+            console.print(f"  note: {note}", markup=False)
+        for use in self.good_for:
+            console.print(f"  good for: {use}", style="green", markup=False)
+
+
+def check_file(path: Path) -> CheckReport:
+    """Look at one file, whatever it is.
+
+    Raises:
+        TwinError: It cannot be read as anything known.
+    """
+    if not path.is_file():
+        raise TwinError(f"{path}: no such file.")
+    with path.open("rb") as file:
+        start = file.read(4)
+    if start[:2] == b"PK" or path.suffix == ".fmu":
+        return _check_fmu(path)
+    if path.suffix == ".toml":
+        return _check_vehicle(path)
+    return _check_flight(path)
+
+
+def _check_fmu(path: Path) -> CheckReport:
+    report = inspect_fmu(path)
+    uses = []
+    if not report.problems and "co-simulation" in report.facts["format"]:
+        uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
+    return CheckReport(path.name, report.facts, report.problems, (), tuple(uses))
+
+
+def _check_vehicle(path: Path) -> CheckReport:
+    vehicle = load_vehicle(path)
+    facts = {"format": "vehicle file", "name": vehicle.name, "driven by": vehicle.drive}
+    given = {k: s for k, s in vehicle.sources.items() if not s.startswith("default:")}
+    facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
+    notes = tuple(f"{k}: {s}" for k, s in vehicle.sources.items() if s.startswith("default:"))
+    return CheckReport(path.name, facts, vehicle.doubts, notes, ("gap, demo, export",))
+
+
+def _check_flight(path: Path) -> CheckReport:
+    flight = read_flight(path)
+    facts = {
+        "holds": ", ".join(c for c in flight.table if c != "time" and flight.has(c)),
+        "rows": f"{len(flight.table)}",
+        **flight.facts,
+    }
+
+    def said(severities: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(
+            f"{f.where}: {f.message}" + (f" ({f.count})" if f.count > 1 else "")
+            for f in flight.findings
+            if f.severity in severities
+        )
+
+    return CheckReport(
+        path.name, facts, said(("warning", "error")), said(("info",)), tuple(_uses(flight))
+    )
+
+
+def _uses(flight: Flight) -> list[str]:
+    """Which residuals the flight allows, and what it lacks for the others."""
+    if not (flight.has("cmd_1") or flight.has("rotor_1")):
+        return ["nothing yet: no motor commands cmd_1..n and no rotor speeds rotor_1..n"]
+    uses = []
+    forced = [name for name, group in (("acc", ACC), ("gyro", GYRO)) if flight.has(*group)]
+    if forced:
+        uses.append(f"gap, teacher-forced: {' and '.join(forced)}")
+    missing = [
+        name
+        for name, found in (
+            ("q", flight.has(*QUAT)),
+            ("vel or pos", flight.has(*VEL) or flight.has(*POS)),
+        )
+        if not found
+    ]
+    if missing:
+        uses.append(f"gap at a short horizon: not possible, no {' and no '.join(missing)}")
+    else:
+        uses.append("gap at a short horizon: attitude, rates, velocity")
+    return uses
