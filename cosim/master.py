@@ -16,6 +16,7 @@ Computing Surveys 51 (2018), sec. 4.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
@@ -110,6 +111,9 @@ class Master:
         for name, period in system.periods.items():
             if name not in self._by_name or period < 1:
                 raise FmuError(f"period of {name!r} = {period}: needs a slave and an integer >= 1.")
+        self._all = list(range(len(self.slaves)))
+        self._one_rate = all(k == 1 for k in self._periods)
+        self._writes = [partial(self._write, i) for i in self._all if len(self.slaves[i].inputs)]
 
     def _bind(
         self, incoming: Mapping[str, list[tuple[str, str]]], record: Sequence[str] | None
@@ -239,6 +243,7 @@ class Master:
         if algorithm not in advance:
             raise FmuError(f"algorithm {algorithm!r}: choose {', '.join(advance)}.")
         step, bus, columns = advance[algorithm], self._bus, self._columns
+        everything = np.array_equal(columns, np.arange(len(bus)))
         time[0], values[0] = self.time_s, bus[columns]
         first, origin = self._count, self.time_s
         for k in range(1, steps + 1):
@@ -247,12 +252,20 @@ class Master:
             self._count = first + k
             if k % every == 0:
                 time[k // every] = self.time_s
-                np.take(bus, columns, out=values[k // every], mode="clip")
+                values[k // every] = bus if everything else bus[columns]
             if progress is not None and k % 1000 == 0:
                 progress(self.time_s)
         return Recording(self.record_names, time, values)
 
     def _jacobi(self, h: float) -> None:
+        if self._one_rate:
+            for write in self._writes:
+                write()
+            for s in self.slaves:
+                s.step(self.time_s, h)
+            for s in self.slaves:
+                s.read_outputs()
+            return
         due = self._due()
         for i in range(len(self.slaves)):
             if self._count % self._periods[i] == 0:
@@ -279,6 +292,8 @@ class Master:
 
     def _due(self) -> list[int]:
         """Slaves whose period ends with the step under way."""
+        if self._one_rate:
+            return self._all
         return [i for i, k in enumerate(self._periods) if (self._count + 1) % k == 0]
 
     def _settle(self, which: Sequence[int] | range) -> None:
@@ -296,8 +311,7 @@ class Master:
             s.write_inputs()
 
     def _read(self, i: int) -> None:
-        if len(self.slaves[i].outputs):
-            self.slaves[i].read_outputs()
+        self.slaves[i].read_outputs()
 
     # -- end ------------------------------------------------------------------------------
 

@@ -52,8 +52,22 @@ def component_model(component: Component) -> FmuModel:
     )
 
 
+_SHORTCUT = """\
+    double cheap = 0;
+    const double* condition[4] = {s->x, PARAMETERS, &h};
+    double* verdict[2] = {&cheap};
+    holds(condition, verdict, iw, w, 0);
+    if (cheap) {
+        cheap_step(arg, res, iw, w, 0);
+        return;
+    }
+"""
+
+
 def _kernel_source(component: Component) -> str:
-    functions = (component.initial, component.step, component.outputs)
+    functions = [component.initial, component.step, component.outputs]
+    if component.shortcut is not None:
+        functions += [component.shortcut.holds, component.shortcut.step]
     generator = ca.CodeGenerator(
         "kernel", {"with_header": False, "casadi_int": "int", "with_export": False}
     )
@@ -63,8 +77,16 @@ def _kernel_source(component: Component) -> str:
     integers = max(f.sz_iw() for f in functions) + 1
     arguments = max(f.sz_arg() for f in functions) + 1
     results = max(f.sz_res() for f in functions) + 1
+    prototypes = "\n".join(
+        f"static int {f.name()}(const double** arg, double** res, int* iw, double* w, int mem);"
+        for f in functions
+    )
+    shortcut = "" if component.shortcut is None else _SHORTCUT
     return f"""\
 #include "core.h"
+
+/* Internal linkage for the kernels, so that the compiler can fold them into their callers. */
+{prototypes}
 
 {generator.dump()}
 
@@ -94,7 +116,7 @@ void model_step(const State* s, const void* data, double h, double* x_next) {{
     double* res[{results}] = {{x_next}};
     int iw[{integers}];
     double w[{work}];
-    step(arg, res, iw, w, 0);
+{shortcut}    step(arg, res, iw, w, 0);
 }}
 void model_outputs(State* s, void* data) {{
     (void)data;

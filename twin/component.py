@@ -61,6 +61,19 @@ class State:
     description: str
 
 
+@dataclass(frozen=True, slots=True)
+class Shortcut:
+    """A step with some equations left out, exact while they would come to zero.
+
+    Attributes:
+        holds: `(x, p, h) -> 0 or 1`: whether the cheap step is as good over the next h seconds.
+        step: `(x, u, p, h) -> x`, the same numbers as the full step then.
+    """
+
+    holds: ca.Function
+    step: ca.Function
+
+
 @dataclass(frozen=True)
 class Component:
     """Equations and interface table. Made by `ComponentBuilder`, never changed after.
@@ -70,6 +83,7 @@ class Component:
         derivatives: `(x, u, p) -> dx/dt`.
         step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
         outputs: `(x, u, p) -> y`.
+        shortcut: A cheaper way to the same step while a condition holds; None: there is none.
         max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
 
     The CasADi functions take columns; a matrix with one column per sample is a batch.
@@ -86,6 +100,7 @@ class Component:
     step: ca.Function
     outputs: ca.Function
     max_step_s: float
+    shortcut: "Shortcut | None" = None
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -181,6 +196,7 @@ class ComponentBuilder:
         self._states: dict[str, tuple[State, ca.SX, ca.SX]] = {}
         self._rates: dict[str, ca.SX] = {}
         self._projections: dict[str, ca.SX] = {}
+        self._idle: tuple[ca.SX, ca.SX, ca.SX] | None = None
 
     def parameter(
         self,
@@ -223,6 +239,16 @@ class ComponentBuilder:
         """Replace a state after each step by an expression of the states."""
         self._projections[name] = expression
 
+    def idle_while(self, condition: ca.SX, step: ca.SX, switch: ca.SX) -> None:
+        """Say when a parameter that switches equations on is as good as 0.
+
+        Args:
+            condition: Expression of states, parameters and `step`.
+            step: Symbol of the step length, s.
+            switch: The parameter's symbol.
+        """
+        self._idle = (condition, step, switch)
+
     def build(self) -> Component:
         """Turn the collected equations into a component."""
         table = {
@@ -239,13 +265,17 @@ class ComponentBuilder:
             self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
         )
         y = _column(expression for _, expression in table["output"])
-        f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
         project = ca.Function("project", [x], [projected])
-        k1 = f(x, u, p)
-        k2 = f(x + h / 2 * k1, u, p)
-        k3 = f(x + h / 2 * k2, u, p)
-        k4 = f(x + h * k3, u, p)
-        x_next = ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+        f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
+        shortcut = None
+        if self._idle is not None:
+            condition, length, switch = self._idle
+            cheap = ca.Function("f", [x, u, p], [ca.cse(ca.substitute(rates, switch, 0.0))])
+            shortcut = Shortcut(
+                ca.Function("holds", [x, p, length], [condition]),
+                ca.Function("cheap_step", [x, u, p, h], [_rk4(cheap, project, x, u, p, h)]),
+            )
+        x_next = _rk4(f, project, x, u, p, h)
         return Component(
             name=self._name,
             description=self._description,
@@ -258,6 +288,7 @@ class ComponentBuilder:
             step=ca.Function("step", [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"]),
             outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
             max_step_s=self._max_step_s,
+            shortcut=shortcut,
         )
 
     def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:
@@ -270,3 +301,12 @@ class ComponentBuilder:
 def _column(parts: Iterable[ca.SX]) -> ca.SX:
     parts = list(parts)
     return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+
+
+def _rk4(f: ca.Function, project: ca.Function, x: ca.SX, u: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+    """One classical Runge-Kutta step of fourth order, then the projection."""
+    k1 = f(x, u, p)
+    k2 = f(x + h / 2 * k1, u, p)
+    k3 = f(x + h / 2 * k2, u, p)
+    k4 = f(x + h * k3, u, p)
+    return ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))

@@ -19,6 +19,9 @@ CONTACT_DAMPING = 0.7
 """Damping ratio on the feet. Made up: no bounce to speak of."""
 FRICTION = 0.6
 """Coulomb coefficient, rubber on a floor. Made up."""
+CLEARANCE_M = 0.5
+"""Farther than this from the ground, and from what speed covers in two steps, contact is not
+evaluated: to bridge it within 1 ms takes 10^6 m/s^2."""
 SLIP_SPEED_M_S = 0.02
 """Speed at which friction reaches 71 % of its Coulomb value."""
 
@@ -60,19 +63,30 @@ def ground_wrench(
         "Centre of mass over the ground when standing",
         minimum=0,
     )
-    force: list[ca.SX] = [ca.SX(0.0)] * 3
-    moment: list[ca.SX] = [ca.SX(0.0)] * 3
-    for x, y, _ in vehicle.rotors.position_m:
-        foot_b = [float(x), float(y), height]
-        reach_n = to_ned(q_nb, foot_b)
-        v_n = [v + w for v, w in zip(vel_n, to_ned(q_nb, cross(omega_b, foot_b)), strict=True)]
+    # Out of reach of the feet in any attitude, whatever happens within a step: no contact.
+    step = ca.SX.sym("step")
+    feet = np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1).max()
+    speed_n = ca.sqrt(sum((v * v for v in vel_n), start=ca.SX(0)))
+    reach = float(feet) + height + CLEARANCE_M + 2 * step * speed_n
+    m.idle_while(pos_n[2] + reach < z_ground, step, enabled)
+
+    # Everything is linear in the place of the foot, so columns in NED are made once:
+    # a foot at (x, y, height) is at R_x x + R_y y + R_z height from the centre of mass.
+    columns = [to_ned(q_nb, e) for e in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    omega_n = to_ned(q_nb, omega_b)
+    rates = [cross(omega_n, c) for c in columns]
+    below = [c * height for c in columns[2]]
+    speed = [v + r * height for v, r in zip(vel_n, rates[2], strict=True)]
+    force_n: list[ca.SX] = [ca.SX(0.0)] * 3
+    moment_n: list[ca.SX] = [ca.SX(0.0)] * 3
+    for x, y, _ in vehicle.rotors.position_m.tolist():
+        reach_n = [a * x + b * y + c for a, b, c in zip(columns[0], columns[1], below, strict=True)]
+        v_n = [a * x + b * y + c for a, b, c in zip(rates[0], rates[1], speed, strict=True)]
         depth = pos_n[2] + reach_n[2] - z_ground
-        normal = enabled * ca.if_else(
-            depth > 0, ca.fmax(stiffness * depth + damping * v_n[2], 0.0), 0.0
-        )
-        slip = ca.sqrt(v_n[0] ** 2 + v_n[1] ** 2 + SLIP_SPEED_M_S**2)
-        f_n = [-friction * normal * v_n[0] / slip, -friction * normal * v_n[1] / slip, -normal]
-        f_b = to_body(q_nb, f_n)
-        force = [a + b for a, b in zip(force, f_b, strict=True)]
-        moment = [a + b for a, b in zip(moment, cross(foot_b, f_b), strict=True)]
-    return force, moment
+        push = stiffness * depth + damping * v_n[2]
+        normal = ca.if_else(ca.logic_and(depth > 0, push > 0), enabled * push, 0.0)
+        grip = friction * normal / ca.sqrt(v_n[0] ** 2 + v_n[1] ** 2 + SLIP_SPEED_M_S**2)
+        f_n = [-grip * v_n[0], -grip * v_n[1], -normal]
+        force_n = [a + b for a, b in zip(force_n, f_n, strict=True)]
+        moment_n = [a + b for a, b in zip(moment_n, cross(reach_n, f_n), strict=True)]
+    return to_body(q_nb, force_n), to_body(q_nb, moment_n)

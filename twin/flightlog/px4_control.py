@@ -81,7 +81,8 @@ def resample(gyro: Gyro, t_s: Array) -> Array:
     """Body rates at any time from means over windows.
 
     The angle turned in each window is kept: a cubic spline runs through the angle at the ends of
-    the windows, and its slope is the rate. Gaps are bridged by a cubic through the means.
+    the windows, and its slope is the rate. Gaps are bridged by a cubic through the
+    values in the middle of the windows.
 
     Args:
         gyro: Logged means.
@@ -91,7 +92,10 @@ def resample(gyro: Gyro, t_s: Array) -> Array:
         Body rates, rad/s, shape (m, 3).
     """
     start, end = gyro.end_s - gyro.window_s, gyro.end_s
-    bridge = CubicSpline(end - 0.5 * gyro.window_s, gyro.rates).antiderivative()
+    middle = end - 0.5 * gyro.window_s
+    bend = CubicSpline(middle, gyro.rates).derivative(2)(middle)
+    at_middle = gyro.rates - gyro.window_s[:, None] ** 2 / 24.0 * bend  # a mean is no point value
+    bridge = CubicSpline(middle, at_middle).antiderivative()
     touch = np.concatenate([[False], start[1:] - end[:-1] < 0.1 * gyro.window_s[1:]])
     begin = np.where(touch, np.concatenate([start[:1], end[:-1]]), start)
     turned = gyro.rates * (end - begin)[:, None]

@@ -17,7 +17,8 @@ from .clock import advancing
 from .flight import Array, Finding
 
 MAGIC = b"ULog\x01\x12\x35"
-_DEFINITIONS = b"BFIMPQA"
+_FIRST_DATA = b"AL"  # the first of these ends the definitions
+_LONGEST = 10000  # bytes of a message; longer ones are damage
 _MESSAGES = b"BFIMPQADLCSOR"
 _EVENTS = ("vehicle_command",)  # several may carry the same time
 TOPICS = (
@@ -196,6 +197,26 @@ def _messages(blob: bytes) -> tuple[int, int]:
     return end - at, 0
 
 
+def _check_definitions(path: Path, blob: bytes) -> None:
+    """Refuse a log whose definitions are cut or damaged; pyulog 1.3 never returns from some."""
+    at, end = 16, len(blob)
+    header = struct.Struct("<HB").unpack_from
+    while at + 3 <= end:
+        size, kind = header(blob, at)
+        if kind in _FIRST_DATA:
+            return
+        if kind == 0 or not 0 < size <= _LONGEST:
+            raise LogError(
+                f"{path.name}: damaged ULog: byte {at} of {end}, within its definitions, makes no "
+                "sense. Copy the log from the vehicle again."
+            )
+        at += 3 + size
+    raise LogError(
+        f"{path.name}: ULog cut short within its definitions after {end} bytes, before any "
+        "sample. Copy the log from the vehicle again."
+    )
+
+
 def open_px4(path: Path, blob: bytes) -> Px4Log:
     """Parse a ULog.
 
@@ -206,6 +227,7 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     Raises:
         LogError: Nothing in it can be used.
     """
+    _check_definitions(path, blob)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said):

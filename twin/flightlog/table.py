@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 from ..errors import LogError
@@ -20,7 +21,7 @@ from .flight import Finding, Flight
 from .validate import check_columns, validate
 
 _METADATA = b"uavtwin"
-_NOT_A_NUMBER = ["", "nan", "NaN", "NAN"]
+_EMPTY = ["", "nan", "NaN", "NAN"]
 
 
 def read_table(path: Path, blob: bytes) -> Flight:
@@ -124,27 +125,25 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
                 f"{path.name}: data row {k} has {line.count(',') + 1} fields, the header has "
                 f"{len(header)}."
             )
+    body = "\n".join(lines[1:]).encode()
+    if not body.strip():
+        raise LogError(f"{path.name}: a header and no row below it.")
     try:
-        return pd.read_csv(
-            io.StringIO("\n".join(lines[1:])),
-            header=None,
-            names=header,
-            dtype={"phase": str},
-            float_precision="round_trip",
-            na_values=_NOT_A_NUMBER,
-            keep_default_na=False,
-            low_memory=False,
-            skipinitialspace=True,
+        arrow = csv.read_csv(
+            io.BytesIO(body),
+            csv.ReadOptions(column_names=header, block_size=len(body) + 1, use_threads=False),
+            convert_options=csv.ConvertOptions(
+                column_types={"phase": pa.string()}, null_values=_EMPTY, strings_can_be_null=True
+            ),
         )
-    except pd.errors.EmptyDataError:
-        raise LogError(f"{path.name}: a header and no row below it.") from None
-    except (pd.errors.ParserError, ValueError) as error:
+    except pa.ArrowException as error:
         raise LogError(f"{path.name}: not readable as CSV: {error}.") from None
+    return arrow.to_pandas()
 
 
 def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
     """A column as float64; anything else is an error with its row."""
-    if pd.api.types.is_numeric_dtype(column.dtype):
+    if pd.api.types.is_numeric_dtype(column.dtype) or column.isna().all():
         return column.astype(np.float64)
     numbers = pd.to_numeric(column, errors="coerce").astype(np.float64)
     text = np.flatnonzero(np.isnan(numbers.to_numpy()) & column.notna().to_numpy())

@@ -180,7 +180,7 @@ def _unit_quaternions(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, lis
     """Quaternions of unit norm; small deviations are mended and counted."""
     if "q_w" not in table:
         return table, []
-    q = table[list(QUAT)].to_numpy()
+    q = table[list(QUAT)].to_numpy(copy=True)
     norm = np.linalg.norm(q, axis=1)
     off = np.abs(norm - 1.0) > _NORM_DOUBT
     wrong = np.flatnonzero(np.abs(norm - 1.0) > 0.1)
