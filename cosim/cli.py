@@ -111,9 +111,11 @@ def gap(
     gaps = []
     with _progress("comparing") as step:
         for i, flight in enumerate(flights):
-            gaps.append(
-                flight_gap(flight, model, horizon, lambda d, i=i: step((i + d) / len(flights)))
-            )
+
+            def share(done: float, i: int = i) -> None:
+                step((i + done) / len(flights))
+
+            gaps.append(flight_gap(flight, model, horizon, share))
     _write_gap(gaps, out)
     options = {
         "vehicle": Path(vehicle).name,

@@ -37,6 +37,8 @@ from .system import System, connect
 
 Array = NDArray[np.float64]
 DEFAULT_HORIZON_S = 0.5
+LONGEST_FLIGHT_S = 3600.0
+"""Everything is held in memory on a 1 ms grid, about 0.5 MB per second of flight."""
 LIFT_OFF_HEIGHT_M = 0.1
 """Above its resting place by this much, a vehicle counts as airborne."""
 _POSE = tuple(f"{s}_{a}" for s in ("pos", "vel") for a in AXES) + tuple(f"q_{a}" for a in "wxyz")
@@ -67,8 +69,14 @@ def prepare(flight: Flight, vehicle: Vehicle) -> Twin:
     time = flight.table["time"].to_numpy(dtype=np.float64)
     if len(time) < 2 or time[-1] - time[0] < 2 * GRID_S:
         raise LogError(f"{flight.name}: too short: {len(time)} samples.")
+    if time[-1] - time[0] > LONGEST_FLIGHT_S:
+        raise LogError(
+            f"{flight.name}: {time[-1] - time[0]:.0f} s long, more than {LONGEST_FLIGHT_S:.0f} s. "
+            f"Cut the log, or check its clock."
+        )
     first = round(float(time[0]) / GRID_S)
-    t = np.arange(first, int(np.floor(float(time[-1]) / GRID_S + 1e-6)) + 1) * GRID_S
+    last = int(np.floor(float(time[-1]) / GRID_S + 1e-6))
+    t: Array = np.arange(first, last + 1).astype(np.float64) * GRID_S
     motion = measured_motion(flight)
     inputs = airframe_inputs(flight, vehicle, body, t)
     phases = _phases(flight, t)
@@ -195,7 +203,8 @@ def _end_channels(
     t, phase = twin.inputs.t_s[ends], twin.phases[ends]
 
     def state(group: tuple[str, ...]) -> Array:
-        return twin.states[np.ix_(ends, [names.index(n) for n in group])]
+        columns = np.array([names.index(n) for n in group], dtype=np.intp)
+        return twin.states[np.ix_(ends, columns)]
 
     measured, channels = state(_POSE), []
     for i, name in enumerate(_POSE[:6]):

@@ -76,6 +76,7 @@ class Slave:
 
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
+    _step: Callable[[float, float], int]
 
     def __init__(self, name: str, path: Path) -> None:
         self.name, self.path = name, path

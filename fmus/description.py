@@ -15,7 +15,7 @@ GENERATION_TOOL = "uavtwin"
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
     """The XML file; value references count from 1 in the order of the interface table."""
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return _bytes(root)
 
 
 def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
@@ -25,7 +25,14 @@ def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
     files = etree.SubElement(configuration, "SourceFileSet", language="C99")
     for name in sources:
         etree.SubElement(files, "SourceFile", name=name)
-    return etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return _bytes(root)
+
+
+def _bytes(root: etree._Element) -> bytes:
+    text: bytes = etree.tostring(
+        root, xml_declaration=True, encoding="UTF-8", pretty_print=True
+    )
+    return text
 
 
 def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element:

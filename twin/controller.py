@@ -77,7 +77,7 @@ def lqr(airframe: Component) -> Lqr:
     q = np.diag(1.0 / limits**2)
     r = np.diag(1.0 / (ACCEPTABLE["command"] * u0[drives]) ** 2)
     gain = np.linalg.solve(r, b.T @ solve_continuous_are(a, b, q, r))
-    return Lqr(gain, u0[drives], x0[rotors], np.linalg.eigvals(a - b @ gain))
+    return Lqr(gain, u0[drives], x0[rotors], np.linalg.eigvals(a - b @ gain).astype(np.complex128))
 
 
 def feedback(design: Lqr, airframe: Component) -> ca.Function:
@@ -99,7 +99,7 @@ def feedback(design: Lqr, airframe: Component) -> ca.Function:
     heading = [ca.cos(yaw / 2), ca.SX(0), ca.SX(0), ca.sin(yaw / 2)]
 
     def level(v: ca.SX) -> ca.SX:
-        return ca.vertcat(*to_body(heading, [v[0], v[1], v[2]]))
+        return ca.SX(ca.vertcat(*to_body(heading, [v[0], v[1], v[2]])))
 
     sign = ca.if_else(q[0] < 0, -1.0, 1.0)
     error = ca.vertcat(

@@ -69,9 +69,10 @@ def rotor_equations(m: ComponentBuilder, rotors: Rotors, drive: Drive) -> RotorE
         ]
     else:
         level = _driven_by_command(m, rotors)
+    # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
     return RotorExpressions(
-        thrust_n=[polynomial(thrust, x) for x in level],
-        torque_n_m=[polynomial(torque, x) for x in level],
+        thrust_n=[ca.fmax(polynomial(thrust, x), 0.0) for x in level],
+        torque_n_m=[ca.fmax(polynomial(torque, x), 0.0) for x in level],
         speed_rad_s=level if rotors.from_speed else [],
     )
 

@@ -188,18 +188,20 @@ def test_each_rotor_turns_the_body_the_right_way(vehicle: str, rotor: int) -> No
     """A stronger rotor lifts its own corner, and yaws the body against its own spin."""
     v = load_vehicle(vehicle)
     rig = in_air(v)
-    names = [n for n in rig.names if n.startswith(("rotor_", "effort_"))]
-    x = rig.state()
-    more = x.copy()
-    more[rig.names.index(names[rotor - 1])] *= 1.1
-    rates = rig.rates(more, rig.inputs())
+    x, u = rig.state(), rig.inputs()
+    more_x, more_u = x.copy(), u.copy()
+    states = [i for i, n in enumerate(rig.names) if n.startswith(("rotor_", "effort_"))]
+    if states:
+        more_x[states[rotor - 1]] *= 1.1
+    else:
+        more_u[rotor - 1] *= 1.1
+    rates = rig.rates(more_x, more_u)
     forward, right, _ = v.rotors.position_m[rotor - 1]
     assert np.sign(rates["omega_x"]) == -np.sign(right)  # a left rotor rolls it right
     assert np.sign(rates["omega_y"]) == np.sign(forward)  # a front rotor pitches it up
     assert np.sign(rates["omega_z"]) == -v.rotors.direction[rotor - 1]  # ccw rotor: clockwise yaw
     # Sizes: lever arm times thrust, torque map.
-    extra = rig.outputs(more, rig.inputs())[f"thrust_{rotor}"]
-    extra -= rig.outputs(x, rig.inputs())[f"thrust_{rotor}"]
+    extra = rig.outputs(more_x, more_u)[f"thrust_{rotor}"] - rig.outputs(x, u)[f"thrust_{rotor}"]
     assert rates["omega_x"] == pytest.approx(-right * extra / v.inertia_kg_m2[0, 0], rel=1e-6)
     assert rates["omega_y"] == pytest.approx(forward * extra / v.inertia_kg_m2[1, 1], rel=1e-6)
     ratio = v.rotors.torque_n_m[-1] / v.rotors.thrust_n[-1]
@@ -255,31 +257,30 @@ def test_a_gyrostat_conserves_momentum_with_its_rotors() -> None:
 
 @pytest.mark.parametrize("yaw", [0.4, np.pi / 2, -2.7])
 def test_turning_the_whole_problem_turns_the_answer(yaw: float) -> None:
-    """Position, velocity, attitude and wind yawed together; with drag, and a hard landing."""
+    """Position, velocity, attitude and wind yawed together; with drag, and a hard landing.
+
+    In the air equal to rounding; the feet that catch and slip amplify it by 1e7.
+    """
     rig = Rig(airframe(load_vehicle("feisi_x150")))
     attitude, vel = from_euler(0.1, -0.15, 0.3), np.array([1.0, -0.5, 0.8])
     pos, wind = np.array([0.4, -0.7, -0.2]), np.array([2.0, 1.0, 0.5])
     turn = Rotation.from_euler("Z", yaw)
 
-    def fly(R: Rotation, q_turned: Array) -> Array:
-        x = rig.state({**q(q_turned), **vec("vel", R.apply(vel)), **vec("pos", R.apply(pos))})
-        x[[rig.names.index(f"omega_{a}") for a in "xyz"]] = 0.5, -0.3, 0.8
+    def fly(R: Rotation, attitude: Array) -> Array:
+        start = {**vec("vel", R.apply(vel)), **vec("pos", pos[2] * np.eye(3)[2] + R.apply(pos * (1, 1, 0)))}
+        x = rig.state({**q(attitude), **start, **vec("omega", [0.5, -0.3, 0.8])})
         return rig.fly(x, rig.inputs(vec("wind", R.apply(wind))), 0.8)
 
-    plain_run = fly(Rotation.identity(), attitude)
-    turned_q = (turn * Rotation.from_quat(np.roll(attitude, -1))).as_quat()
-    turned = fly(turn, np.roll(turned_q, 1))
-    assert rig.get(plain_run, "pos_z").max() > -0.06  # it did touch the ground
-    for stem in ("pos", "vel"):
-        np.testing.assert_allclose(
-            rig.vector(turned, stem), turn.apply(rig.vector(plain_run, stem)), atol=1e-9
-        )
-    np.testing.assert_allclose(
-        rig.vector(turned, "omega"), rig.vector(plain_run, "omega"), atol=1e-8
-    )
-    np.testing.assert_allclose(
-        matrices(rig, turned), turn.as_matrix() @ matrices(rig, plain_run), atol=1e-9
-    )
+    one = fly(Rotation.identity(), attitude)
+    two = fly(turn, np.roll((turn * Rotation.from_quat(np.roll(attitude, -1))).as_quat(), 1))
+    touched = int(np.argmax(rig.get(one, "pos_z")[:, 0] > -0.08))
+    assert 50 < touched < 400
+    for span, atol in ((slice(0, touched), 1e-12), (slice(touched, None), 1e-6)):
+        for stem in ("pos", "vel"):
+            turned = turn.apply(rig.vector(one, stem)[span])
+            np.testing.assert_allclose(rig.vector(two, stem)[span], turned, atol=atol)
+        turned = turn.as_matrix() @ matrices(rig, one)[span]
+        np.testing.assert_allclose(matrices(rig, two)[span], turned, atol=atol)
 
 
 def test_steady_wind_is_a_moving_frame() -> None:
@@ -392,23 +393,21 @@ def test_rotor_speed_drive_needs_a_map_of_the_speed() -> None:
         airframe(load_vehicle("feisi_x150"), "rotor_speed")
 
 
-def test_parameter_of_mass_and_inertia_act_as_the_vehicle_file_does() -> None:
-    """Changing a parameter of the FMU is the same as changing the file."""
-    values = {"mass": 0.4, "inertia.xx": 7e-4, "thrust.c1": 1.6, "drag.linear_x": 0.3}
-    base = load_vehicle("feisi_x150")
-    J = base.inertia_kg_m2.copy()
-    J[0, 0] = 7e-4
-    changed = with_rotors(base, thrust_n=(base.rotors.thrust_n[0], 1.6))
-    from dataclasses import replace
-
-    drag = np.array([0.3, *base.drag_linear_n_s_m[1:]])
-    changed = replace(changed, mass_kg=0.4, inertia_kg_m2=J, drag_linear_n_s_m=drag)
-    one, two = in_air(base, **values), in_air(changed)
-    state = {**vec("vel", [1, 2, 3]), **vec("omega", [1, -2, 3]), "effort_1": 0.7}
+def test_a_parameter_acts_as_the_number_in_the_vehicle_file() -> None:
+    base, J = plain(), np.diag([0.03, 0.027, 0.036])
+    changed = with_rotors(
+        plain(mass_kg=1.5, inertia_kg_m2=J, drag_linear_n_s_m=np.array([0.3, 0, 0])),
+        thrust_n=(0.0, 9.0),
+    )
+    one = in_air(
+        base, **{"mass": 1.5, "inertia.xx": 0.03, "thrust.c1": 9.0, "drag.linear_x": 0.3}
+    )
+    two = in_air(changed)
+    efforts = {f"effort_{i}": 0.3 + 0.1 * i for i in range(1, 5)}
+    state = {**vec("vel", [1, 2, 3]), **vec("omega", [1, -2, 3]), **efforts}
     a = one.rates(one.state(state), one.commands(0.5))
-    b = two.rates(two.state({**state, **{f"effort_{i}": one.state()[one.names.index(f"effort_{i}")] for i in (2, 3, 4)}}), two.commands(0.5))
-    for name, value in a.items():
-        assert value == pytest.approx(b[name], rel=1e-12, abs=1e-14), name
+    b = two.rates(two.state(state), two.commands(0.5))
+    assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
 
 
 def test_every_combination_of_signs_of_the_inertia_products_is_inverted() -> None:

@@ -166,7 +166,7 @@ class Px4Log:
             (jumped, "samples dropped that lie more than a minute from the rest"),
         ):
             if count:
-                self.note("warning", name, what, count)
+                self.note("error", name, what, count)
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}
@@ -269,7 +269,7 @@ def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
     tail, lost = _messages(blob)
     if lost or log.file_corruption:
         opened.note(
-            "warning",
+            "error",
             "log",
             f"damaged: {lost} of {len(blob)} bytes follow the first message that makes no "
             "sense; the messages found after it are used, the rest is lost",
@@ -277,7 +277,7 @@ def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
         )
     elif tail:
         opened.note(
-            "warning",
+            "error",
             "log",
             f"cut short: it ends inside a message, the last {tail} bytes are not used",
             tail,

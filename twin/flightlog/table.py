@@ -116,7 +116,7 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
         raise LogError(f"{path.name}: column {sorted(repeated)[0]} stands there twice.")
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
         findings.append(
-            Finding("warning", "file", "cut short? The last row has no line end and is not used")
+            Finding("error", "file", "cut short? The last row has no line end and is not used")
         )
         lines = lines[:-1]
     for k, line in enumerate(lines[1:], 1):

@@ -59,7 +59,7 @@ def read_ulog(path: Path, blob: bytes, rebuild_commands: bool | None = None) -> 
         facts |= commands.facts
     t_us, absurd = rows.times_us()
     if absurd:
-        log.note("warning", "time", "rows dropped, over a minute from all others", absurd)
+        log.note("error", "time", "rows dropped, over a minute from all others", absurd)
     table = rows.table(t_us)
     if not any(c in table for c in MOTION):
         raise LogError(
@@ -95,7 +95,7 @@ def _add(
     absurd = (np.abs(values) > _LIMITS.get(where, np.inf)).any(axis=1)
     if absurd.any():
         log.note(
-            "warning",
+            "error",
             where,
             f"samples left out, a value is beyond {_LIMITS[where]:g} (SI)",
             int(absurd.sum()),
@@ -104,7 +104,7 @@ def _add(
     if early:
         log.note("info", where, "samples left out, taken before the log began", early)
     if broken:
-        log.note("warning", where, "samples left out, a value is NaN or infinite", broken)
+        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
@@ -149,7 +149,7 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
         rising = np.concatenate([[True], np.diff(np.maximum.accumulate(t_us)) > 0])
         if not rising.all():
             count = int(np.count_nonzero(~rising))
-            log.note("warning", where, "samples dropped whose averaging times overlap", count)
+            log.note("error", where, "samples dropped whose averaging times overlap", count)
         _add(log, rows, where, names, t_us[rising], values[rising])
     _gaps(log, topic, gyro_dt, facts)
     clipping = topic.data.get("accelerometer_clipping")
@@ -224,7 +224,7 @@ def _end(log: Px4Log) -> None:
     topic = log.topic("actuator_armed", 0, "armed")
     if topic is not None and topic.data["armed"][-1]:
         log.note(
-            "warning", "log", f"it ends at {topic.t_s[-1]:.1f} s with the motors armed: cut short?"
+            "error", "log", f"it ends at {topic.t_s[-1]:.1f} s with the motors armed: cut short?"
         )
 
 
@@ -245,7 +245,7 @@ def _estimate(log: Px4Log, rows: Rows) -> None:
     off = usable & (np.abs(norm - 1.0) > _NORM_DOUBT)
     if not usable.all():
         count = int(np.count_nonzero(~usable))
-        log.note("warning", "q", "samples left out, the quaternion is far from unit norm", count)
+        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
     if off.any():
         log.note(
             "warning", "q", "quaternions off unit norm by over 0.001, normalised", int(off.sum())

@@ -1,0 +1,34 @@
+# Everything sets up what it needs: a Debian-like machine with Python 3.11, a C compiler and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: setup demo test fast lint bench clean
+
+setup: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+	touch $@
+
+demo: setup  ## fly a built-in flight with a hidden effect and write demo/report.html
+	$(BIN)/uavtwin demo --out out/demo --force
+
+test: setup lint  ## the whole suite
+	$(BIN)/python -m pytest --numprocesses 2
+
+fast: setup  ## without the slow tests
+	$(BIN)/python -m pytest --numprocesses 2 -m 'not slow'
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: setup  ## the speed figures of the README
+	$(BIN)/uavtwin bench
+
+clean:
+	rm -rf $(VENV) out
