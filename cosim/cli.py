@@ -103,11 +103,11 @@ def gap(
     from twin.vehicle import load_vehicle
 
     from .gap import flight_gap
-    from .output import prepare_folder, write_run
+    from .output import check_folder, make_folder, write_run
 
+    check_folder(out, force)
     model = load_vehicle(vehicle)
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in logs]
-    prepare_folder(out, force)
     gaps = []
     with _progress("comparing") as step:
         for i, flight in enumerate(flights):
@@ -116,6 +116,7 @@ def gap(
                 step((i + done) / len(flights))
 
             gaps.append(flight_gap(flight, model, horizon, share))
+    make_folder(out)
     _write_gap(gaps, out)
     options = {
         "vehicle": Path(vehicle).name,
@@ -144,15 +145,16 @@ def demo(
 
     from .demo import fly, hide
     from .gap import flight_gap
-    from .output import prepare_folder, write_json, write_run
+    from .output import check_folder, make_folder, write_json, write_run
 
+    check_folder(out, force)
     model = load_vehicle(vehicle)
-    prepare_folder(out, force)
     hidden = hide(model, seed)
     flight = fly(model, hidden.plant, seed)
-    write_flight(flight, out / "flight.parquet")
     with _progress("comparing") as step:
         gaps = [flight_gap(flight, model, progress=step)]
+    make_folder(out)
+    write_flight(flight, out / "flight.parquet")
     _write_gap(gaps, out)
     write_json(out / "truth.json", {"effect": hidden.effect, "text": hidden.text})
     write_run(out, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
@@ -178,10 +180,11 @@ def export(
 ) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
     from .export import export_components
-    from .output import prepare_folder, write_run
+    from .output import check_folder, make_folder, write_run
 
+    check_folder(out, force)
     plan = export_components(components, vehicle, fmi, flight, drive, start or [])
-    prepare_folder(out, force)
+    make_folder(out)
     written = plan(out)
     options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
                "start": start or []}  # fmt: skip
@@ -190,11 +193,10 @@ def export(
     if as_json:
         _print_json(written)
         return
-    table = Table("file", "FMI", "platforms", "bytes", "sha256", box=None)
     for row in written:
-        table.add_row(row["file"], str(row["fmi"]), ", ".join(row["platforms"]), str(row["bytes"]),
-                      row["sha256"])  # fmt: skip
-    _stdout.print(table)
+        platforms = ",".join(row["platforms"])
+        _stdout.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
+        _stdout.print(f"  sha256 {row['sha256']}")
 
 
 @app.command()
@@ -228,7 +230,9 @@ def show_version() -> None:
 def _progress(what: str) -> Iterator[Callable[[float], None]]:
     """A bar on stderr; the function takes the share done, 0..1."""
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=_stderr, transient=True) as bar:
+    with Progress(
+        *columns, console=_stderr, transient=True, disable=not _stderr.is_terminal
+    ) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
 

@@ -13,23 +13,30 @@ from twin.errors import TwinError
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
 
 
-def prepare_folder(out: Path, force: bool) -> Path:
-    """Make the output folder.
+def check_folder(out: Path, force: bool) -> None:
+    """Refuse an output folder before the work is done; nothing is made yet.
 
     Raises:
-        TwinError: It holds files and `force` is not given, or it cannot be made.
+        TwinError: It is a file, or it holds files and `force` is not given.
     """
     if out.exists() and not out.is_dir():
         raise TwinError(f"{out}: is a file; --out names a folder.")
     if out.is_dir() and any(out.iterdir()) and not force:
         raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
+
+
+def make_folder(out: Path) -> None:
+    """Make the output folder, parents included.
+
+    Raises:
+        TwinError: It cannot be made.
+    """
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise TwinError(
             f"{out}: cannot be made: {error.strerror}. Choose another --out."
         ) from error
-    return out
 
 
 def sha256(path: Path) -> str:

@@ -130,11 +130,16 @@ class Component:
         return _values(self.name, self.inputs, changes or {})
 
     def with_starts(self, starts: Mapping[str, float]) -> "Component":
-        """The same equations with other start values of parameters or inputs."""
-        known = {v.name for v in self.parameters + self.inputs}
-        for name in starts:
+        """The same equations with other start values of parameters or inputs.
+
+        Raises:
+            ModelError: A name is neither, or a value is outside its range.
+        """
+        known = {v.name: v for v in self.parameters + self.inputs}
+        for name, value in starts.items():
             if name not in known:
                 raise ModelError(unknown_name(self.name, "parameter or input", name, known))
+            check_range(self.name, known[name], value)
         return replace(
             self,
             parameters=tuple(

@@ -3,8 +3,9 @@
 `docs/vehicle.md` describes the format for people; `FIELDS` below is its one definition.
 """
 
+import reprlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import lru_cache
@@ -97,7 +98,11 @@ FIELDS: dict[str, Field] = {
         "Thrust of one rotor against its speed. A single value k means k * speed^2.",
     ),
     "rotors.thrust_from_command": Field(
-        "poly:N", "polynomial", False, None, "Thrust of one rotor against its command."
+        "poly:N",
+        "polynomial",
+        False,
+        None,
+        "Thrust of one rotor against its command; where it is negative it counts as zero.",
     ),
     "rotors.speed_from_command": Field(
         "poly:rad/s", "polynomial", False, None, "Steady rotor speed against its command."
@@ -397,12 +402,14 @@ class _Reader:
         return value
 
     def _array(self, key: str, raw: Any) -> Array:
+        if raw is None:
+            raise ModelError(f"{self.file}: {key} has no value. Write value = ... in its braces.")
         try:
+            if any(isinstance(n, bool) or not isinstance(n, int | float) for n in _leaves(raw)):
+                raise TypeError
             values = np.asarray(raw, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise ModelError(f"{self.file}: {key} = {raw!r} must be numbers.") from None
-        if isinstance(raw, bool | str) or values.dtype.kind != "f":
-            raise ModelError(f"{self.file}: {key} = {raw!r} must be numbers.")
+        except (TypeError, ValueError, OverflowError):
+            raise ModelError(f"{self.file}: {key} = {_short(raw)} must be numbers.") from None
         if not np.all(np.isfinite(values)):
             raise ModelError(f"{self.file}: {key} = {raw!r} must be finite.")
         return values
@@ -414,15 +421,28 @@ class _Reader:
         given = entry.get("unit")
         if not isinstance(given, str):
             raise ModelError(f'{self.file}: {key} has no unit. Add unit = "{unit}" or another one.')
-        factor, dimension_ok = _factor(given, unit)
+        factor, dimension_ok = self._factor(key, given, unit)
         if not dimension_ok and mass_kg is not None:
-            per_mass, dimension_ok = _factor(given, f"({unit})/kg")
+            per_mass, dimension_ok = self._factor(key, given, f"({unit})/kg")
             factor = per_mass * mass_kg
         if not dimension_ok:
             raise ModelError(
                 f'{self.file}: {key} has unit "{given}", which is not a unit of the kind "{unit}".'
             )
         return values * factor
+
+    def _factor(self, key: str, given: str, wanted: str) -> tuple[float, bool]:
+        """Factor from one unit to another, and whether they are of one kind."""
+        try:
+            return float(_registry().Quantity(1.0, given).to(wanted).magnitude), True
+        except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
+            return 1.0, False
+        except Exception as error:  # pint raises tokenizer and attribute errors for bad text
+            bad = wanted if given == "rad/s" else given
+            raise ModelError(
+                f"{self.file}: {key} has unit {_short(bad)}, which is not a unit: "
+                f"{_short(str(error))}."
+            ) from error
 
     def _check_sign(self, key: str, values: Array, positive: bool | None) -> None:
         if positive is None:
@@ -491,6 +511,8 @@ class _Reader:
             return None
         unit = FIELDS[key].unit.removeprefix("poly:")
         of_speed = key.endswith("from_speed")
+        if "value" in entry and "coefficients" in entry:
+            raise ModelError(f"{self.file}: {key} has value and coefficients; give one of them.")
         if "value" in entry:
             if not of_speed:
                 raise ModelError(
@@ -514,7 +536,7 @@ class _Reader:
                 raise ModelError(
                     f'{self.file}: {key} needs of = "rad/s" (or "rpm"): the unit of the speed.'
                 )
-            per_rad_s, ok = _factor("rad/s", of)
+            per_rad_s, ok = self._factor(key, "rad/s", of)
             if not ok:
                 raise ModelError(f'{self.file}: {key}: of = "{of}" is not a rotor speed.')
             return tuple(float(ck * per_rad_s**k) for k, ck in enumerate(c))
@@ -582,6 +604,10 @@ class _Reader:
             )
         reference = self._optional("rotors.reference_voltage", "voltage is ignored")
         exponent = self._optional("rotors.voltage_exponent", "1")
+        if exponent is not None and reference is None:
+            self.doubts.append("rotors.voltage_exponent counts only with rotors.reference_voltage.")
+        if from_speed and speed is None and self._entry("rotors.command_range") is not None:
+            self.doubts.append("rotors.command_range counts only with a polynomial of the command.")
         up, down = self._lag()
         return Rotors(
             position_m=position,
@@ -679,12 +705,16 @@ def _registry() -> pint.UnitRegistry[Any]:
     return pint.UnitRegistry()
 
 
-def _factor(given: str, wanted: str) -> tuple[float, bool]:
-    """Factor from one unit to another, and whether they are of one kind."""
-    registry = _registry()
-    try:
-        return float(registry.Quantity(1.0, given).to(wanted).magnitude), True
-    except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
-        return 1.0, False
-    except Exception as error:  # pint raises tokenizer and attribute errors for bad text
-        raise ModelError(f'"{given}" is not a unit: {error}.') from error
+def _leaves(raw: Any) -> Iterator[Any]:
+    """What nested lists hold at their ends."""
+    if isinstance(raw, list):
+        for part in raw:
+            yield from _leaves(part)
+    else:
+        yield raw
+
+
+def _short(value: object) -> str:
+    """A value as printed in an error, not longer than a line."""
+    text = reprlib.repr(value) if isinstance(value, int) else repr(value)
+    return text if len(text) <= 120 else text[:117] + "..."

@@ -3,8 +3,9 @@
  * record.bin, little endian: "UAVTWIN1", uint64 number of signals; per signal uint64 number of
  * samples, uint64 1 for linear interpolation or 0 for hold, double longest gap in s, then the
  * times (s, increasing) and the values. Outputs come in pairs: the signals, then their validity.
- * Outside the record and inside a gap the nearest earlier sample is held (before the record the
- * first one) and validity is false: nothing is extrapolated.
+ * A held sample is valid for the longest gap, the last one of a linear signal too; between two
+ * samples further apart a linear signal is valid at the samples alone. Where a signal is not valid
+ * it holds the sample before (before the record the first one): nothing is extrapolated.
  */
 #include <stdint.h>
 #include <stdio.h>
@@ -108,13 +109,14 @@ void model_outputs(State* s, void* data) {
             valid = 0;
         } else {
             uint64_t j = locate(k, t);
-            double age = t - k->time[j];
+            double age = s->v[0] - k->time[j]; /* from -TIME_TOLERANCE on */
             value = k->value[j];
             valid = age <= k->longest_gap + TIME_TOLERANCE;
             if (k->linear && j + 1 < k->count) {
                 double span = k->time[j + 1] - k->time[j];
-                valid = span <= k->longest_gap + TIME_TOLERANCE;
-                if (valid) value += (k->value[j + 1] - value) * ((t - TIME_TOLERANCE - k->time[j]) / span);
+                int bridged = span <= k->longest_gap + TIME_TOLERANCE;
+                valid = bridged || age <= TIME_TOLERANCE;
+                if (bridged) value += (k->value[j + 1] - value) * (age / span);
             }
         }
         s->v[FIRST_OUTPUT + i] = value;

@@ -267,7 +267,7 @@ def test_turning_the_whole_problem_turns_the_answer(yaw: float) -> None:
     turn = Rotation.from_euler("Z", yaw)
 
     def fly(R: Rotation, attitude: Array) -> Array:
-        start = {**vec("vel", R.apply(vel)), **vec("pos", pos[2] * np.eye(3)[2] + R.apply(pos * (1, 1, 0)))}
+        start = {**vec("vel", R.apply(vel)), **vec("pos", R.apply(pos))}
         x = rig.state({**q(attitude), **start, **vec("omega", [0.5, -0.3, 0.8])})
         return rig.fly(x, rig.inputs(vec("wind", R.apply(wind))), 0.8)
 

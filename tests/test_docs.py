@@ -1,0 +1,71 @@
+"""Documentation says what the code says; every example and every TOML of it works."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from twin.vehicle import parse_vehicle
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_tables_are_generated_from_the_code() -> None:
+    result = subprocess.run(
+        [sys.executable, ROOT / "docs" / "tables.py", "--check"], capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stdout + "run: python docs/tables.py"
+
+
+def _blocks() -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "vehicle.md").read_text(), re.DOTALL)
+
+
+def test_the_vehicle_of_the_documentation_loads() -> None:
+    example, commanded, *_ = _blocks()
+    assert parse_vehicle(example, "example.toml").drive == "rotor_speed"
+    assert parse_vehicle(example + commanded, "example.toml").drive == "command"
+
+
+def test_every_polynomial_of_the_documentation_loads() -> None:
+    example, _, variants, raw = _blocks()
+    light = example.replace("value = 1.2,", "value = 0.03,")  # each map carries 30 g
+    body = light.split("thrust_from_speed")[0]
+    torque = 'torque_per_thrust = { value = 0.01, unit = "m", source = "x" }\n'
+    maps = [line for line in variants.splitlines() if line.startswith("thrust")] + [raw]
+    assert len(maps) == 5
+    for text in maps:
+        assert parse_vehicle(body + torque + text, "variant.toml").rotors.thrust_n
+
+
+@pytest.mark.parametrize("script", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
+def test_examples_run(script: str) -> None:
+    result = subprocess.run(
+        [sys.executable, ROOT / "examples" / script], capture_output=True, text=True, timeout=120
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.strip()
+    assert len((ROOT / "examples" / script).read_text().splitlines()) < 60
+
+
+@pytest.mark.parametrize("log", ["log10", "log15", "log16"])
+def test_motor_delay_example_on_its_data(data_dir: Path, tmp_path: Path, log: str) -> None:
+    source = data_dir / "crazyflie_motor_delay" / f"{log}.parquet"
+    script = ROOT / "examples" / "crazyflie_motor_delay_to_flight_table.py"
+    subprocess.run(
+        [sys.executable, script, source, tmp_path / "flight.parquet"],
+        check=True,
+        capture_output=True,
+    )
+    assert (tmp_path / "flight.parquet").exists()
+
+
+def test_readme_commands_exist() -> None:
+    """Every `uavtwin VERB` that the README names is a verb."""
+    from cosim.cli import app
+
+    verbs = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback}
+    named = set(re.findall(r"uavtwin ([a-z]+)", (ROOT / "README.md").read_text()))
+    assert named <= verbs | {"is"}, named - verbs
