@@ -17,6 +17,7 @@ from twin.component import Component
 from twin.controller import feedback, lqr
 from twin.flightlog import Flight
 from twin.imu import imu
+from twin.teacher_forced import sensor_readings
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -73,10 +74,7 @@ def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flig
     p = np.tile(body.parameter_values()[:, None], len(states))
     truth = np.asarray(body.outputs(states.T, inputs.T, p), dtype=np.float64)
     sensed = truth[[body.output_names.index(n) for n in sensor.input_names]]
-    p_imu = np.tile(sensor.parameter_values()[:, None], len(states))
-    readings = np.asarray(
-        sensor.outputs(np.zeros((0, len(states))), sensed, p_imu), dtype=np.float64
-    ).T
+    readings = sensor_readings(sensor, sensed.T)
     return _record(
         name, body.output_names, truth.T, readings, inputs, phases, body.input_names, seed
     )

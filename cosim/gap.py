@@ -111,7 +111,7 @@ def flight_gap(
     Raises:
         LogError: The flight cannot be compared with this vehicle.
     """
-    if not horizon_s >= 0.01 or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
+    if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
     twin = prepare(flight, vehicle)
     readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)

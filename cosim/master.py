@@ -2,11 +2,12 @@
 
 Algorithms:
     jacobi        All slaves step from the values at the start of the step; outputs are read when
-                  all have stepped. The same as the fixed-step algorithms of libcosim and ecos, to
-                  the last bit.
+                  all have stepped. The same as libcosim to the last bit (whose steps, counted in
+                  nanoseconds, differ from ours in the last bit).
     settled       Jacobi, and at each communication point the outputs that directly depend on
                   inputs are brought up to date in the order of the dependencies, so that a
-                  sensor shows the present and not the previous instant.
+                  sensor shows the present and not the previous instant. The same as ecos to the
+                  last bit.
     gauss_seidel  Slaves step one after another in the order of the dependencies, each with the
                   newest outputs of those before it.
 
@@ -17,6 +18,7 @@ Computing Surveys 51 (2018), sec. 4.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
@@ -82,6 +84,7 @@ class Master:
         """
         self.system = system
         self.slaves: list[Slave] = []
+        self._ready = False
         try:
             self._load(record)
         except BaseException:
@@ -107,6 +110,8 @@ class Master:
         self._check(system.connections)
         self._bind(incoming, record)
         self._order, self._direct = self._dependency_order()
+        last = {i: visit for visit, i in enumerate(self._order)}
+        self._sequence = sorted(last, key=last.__getitem__)
         self._periods = [system.periods.get(s.name, 1) for s in self.slaves]
         for name, period in system.periods.items():
             if name not in self._by_name or period < 1:
@@ -153,29 +158,47 @@ class Master:
                 )
 
     def _dependency_order(self) -> tuple[list[int], list[bool]]:
-        """Slaves so that those with direct feed-through come after their sources."""
-        index = {s.name: i for i, s in enumerate(self.slaves)}
-        felt = [set().union(*dependencies(s.description).values()) for s in self.slaves]
-        before: list[set[int]] = [set() for _ in self.slaves]
-        for c in self.system.connections:
-            (a, _), (b, y) = self.system.split(c.source), self.system.split(c.target)
-            if y in felt[index[b]] and a != b:
-                before[index[b]].add(index[a])
+        """Visits of slaves after which every output that directly depends on an input is right.
+
+        A slave comes twice where some of its outputs are needed before its inputs are known: an
+        airframe gives its position to a controller whose command enters its acceleration.
+
+        Returns:
+            Indices of slaves, and whether each has direct feed-through from another.
+
+        Raises:
+            FmuError: An output depends on itself.
+        """
+        source = {c.target: c.source for c in self.system.connections}
+        felt: dict[str, set[str]] = {}
+        own: list[list[str]] = []
+        for s in self.slaves:
+            own.append([])
+            for output, inputs in dependencies(s.description).items():
+                targets = [f"{s.name}.{u}" for u in inputs]
+                felt[f"{s.name}.{output}"] = {source[t] for t in targets if t in source}
+                own[-1].append(f"{s.name}.{output}")
+        try:
+            TopologicalSorter(felt).prepare()
+        except CycleError as error:
+            raise FmuError(
+                f"Algebraic loop: {' -> '.join(error.args[1])}, each directly depending on the one "
+                f"before it. Put a state or a delay between two of them."
+            ) from None
+        direct = [any(felt[o] for o in outputs) for outputs in own]
         order: list[int] = []
-        while len(order) < len(self.slaves):
-            ready = [
-                i for i in range(len(self.slaves)) if i not in order and before[i] <= set(order)
-            ]
-            if not ready:
-                loop = ", ".join(
-                    self.slaves[i].name for i in range(len(self.slaves)) if i not in order
-                )
-                raise FmuError(
-                    f"Algebraic loop through {loop}: each output there directly depends on an "
-                    f"input that another of them sets. Put a state or a delay into one."
-                )
-            order.append(ready[0])
-        return order, [bool(b) for b in before]
+        done = set().union(*felt.values()) - felt.keys()  # not in the FMU's ModelStructure
+        remaining = dict(enumerate(own))
+        while remaining:
+            ready = {i: [o for o in r if felt[o] <= done] for i, r in remaining.items()}
+            whole = [i for i, r in ready.items() if len(r) == len(remaining[i])]
+            i = whole[0] if whole else next(i for i, r in ready.items() if r)
+            order.append(i)
+            done.update(ready[i])
+            remaining[i] = [o for o in remaining[i] if o not in done]
+            if not remaining[i]:
+                del remaining[i]
+        return order, direct
 
     # -- running --------------------------------------------------------------------------
 
@@ -202,6 +225,7 @@ class Master:
         self._settle(range(len(self.slaves)))
         self.time_s = start_time_s
         self._start_s, self._count = start_time_s, 0
+        self._ready = True
 
     def run(
         self,
@@ -225,6 +249,12 @@ class Master:
         """
         if not step_s > 0 or not np.isfinite(step_s):
             raise FmuError(f"communication step {step_s:g} s must be positive, e.g. 0.001.")
+        if not np.isfinite(stop_time_s):
+            raise FmuError(f"stop time {stop_time_s:g} s must be a finite number.")
+        if every < 1:
+            raise FmuError(f"every = {every}: record every so many steps, at least 1.")
+        if not self._ready:
+            raise FmuError("the system is not initialised: call initialize() before run().")
         steps = round((stop_time_s - self.time_s) / step_s)
         if steps < 0 or abs(self.time_s + steps * step_s - stop_time_s) > 1e-6 * step_s * max(
             1, steps
@@ -282,7 +312,7 @@ class Master:
 
     def _gauss_seidel(self, h: float) -> None:
         due = set(self._due())
-        for i in self._order:
+        for i in self._sequence:
             if i not in due:
                 continue
             k = self._periods[i]

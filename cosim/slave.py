@@ -5,6 +5,7 @@ library directly, with pointers made once: 1 us instead of 8 us a call.
 """
 
 import ctypes
+import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +15,12 @@ from typing import Any
 
 import fmpy
 import numpy as np
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import (
+    FMU2Slave,
+    defaultCallbacks,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+)
 from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import ModelDescription, ScalarVariable
 from numpy.typing import NDArray
@@ -94,6 +100,7 @@ class Slave:
 
     def _instantiate(self) -> Any:
         kind = FMU2Slave if self._fmi == 2 else FMU3Slave
+        fmu, here = None, os.getcwd()
         try:
             fmpy.extract(self.path, self._folder.name)
             fmu = kind(
@@ -107,17 +114,24 @@ class Slave:
             if self._fmi == 2:
                 callbacks = fmi2CallbackFunctions()
                 callbacks.logger = fmi2CallbackLoggerTYPE(self._log2)
+                callbacks.allocateMemory = defaultCallbacks.allocateMemory
+                callbacks.freeMemory = defaultCallbacks.freeMemory
                 fmu.instantiate(callbacks=callbacks)
             else:
                 fmu.instantiate(logMessage=self._log3)
         except Exception as error:  # FMPy raises bare exceptions
+            os.chdir(here)  # where a library does not load, FMPy stays in its folder
+            if fmu is not None:
+                fmu.freeLibrary()
+            self._folder.cleanup()
             raise FmuError(
                 f"{self.path.name}: cannot be loaded: {self._said(str(error))}"
             ) from error
         return fmu
 
     def _log2(self, env: Any, instance: bytes, status: int, category: bytes, text: bytes) -> None:
-        self._messages.append(text.decode(errors="replace"))
+        # A printf format, whose arguments ctypes cannot see.
+        self._messages.append(text.decode(errors="replace").replace("%%", "%"))
 
     def _log3(self, env: Any, status: int, category: bytes, text: bytes) -> None:
         self._messages.append(text.decode(errors="replace"))

@@ -29,9 +29,7 @@ def build_description(model: FmuModel, sources: Sequence[str]) -> bytes:
 
 
 def _bytes(root: etree._Element) -> bytes:
-    text: bytes = etree.tostring(
-        root, xml_declaration=True, encoding="UTF-8", pretty_print=True
-    )
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
     return text
 
 

@@ -60,14 +60,15 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
     """
     n = vehicle.rotors.count
     rotors, commands = motor_columns("rotor", n), motor_columns("cmd", n)
+    for stem, what in (("rotor", "rotor speeds"), ("cmd", "motor commands")):
+        if flight.has(f"{stem}_{n + 1}"):
+            raise LogError(
+                f"{flight.name}: has more {what} than the {n} rotors of {vehicle.name}; "
+                f"choose the vehicle file of this aircraft."
+            )
     if vehicle.rotors.from_speed and flight.has(*rotors):
         return "rotor_speed"
     if vehicle.drive == "command" and flight.has(*commands):
-        if flight.has(f"cmd_{n + 1}"):
-            raise LogError(
-                f"{flight.name}: has more motor commands than the {n} rotors of {vehicle.name}; "
-                f"choose the vehicle file of this aircraft."
-            )
         return "command"
     needed = rotors if vehicle.drive == "rotor_speed" else commands
     missing = [c for c in needed if not flight.has(c)]
@@ -156,21 +157,36 @@ def predicted_readings(
     p = airframe.parameter_values({"ground.enabled": 0.0})
     y = np.asarray(airframe.outputs(x.T, u.T, np.tile(p[:, None], len(x))), dtype=np.float64).T
     sensed = y[:, [airframe.output_names.index(n) for n in imu.input_names]]
-    p_imu = imu.parameter_values()
-    if imu.states:
-        start = np.asarray(imu.initial(sensed[0], p_imu), dtype=np.float64).ravel()
-        accumulate = imu.step.mapaccum("imu_states", len(sensed))
-        clean = np.where(np.isfinite(sensed), sensed, 0.0)
-        later = np.asarray(
-            accumulate(start, clean.T, np.tile(p_imu[:, None], len(x)), GRID_S), dtype=np.float64
-        )
-        states = np.column_stack([start, later[:, :-1]])
-    else:
-        states = np.zeros((0, len(x)))
-    readings = np.asarray(
-        imu.outputs(states, sensed.T, np.tile(p_imu[:, None], len(x))), dtype=np.float64
-    ).T
+    readings = sensor_readings(imu, sensed)
     return np.hstack([readings, y]), imu.output_names + airframe.output_names
+
+
+def sensor_readings(imu: Component, sensed: Array) -> Array:
+    """Readings of the IMU on a grid of `GRID_S`.
+
+    Args:
+        imu: Component; its low-passes start settled on the first known input.
+        sensed: Inputs of the IMU, shape (n, n_u), NaN where unknown; a low-pass holds the last
+            known input there.
+
+    Returns:
+        Outputs of the IMU, shape (n, n_y), NaN where an input is unknown.
+    """
+    known = np.all(np.isfinite(sensed), axis=1)
+    if not known.any():
+        return np.full((len(sensed), len(imu.output_names)), np.nan)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(sensed)), -1))
+    clean = sensed[np.where(last < 0, np.argmax(known), last)]
+    p = imu.parameter_values()
+    batch_p = np.tile(p[:, None], len(clean))
+    states = np.zeros((0, len(clean)))
+    if imu.states:
+        start = np.asarray(imu.initial(clean[0], p), dtype=np.float64).ravel()
+        later = imu.step.mapaccum("imu_states", len(clean))(start, clean.T, batch_p, GRID_S)
+        states = np.column_stack([start, np.asarray(later, dtype=np.float64)[:, :-1]])
+    readings = np.asarray(imu.outputs(states, clean.T, batch_p), dtype=np.float64).T
+    readings[~known] = np.nan
+    return readings
 
 
 def teacher_forced_channels(

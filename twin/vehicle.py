@@ -22,6 +22,7 @@ from .errors import ModelError
 Array = NDArray[np.float64]
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, CGPM 1901."""
+_HUGE = 1e60  # larger numbers overflow once multiplied with each other
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,8 +411,8 @@ class _Reader:
             values = np.asarray(raw, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
             raise ModelError(f"{self.file}: {key} = {_short(raw)} must be numbers.") from None
-        if not np.all(np.isfinite(values)):
-            raise ModelError(f"{self.file}: {key} = {raw!r} must be finite.")
+        if not np.all(np.abs(values) < _HUGE):
+            raise ModelError(f"{self.file}: {key} = {_short(raw)} must be finite, below {_HUGE:g}.")
         return values
 
     def _si(

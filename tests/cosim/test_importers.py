@@ -10,13 +10,14 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cosim.master import Master
+from cosim.master import Algorithm, Master
 from cosim.system import System, connect
 from fmus import build, component_model
 from twin.airframe import airframe
@@ -43,6 +44,7 @@ STARTS = {f"airframe.{n}": v for n, v in AIRFRAME_STARTS.items()} | {
 }
 
 
+@cache
 def components() -> tuple[Component, Component]:
     """An airframe and an IMU whose accelerometer has states and whose gyroscope has none."""
     vehicle = replace(load_vehicle("copter_default"), accel_cutoff_hz=80.0)
@@ -65,13 +67,18 @@ def fmus(tmp_path_factory: pytest.TempPathFactory) -> dict[int, dict[str, Path]]
     }
 
 
-def with_master(paths: dict[str, Path]) -> Array:
-    """Outputs at every communication point, shape (STEPS + 1, n)."""
+def our_master(paths: dict[str, Path]) -> Master:
     _, sensor = components()
     system = System(paths, connect("airframe", "imu", sensor.input_names), STARTS)
-    with Master(system, output_names()) as master:
-        master.initialize()
-        return master.run(STEPS * STEP_S, STEP_S, "jacobi").values
+    master = Master(system, output_names())
+    master.initialize()
+    return master
+
+
+def with_master(paths: dict[str, Path], algorithm: Algorithm) -> Array:
+    """Outputs at every communication point, shape (STEPS + 1, n)."""
+    with our_master(paths) as master:
+        return master.run(STEPS * STEP_S, STEP_S, algorithm).values
 
 
 def with_python() -> Array:
@@ -103,12 +110,12 @@ def with_python() -> Array:
 
 @pytest.fixture(scope="module")
 def ours(fmus: dict[int, dict[str, Path]]) -> Array:
-    return with_master(fmus[2])
+    return with_master(fmus[2], "jacobi")
 
 
 def test_fmi3_is_fmi2_to_the_bit(fmus: dict[int, dict[str, Path]], ours: Array) -> None:
     assert np.abs(np.diff(ours, axis=0)).max() > 1e-3  # it flies
-    assert with_master(fmus[3]).tobytes() == ours.tobytes()
+    assert with_master(fmus[3], "jacobi").tobytes() == ours.tobytes()
 
 
 def test_python_is_the_fmu(ours: Array) -> None:
@@ -129,19 +136,36 @@ def needs(package: str) -> None:
         pytest.skip(message)
 
 
-@pytest.mark.parametrize("package", ["libcosimpy", "ecospy"])
-def test_other_importers_see_the_same_bits(
-    fmus: dict[int, dict[str, Path]], ours: Array, tmp_path: Path, package: str
-) -> None:
+def seen_by(package: str, paths: dict[str, Path], folder: Path) -> Array:
+    """Outputs after each step in another importer, shape (STEPS, n)."""
     needs(package)
-    out = tmp_path / "values.npy"
-    command = [sys.executable, __file__, package, *map(str, fmus[2].values()), str(out)]
+    out = folder / "values.npy"
+    command = [sys.executable, __file__, package, *map(str, paths.values()), str(out)]
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert result.returncode == 0, result.stdout + result.stderr
-    theirs = np.load(out)
-    assert theirs.shape == (STEPS, ours.shape[1])
-    different = ~(theirs == ours[1:]).all(axis=0)
-    assert not different.any(), [n for n, d in zip(output_names(), different, strict=True) if d]
+    values: Array = np.load(out)
+    assert values.shape == (STEPS, len(output_names()))
+    return values
+
+
+def test_libcosim_is_jacobi_to_the_bit(
+    fmus: dict[int, dict[str, Path]], ours: Array, tmp_path: Path
+) -> None:
+    """libcosim counts nanoseconds, so its steps are 1 ms but for the last bit: so are ours here."""
+    theirs = seen_by("libcosimpy", fmus[2], tmp_path)
+    rows = []
+    with our_master(fmus[2]) as master:
+        for k in range(STEPS):
+            start, stop = (n * 1_000_000 / 1e9 for n in (k, k + 1))
+            rows.append(master.run(stop, stop - start, "jacobi").values[-1])
+    assert np.array(rows).tobytes() == theirs.tobytes()
+    np.testing.assert_allclose(theirs, ours[1:], rtol=0, atol=1e-12)
+
+
+def test_ecos_is_settled_to_the_bit(fmus: dict[int, dict[str, Path]], tmp_path: Path) -> None:
+    """ecos sets inputs once more after each step: feed-through outputs show the present."""
+    theirs = seen_by("ecospy", fmus[2], tmp_path)
+    assert with_master(fmus[2], "settled")[1:].tobytes() == theirs.tobytes()
 
 
 # -- in the process of the importer ---------------------------------------------------------
@@ -182,7 +206,7 @@ def _with_ecospy(paths: Sequence[str]) -> Array:
     def identifier(name: str) -> str:
         return name.replace(".", "::", 1)
 
-    rows = []
+    rows, names = [], [identifier(n) for n in output_names()]
     with EcosSimulationStructure() as structure:
         for name, path in zip(("airframe", "imu"), paths, strict=True):
             structure.add_model(name, path)
@@ -193,7 +217,7 @@ def _with_ecospy(paths: Sequence[str]) -> Array:
             simulation.init(parameter_set="starts")
             for _ in range(STEPS):
                 simulation.step(1)
-                rows.append([simulation.get_real(identifier(n)) for n in output_names()])
+                rows.append([simulation.get_real(n) for n in names])
     return np.array(rows)
 
 

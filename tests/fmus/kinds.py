@@ -76,9 +76,7 @@ class Instance:
         self.fmi = 2 if description.fmiVersion.startswith("2") else 3
         self.reference = {v.name: v.valueReference for v in description.modelVariables}
         self.booleans = {v.name for v in description.modelVariables if v.type == "Boolean"}
-        self.output_names = [
-            v.name for v in description.modelVariables if v.causality == "output"
-        ]
+        self.output_names = [v.name for v in description.modelVariables if v.causality == "output"]
         self.messages: list[str] = []
         self.fmu = (FMU2Slave if self.fmi == 2 else FMU3Slave)(
             guid=description.guid if self.fmi == 2 else description.instantiationToken,
@@ -88,7 +86,9 @@ class Instance:
         )
         if self.fmi == 2:
             callbacks = fmi2CallbackFunctions()
-            callbacks.logger = fmi2CallbackLoggerTYPE(lambda *a: self.messages.append(a[4].decode()))
+            callbacks.logger = fmi2CallbackLoggerTYPE(
+                lambda *a: self.messages.append(a[4].decode())
+            )
             callbacks.allocateMemory = defaultCallbacks.allocateMemory
             callbacks.freeMemory = defaultCallbacks.freeMemory
             self.fmu.instantiate(callbacks=callbacks)

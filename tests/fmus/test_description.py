@@ -118,9 +118,7 @@ PROBED = [
 
 def declared(path: Path, group: str) -> dict[str, set[str]]:
     description = fmpy.read_model_description(str(path))
-    return {
-        u.variable.name: {k.name for k in u.dependencies} for u in getattr(description, group)
-    }
+    return {u.variable.name: {k.name for k in u.dependencies} for u in getattr(description, group)}
 
 
 def random_starts(kind: str, rng: np.random.Generator) -> dict[str, float]:
@@ -130,7 +128,9 @@ def random_starts(kind: str, rng: np.random.Generator) -> dict[str, float]:
         if v.boolean:
             starts[v.name] = float(rng.integers(2))
             continue
-        value = v.start * rng.uniform(0.7, 1.3) + (0.1 * rng.standard_normal() if not v.start else 0)
+        value = v.start * rng.uniform(0.7, 1.3) + (
+            0.1 * rng.standard_normal() if not v.start else 0
+        )
         low = -np.inf if v.minimum is None else v.minimum
         high = np.inf if v.maximum is None else v.maximum
         starts[v.name] = float(np.clip(value, low, high))

@@ -52,7 +52,9 @@ def close(got: tuple[float, bool], wanted: tuple[float, bool]) -> bool:
 
 
 tables = st.lists(
-    st.tuples(st.integers(1, 12), st.floats(-1e6, 1e6), st.sampled_from(["both", "held", "linear"])),
+    st.tuples(
+        st.integers(1, 12), st.floats(-1e6, 1e6), st.sampled_from(["both", "held", "linear"])
+    ),
     min_size=2,
     max_size=25,
 )
@@ -98,9 +100,7 @@ def test_any_record_at_any_time(
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_samples_come_back_to_the_bit(
-    new: Callable[[str, int], Instance], fmi: int
-) -> None:
+def test_samples_come_back_to_the_bit(new: Callable[[str, int], Instance], fmi: int) -> None:
     """At the times k * 0.01 s as a master computes them, with their rounding errors."""
     instance = new("replay", fmi).start()
     record = np.frombuffer(replay_example().resources["record.bin"])
@@ -189,5 +189,7 @@ def test_units_come_from_the_flight_table(tmp_path: Path) -> None:
     flight = recorded(time=[0.0, 1.0], acc_z=[-9.8, -9.7], rotor_12=[300.0, 310.0])
     model = replay_model(flight, ("acc_z", "rotor_12"))
     assert [v.unit for v in model.variables[:2]] == ["m/s2", "rad/s"]
-    assert model.variables[1].description == "Recorded measured speed of rotor i, not negative, i = 12"
+    assert (
+        model.variables[1].description == "Recorded measured speed of rotor i, not negative, i = 12"
+    )
     build(model, tmp_path / "r.fmu")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rig import BUILTIN, FULL_INERTIA, Array, Rig, in_air, plain, q, vec, with_rotors
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj
 
@@ -13,8 +14,6 @@ from twin.airframe import airframe, hover_trim
 from twin.errors import ModelError
 from twin.frames import from_euler, rotation_matrix
 from twin.vehicle import GRAVITY_M_S2, load_vehicle
-
-from rig import BUILTIN, FULL_INERTIA, Array, Rig, in_air, plain, q, vec, with_rotors
 
 FREE = plain(inertia_kg_m2=FULL_INERTIA)
 angles = st.floats(-3.1, 3.1)
@@ -166,7 +165,9 @@ def test_acceleration_is_gravity_down_plus_thrust_along_the_rotor_axis(
     roll: float, pitch: float, yaw: float, thrust: float
 ) -> None:
     rig = _FREE_RIG
-    x = rig.state({**q(from_euler(roll, pitch, yaw)), **{f"effort_{i}": thrust for i in range(1, 5)}})
+    x = rig.state(
+        {**q(from_euler(roll, pitch, yaw)), **{f"effort_{i}": thrust for i in range(1, 5)}}
+    )
     rates, y = rig.rates(x, rig.inputs()), rig.outputs(x, rig.inputs())
     up_n = Rotation.from_euler("ZYX", [yaw, pitch, roll]).apply([0.0, 0.0, -1.0])
     expected = np.array([0, 0, GRAVITY_M_S2]) + up_n * 4 * 8.0 * thrust / 1.2
@@ -289,9 +290,7 @@ def test_steady_wind_is_a_moving_frame() -> None:
     wind, u = np.array([3.0, -1.0, 0.5]), rig.inputs()
     start = vec("omega", [0.4, 0.2, -0.5])
     still = rig.fly(rig.state(start), u, 1.0)
-    carried = rig.fly(
-        rig.state({**start, **vec("vel", wind)}), rig.inputs(vec("wind", wind)), 1.0
-    )
+    carried = rig.fly(rig.state({**start, **vec("vel", wind)}), rig.inputs(vec("wind", wind)), 1.0)
     t = 1e-3 * np.arange(len(still))[:, None]
     shift = rig.vector(carried, "pos") - rig.vector(still, "pos")
     np.testing.assert_allclose(shift, wind * t, atol=1e-11)
@@ -377,7 +376,7 @@ def test_what_cannot_hover_is_said(positions: Array, direction: list[int]) -> No
     vehicle = with_rotors(
         plain(), position_m=np.array(positions), direction=np.array(direction, dtype=float)
     )
-    with pytest.raises(ModelError, match="no hover trim.*directions"):
+    with pytest.raises(ModelError, match=r"no hover trim.*directions"):
         airframe(vehicle)
 
 
@@ -399,9 +398,7 @@ def test_a_parameter_acts_as_the_number_in_the_vehicle_file() -> None:
         plain(mass_kg=1.5, inertia_kg_m2=J, drag_linear_n_s_m=np.array([0.3, 0, 0])),
         thrust_n=(0.0, 9.0),
     )
-    one = in_air(
-        base, **{"mass": 1.5, "inertia.xx": 0.03, "thrust.c1": 9.0, "drag.linear_x": 0.3}
-    )
+    one = in_air(base, **{"mass": 1.5, "inertia.xx": 0.03, "thrust.c1": 9.0, "drag.linear_x": 0.3})
     two = in_air(changed)
     efforts = {f"effort_{i}": 0.3 + 0.1 * i for i in range(1, 5)}
     state = {**vec("vel", [1, 2, 3]), **vec("omega", [1, -2, 3]), **efforts}

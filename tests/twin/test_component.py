@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
 from rig import BUILTIN
+
 from twin.airframe import airframe
 from twin.component import Component, ComponentBuilder, substeps
 from twin.errors import ModelError

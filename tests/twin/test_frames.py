@@ -103,14 +103,10 @@ def test_cross(a: Array, b: Array) -> None:
 
 
 @given(base=quaternions, axis=directions, exponent=st.floats(-16, 0), flip=st.booleans())
-def test_rotation_vector_of_any_size(
-    base: Array, axis: Array, exponent: float, flip: bool
-) -> None:
+def test_rotation_vector_of_any_size(base: Array, axis: Array, exponent: float, flip: bool) -> None:
     """From 1e-16 to nearly pi, in the axes of the second attitude, whatever the signs."""
     angle = (np.pi - 1e-6) * 10.0**exponent
-    turned = np.array(
-        multiply(list(base), [np.cos(angle / 2), *(axis * np.sin(angle / 2))])
-    )
+    turned = np.array(multiply(list(base), [np.cos(angle / 2), *(axis * np.sin(angle / 2))]))
     vector = rotation_vector((-turned if flip else turned)[None], base[None])[0]
     np.testing.assert_allclose(vector, angle * axis, atol=1e-15 * 10 + 1e-9 * (angle > 3))
 
@@ -122,9 +118,7 @@ def test_rotation_vector_near_pi(axis: Array, gap: float, beyond: bool) -> None:
     q = np.array([np.cos(angle / 2), *(axis * np.sin(angle / 2))])
     vector = rotation_vector(q[None], np.array([[1.0, 0, 0, 0]]))[0]
     assert np.linalg.norm(vector) <= np.pi + 1e-15
-    np.testing.assert_allclose(
-        vector, axis * (angle - 2 * np.pi if beyond else angle), atol=1e-12
-    )
+    np.testing.assert_allclose(vector, axis * (angle - 2 * np.pi if beyond else angle), atol=1e-12)
 
 
 @given(a=quaternions, b=quaternions)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval
-
 from rig import BUILTIN, Rig, in_air, plain, with_rotors
+
 from twin.rotors import per_power
 from twin.vehicle import load_vehicle
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rig import Rig, plain, vec
 from scipy.signal import cont2discrete, lfilter
 from scipy.spatial.transform import Rotation
 
-from rig import Rig, plain, vec
 from twin.battery import battery
 from twin.errors import ModelError
 from twin.imu import imu

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 (an entry of a vehicle file stays on one line)
 """Vehicle files: what they say, how they are converted, and what is refused with which words."""
 
 import re
@@ -8,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyval
-
 from rig import BUILTIN, Rig
+
 from twin.airframe import airframe
 from twin.errors import ModelError
 from twin.vehicle import FIELDS, GRAVITY_M_S2, builtin_vehicles, load_vehicle, parse_vehicle
@@ -148,7 +149,9 @@ def test_command_range_composes_with_the_polynomial(low: float, high: float) -> 
     raw = np.polynomial.Polynomial(plain)(
         np.polynomial.Polynomial([-low / (high - low), 1 / (high - low)])
     ).coef
-    text = entry(FULL, "command_range", f'command_range = {{ value = [{low}, {high}], source = "s" }}')
+    text = entry(
+        FULL, "command_range", f'command_range = {{ value = [{low}, {high}], source = "s" }}'
+    )
     text = entry(text, "thrust_from_command", "thrust_from_command = { coefficients = "
                  f'{raw.tolist()}, unit = "N", source = "s" }}')  # fmt: skip
     vehicle = parse_vehicle(text, "v.toml")
@@ -222,6 +225,7 @@ BAD: dict[str, tuple[str, str, str]] = {
     "zero": ("mass", 'mass = { value = 0, unit = "kg", source = "s" }', "must be positive"),
     "NaN": ("mass", 'mass = { value = nan, unit = "kg", source = "s" }', "mass = nan must be fin"),
     "infinite": ("mass", 'mass = { value = inf, unit = "kg", source = "s" }', "must be finite"),
+    "overflowing": ("inertia", I3.replace("VALUE", "[1e308, 1e308, 1e308]"), "must be finite, below"),
     "huge integer": ("mass", f'mass = {{ value = {"9" * 400}, unit = "kg", source = "s" }}',
                      r"body\.mass = 9+\.\.\.9+ must be numbers"),
     "text": ("mass", 'mass = { value = "0.5", unit = "kg", source = "s" }',
@@ -235,8 +239,8 @@ BAD: dict[str, tuple[str, str, str]] = {
     "date": ("mass", 'mass = { value = 2026-01-01, unit = "kg", source = "s" }', "must be numbers"),
     "list for a number": ("mass", 'mass = { value = [0.5], unit = "kg", source = "s" }',
                           r"body\.mass = \[0\.5\] must be one number"),
-    "inertia too short": ("inertia", I3.replace("VALUE", "[1e-3, 1e-3]"), r"Ixx, Iyy, Izz"),
-    "inertia as a matrix": ("inertia", I3.replace("VALUE", "[[1,0,0],[0,1,0],[0,0,1]]"), "Ixx"),
+    "inertia too short": ("inertia", I3.replace("VALUE", "[1e-3, 1e-3]"), r"must be \[Ixx, Iyy, Izz\] or"),
+    "inertia as a matrix": ("inertia", I3.replace("VALUE", "[[1,0,0],[0,1,0],[0,0,1]]"), r"must be \[Ixx"),
     "ragged": ("inertia", I3.replace("VALUE", "[[1, 2], 3]"), "must be numbers"),
     "not positive definite": ("inertia", I3.replace("VALUE", "[1e-3, 1e-3, 2e-3, 2e-3, 0, 0]"),
                               r"body\.inertia = .* is not positive definite"),
@@ -294,10 +298,6 @@ BAD: dict[str, tuple[str, str, str]] = {
 @pytest.mark.parametrize("case", BAD)
 def test_what_is_wrong_is_said(case: str) -> None:
     key, line, expected = BAD[case]
-    if case == "inertia as a matrix":
-        expected = "Ixx, Iyy, Izz, Ixy, Ixz, Iyz"
-    if key == "mass" and case == "no value":
-        expected = "needs unit and source"
     with pytest.raises(ModelError, match=expected) as error:
         parse_vehicle(entry(FULL, key, line), "mine.toml")
     assert str(error.value).startswith("mine.toml: ")
@@ -422,7 +422,9 @@ def test_characters_replaced(at: int, new: str, drop: int) -> None:
 @given(data=st.data())
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 def test_values_replaced_by_odd_ones(data: st.DataObject) -> None:
-    spots = list(re.finditer(r'(?:value|coefficients|unit|source) = (\[.*\]|"[^"]*"|[^,]+?)(?=, | })', FULL))
+    spots = list(
+        re.finditer(r'(?:value|coefficients|unit|source) = (\[.*\]|"[^"]*"|[^,]+?)(?=, | })', FULL)
+    )
     spot = data.draw(st.sampled_from(spots))
     survives(FULL[: spot.start(1)] + data.draw(st.sampled_from(WEIRD)) + FULL[spot.end(1) :])
 
@@ -445,7 +447,7 @@ description = "AscTec Hummingbird, plus configuration"
 mass = { value = 0.716, unit = "kg", source = "RotorS, hummingbird.xacro; Furrer et al. 2016" }
 inertia = { value = [0.007, 0.007, 0.012], unit = "kg*m^2", source = "RotorS" }
 [rotors]
-# RotorS counts front, left, back, right, in axes with y to the left: signs of y turned here.
+# RotorS counts front, left, back, right, in axes with y to the left: y changes sign here.
 position = { value = [[0.17, 0, 0], [0, -0.17, 0], [-0.17, 0, 0], [0, 0.17, 0]], unit = "m", source = "RotorS, arm_length" }
 direction = { value = ["cw", "ccw", "cw", "ccw"], source = "RotorS" }
 thrust_from_speed = { value = 8.54858e-6, unit = "N*s^2/rad^2", source = "RotorS, motor_constant" }
@@ -453,14 +455,14 @@ torque_per_thrust = { value = 0.016, unit = "m", source = "RotorS, moment_consta
 """
 FOERSTER = """\
 name = "crazyflie_foerster"
-description = "Crazyflie 2.0 as identified by Foerster 2015, ETH Zurich, table 2.4 and eqs. 3.4, 3.7"
+description = "Crazyflie 2.0 as identified by Foerster 2015, ETH Zurich"
 [body]
 mass = { value = 28, unit = "g", source = "Foerster 2015" }
 # The thesis has y left and z up: Ixy and Ixz change sign in FRD, Iyz does not.
 inertia = { value = [16.571710e-6, 16.655602e-6, 29.261652e-6, -0.830806e-6, -0.718277e-6, 1.800197e-6], unit = "kg*m^2", source = "Foerster 2015" }
 [rotors]
 position = { value = [[32.5, 32.5, 0], [-32.5, 32.5, 0], [-32.5, -32.5, 0], [32.5, -32.5, 0]], unit = "mm", source = "46 mm arm at 45 degrees" }
-direction = { value = ["ccw", "cw", "ccw", "cw"], source = "Foerster 2015, fig. 2.1" }
+direction = { value = ["ccw", "cw", "ccw", "cw"], source = "Foerster 2015" }
 command_range = { value = [0, 65535], source = "16 bit command" }
 thrust_from_command = { coefficients = [5.484560e-4, 1.032633e-6, 2.130295e-11], unit = "N", source = "Foerster 2015" }
 # torque = 0.005964552 m * thrust + 1.563383e-5 N m, multiplied out by hand.

@@ -117,7 +117,20 @@ def validate(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding
     table, findings = _unit_quaternions(name, table)
     empty = [str(c) for c in table if table[c].isna().all()]
     findings += [Finding("warning", c, "has no sample at all") for c in empty]
+    findings += _partial_vectors(table)
     return table, [*findings, *_doubt_time(table), *_doubt_units(table), *_doubt_frames(table)]
+
+
+def _partial_vectors(table: pd.DataFrame) -> list[Finding]:
+    """Rows in which a vector has some of its components and NaN for the others."""
+    found = []
+    for group in (ACC, GYRO, MAG, POS, VEL, QUAT):
+        there = table[[c for c in group if c in table and table[c].notna().any()]].notna()
+        count = int((there.any(axis=1) & ~there.all(axis=1)).sum())
+        if count:
+            message = "rows with NaN in a part of the vector; the vector is left out there"
+            found.append(Finding("error", group[0][:-2], message, count))
+    return found
 
 
 def _check_time(name: str, t_s: Array) -> None:

@@ -263,3 +263,14 @@ def test_only_known_endings_are_written(tmp_path: Path) -> None:
         write_flight(Flight("f", table()), tmp_path / "f.xlsx")
     with pytest.raises(LogError, match="cannot be written"):
         write_flight(Flight("f", table()), tmp_path / "nowhere" / "f.csv")
+
+
+def test_vectors_with_holes_are_counted(tmp_path: Path) -> None:
+    """A NaN inside a vector costs the whole vector there, and the reader says so."""
+    n = 50
+    table = pd.DataFrame({"time": np.arange(n) * 0.01, "acc_x": 0.0, "acc_y": 0.0, "acc_z": -9.8})
+    table.loc[10:14, "acc_y"] = np.nan
+    table.loc[20:29, ["acc_x", "acc_y", "acc_z"]] = np.nan  # no sample: nothing wrong
+    table.to_parquet(tmp_path / "holes.parquet")
+    findings = [f for f in read_flight(tmp_path / "holes.parquet").findings if f.where == "acc"]
+    assert [(f.severity, f.count) for f in findings] == [("error", 5)]
