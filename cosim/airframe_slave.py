@@ -10,7 +10,7 @@ import numpy as np
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
 
 from twin.airframe import airframe
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 class AirframeSlave(Fmi2Slave):  # type: ignore[misc]

@@ -14,7 +14,7 @@ from fmus import build, component_model
 from twin.airframe import airframe
 from twin.errors import FmuError
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from .master import Master
 from .system import System, connect

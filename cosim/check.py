@@ -10,7 +10,8 @@ from fmus.inspect import inspect_fmu
 from twin.errors import TwinError
 from twin.flightlog import Flight, read_flight
 from twin.flightlog.columns import ACC, GYRO, POS, QUAT, VEL
-from twin.vehicle import FIELDS, load_vehicle
+from twin.vehicle_fields import FIELDS
+from twin.vehicle_file import load_vehicle
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,7 +100,7 @@ def gap(
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from twin.flightlog import read_flight
-    from twin.vehicle import load_vehicle
+    from twin.vehicle_file import load_vehicle
 
     from .gap import flight_gap
     from .output import check_folder, make_folder, write_run
@@ -141,7 +141,7 @@ def demo(
 ) -> None:
     """Fly a built-in flight in which an effect is hidden, and show the gap report."""
     from twin.flightlog.table import write_flight
-    from twin.vehicle import load_vehicle
+    from twin.vehicle_file import load_vehicle
 
     from .demo import fly, hide
     from .gap import flight_gap

@@ -11,7 +11,7 @@ from twin.component import Component, unknown_name
 from twin.errors import TwinError
 from twin.flightlog import Flight, read_flight
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 from .output import sha256
 

@@ -7,6 +7,7 @@ from the measured state every horizon through its start values.
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -254,9 +255,7 @@ def _spans(t_s: Array, phases: NDArray[np.str_]) -> tuple[tuple[str, float, floa
     changes = np.flatnonzero(phases[1:] != phases[:-1]) + 1
     edges = [0, *changes.tolist(), len(t_s) - 1]
     return tuple(
-        (str(phases[a]), float(t_s[a]), float(t_s[b]))
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
-        if phases[a]
+        (str(phases[a]), float(t_s[a]), float(t_s[b])) for a, b in pairwise(edges) if phases[a]
     )
 
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from twin.flightlog.columns import COLUMNS
-from twin.vehicle import FIELDS
+from twin.vehicle_fields import FIELDS
 
 HERE = Path(__file__).parent
 BEGIN, END = "<!-- table: do not edit, run docs/tables.py -->", "<!-- end of table -->"

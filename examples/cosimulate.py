@@ -12,7 +12,7 @@ from cosim.system import System, connect
 from fmus import build, component_model
 from twin.airframe import airframe
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 
 def main() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.vehicle import parse_vehicle
+from twin.vehicle_file import parse_vehicle
 
 ROOT = Path(__file__).parents[1]
 

@@ -13,7 +13,7 @@ import pytest
 from cosim.cli import main
 from cosim.demo import fly
 from twin.flightlog import write_flight
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 VEHICLE = "copter_default"
 

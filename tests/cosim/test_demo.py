@@ -16,7 +16,8 @@ from cosim.demo import (
     hide,
 )
 from twin.flightlog import Flight
-from twin.vehicle import Vehicle, load_vehicle
+from twin.vehicle import Vehicle
+from twin.vehicle_file import load_vehicle
 
 EFFECTS = ("cog_offset", "inertia_error", "mass_offset", "rotor_drag", "thrust_scale")
 FEISI = load_vehicle("feisi_x150")

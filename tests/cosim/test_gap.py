@@ -25,7 +25,8 @@ from twin.frames import to_body
 from twin.measured import RATE_CUTOFF_HZ, Signal, differentiate, zero_phase
 from twin.residuals import Channel, FlightGap
 from twin.teacher_forced import GRID_S, predicted_readings, sensor_readings
-from twin.vehicle import GRAVITY_M_S2, Vehicle, load_vehicle
+from twin.vehicle import GRAVITY_M_S2, Vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")

@@ -23,7 +23,7 @@ from fmus import build, component_model
 from twin.airframe import airframe
 from twin.component import Component
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 STEP_S, STEPS = 1e-3, 2000

@@ -22,7 +22,7 @@ from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 from twin.flightlog import Flight
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 H = 1e-3

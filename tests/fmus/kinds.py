@@ -26,7 +26,7 @@ from twin.battery import battery
 from twin.component import Component
 from twin.flightlog import Flight
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from twin.airframe import airframe
 from twin.component import Component
 from twin.rotors import Drive
-from twin.vehicle import Rotors, Vehicle, load_vehicle
+from twin.vehicle import Rotors, Vehicle
+from twin.vehicle_file import load_vehicle
 
 Array = NDArray[np.float64]
 BUILTIN = ("copter_default", "crazyflie", "feisi_x150")

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from twin.airframe import airframe
 from twin.controller import feedback, lqr
 from twin.frames import from_euler
-from twin.vehicle import Vehicle, load_vehicle
+from twin.vehicle import Vehicle
+from twin.vehicle_file import load_vehicle
 
 ANGLE = np.radians(30 + 60 * np.arange(6))
 HEXA = with_rotors(

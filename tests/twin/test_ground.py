@@ -7,7 +7,8 @@ from rig import BUILTIN, Array, Rig, q, vec
 from twin.airframe import airframe
 from twin.frames import from_euler
 from twin.ground import CONTACT_HZ, FRICTION
-from twin.vehicle import GRAVITY_M_S2, load_vehicle
+from twin.vehicle import GRAVITY_M_S2
+from twin.vehicle_file import load_vehicle
 
 SINK_M = GRAVITY_M_S2 / (2 * np.pi * CONTACT_HZ) ** 2
 

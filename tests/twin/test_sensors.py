@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from twin.battery import battery
 from twin.errors import ModelError
 from twin.imu import imu
-from twin.vehicle import load_vehicle
+from twin.vehicle_file import load_vehicle
 
 ARM = np.array([0.05, -0.03, 0.02])
 vectors = st.tuples(*[st.floats(-20, 20)] * 3).map(np.array)

@@ -13,7 +13,9 @@ from rig import BUILTIN, Rig
 
 from twin.airframe import airframe
 from twin.errors import ModelError
-from twin.vehicle import FIELDS, GRAVITY_M_S2, builtin_vehicles, load_vehicle, parse_vehicle
+from twin.vehicle import GRAVITY_M_S2
+from twin.vehicle_fields import FIELDS
+from twin.vehicle_file import builtin_vehicles, load_vehicle, parse_vehicle
 
 FULL = """\
 name = "full"

@@ -1,0 +1,154 @@
+"""Every key of a vehicle file: the one definition behind the reader and `docs/vehicle.md`."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One key of a vehicle file.
+
+    Attributes:
+        unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
+            whose value has unit U.
+        shape: "scalar", "vector", "n x 3", "list", "text" or "polynomial".
+        required: Whether a file without it is refused.
+        positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
+            when >= 0 is enough.
+        meaning: One line for the documentation.
+    """
+
+    unit: str
+    shape: str
+    required: bool
+    positive: bool | None
+    meaning: str
+
+
+FIELDS: dict[str, Field] = {
+    "body.mass": Field("kg", "scalar", True, True, "Take-off mass, battery included."),
+    "body.inertia": Field(
+        "kg*m^2",
+        "vector",
+        True,
+        None,
+        "Inertia about the centre of mass, body FRD: [Ixx, Iyy, Izz] or "
+        "[Ixx, Iyy, Izz, Ixy, Ixz, Iyz] with the elements of the matrix (not the products "
+        "with opposite sign).",
+    ),
+    "body.drag_linear": Field(
+        "N*s/m",
+        "vector",
+        False,
+        False,
+        "Linear drag [x, y, z] in body axes: force = -drag * air-relative velocity. Given in "
+        "1/s it is multiplied by the mass.",
+    ),
+    "body.drag_quadratic": Field(
+        "N*s^2/m^2",
+        "vector",
+        False,
+        False,
+        "Quadratic drag [x, y, z] in body axes, 0.5 rho Cd A: force = -drag |v_i| v_i.",
+    ),
+    "body.leg_height": Field(
+        "m",
+        "scalar",
+        False,
+        False,
+        "Height of the centre of mass over the ground when standing; feet are below the "
+        "rotors. Without it: half the largest rotor arm.",
+    ),
+    "rotors.position": Field(
+        "m",
+        "n x 3",
+        True,
+        None,
+        "Rotor hubs [x forward, y right, z down] from the centre of mass, one row per motor, "
+        "in the order of the motor commands cmd_1, cmd_2, ...",
+    ),
+    "rotors.direction": Field(
+        "", "list", True, None, 'Sense of rotation seen from above, "cw" or "ccw", per rotor.'
+    ),
+    "rotors.thrust_from_speed": Field(
+        "poly:N",
+        "polynomial",
+        False,
+        None,
+        "Thrust of one rotor against its speed. A single value k means k * speed^2.",
+    ),
+    "rotors.thrust_from_command": Field(
+        "poly:N",
+        "polynomial",
+        False,
+        None,
+        "Thrust of one rotor against its command; where it is negative it counts as zero.",
+    ),
+    "rotors.speed_from_command": Field(
+        "poly:rad/s", "polynomial", False, None, "Steady rotor speed against its command."
+    ),
+    "rotors.torque_per_thrust": Field(
+        "m", "scalar", False, False, "Reaction torque over thrust of one rotor."
+    ),
+    "rotors.torque_from_speed": Field(
+        "poly:N*m",
+        "polynomial",
+        False,
+        None,
+        "Reaction torque of one rotor against its speed. A single value k means k * speed^2.",
+    ),
+    "rotors.torque_from_command": Field(
+        "poly:N*m", "polynomial", False, None, "Reaction torque of one rotor against its command."
+    ),
+    "rotors.command_range": Field(
+        "",
+        "pair",
+        False,
+        None,
+        "Raw command at cmd = 0 and at cmd = 1 (e.g. [1100, 1950] us, [0, 65535]); every "
+        "polynomial of the command is in raw commands. Without it: [0, 1].",
+    ),
+    "rotors.lag": Field(
+        "s",
+        "lag",
+        False,
+        True,
+        "Time constant of the first-order lag from command to rotor speed (to effective "
+        "command when thrust comes from the command): one value, or [up, down].",
+    ),
+    "rotors.spin_inertia": Field(
+        "kg*m^2",
+        "scalar",
+        False,
+        False,
+        "Inertia of one rotor with its bell about its axis: gyroscopic torque. Needs the speed.",
+    ),
+    "rotors.reference_voltage": Field(
+        "V",
+        "scalar",
+        False,
+        True,
+        "Battery voltage at which the maps of the command hold. Without it voltage is ignored.",
+    ),
+    "rotors.voltage_exponent": Field(
+        "1",
+        "scalar",
+        False,
+        None,
+        "The command is multiplied by (voltage / reference)^exponent before the maps. Default 1.",
+    ),
+    "imu.position": Field(
+        "m", "vector", False, None, "Accelerometer [x, y, z] from the centre of mass, body FRD."
+    ),
+    "imu.accel_cutoff": Field(
+        "Hz", "scalar", False, True, "Second-order low-pass of the accelerometer; absent: none."
+    ),
+    "imu.gyro_cutoff": Field(
+        "Hz", "scalar", False, True, "Second-order low-pass of the gyroscope; absent: none."
+    ),
+    "battery.full_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when full."),
+    "battery.empty_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when empty."),
+    "battery.capacity": Field("A*s", "scalar", False, True, "Charge from full to empty."),
+    "battery.resistance": Field("ohm", "scalar", False, False, "Internal resistance."),
+    "battery.hover_current": Field("A", "scalar", False, True, "Current drawn in hover."),
+}
+"""Every key a vehicle file may hold, in the order of the documentation."""
