@@ -25,6 +25,7 @@ from fmpy.fmi3 import FMU3Slave
 from fmpy.model_description import ModelDescription, ScalarVariable
 from numpy.typing import NDArray
 
+from fmus.archive import open_archive, unpack
 from twin.errors import FmuError
 
 _TYPES: dict[int, dict[str, tuple[str, type[np.generic]]]] = {
@@ -102,7 +103,7 @@ class Slave:
         kind = FMU2Slave if self._fmi == 2 else FMU3Slave
         fmu, here = None, os.getcwd()
         try:
-            fmpy.extract(self.path, self._folder.name)
+            unpack(self.path, Path(self._folder.name))
             fmu = kind(
                 guid=self.description.guid
                 if self._fmi == 2
@@ -119,11 +120,13 @@ class Slave:
                 fmu.instantiate(callbacks=callbacks)
             else:
                 fmu.instantiate(logMessage=self._log3)
-        except Exception as error:  # FMPy raises bare exceptions
+        except Exception as error:  # refused by us, or FMPy's bare exceptions
             os.chdir(here)  # where a library does not load, FMPy stays in its folder
             if fmu is not None:
                 fmu.freeLibrary()
             self._folder.cleanup()
+            if isinstance(error, FmuError):
+                raise
             raise FmuError(
                 f"{self.path.name}: cannot be loaded: {self._said(str(error))}"
             ) from error
@@ -323,6 +326,7 @@ def _address(library: Any, function: str) -> int:
 
 
 def _describe(path: Path) -> ModelDescription:
+    open_archive(path)  # refuses what is not safe to parse
     try:
         description = fmpy.read_model_description(path)
     except Exception as error:  # FMPy and lxml raise many kinds

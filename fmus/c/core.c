@@ -43,6 +43,10 @@ int core_get(Instance* c, unsigned vr, double* value) {
     if (vr >= FIRST_OUTPUT && s->outputs_stale) {
         if (s->mode < STEPPING) model_initial(s, c->data, s->x);
         model_outputs(s, c->data);
+        for (unsigned i = FIRST_OUTPUT; i < N_VARIABLES; i++)
+            if (!isfinite(s->v[i]))
+                return fail(c, "output %s = %g at time %g s is not a finite number", variables[i].name,
+                            s->v[i], s->v[0]);
         s->outputs_stale = 0;
     }
     *value = s->v[vr];
