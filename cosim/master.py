@@ -337,7 +337,7 @@ class Master:
     def _write(self, i: int) -> None:
         s = self.slaves[i]
         if len(s.inputs):
-            np.take(self._bus, self._gather[i], out=s.inputs, mode="clip")
+            self._bus.take(self._gather[i], None, s.inputs, "clip")
             s.write_inputs()
 
     def _read(self, i: int) -> None:

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,22 +47,6 @@ _TYPES: dict[int, dict[str, tuple[str, type[np.generic]]]] = {
 }
 """FMI type -> name in the get and set functions, NumPy type of its buffer."""
 
-_Move2 = ctypes.CFUNCTYPE(ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_size_t, ctypes.c_void_p)
-_Move3 = ctypes.CFUNCTYPE(
-    ctypes.c_int, *[ctypes.c_void_p] * 2, ctypes.c_size_t, ctypes.c_void_p, ctypes.c_size_t
-)
-_Step2 = ctypes.CFUNCTYPE(
-    ctypes.c_int, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
-)
-_Step3 = ctypes.CFUNCTYPE(
-    ctypes.c_int,
-    ctypes.c_void_p,
-    ctypes.c_double,
-    ctypes.c_double,
-    ctypes.c_bool,
-    *[ctypes.c_void_p] * 4,
-)
-
 
 @dataclass(frozen=True, slots=True)
 class Port:
@@ -83,7 +68,7 @@ class Slave:
 
     inputs: NDArray[np.float64]
     outputs: NDArray[np.float64]
-    _step: Callable[[float, float], int]
+    _step: Callable[[], int]
 
     def __init__(self, name: str, path: Path) -> None:
         self.name, self.path = name, path
@@ -210,7 +195,8 @@ class Slave:
 
     def step(self, time_s: float, step_s: float) -> None:
         """One communication step."""
-        if self._step(time_s, step_s) != 0:
+        self._t.value, self._h.value = time_s, step_s
+        if self._step() != 0:
             self._fail(f"step at {time_s:g} s")
 
     def get(self, name: str) -> float:
@@ -255,17 +241,18 @@ class Slave:
         self._keep: list[Any] = []
         self._setters = self._moves("Set", inputs, self.inputs)
         self._getters = self._moves("Get", outputs, self.outputs)
-        component = self._fmu.component
-        address = _address(self._fmu.dll, f"fmi{self._fmi}DoStep")
-        if self._fmi == 2:
-            step2 = _Step2(address)
-            self._step = lambda t, h: step2(component, t, h, 1)
-        else:
-            step3 = _Step3(address)
-            flags = np.zeros(4)
-            self._keep.append(flags)
-            pointers = [flags.ctypes.data + 8 * i for i in range(4)]
-            self._step = lambda t, h: step3(component, t, h, True, *pointers)
+        self._t, self._h = ctypes.c_double(), ctypes.c_double()
+        flags = np.zeros(4)  # FMI 3 tells four things after a step, none of which is used here
+        self._keep.append(flags)
+        tail = (
+            [ctypes.c_int(1)]
+            if self._fmi == 2
+            else [
+                ctypes.c_bool(True),
+                *(ctypes.c_void_p(flags.ctypes.data + 8 * i) for i in range(4)),
+            ]
+        )
+        self._step = self._call("DoStep", self._t, self._h, *tail)
 
     def _moves(
         self, verb: str, names: Sequence[str], values: NDArray[np.float64]
@@ -281,25 +268,21 @@ class Slave:
             buffer = values if whole else np.zeros(len(positions), dtype=dtype)
             references = np.array([self.ports[names[i]].reference for i in positions], np.uint32)
             self._keep += [buffer, references]
-            call = self._raw(f"fmi{self._fmi}{verb}{suffix}", references, buffer)
+            count = ctypes.c_size_t(len(positions))
+            pointers = [ctypes.c_void_p(a.ctypes.data) for a in (references, buffer)]
+            more = [] if self._fmi == 2 else [count]
+            call = self._call(verb + suffix, pointers[0], count, pointers[1], *more)
             moves.append((call, buffer, None if whole else np.array(positions)))
         return moves
 
-    def _raw(
-        self, function: str, references: NDArray[np.uint32], buffer: NDArray[Any]
-    ) -> Callable[[], int]:
-        c, r, n, b = (
-            self._fmu.component,
-            references.ctypes.data,
-            len(references),
-            buffer.ctypes.data,
-        )
-        address = _address(self._fmu.dll, function)
-        if self._fmi == 2:
-            move2 = _Move2(address)
-            return lambda: move2(c, r, n, b)
-        move3 = _Move3(address)
-        return lambda: move3(c, r, n, b, n)
+    def _call(self, function: str, *arguments: Any) -> Callable[[], int]:
+        """A function of the library with its arguments made once.
+
+        Indexing the library gives a pointer without the argument types that FMPy has set on its
+        own, so ctypes converts nothing.
+        """
+        pointer = self._fmu.dll[f"fmi{self._fmi}{function}"]
+        return partial(pointer, ctypes.c_void_p(self._fmu.component), *arguments)
 
     # -- failures -------------------------------------------------------------------------
 
@@ -317,12 +300,6 @@ class Slave:
         raise FmuError(
             f"{self.name} ({self.path.name}): {what}: {self._said('the FMU gave no reason')}"
         )
-
-
-def _address(library: Any, function: str) -> int:
-    address = ctypes.cast(getattr(library, function), ctypes.c_void_p).value
-    assert address is not None
-    return address
 
 
 def _describe(path: Path) -> ModelDescription:

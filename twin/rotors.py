@@ -71,8 +71,8 @@ def rotor_equations(m: ComponentBuilder, rotors: Rotors, drive: Drive) -> RotorE
         level = _driven_by_command(m, rotors)
     # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
     return RotorExpressions(
-        thrust_n=[ca.fmax(polynomial(thrust, x), 0.0) for x in level],
-        torque_n_m=[ca.fmax(polynomial(torque, x), 0.0) for x in level],
+        thrust_n=[_not_negative(polynomial(thrust, x)) for x in level],
+        torque_n_m=[_not_negative(polynomial(torque, x)) for x in level],
         speed_rad_s=level if rotors.from_speed else [],
     )
 
@@ -134,6 +134,7 @@ def _coefficients(
     argument: str,
     argument_unit: str,
 ) -> list[ca.SX]:
+    """Coefficients as parameters; those that are zero are left out of the equations."""
     return [
         m.parameter(
             f"{prefix}.c{k}",
@@ -141,8 +142,15 @@ def _coefficients(
             per_power(unit, argument_unit, k),
             f"{meaning} polynomial, coefficient of {argument}^{k}",
         )
+        if value
+        else ca.SX(0)
         for k, value in enumerate(values)
     ]
+
+
+def _not_negative(value: ca.SX) -> ca.SX:
+    """Zero where a fitted polynomial is negative; compiles to no call, unlike fmax."""
+    return ca.if_else(value > 0, value, 0.0)
 
 
 def per_power(unit: str, argument_unit: str, power: int) -> str:
