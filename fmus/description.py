@@ -51,6 +51,7 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         canHandleVariableCommunicationStepSize="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
+        providesDirectionalDerivative="true",
     )
     files = etree.SubElement(simulation, "SourceFiles")
     for name in sources:
@@ -105,6 +106,7 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         canHandleVariableCommunicationStepSize="true",
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
+        providesDirectionalDerivatives="true",
     )
     _unit_definitions(root, model)
     categories = etree.SubElement(root, "LogCategories")

@@ -65,7 +65,7 @@ _SHORTCUT = """\
 
 
 def _kernel_source(component: Component) -> str:
-    functions = [component.initial, component.step, component.outputs]
+    functions = [component.initial, component.step, component.outputs, *_tangents(component)]
     if component.shortcut is not None:
         functions += [component.shortcut.holds, component.shortcut.step]
     generator = ca.CodeGenerator(
@@ -126,7 +126,41 @@ void model_outputs(State* s, void* data) {{
     double w[{work}];
     outputs(arg, res, iw, w, 0);
 }}
+void model_tangent(const State* s, const void* data, int initializing, double* change) {{
+    (void)data;
+    const double* d_p = change + 1;
+    const double* d_u = change + FIRST_INPUT;
+    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS, d_u, d_p}};
+    double* res[{results}] = {{change + FIRST_OUTPUT}};
+    int iw[{integers}];
+    double w[{work}];
+    if (initializing)
+        initial_tangent(arg, res, iw, w, 0);
+    else
+        tangent(arg, res, iw, w, 0);
+}}
 """
+
+
+def _tangents(component: Component) -> list[ca.Function]:
+    """`(x, u, p, du, dp) -> dy` while stepping, and at the end of initialisation."""
+    x, u, p, du, dp = (
+        ca.SX.sym(name, n)
+        for name, n in (
+            ("x", len(component.states)),
+            ("u", len(component.inputs)),
+            ("p", len(component.parameters)),
+            ("du", len(component.inputs)),
+            ("dp", len(component.parameters)),
+        )
+    )
+    known, change = ca.vertcat(u, p), ca.vertcat(du, dp)
+    functions = []
+    for name, state in (("tangent", x), ("initial_tangent", component.initial(u, p))):
+        y = component.outputs(state, u, p)
+        dy = ca.cse(ca.jtimes(y, known, change))
+        functions.append(ca.Function(name, [x, u, p, du, dp], [dy]))
+    return functions
 
 
 def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:

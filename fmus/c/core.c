@@ -116,6 +116,23 @@ int core_step(Instance* c, double time, double h) {
     return check_finite(c);
 }
 
+int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
+                    size_t n_known, const double seed[], double result[]) {
+    double change[N_VARIABLES] = {0};
+    for (size_t i = 0; i < n_known; i++) {
+        if (known[i] == 0 || known[i] >= FIRST_OUTPUT)
+            return fail(c, "%sdirectional derivative: value reference %.0f is no input or parameter", "",
+                        known[i], 0);
+        change[known[i]] += seed[i];
+    }
+    for (size_t i = 0; i < n_unknown; i++)
+        if (unknown[i] < FIRST_OUTPUT || unknown[i] >= N_VARIABLES)
+            return fail(c, "%sdirectional derivative: value reference %.0f is no output", "", unknown[i], 0);
+    model_tangent(&c->state, c->data, c->state.mode < STEPPING, change);
+    for (size_t i = 0; i < n_unknown; i++) result[i] = change[unknown[i]];
+    return 0;
+}
+
 int core_terminate(Instance* c) {
     if (c->state.mode != STEPPING) return fail(c, "%sterminate before initialization", "", 0, 0);
     c->state.mode = TERMINATED;

@@ -39,6 +39,10 @@ void model_close(void* data);
 void model_initial(const State* s, const void* data, double* x);
 void model_step(const State* s, const void* data, double h, double* x_next);
 void model_outputs(State* s, void* data);
+/* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
+ * variable; the entries of parameters and inputs are read, those of outputs written. At the end of
+ * initialization the initial states change too. */
+void model_tangent(const State* s, const void* data, int initializing, double* change);
 
 /* ---- used by the FMI shims ---- */
 typedef struct {
@@ -55,6 +59,8 @@ int core_get(Instance* c, unsigned vr, double* value);
 int core_set(Instance* c, unsigned vr, double value);
 int core_enter_initialization(Instance* c, double start_time);
 int core_exit_initialization(Instance* c);
+int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
+                    size_t n_known, const double seed[], double result[]);
 int core_step(Instance* c, double time, double h);
 int core_terminate(Instance* c);
 

@@ -205,11 +205,10 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
 }
 fmi2Status fmi2CancelStep(fmi2Component c) { return refuse(c, "no step is pending"); }
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference a[], size_t na,
-                                        const fmi2ValueReference b[], size_t nb, const fmi2Real db[],
-                                        fmi2Real da[]) {
-    (void)a, (void)na, (void)b, (void)nb, (void)db, (void)da;
-    return refuse(c, "directional derivatives are not provided");
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],
+                                        size_t nUnknown, const fmi2ValueReference known[],
+                                        size_t nKnown, const fmi2Real seed[], fmi2Real result[]) {
+    return status(c, core_derivative(c, unknown, nUnknown, known, nKnown, seed, result));
 }
 fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
                                        const fmi2Integer order[], const fmi2Real value[]) {

@@ -206,6 +206,15 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boole
     return status(c, code);
 }
 
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nUnknown,
+                                        const fmi3ValueReference known[], size_t nKnown,
+                                        const fmi3Float64 seed[], size_t nSeed, fmi3Float64 result[],
+                                        size_t nResult) {
+    if (nSeed != nKnown || nResult != nUnknown)
+        return refuse(c, "fmi3GetDirectionalDerivative: every variable is a scalar");
+    return status(c, core_derivative(c, unknown, nUnknown, known, nKnown, seed, result));
+}
+
 /* Everything below belongs to capabilities that modelDescription.xml does not claim. */
 #define UNSUPPORTED(NAME, ...)                                 \
     fmi3Status NAME(fmi3Instance c, ##__VA_ARGS__) {           \
@@ -218,8 +227,6 @@ UNSUPPORTED(fmi3SetClock, Vr vr, size_t n, const fmi3Clock v[])
 UNSUPPORTED(fmi3GetNumberOfVariableDependencies, fmi3ValueReference vr, size_t* n)
 UNSUPPORTED(fmi3GetVariableDependencies, fmi3ValueReference vr, size_t a[], fmi3ValueReference b[], size_t d[],
             fmi3DependencyKind k[], size_t n)
-UNSUPPORTED(fmi3GetDirectionalDerivative, Vr u, size_t nu, Vr k, size_t nk, const fmi3Float64 seed[], size_t ns,
-            fmi3Float64 d[], size_t nd)
 UNSUPPORTED(fmi3GetAdjointDerivative, Vr u, size_t nu, Vr k, size_t nk, const fmi3Float64 seed[], size_t ns,
             fmi3Float64 d[], size_t nd)
 UNSUPPORTED(fmi3EnterConfigurationMode)

@@ -79,6 +79,12 @@ void model_close(void* data) {
 void model_initial(const State* s, const void* data, double* x) { (void)s, (void)data, (void)x; }
 void model_step(const State* s, const void* data, double h, double* x) { (void)s, (void)data, (void)h, (void)x; }
 
+/* Outputs depend on time alone. */
+void model_tangent(const State* s, const void* data, int initializing, double* change) {
+    (void)s, (void)data, (void)initializing;
+    for (unsigned i = FIRST_OUTPUT; i < N_VARIABLES; i++) change[i] = 0;
+}
+
 /* Index of the last sample at or before t; the caller knows that there is one. */
 static uint64_t locate(Signal* s, double t) {
     uint64_t i = s->cursor;
