@@ -4,14 +4,19 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup demo test fast lint bench clean
+.PHONY: setup cross-tools demo test fast lint bench clean
 
 setup: $(STAMP)
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,cross]'
 	touch $@
+
+cross-tools:  ## what runs FMUs of other platforms in the tests; without it these are skipped
+	if [ "$$(id -u)" != 0 ]; then echo 'run as root: sudo make cross-tools' >&2; exit 1; fi
+	apt-get update -qq
+	apt-get install -y -qq --no-install-recommends qemu-user libc6-arm64-cross wine wine64
 
 demo: setup  ## fly a built-in flight with a hidden effect and write demo/report.html
 	$(BIN)/uavtwin demo --out out/demo --force

@@ -171,6 +171,13 @@ def export(
     drive: Annotated[
         str | None, typer.Option(help="Airframe inputs: command or rotor_speed.")
     ] = None,
+    platform: Annotated[
+        str,
+        typer.Option(
+            help="linux64, aarch64-linux, win64, darwin64, darwin-arm64, separated by commas, or "
+            "all. Anything but linux64 alone is built by zig, the extra `cross`."
+        ),
+    ] = "linux64",
     start: Annotated[
         list[str] | None, typer.Option(help="Start value baked into the FMU: NAME=VALUE.")
     ] = None,
@@ -183,11 +190,11 @@ def export(
     from .output import check_folder, make_folder, write_run
 
     check_folder(out, force)
-    plan = export_components(components, vehicle, fmi, flight, drive, start or [])
+    plan = export_components(components, vehicle, fmi, flight, drive, start or [], platform)
     make_folder(out)
     written = plan(out)
     options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
-               "start": start or []}  # fmt: skip
+               "platform": platform, "start": start or []}  # fmt: skip
     inputs = [p for p in (Path(vehicle), flight) if p is not None and p.is_file()]
     write_run(out, "export", options, inputs)
     if as_json:

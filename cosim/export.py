@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus import FmuModel, build, component_model, replay_model
+from fmus.platforms import Platform, compilers, select_platforms
 from twin.airframe import airframe
 from twin.battery import battery
 from twin.component import Component, unknown_name
@@ -16,7 +17,6 @@ from twin.vehicle_file import load_vehicle
 from .output import sha256
 
 COMPONENTS = ("airframe", "imu", "battery", "replay")
-_PLATFORMS = {2: "linux64", 3: "x86_64-linux"}
 
 
 def export_components(
@@ -26,16 +26,19 @@ def export_components(
     flight: Path | None,
     drive: str | None,
     starts: Sequence[str],
+    platform: str = "linux64",
 ) -> Callable[[Path], list[dict[str, Any]]]:
     """Check everything, then return the function that writes the FMUs into a folder.
 
     Raises:
-        TwinError: An unknown component, FMI version, drive or start value; a missing flight.
+        TwinError: An unknown component, FMI version, drive, platform or start value; a missing
+            flight or compiler.
     """
     for name in names:
         if name not in COMPONENTS:
             raise TwinError(unknown_name("export", "component", name, COMPONENTS))
     versions = _versions(fmi)
+    platforms = _platforms(platform)
     if drive not in (None, "command", "rotor_speed"):
         raise TwinError(f"--drive {drive}: choose command or rotor_speed.")
     if "replay" in names and flight is None:
@@ -58,21 +61,27 @@ def export_components(
     ]
     if flight is not None and "replay" in names:
         models.append(_replay(read_flight(flight)))
-    return lambda out: _write(models, versions, out)
+    return lambda out: _write(models, versions, platforms, out)
 
 
-def _write(models: Sequence[FmuModel], versions: Sequence[int], out: Path) -> list[dict[str, Any]]:
+def _write(
+    models: Sequence[FmuModel],
+    versions: Sequence[int],
+    platforms: Sequence[Platform],
+    out: Path,
+) -> list[dict[str, Any]]:
+    names = [p.name for p in platforms]
     written = []
     for version in versions:
         folder = out if len(versions) == 1 else out / f"fmi{version}"
         folder.mkdir(exist_ok=True)
         for model in models:
-            path = build(model, folder / f"{model.name}.fmu", version)
+            path = build(model, folder / f"{model.name}.fmu", version, names)
             written.append(
                 {
                     "file": str(path.relative_to(out)),
                     "fmi": version,
-                    "platforms": [_PLATFORMS[version]],
+                    "platforms": names,
                     "bytes": path.stat().st_size,
                     "sha256": sha256(path),
                 }
@@ -88,6 +97,12 @@ def _versions(fmi: str) -> list[int]:
     if not versions or not set(versions) <= {2, 3}:
         raise TwinError(f"--fmi {fmi}: choose 2, 3 or 2,3.")
     return versions
+
+
+def _platforms(text: str) -> tuple[Platform, ...]:
+    platforms = select_platforms(name.strip() for name in text.split(","))
+    compilers(platforms)  # a missing one is reported before anything is written
+    return platforms
 
 
 def _starts(texts: Sequence[str]) -> dict[str, float]:

@@ -2,13 +2,11 @@
 
 import hashlib
 import os
-import shutil
 import subprocess
 import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterable, Mapping
-from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 
@@ -19,43 +17,52 @@ from twin.errors import FmuError
 
 from .description import build_description, model_description
 from .model import FmuModel
+from .platforms import (
+    DEFAULT,
+    PLATFORMS,
+    Compiler,
+    Platform,
+    compilers,
+    select_platforms,
+    universal_binary,
+)
 
 CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
 _NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
-_PLATFORM_FOLDER = {2: "linux64", 3: "x86_64-linux"}
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
 
 
-def build(model: FmuModel, path: Path, fmi: int = 2) -> Path:
+def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = DEFAULT) -> Path:
     """Build a co-simulation FMU with its sources inside.
 
     Args:
         model: What the FMU computes.
         path: File to write; its folder must exist.
         fmi: 2 or 3.
+        platforms: Names from `fmus.platforms.PLATFORMS`, or `all`. linux64 alone is made by the
+            machine's compiler, anything else by zig (the extra `cross`).
 
     Returns:
         The path.
 
     Raises:
-        FmuError: Unknown FMI version, no compiler, or the compiler failed.
+        FmuError: Unknown FMI version or platform, no compiler, or the compiler failed.
     """
     if fmi not in _HEADERS:
         raise FmuError(f"{model.name}: FMI {fmi} is not supported; choose 2 or 3.")
+    chosen = select_platforms(platforms)
     sources = _sources(model, fmi)
     token = _token(model, fmi, sources)
     sources["model.h"] = _model_header(model, token)
     compiled = tuple(name for name in sorted(sources) if name.endswith(".c"))
     members = {
         "modelDescription.xml": model_description(model, fmi, token, compiled),
-        f"binaries/{_PLATFORM_FOLDER[fmi]}/{model.name}.so": _compile(
-            model.name, sources, compiled
-        ),
+        **_binaries(model.name, fmi, chosen, sources, compiled),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **{f"resources/{name}": content for name, content in model.resources.items()},
     }
@@ -69,7 +76,9 @@ def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
     """C files and headers of the FMU, `model.h` excepted (it holds the token of the rest)."""
     own = resources.files(__package__) / "c"
     headers = resources.files("fmpy") / "c-code"
-    texts = {name: (own / name).read_text() for name in ("core.c", "core.h", f"fmi{fmi}.c")}
+    texts = {
+        name: (own / name).read_text() for name in ("core.c", "core.h", "noise.h", f"fmi{fmi}.c")
+    }
     texts |= {name: (headers / name).read_text() for name in _HEADERS[fmi]}
     texts["model.c"] = model.source
     texts["tables.c"] = _tables(model)
@@ -133,25 +142,59 @@ def _tables(model: FmuModel) -> str:
     )
 
 
-def _compile(name: str, sources: Mapping[str, str], compiled: Iterable[str]) -> bytes:
+def _binaries(
+    name: str,
+    fmi: int,
+    platforms: tuple[Platform, ...],
+    sources: Mapping[str, str],
+    compiled: Iterable[str],
+) -> dict[str, bytes]:
+    """Archive members of the shared libraries."""
+    made = {
+        platform: _compile(name, PLATFORMS[platform], compiler, sources, compiled)
+        for platform, compiler in compilers(platforms).items()
+    }
+    members = {f"binaries/{p.folders[fmi]}/{name}{p.suffix}": made[p.name] for p in platforms}
+    if fmi == 2 and {"darwin64", "darwin-arm64"} <= made.keys():
+        # FMI 2 tools look for darwin64 on every Mac, so the binary there serves both kinds.
+        members[f"binaries/darwin64/{name}.dylib"] = universal_binary(
+            made["darwin64"], made["darwin-arm64"]
+        )
+    return members
+
+
+def _compile(
+    name: str,
+    platform: Platform,
+    compiler: Compiler,
+    sources: Mapping[str, str],
+    compiled: Iterable[str],
+) -> bytes:
     """Shared library of the sources, from the cache when the same was compiled before."""
-    compiler = _compiler()
-    digest = hashlib.sha256(repr((name, CFLAGS, _compiler_version(compiler))).encode())
-    for file in sorted(sources):
-        digest.update(file.encode() + sources[file].encode())
-    cached = cache_folder() / f"{digest.hexdigest()}.so"
+    file = f"{name}{platform.suffix}"
+    digest = hashlib.sha256(repr((file, CFLAGS, compiler.identity)).encode())
+    for source in sorted(sources):
+        digest.update(source.encode() + sources[source].encode())
+    cached = cache_folder() / f"{digest.hexdigest()}{platform.suffix}"
     if cached.is_file():
         return cached.read_bytes()
+    cached.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        for file, text in sources.items():
-            Path(folder, file).write_text(text)
+        for source, text in sources.items():
+            Path(folder, source).write_text(text)
         # Relative names and a fixed order: nothing of this machine enters the binary.
-        command = [compiler, *CFLAGS, "-shared", "-s", "-o", f"{name}.so", *compiled, "-lm"]
-        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        command = [*compiler.command, *CFLAGS, "-shared", "-s", "-o", file, *compiled, "-lm"]
+        environment = {
+            **os.environ,
+            "ZIG_GLOBAL_CACHE_DIR": str(cache_folder().absolute() / "zig"),  # its system libraries
+            "ZIG_LOCAL_CACHE_DIR": str(Path(folder, "zig")),
+        }
+        result = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
         if result.returncode != 0:
             raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
-        binary = Path(folder, f"{name}.so").read_bytes()
-    cached.parent.mkdir(parents=True, exist_ok=True)
+        binary = Path(folder, file).read_bytes()
     partial = cached.with_suffix(f".{os.getpid()}")
     partial.write_bytes(binary)
     partial.replace(cached)
@@ -163,24 +206,6 @@ def cache_folder() -> Path:
     return Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
 
 
-def _compiler() -> str:
-    name = os.environ.get("CC", "cc")
-    found = shutil.which(name)
-    if found is None:
-        raise FmuError(
-            f"No C compiler: {name!r} is not on the path. Install one (Debian: apt install gcc) "
-            f"or set CC."
-        )
-    return found
-
-
-@lru_cache
-def _compiler_version(compiler: str) -> str:
-    return subprocess.run(
-        [compiler, "--version"], capture_output=True, text=True, check=False
-    ).stdout
-
-
 def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
@@ -189,6 +214,6 @@ def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             info.compress_type = zipfile.ZIP_DEFLATED
             info.create_system = 3
-            info.external_attr = (0o755 if name.endswith(".so") else 0o644) << 16
+            info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, members[name])
     partial.replace(path)

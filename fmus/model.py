@@ -49,8 +49,36 @@ def component_model(component: Component) -> FmuModel:
         state_names=tuple(s.name for s in component.states),
         source=_kernel_source(component),
         max_step_s=component.max_step_s,
+        defines=_sampling_defines(component),
     )
 
+
+def _sampling_defines(component: Component) -> dict[str, int]:
+    sampling = component.sampling
+    if sampling is None:
+        return {}
+    reference = {v.name: i for i, v in enumerate(component.variables, start=1)}
+    return {
+        "SAMPLE_PERIOD": reference[sampling.period],
+        "SEED": reference[sampling.seed or sampling.period],
+        "N_NOISE": sampling.channels,
+        "STREAM": sampling.stream,
+    }
+
+
+_FIRST_NOISE = """double noise[N_NOISE + 1];
+    standard_normal((uint64_t)s->v[SEED], STREAM, N_NOISE, 0, noise);"""
+
+_UPDATE = """\
+void model_update(const State* s, const void* data, const double* noise, double* x_next) {{
+    (void)data;
+    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS, noise}};
+    double* res[{results}] = {{x_next}};
+    int iw[{integers}];
+    double w[{work}];
+    update(arg, res, iw, w, 0);
+}}
+"""
 
 _SHORTCUT = """\
     double cheap = 0;
@@ -66,6 +94,8 @@ _SHORTCUT = """\
 
 def _kernel_source(component: Component) -> str:
     functions = [component.initial, component.step, component.outputs, *_tangents(component)]
+    if component.sampling is not None:
+        functions.append(component.sampling.update)
     if component.shortcut is not None:
         functions += [component.shortcut.holds, component.shortcut.step]
     generator = ca.CodeGenerator(
@@ -82,9 +112,16 @@ def _kernel_source(component: Component) -> str:
         for f in functions
     )
     shortcut = "" if component.shortcut is None else _SHORTCUT
+    update = (
+        ""
+        if component.sampling is None
+        else _UPDATE.format(arguments=arguments, results=results, integers=integers, work=work)
+    )
+    noise_header = "" if component.sampling is None else '#include "noise.h"\n'
+    noise = "const double noise[1] = {0};" if component.sampling is None else _FIRST_NOISE
     return f"""\
 #include "core.h"
-
+{noise_header}
 /* Internal linkage for the kernels, so that the compiler can fold them into their callers. */
 {prototypes}
 
@@ -130,7 +167,8 @@ void model_tangent(const State* s, const void* data, int initializing, double* c
     (void)data;
     const double* d_p = change + 1;
     const double* d_u = change + FIRST_INPUT;
-    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS, d_u, d_p}};
+    {noise}
+    const double* arg[{arguments}] = {{s->x, INPUTS, PARAMETERS, d_u, d_p, noise}};
     double* res[{results}] = {{change + FIRST_OUTPUT}};
     int iw[{integers}];
     double w[{work}];
@@ -139,7 +177,7 @@ void model_tangent(const State* s, const void* data, int initializing, double* c
     else
         tangent(arg, res, iw, w, 0);
 }}
-"""
+{update}"""
 
 
 def _tangents(component: Component) -> list[ca.Function]:
@@ -155,12 +193,19 @@ def _tangents(component: Component) -> list[ca.Function]:
         )
     )
     known, change = ca.vertcat(u, p), ca.vertcat(du, dp)
+    w = ca.SX.sym("w", component.sampling.channels if component.sampling else 1)
     functions = []
-    for name, state in (("tangent", x), ("initial_tangent", component.initial(u, p))):
+    for name, state in (("tangent", x), ("initial_tangent", _first_state(component, u, p, w))):
         y = component.outputs(state, u, p)
         dy = ca.cse(ca.jtimes(y, known, change))
-        functions.append(ca.Function(name, [x, u, p, du, dp], [dy]))
+        functions.append(ca.Function(name, [x, u, p, du, dp, w], [dy]))
     return functions
+
+
+def _first_state(component: Component, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
+    """State at the start, the first sample instant included."""
+    x = component.initial(u, p)
+    return x if component.sampling is None else component.sampling.update(x, u, p, w)
 
 
 def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
@@ -176,8 +221,9 @@ def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:
     """Inputs and parameters that each output feels at the end of initialisation."""
     u = ca.SX.sym("u", len(component.inputs))
     p = ca.SX.sym("p", len(component.parameters))
-    y = component.outputs(component.initial(u, p), u, p)
-    f = ca.Function("f", [ca.vertcat(p, u)], [y])
+    w = ca.SX.sym("w", component.sampling.channels if component.sampling else 1)
+    y = component.outputs(_first_state(component, u, p, w), u, p)
+    f = ca.Function("f", [ca.vertcat(p, u), w], [y])
     names = [v.name for v in component.parameters + component.inputs]
     return {
         name: tuple(n for n, hit in zip(names, row, strict=True) if hit)

@@ -345,5 +345,7 @@ def _current(
         "hover_current", vehicle.battery.hover_current_a, "A", "Battery current in hover", minimum=0
     )
     share = mass * gravity / len(thrust_n)
-    load = sum((ca.fmax(t / share, 0.0) ** 1.5 for t in thrust_n), start=ca.SX(0))
+    loads = [ca.if_else(t > 0, t, 0.0) / share for t in thrust_n]
+    # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms.
+    load = sum((x * ca.sqrt(x) for x in loads), start=ca.SX(0))
     return hover * load / len(thrust_n)

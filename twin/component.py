@@ -7,8 +7,13 @@ native FMU, and the Jacobians. Equations have the form
 
 and are integrated by the classical Runge-Kutta method of fourth order (RK4) with the inputs
 held over the step, followed by an optional projection (a quaternion back to unit length).
+
+A sampled component also has memory that changes at the instants t_k = t_0 + k T alone, k = 0, 1,
+...: x(t_k+) = update(x(t_k-), u, p, w_k) with w_k standard normal draws that are a function of
+seed, component and k (`twin.noise`). `Run` is the reference of how all this is put together.
 """
 
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -20,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import ModelError
+from .noise import normal
 
 Array = NDArray[np.float64]
 Causality = Literal["parameter", "input", "output"]
@@ -54,7 +60,7 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A continuous state: integrated by the component, seen through its outputs."""
+    """A state, integrated by the component or, as memory, changed at its sample instants."""
 
     name: str
     unit: str
@@ -74,6 +80,25 @@ class Shortcut:
     step: ca.Function
 
 
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """What a component does at its sample instants.
+
+    Attributes:
+        period: Name of the parameter that holds T, s.
+        seed: Name of the parameter that seeds the noise; None without noise.
+        channels: Number of standard normal draws per instant.
+        stream: Tells the draws of this component from those of others with the same seed.
+        update: `(x, u, p, w) -> x`.
+    """
+
+    period: str
+    seed: str | None
+    channels: int
+    stream: int
+    update: ca.Function
+
+
 @dataclass(frozen=True)
 class Component:
     """Equations and interface table. Made by `ComponentBuilder`, never changed after.
@@ -83,6 +108,7 @@ class Component:
         derivatives: `(x, u, p) -> dx/dt`.
         step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
         outputs: `(x, u, p) -> y`.
+        sampling: What happens at sample instants; None: nothing does.
         shortcut: A cheaper way to the same step while a condition holds; None: there is none.
         max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
 
@@ -100,7 +126,8 @@ class Component:
     step: ca.Function
     outputs: ca.Function
     max_step_s: float
-    shortcut: "Shortcut | None" = None
+    shortcut: Shortcut | None = None
+    sampling: Sampling | None = None
 
     @property
     def variables(self) -> tuple[Variable, ...]:
@@ -156,6 +183,64 @@ class Component:
         return x
 
 
+class Run:
+    """One simulation of a component in Python, step for step what its FMU does.
+
+    Attributes:
+        x: State, shape (n_x,).
+    """
+
+    def __init__(self, component: Component, u: Array, p: Array, time_s: float = 0.0) -> None:
+        self.component, self.p = component, p
+        self.x = np.asarray(component.initial(u, p), dtype=np.float64).ravel()
+        self._start_s, self._count = time_s, 0
+        self._sample(u)
+
+    def step(self, time_s: float, step_s: float, u: Array) -> None:
+        """One communication step from a time on, with the inputs held."""
+        sampling, left_s = self.component.sampling, step_s
+        if sampling is None:
+            self.x = self.component.advance(self.x, u, self.p, step_s)
+            return
+        period_s = self._parameter(sampling.period)
+        slack_s = SAMPLE_TOLERANCE * period_s
+        now_s = time_s
+        while True:
+            ahead_s = self._start_s + (self._count + 1) * period_s - now_s
+            due = ahead_s <= left_s + slack_s
+            part_s = ahead_s if due and ahead_s < left_s - slack_s else left_s
+            if part_s > slack_s:
+                self.x = self.component.advance(self.x, u, self.p, part_s)
+            now_s, left_s = now_s + part_s, left_s - part_s
+            if not due:
+                break
+            self._count += 1
+            self._sample(u)
+
+    def outputs(self, u: Array) -> Array:
+        """Present outputs, shape (n_y,)."""
+        return np.asarray(self.component.outputs(self.x, u, self.p), dtype=np.float64).ravel()
+
+    def _sample(self, u: Array) -> None:
+        sampling = self.component.sampling
+        if sampling is None:
+            return
+        w = np.zeros(0)
+        if sampling.seed is not None:
+            seed = int(self._parameter(sampling.seed))
+            w = normal(seed, sampling.stream, sampling.channels, self._count, 1)[0]
+        self.x = np.asarray(sampling.update(self.x, u, self.p, w), dtype=np.float64).ravel()
+
+    def _parameter(self, name: str) -> float:
+        names = [v.name for v in self.component.parameters]
+        return float(self.p[names.index(name)])
+
+
+SAMPLE_TOLERANCE = 1e-6
+"""A sample instant that many periods from the end of a step lies at its end: communication points
+carry rounding errors."""
+
+
 def substeps(duration_s: float, max_step_s: float) -> tuple[int, float]:
     """Number and length of the equal RK4 steps in one communication step."""
     n = max(1, int(np.ceil(duration_s / max_step_s - 1e-6)))
@@ -202,6 +287,9 @@ class ComponentBuilder:
         self._rates: dict[str, ca.SX] = {}
         self._projections: dict[str, ca.SX] = {}
         self._idle: tuple[ca.SX, ca.SX, ca.SX] | None = None
+        self._updates: dict[str, ca.SX] = {}
+        self._period: str | None = None
+        self._noise: list[ca.SX] = []
 
     def parameter(
         self,
@@ -244,6 +332,41 @@ class ComponentBuilder:
         """Replace a state after each step by an expression of the states."""
         self._projections[name] = expression
 
+    def sampled(self, period_s: float, description: str) -> ca.SX:
+        """Make the component sampled, with the parameters `sample_period` and `seed`.
+
+        Returns:
+            Symbol of the sample period, s.
+        """
+        self._period = "sample_period"
+        period = self.parameter(
+            "sample_period", period_s, "s", description, minimum=1e-5, fixed=True
+        )
+        self.parameter(
+            "seed",
+            0.0,
+            "1",
+            "Seed of the noise, an integer",
+            minimum=0,
+            maximum=2.0**53,
+            fixed=True,
+        )
+        return period
+
+    def memory(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
+        """Declare a state that changes at sample instants only."""
+        return self.state(name, unit, description, initial)
+
+    def update(self, name: str, expression: ca.SX | float) -> None:
+        """Give the value of a memory from each sample instant on."""
+        self._updates[name] = ca.SX(expression)
+
+    def noise(self) -> ca.SX:
+        """A standard normal draw, new at each sample instant; for use in updates."""
+        symbol = ca.SX.sym(f"noise_{len(self._noise)}")
+        self._noise.append(symbol)
+        return symbol
+
     def idle_while(self, condition: ca.SX, step: ca.SX, switch: ca.SX) -> None:
         """Say when a parameter that switches equations on is as good as 0.
 
@@ -265,7 +388,7 @@ class ComponentBuilder:
         p = _column(symbol for _, symbol in table["parameter"])
         h = ca.SX.sym("h")
         x0 = _column(initial for _, _, initial in self._states.values())
-        rates = _column(self._rates[name] for name in self._states)
+        rates = _column(self._rates.get(name, ca.SX(0)) for name in self._states)
         projected = _column(
             self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
         )
@@ -294,6 +417,24 @@ class ComponentBuilder:
             outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
             max_step_s=self._max_step_s,
             shortcut=shortcut,
+            sampling=self._sampling(x, u, p),
+        )
+
+    def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
+        if self._period is None:
+            return None
+        after = _column(
+            self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+        w = _column(self._noise)
+        return Sampling(
+            period=self._period,
+            seed="seed" if self._noise else None,
+            channels=len(self._noise),
+            stream=zlib.crc32(self._name.encode()),
+            update=ca.Function(
+                "update", [x, u, p, w], [ca.cse(after)], ["x", "u", "p", "w"], ["x_next"]
+            ),
         )
 
     def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:

@@ -5,6 +5,9 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* As in the Python reference, twin/component.py. */
+#define SAMPLE_TOLERANCE 1e-6
+
 static int fail(Instance* c, const char* format, const char* name, double a, double b) {
     snprintf(c->message, sizeof c->message, format, name, a, b);
     return -1;
@@ -37,11 +40,33 @@ void core_free(Instance* c) {
     free(c);
 }
 
+#ifdef SAMPLE_PERIOD
+#include "noise.h"
+
+static void sample(Instance* c) {
+    State* s = &c->state;
+    double noise[N_NOISE + 1], next[N_STATES + 1];
+    standard_normal((uint64_t)s->v[SEED], STREAM, N_NOISE, (uint64_t)s->samples, noise);
+    model_update(s, c->data, noise, next);
+    memcpy(s->x, next, N_STATES * sizeof(double));
+}
+#endif
+
+/* States at the start, the first sample instant included. */
+static void begin(Instance* c) {
+    model_initial(&c->state, c->data, c->state.x);
+    c->state.start_time = c->state.v[0];
+    c->state.samples = 0;
+#ifdef SAMPLE_PERIOD
+    sample(c);
+#endif
+}
+
 int core_get(Instance* c, unsigned vr, double* value) {
     State* s = &c->state;
     if (vr >= N_VARIABLES) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
     if (vr >= FIRST_OUTPUT && s->outputs_stale) {
-        if (s->mode < STEPPING) model_initial(s, c->data, s->x);
+        if (s->mode < STEPPING) begin(c);
         model_outputs(s, c->data);
         for (unsigned i = FIRST_OUTPUT; i < N_VARIABLES; i++)
             if (!isfinite(s->v[i]))
@@ -88,9 +113,21 @@ static int check_finite(Instance* c) {
     return 0;
 }
 
+/* Integrate over a time without sample instants, in equal parts of at most MAX_STEP. */
+static void integrate(Instance* c, double h) {
+    State* s = &c->state;
+    double next[N_STATES + 1], n = ceil(h / MAX_STEP - 1e-6);
+    if (n < 1) n = 1;
+    double dt = h / n;
+    for (long k = 0; N_STATES > 0 && k < (long)n; k++) {
+        model_step(s, c->data, dt, next);
+        memcpy(s->x, next, N_STATES * sizeof(double));
+    }
+}
+
 int core_exit_initialization(Instance* c) {
     if (c->state.mode != INITIALIZING) return fail(c, "%sinitialization was not entered", "", 0, 0);
-    model_initial(&c->state, c->data, c->state.x);
+    begin(c);
     c->state.mode = STEPPING;
     c->state.outputs_stale = 1;
     return check_finite(c);
@@ -103,14 +140,24 @@ int core_step(Instance* c, double time, double h) {
         return fail(c, "%scommunication step size %g s must be positive", "", h, 0);
     if (!(fabs(time - s->v[0]) <= 1e-3 * h))
         return fail(c, "%sdoStep at %.9g s, but the FMU is at %.9g s", "", time, s->v[0]);
-    double n = ceil(h / MAX_STEP - 1e-6);
-    if (n < 1) n = 1;
-    if (n > 1e9) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
-    double dt = h / n, next[N_STATES + 1];
-    for (long k = 0; N_STATES > 0 && k < (long)n; k++) {
-        model_step(s, c->data, dt, next);
-        memcpy(s->x, next, N_STATES * sizeof(double));
+    if (h / MAX_STEP > 1e9) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
+#ifdef SAMPLE_PERIOD
+    const double period = s->v[SAMPLE_PERIOD], slack = SAMPLE_TOLERANCE * period;
+    double now = time, left = h;
+    for (;;) {
+        double ahead = s->start_time + (s->samples + 1) * period - now;
+        int due = ahead <= left + slack;
+        double part = due && ahead < left - slack ? ahead : left;
+        if (part > slack) integrate(c, part);
+        now += part;
+        left -= part;
+        if (!due) break;
+        s->samples += 1;
+        sample(c);
     }
+#else
+    integrate(c, h);
+#endif
     s->v[0] = time + h;
     s->outputs_stale = 1;
     return check_finite(c);

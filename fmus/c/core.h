@@ -8,7 +8,8 @@
 #define UAVTWIN_CORE_H
 
 #include <stddef.h>
-#include "model.h" /* N_VARIABLES, FIRST_INPUT, FIRST_OUTPUT, N_STATES, MAX_STEP, MODEL_TOKEN */
+#include "model.h" /* N_VARIABLES, FIRST_INPUT, FIRST_OUTPUT, N_STATES, MAX_STEP, MODEL_TOKEN; for a
+                      sampled model also SAMPLE_PERIOD and SEED (value references), N_NOISE, STREAM */
 
 enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT };
 
@@ -26,6 +27,8 @@ enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
 typedef struct {
     double v[N_VARIABLES];
     double x[N_STATES + 1];
+    double start_time;
+    double samples; /* sample instants since the start */
     int mode;
     int outputs_stale;
 } State;
@@ -39,6 +42,8 @@ void model_close(void* data);
 void model_initial(const State* s, const void* data, double* x);
 void model_step(const State* s, const void* data, double h, double* x_next);
 void model_outputs(State* s, void* data);
+/* State after a sample instant, given N_NOISE standard normal draws. */
+void model_update(const State* s, const void* data, const double* noise, double* x_next);
 /* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
  * variable; the entries of parameters and inputs are read, those of outputs written. At the end of
  * initialization the initial states change too. */

@@ -26,12 +26,24 @@ typedef struct {
     Signal signals[N_SIGNALS];
 } Record;
 
+/* Windows takes UTF-8 paths, which FMI prescribes, in its wide functions alone. */
+#ifdef _WIN32
+__declspec(dllimport) int __stdcall MultiByteToWideChar(unsigned page, unsigned long flags, const char* text,
+                                                        int size, wchar_t* wide, int wide_size);
+static FILE* open_read(const char* path) {
+    wchar_t wide[4200];
+    return MultiByteToWideChar(65001 /* UTF-8 */, 0, path, -1, wide, 4200) ? _wfopen(wide, L"rb") : NULL;
+}
+#else
+static FILE* open_read(const char* path) { return fopen(path, "rb"); }
+#endif
+
 int model_open(const char* resources, void** data, char* message, size_t size) {
     char path[4200];
     size_t length = strlen(resources);
     const char* slash = length && (resources[length - 1] == '/' || resources[length - 1] == '\\') ? "" : "/";
     snprintf(path, sizeof path, "%s%srecord.bin", resources, slash);
-    FILE* file = fopen(path, "rb");
+    FILE* file = open_read(path);
     if (!file) {
         snprintf(message, size, "cannot open the recorded flight %.200s", path);
         return -1;

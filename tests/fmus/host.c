@@ -2,12 +2,21 @@
  * FMU, changes one start value, makes 1000 steps of 1 ms and prints the outputs with every bit.
  * On the way it is refused a few times, resets, saves its state as bytes and comes back to it.
  *
- *     host LIBRARY TOKEN RESOURCES CHANGED VALUE FIRST COUNT
+ *     host LIBRARY TOKEN RESOURCES CHANGED VALUE FIRST COUNT [STEPS INPUTS]
  *
  * CHANGED is the value reference of the start value, 0 for none; the outputs have the value
- * references FIRST .. FIRST + COUNT - 1.
+ * references FIRST .. FIRST + COUNT - 1. With INPUTS, the value references before FIRST are inputs and
+ * change in each step.
  */
+#ifdef _WIN32
+#define WIN32_LEAN_AND_MEAN
+#include <windows.h>
+#define dlopen(PATH, MODE) ((void*)LoadLibraryA(PATH))
+#define dlsym(LIBRARY, NAME) ((void*)GetProcAddress((HMODULE)(LIBRARY), NAME))
+#define dlclose(LIBRARY) FreeLibrary((HMODULE)(LIBRARY))
+#else
 #include <dlfcn.h>
+#endif
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -81,27 +90,36 @@ static int read(const char* b, size_t n, void** s) {
 #endif
 
 int main(int argc, char** argv) {
-    must(argc == 8, "seven arguments");
+    must(argc == 8 || argc == 10, "seven or nine arguments");
     unsigned vr[256], changed = (unsigned)atoi(argv[4]), bad = 99999, count = (unsigned)atoi(argv[7]);
-    double start = atof(argv[5]), y[256], again[256];
+    unsigned inputs = argc > 8 ? (unsigned)atoi(argv[9]) : 0, input_vr[64];
+    int all = argc > 8 ? atoi(argv[8]) : 1000;
+    double start = atof(argv[5]), y[256], again[256], middle[64], u;
     char bytes[1 << 16];
     size_t size;
     void *saved = NULL, *rebuilt = NULL;
-    must(count <= 256, "at most 256 outputs");
+    must(count <= 256 && inputs <= 64, "at most 256 outputs and 64 inputs");
     for (unsigned i = 0; i < count; i++) vr[i] = (unsigned)atoi(argv[6]) + i;
+    for (unsigned i = 0; i < inputs; i++) input_vr[i] = vr[0] - inputs + i;
     library = dlopen(argv[1], RTLD_NOW | RTLD_LOCAL);
     must(library != NULL, "dlopen");
     must(instantiate("wrong", argv[3]) == NULL, "refusal of a wrong token");
     c = instantiate(argv[2], argv[3]);
     must(c != NULL, "instantiate");
 
-    for (int steps = 10; steps <= 1000; steps *= 100) { /* once in vain, then after a reset */
+    for (int steps = 10; steps; steps = steps == 10 ? all : 0) { /* once in vain, then after a reset */
         must(step(0) != 0, "refusal of a step before initialization");
         if (changed) must(set(&changed, 1, &start) == 0, "set");
         must(enter() == 0 && F(ExitInitializationMode)(c) == 0, "initialization");
+        if (inputs) must(get(input_vr, inputs, middle) == 0, "get the inputs");
         for (int k = 0; k < steps; k++) {
+            for (unsigned i = 0; i < inputs; i++) { /* around the start value, or between 0.5 and 0.6 */
+                u = ((unsigned)k * 7919u + i * 1009u) % 4096u / 40960.0;
+                u = middle[i] != 0 ? middle[i] * (0.95 + u) : 0.5 + u;
+                must(set(&input_vr[i], 1, &u) == 0, "set an input");
+            }
             must(step(k * 1e-3) == 0 && get(vr, count, y) == 0, "step");
-            for (unsigned i = 0; steps == 1000 && i < count; i++) printf("%.17g\n", y[i]);
+            for (unsigned i = 0; steps == all && i < count; i++) printf("%.17g\n", y[i]);
             if (k != 500) continue;
             must(save(&saved) == 0 && size_of(saved, &size) == 0 && size <= sizeof bytes, "save");
             must(write(saved, bytes, size) == 0, "serialize");

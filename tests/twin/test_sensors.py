@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 from scipy.spatial.transform import Rotation
 
 from twin.battery import battery
+from twin.component import Run
 from twin.errors import ModelError
 from twin.imu import imu
 from twin.vehicle_file import load_vehicle
@@ -171,3 +172,28 @@ def test_hover_draws_the_hover_current() -> None:
     light = Rig(airframe(replace(vehicle, mass_kg=vehicle.mass_kg / 2)), {"mass": 0.027})
     drawn = light.outputs(light.state(), light.inputs())["ibat_a"]
     assert drawn == pytest.approx(2.1 * 0.5**1.5, rel=1e-6)
+
+
+def test_noise_and_bias_walk_of_the_imu() -> None:
+    """White noise has the size asked for; the walk's spread grows with the root of time."""
+    sensor = imu(load_vehicle("copter_default"))
+    changes = {"acc_noise": 0.2, "gyro_bias_walk": 0.5, "sample_period": 0.01}
+    u = sensor.input_values()
+    acc, gyro = [], []
+    for seed in range(40):
+        run = Run(sensor, u, sensor.parameter_values({**changes, "seed": seed}))
+        for k in range(100):
+            run.step(k * 0.01, 0.01, u)
+            acc.append(run.outputs(u)[:3])
+        gyro.append(run.outputs(u)[3:])
+    assert np.std(acc) == pytest.approx(0.2, rel=0.03)
+    assert np.std(gyro) == pytest.approx(0.5 * np.sqrt(1.01), rel=0.2)  # 120 walks of 101 steps
+    assert np.ptp([sensor.outputs(run.x, u, run.p)[i] for i in range(3)]) > 0  # axes differ
+
+
+def test_an_imu_without_noise_is_the_ideal_one() -> None:
+    sensor = imu(load_vehicle("copter_default"))
+    u = sensor.input_values({"specific_force_z": -9.8})
+    run = Run(sensor, u, sensor.parameter_values({"seed": 4}))
+    run.step(0.0, 0.01, u)
+    assert run.outputs(u).tolist() == [0.0, 0.0, -9.8, 0.0, 0.0, 0.0]

@@ -1,0 +1,139 @@
+"""Platforms of an FMU: the folder of each binary and the compiler that makes it."""
+
+import importlib.metadata
+import importlib.util
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from twin.component import unknown_name
+from twin.errors import FmuError
+
+
+@dataclass(frozen=True, slots=True)
+class Platform:
+    """Where an FMU runs.
+
+    Attributes:
+        folders: Folder below `binaries`, by FMI version. FMI 2 names x86 alone; for ARM the tuple
+            of FMI 3 stands in.
+        suffix: Of the shared library.
+        target: What zig calls it, with the oldest system that still runs it.
+    """
+
+    name: str
+    folders: Mapping[int, str]
+    suffix: str
+    target: str
+
+
+PLATFORMS = {
+    p.name: p
+    for p in (
+        Platform("linux64", {2: "linux64", 3: "x86_64-linux"}, ".so", "x86_64-linux-gnu.2.17"),
+        Platform(
+            "aarch64-linux",
+            {2: "aarch64-linux", 3: "aarch64-linux"},
+            ".so",
+            "aarch64-linux-gnu.2.17",
+        ),
+        Platform("win64", {2: "win64", 3: "x86_64-windows"}, ".dll", "x86_64-windows-gnu"),
+        Platform("darwin64", {2: "darwin64", 3: "x86_64-darwin"}, ".dylib", "x86_64-macos.11.0"),
+        Platform(
+            "darwin-arm64",
+            {2: "aarch64-darwin", 3: "aarch64-darwin"},
+            ".dylib",
+            "aarch64-macos.11.0",
+        ),
+    )
+}
+DEFAULT = ("linux64",)
+
+
+@dataclass(frozen=True, slots=True)
+class Compiler:
+    """How to call a compiler for one platform.
+
+    Attributes:
+        command: Program and leading arguments.
+        identity: Text that changes when the compiler would make other bytes.
+    """
+
+    command: tuple[str, ...]
+    identity: str
+
+
+def select_platforms(names: Iterable[str]) -> tuple[Platform, ...]:
+    """The platforms of these names, each once and in table order; `all` means every one.
+
+    Raises:
+        FmuError: An unknown name, or none at all.
+    """
+    wanted = set(names)
+    for name in sorted(wanted - {"all"}):
+        if name not in PLATFORMS:
+            raise FmuError(unknown_name("FMU", "platform", name, (*PLATFORMS, "all")))
+    if not wanted:
+        raise FmuError(f"FMU: no platform given. Known: {', '.join(PLATFORMS)}, all.")
+    return tuple(p for p in PLATFORMS.values() if p.name in wanted or "all" in wanted)
+
+
+def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
+    """Compiler of each platform: the machine's own for linux64 alone, else zig for all of them.
+
+    So all binaries of one FMU come from one compiler.
+
+    Raises:
+        FmuError: The compiler is not installed.
+    """
+    if tuple(p.name for p in platforms) == DEFAULT:
+        return {DEFAULT[0]: _machine_compiler()}
+    if importlib.util.find_spec("ziglang") is None:
+        names = ", ".join(p.name for p in platforms)
+        raise FmuError(
+            f"Building for {names} needs the zig compiler, which is not installed: "
+            f"pip install uavtwin[cross]. Without it: linux64 alone, with the machine's compiler."
+        )
+    version = importlib.metadata.version("ziglang")
+    zig = (sys.executable, "-m", "ziglang", "cc", "-target")
+    return {p.name: Compiler((*zig, p.target), f"zig {version} {p.target}") for p in platforms}
+
+
+def universal_binary(x86_64: bytes, arm64: bytes) -> bytes:
+    """One Mach-O file of two architectures (what `lipo -create` makes).
+
+    Source: Apple, mach-o/fat.h; big endian, slices aligned to the page of ARM, 2**14 bytes.
+    """
+    align = 14
+    content = b""
+    header = struct.pack(">II", 0xCAFEBABE, 2)
+    for binary in (x86_64, arm64):
+        cpu_type, cpu_subtype = struct.unpack_from("<II", binary, 4)
+        content += b"\0" * (-len(content) % 2**align)
+        offset = 2**align + len(content)
+        header += struct.pack(">IIIII", cpu_type, cpu_subtype, offset, len(binary), align)
+        content += binary
+    return header.ljust(2**align, b"\0") + content
+
+
+def _machine_compiler() -> Compiler:
+    name = os.environ.get("CC", "cc")
+    found = shutil.which(name)
+    if found is None:
+        raise FmuError(
+            f"No C compiler: {name!r} is not on the path. Install one (Debian: apt install gcc) "
+            f"or set CC."
+        )
+    return Compiler((found,), _compiler_version(found))
+
+
+@lru_cache
+def _compiler_version(compiler: str) -> str:
+    return subprocess.run(
+        [compiler, "--version"], capture_output=True, text=True, check=False
+    ).stdout
