@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 
 from fmus.inspect import inspect_fmu
-from twin.errors import TwinError
+from twin.airframe import airframe
+from twin.errors import ModelError, TwinError
 from twin.flightlog import Flight, read_flight
 from twin.flightlog.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.vehicle_fields import FIELDS
@@ -53,6 +55,8 @@ def check_file(path: Path) -> CheckReport:
     Raises:
         TwinError: It cannot be read as anything known.
     """
+    if path.is_dir():
+        raise TwinError(f"{path}: is a folder; name the files in it.")
     if not path.is_file():
         raise TwinError(f"{path}: no such file.")
     with path.open("rb") as file:
@@ -67,7 +71,8 @@ def check_file(path: Path) -> CheckReport:
 def _check_fmu(path: Path) -> CheckReport:
     report = inspect_fmu(path)
     uses = []
-    if not report.problems and "co-simulation" in report.facts["format"]:
+    runs_here = report.facts["platforms"] != "none"
+    if runs_here and not report.problems and "co-simulation" in report.facts["format"]:
         uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
     return CheckReport(path.name, report.facts, report.problems, (), tuple(uses))
 
@@ -78,7 +83,18 @@ def _check_vehicle(path: Path) -> CheckReport:
     given = {k: s for k, s in vehicle.sources.items() if not s.startswith("default:")}
     facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
     notes = tuple(f"{k}: {s}" for k, s in vehicle.sources.items() if s.startswith("default:"))
-    return CheckReport(path.name, facts, vehicle.doubts, notes, ("gap, demo, export",))
+    arm = max(float(np.hypot(x, y)) for x, y, _ in vehicle.rotors.position_m)
+    facts["rotors"] = f"{vehicle.rotors.count}, arm {arm:.4g} m"
+    try:
+        body = airframe(vehicle)
+    except ModelError as error:
+        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), notes, ())
+    trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
+    facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
+        " rad/s" if vehicle.drive == "rotor_speed" else ""
+    )
+    uses = "gap, export" if vehicle.drive == "rotor_speed" else "gap, demo, export"
+    return CheckReport(path.name, facts, vehicle.doubts, notes, (uses,))
 
 
 def _check_flight(path: Path) -> CheckReport:
@@ -96,9 +112,8 @@ def _check_flight(path: Path) -> CheckReport:
             if f.severity in severities
         )
 
-    return CheckReport(
-        path.name, facts, said(("warning", "error")), said(("info",)), tuple(_uses(flight))
-    )
+    notes = tuple(f"warning: {text}" for text in said(("warning",))) + said(("info",))
+    return CheckReport(path.name, facts, said(("error",)), notes, tuple(_uses(flight)))
 
 
 def _uses(flight: Flight) -> list[str]:

@@ -56,7 +56,14 @@ def main() -> None:
     except TwinError as error:
         _stderr.print(f"error: {error}", style="red", markup=False)
         sys.exit(Exit.WRONG_USE)
-    except KeyboardInterrupt:
+    except OSError as error:
+        _stderr.print(
+            f"error: {error.filename or 'output'}: {error.strerror}", style="red", markup=False
+        )
+        sys.exit(Exit.WRONG_USE)
+    except (KeyboardInterrupt, SystemError) as error:
+        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise  # an interrupt inside CasADi comes out as a SystemError
         _stderr.print("interrupted")
         sys.exit(130)
 
@@ -127,13 +134,15 @@ def gap(
     write_run(out, "gap", options, inputs)
     _print_gap(gaps, out, as_json)
     damaged = _print_damage(flights)
-    if damaged:
+    if damaged or not any(g.channels for g in gaps):
         raise typer.Exit(Exit.FINDINGS)
 
 
 @app.command()
 def demo(
-    seed: Annotated[int, typer.Option(help="Draws the hidden effect and the sensor noise.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Draws the hidden effect and the sensor noise.")
+    ] = 1,
     vehicle: VehicleName = "copter_default",
     out: Out = Path("demo"),
     force: Force = False,

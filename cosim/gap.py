@@ -84,8 +84,7 @@ def prepare(flight: Flight, vehicle: Vehicle) -> Twin:
     airborne = _airborne(vehicle, body, inputs, motion, phases)
     if not airborne.any():
         raise LogError(
-            f"{flight.name}: never airborne with {vehicle.name}: the commands never carry more "
-            f"than half of its weight above the ground. Check the vehicle file."
+            f"{flight.name}: never airborne with {vehicle.name}: {_why_grounded(motion, phases)}"
         )
     states = measured_states(body, motion, inputs)
     on_ground = float(np.mean(~airborne))
@@ -256,6 +255,26 @@ def _spans(t_s: Array, phases: NDArray[np.str_]) -> tuple[tuple[str, float, floa
     edges = [0, *changes.tolist(), len(t_s) - 1]
     return tuple(
         (str(phases[a]), float(t_s[a]), float(t_s[b])) for a, b in pairwise(edges) if phases[a]
+    )
+
+
+def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
+    """Way out for a flight without a sample in the air."""
+    if np.all(phases == "ground"):
+        return "the whole flight is in phase ground."
+    if motion.position is not None:
+        down = motion.position.values[:, 2]
+        if (
+            np.max(down) - down[0] > 5 * LIFT_OFF_HEIGHT_M
+            and down[0] - np.min(down) < LIFT_OFF_HEIGHT_M
+        ):
+            return (
+                f"pos_z rises to {np.max(down):.2f} m and never goes below its start. It counts "
+                f"down: is it an altitude?"
+            )
+    return (
+        "its rotors never carry half of the weight more than 0.1 m above the resting place. Check "
+        "the vehicle file, the scale of the commands and the length of the record."
     )
 
 

@@ -22,6 +22,7 @@ from plotly.subplots import make_subplots
 
 from twin.residuals import (
     SLOW_HZ,
+    UNKNOWN_PHASE,
     Channel,
     FlightGap,
     Ranked,
@@ -138,7 +139,7 @@ def claim(places: Sequence[Ranked]) -> str:
         return "There is nothing to compare: no channel has enough finite samples."
     worst = places[0]
     where = f"{worst.channel} ({describe(worst.channel)})"
-    if worst.phase:
+    if worst.phase and worst.phase != UNKNOWN_PHASE:
         where += f" during {worst.phase}"
     size = f"{_number(worst.score.rms)} {_unit(worst.unit)} rms, {_percent(worst.score.share)}"
     if worst.weight < AGREEMENT:

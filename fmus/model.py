@@ -225,9 +225,13 @@ def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:
     y = component.outputs(_first_state(component, u, p, w), u, p)
     f = ca.Function("f", [ca.vertcat(p, u), w], [y])
     names = [v.name for v in component.parameters + component.inputs]
+    pattern = _pattern(f, 0, len(names))
+    if component.sampling is not None and component.sampling.seed is not None:
+        noisy = _pattern(f, 1, component.sampling.channels).any(axis=1)
+        pattern[:, names.index(component.sampling.seed)] |= noisy
     return {
         name: tuple(n for n, hit in zip(names, row, strict=True) if hit)
-        for name, row in zip(component.output_names, _pattern(f, 0, len(names)), strict=True)
+        for name, row in zip(component.output_names, pattern, strict=True)
     }
 
 

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 RATE_CUTOFF_HZ = 30.0
 """Zero-phase low-pass of measured body rates before they become a state or are differentiated.
 Above it there is rotor vibration (28 Hz and more in the X150 logs), not motion of the body."""
+AGREEMENT_HZ = 3.0
+"""Below it attitude and gyroscope are compared."""
 LONGEST_GAP_INTERVALS = 5.0
 """A pause of more than so many median intervals is a gap: no state is made up inside it."""
 LONGEST_GAP_S = 0.25
@@ -63,6 +65,7 @@ class MeasuredMotion:
 
     Attributes:
         rates: Body rates low-passed at `RATE_CUTOFF_HZ`, rad/s.
+        rates_measured: Whether a gyroscope measured them; else they come from the attitude.
         notes: What was derived or is missing, for the report.
     """
 
@@ -70,6 +73,7 @@ class MeasuredMotion:
     velocity: Signal | None
     attitude: Signal | None
     rates: Signal | None
+    rates_measured: bool
     notes: tuple[str, ...]
 
 
@@ -84,6 +88,7 @@ def measured_motion(flight: Flight) -> MeasuredMotion:
     gyro = _signal(flight, GYRO)
     if attitude is not None:
         attitude = _continuous(attitude)
+    measured = gyro is not None
     if velocity is None and position is not None and len(position.t_s) > 9:
         velocity = _derivative(position)
         notes.append("velocity derived from position (Savitzky-Golay, 9 samples)")
@@ -103,7 +108,9 @@ def measured_motion(flight: Flight) -> MeasuredMotion:
     if missing:
         notes.append(f"no {', no '.join(missing)}: channels that need them are left out")
     rates = None if gyro is None else Signal(gyro.t_s, zero_phase(gyro, RATE_CUTOFF_HZ))
-    return MeasuredMotion(position, velocity, attitude, rates, tuple(notes))
+    if measured and rates is not None and attitude is not None:
+        notes += _attitude_doubt(attitude, rates)
+    return MeasuredMotion(position, velocity, attitude, rates, measured, tuple(notes))
 
 
 def zero_phase(signal: Signal, cutoff_hz: float) -> Array:
@@ -145,3 +152,28 @@ def _rates_of(attitude: Signal) -> Signal:
     step = rotation_vector(attitude.values[1:], attitude.values[:-1])
     dt = np.diff(attitude.t_s)[:, None]
     return Signal((attitude.t_s[1:] + attitude.t_s[:-1]) / 2, step / dt)
+
+
+def _attitude_doubt(attitude: Signal, rates: Signal) -> list[str]:
+    """A warning when attitude and gyroscope turn in different ways.
+
+    Both pass a low-pass at `AGREEMENT_HZ` and are correlated; a conjugated quaternion, one in the
+    order x, y, z, w or one of other axes gives little or nothing.
+    """
+    if len(attitude.t_s) < 40 or attitude.rate_hz < 5 * AGREEMENT_HZ:
+        return []
+    turning = _rates_of(attitude)
+    slow = zero_phase(turning, AGREEMENT_HZ)
+    gyro = Signal(rates.t_s, zero_phase(rates, AGREEMENT_HZ)).at(turning.t_s)
+    known = np.all(np.isfinite(gyro) & np.isfinite(slow), axis=1)
+    a, b = slow[known], gyro[known]
+    size = float(np.sqrt(np.mean(b**2))) if known.any() else 0.0
+    if size < 0.05:
+        return []
+    agreement = float(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b) + 1e-30))
+    if agreement > 0.5:
+        return []
+    return [
+        f"attitude and gyroscope do not turn together (correlation {agreement:.2f}): check that q "
+        f"is [w, x, y, z], body to NED, and that both use forward-right-down axes"
+    ]

@@ -230,7 +230,7 @@ def teacher_forced_channels(
         for i, name in enumerate(ACC):
             predicted = _sampled(t_s, readings[:, names.index(name)], t[inside])
             add(name, "m/s²", t[inside], acc[inside, i], predicted)
-    if motion.rates is not None:
+    if motion.rates is not None and motion.rates_measured:
         inside = (motion.rates.t_s >= t_s[0]) & (motion.rates.t_s <= t_s[-1])
         t = motion.rates.t_s[inside]
         measured = differentiate(motion.rates)[inside]

@@ -139,6 +139,8 @@ def random_starts(kind: str, rng: np.random.Generator) -> dict[str, float]:
             starts[name] = 1e-6 * rng.standard_normal()  # small, so that it stays invertible
         if name.startswith(("wind", "initial.vel", "initial.omega")):
             starts[name] = rng.standard_normal()
+    if "seed" in starts:
+        starts["seed"] = float(rng.integers(100))
     if "ground.enabled" in starts and rng.random() < 0.7:
         starts["ground.enabled"] = 1.0
         starts["initial.pos_z"] = starts["ground.z"]  # the feet are a leg's length in the ground
@@ -146,6 +148,8 @@ def random_starts(kind: str, rng: np.random.Generator) -> dict[str, float]:
 
 
 def nudged(kind: str, name: str, value: float) -> float:
+    if name == "seed":
+        return value + 1
     variable = next(v for v in component(kind).variables if v.name == name)
     if variable.boolean:
         return 1.0 - value
