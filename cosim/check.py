@@ -106,6 +106,7 @@ def _check_flight(path: Path) -> CheckReport:
     }
 
     def said(severities: tuple[str, ...]) -> tuple[str, ...]:
+        """Findings of these severities, a line each."""
         return tuple(
             f"{f.where}: {f.message}" + (f" ({f.count})" if f.count > 1 else "")
             for f in flight.findings

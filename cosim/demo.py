@@ -139,6 +139,7 @@ def _record(
             table[column] = inputs[:, i]
 
     def sample(columns: list[str], values: Array, noise: float, every: int) -> None:
+        """Add noise to the truth, and keep every so many samples."""
         noisy = values + noise * rng.standard_normal(values.shape)
         if columns[0] == "q_w":
             noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)

@@ -120,6 +120,7 @@ def _tables(model: FmuModel) -> str:
     """Interface table and state names as C data."""
 
     def row(v: Variable) -> str:
+        """One line of the C table."""
         causality = {
             "parameter": "FIXED_PARAMETER" if v.fixed else "PARAMETER",
             "input": "INPUT",

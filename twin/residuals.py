@@ -98,11 +98,6 @@ class Score:
     rms_ci95: tuple[float, float]
     dropped: int = 0
 
-    @property
-    def slow_share(self) -> float:
-        """Share of the signal that the slow part of the residual makes up."""
-        return self.share * self.slow_rms / self.rms if self.rms > 0 else self.share
-
 
 @dataclass(frozen=True, slots=True)
 class Summary:

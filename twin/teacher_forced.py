@@ -215,6 +215,7 @@ def teacher_forced_channels(
     channels: list[Channel] = []
 
     def add(name: str, unit: str, t: Array, measured: Array, predicted: Array) -> None:
+        """Keep the samples in the air at which both sides are known."""
         near = np.clip(np.searchsorted(t_s, t), 0, len(t_s) - 1)
         good = airborne[near] & np.isfinite(measured) & np.isfinite(predicted)
         if good.any():

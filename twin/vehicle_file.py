@@ -72,6 +72,7 @@ class _Reader:
         self.doubts: list[str] = []
 
     def vehicle(self) -> Vehicle:
+        """The vehicle of the file, everything checked."""
         self._check_keys()
         mass = float(self._number("body.mass"))
         drag = self._vector("body.drag_linear", 3, mass_kg=mass)

@@ -17,7 +17,8 @@ SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 CHANGED, VALUE = "initial.omega_x", 0.3
 
 
-def cc(*arguments: object, cwd: Path | None = None) -> None:
+def cc(*arguments: object, cwd: Path | None = None) -> str:
+    """Compile, and return what the compiler had to say."""
     result = subprocess.run(
         ["cc", "-std=c99", *map(str, arguments)],
         cwd=cwd,
@@ -26,6 +27,7 @@ def cc(*arguments: object, cwd: Path | None = None) -> None:
         check=False,
     )
     assert result.returncode == 0, result.stderr
+    return result.stderr
 
 
 def compile_host(folder: Path, fmi: int, *flags: str) -> Path:
@@ -132,7 +134,7 @@ def test_sources_in_the_fmu_compile_without_warning(
         generated = path.name == "model.c" and kind != "replay"
         lenient = ["-Wno-unused-parameter"] if generated else []
         optimise = ["-O1"] if generated else []  # time
-        cc(*strict, *optimise, *lenient, path, "-o", tmp_path / "o.o")
+        assert cc(*strict, *optimise, *lenient, path, "-o", tmp_path / "o.o") == ""
 
 
 def sanitized(folder: Path, out: Path) -> Path:

@@ -173,4 +173,5 @@ def test_any_record_however_short_gives_strict_json(n: int, bad: list[tuple[int,
         simulated=channel.simulated[:n],
         phase=channel.phase[:n],
     )
-    json.dumps(gap_json([gap(cut)]), allow_nan=False)
+    report = json.loads(json.dumps(gap_json([gap(cut)]), allow_nan=False))
+    assert report["channels"]["acc_z"]["n"] == int(np.isfinite(measured).sum())

@@ -83,6 +83,7 @@ def in_order(names: Iterable[str]) -> list[str]:
     rank = {c.name: k for k, c in enumerate(COLUMNS)}
 
     def key(name: str) -> tuple[int, int]:
+        """Rank of the definition, then number of the motor."""
         number = motor_number(name)
         if number is None:
             return rank[name], 0
