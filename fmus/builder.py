@@ -80,6 +80,7 @@ def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
         name: (own / name).read_text() for name in ("core.c", "core.h", "noise.h", f"fmi{fmi}.c")
     }
     texts |= {name: (headers / name).read_text() for name in _HEADERS[fmi]}
+    texts |= model.headers
     texts["model.c"] = model.source
     texts["tables.c"] = _tables(model)
     return texts
