@@ -79,9 +79,7 @@ def _kernel_header(functions: list[ca.Function]) -> str:
         f"static int {f.name()}(const double** arg, double** res, int* iw, double* w, int mem);"
         for f in functions
     )
-    linkage = (
-        "/* Internal linkage: the compiler can fold the kernels into their callers. */"
-    )
+    linkage = "/* Internal linkage: the compiler can fold the kernels into their callers. */"
     return f"{linkage}\n{prototypes}\n\n{generator.dump()}"
 
 
