@@ -16,7 +16,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .component import Component, ComponentBuilder
+from .component import Component
+from .component_builder import ComponentBuilder
 from .errors import ModelError
 from .frames import cross, quaternion_rate, to_body, to_ned
 from .ground import ground_wrench

@@ -1,6 +1,7 @@
 """Battery: open-circuit voltage that falls linearly with charge, behind an internal resistance."""
 
-from .component import Component, ComponentBuilder
+from .component import Component
+from .component_builder import ComponentBuilder
 from .errors import ModelError
 from .vehicle import Vehicle
 

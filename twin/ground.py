@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from .component import ComponentBuilder
+from .component_builder import ComponentBuilder
 from .frames import cross, to_body, to_ned
 from .vehicle import Vehicle
 

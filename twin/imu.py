@@ -14,7 +14,8 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from .component import Component, ComponentBuilder
+from .component import Component
+from .component_builder import ComponentBuilder
 from .frames import cross
 from .vehicle import Vehicle
 

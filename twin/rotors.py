@@ -15,7 +15,7 @@ from typing import Literal
 
 import casadi as ca
 
-from .component import ComponentBuilder
+from .component_builder import ComponentBuilder
 from .errors import ModelError
 from .vehicle import Rotors
 

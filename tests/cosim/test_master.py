@@ -18,7 +18,8 @@ from cosim.master import Algorithm, Master
 from cosim.system import Connection, System, connect
 from fmus import build, component_model, replay_model
 from twin.airframe import airframe
-from twin.component import Component, ComponentBuilder
+from twin.component import Component
+from twin.component_builder import ComponentBuilder
 from twin.errors import FmuError
 from twin.flightlog import Flight
 from twin.imu import imu

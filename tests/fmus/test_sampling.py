@@ -9,7 +9,8 @@ from kinds import Array, Instance, unzip
 from cosim.master import Master
 from cosim.system import System
 from fmus import build, component_model
-from twin.component import Component, ComponentBuilder, Run
+from twin.component import Component, Run
+from twin.component_builder import ComponentBuilder
 from twin.noise import normal
 
 PERIOD_S = 0.0035  # no multiple of the communication step

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from rig import BUILTIN
 
 from twin.airframe import airframe
-from twin.component import Component, ComponentBuilder, substeps
+from twin.component import Component, substeps
+from twin.component_builder import ComponentBuilder
 from twin.errors import ModelError
 from twin.vehicle_file import load_vehicle
 

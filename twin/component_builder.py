@@ -1,0 +1,194 @@
+"""How a component is written: symbols and equations collected in reading order.
+
+`ComponentBuilder` is the authoring side of `twin.component`: it hands out CasADi symbols, takes
+equations, and turns both into a `Component`.
+"""
+
+import zlib
+from collections.abc import Iterable
+
+import casadi as ca
+
+from .component import Component, Sampling, Shortcut, State, Variable, check_range
+from .errors import ModelError
+
+
+class ComponentBuilder:
+    """Collects the interface table and the equations of one component, in reading order."""
+
+    def __init__(self, name: str, description: str, max_step_s: float = 1e-3) -> None:
+        self._name, self._description, self._max_step_s = name, description, max_step_s
+        self._variables: dict[str, tuple[Variable, ca.SX]] = {}
+        self._states: dict[str, tuple[State, ca.SX, ca.SX]] = {}
+        self._rates: dict[str, ca.SX] = {}
+        self._projections: dict[str, ca.SX] = {}
+        self._idle: tuple[ca.SX, ca.SX, ca.SX] | None = None
+        self._updates: dict[str, ca.SX] = {}
+        self._period: str | None = None
+        self._noise: list[ca.SX] = []
+
+    def parameter(
+        self,
+        name: str,
+        start: float,
+        unit: str,
+        description: str,
+        *,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        fixed: bool = False,
+        boolean: bool = False,
+    ) -> ca.SX:
+        """Declare a parameter and return its symbol."""
+        variable = Variable(
+            name, "parameter", unit, description, start, minimum, maximum, fixed, boolean
+        )
+        check_range(self._name, variable, start)
+        return self._declare(variable, ca.SX.sym(name))
+
+    def input(self, name: str, unit: str, description: str, start: float = 0.0) -> ca.SX:
+        """Declare an input and return its symbol."""
+        return self._declare(Variable(name, "input", unit, description, start), ca.SX.sym(name))
+
+    def output(self, name: str, unit: str, description: str, expression: ca.SX | float) -> None:
+        """Declare an output and its equation."""
+        self._declare(Variable(name, "output", unit, description), ca.SX(expression))
+
+    def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
+        """Declare a state with its initial value, an expression of inputs and parameters."""
+        symbol = ca.SX.sym(name)
+        self._states[name] = (State(name, unit, description), symbol, ca.SX(initial))
+        return symbol
+
+    def derivative(self, name: str, rate: ca.SX | float) -> None:
+        """Give the time derivative of a state."""
+        self._rates[name] = ca.SX(rate)
+
+    def projection(self, name: str, expression: ca.SX) -> None:
+        """Replace a state after each step by an expression of the states."""
+        self._projections[name] = expression
+
+    def sampled(self, period_s: float, description: str) -> ca.SX:
+        """Make the component sampled, with the parameters `sample_period` and `seed`.
+
+        Returns:
+            Symbol of the sample period, s.
+        """
+        self._period = "sample_period"
+        period = self.parameter(
+            "sample_period", period_s, "s", description, minimum=1e-5, fixed=True
+        )
+        self.parameter(
+            "seed",
+            0.0,
+            "1",
+            "Seed of the noise, an integer",
+            minimum=0,
+            maximum=2.0**53,
+            fixed=True,
+        )
+        return period
+
+    def memory(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
+        """Declare a state that changes at sample instants only."""
+        return self.state(name, unit, description, initial)
+
+    def update(self, name: str, expression: ca.SX | float) -> None:
+        """Give the value of a memory from each sample instant on."""
+        self._updates[name] = ca.SX(expression)
+
+    def noise(self) -> ca.SX:
+        """A standard normal draw, new at each sample instant; for use in updates."""
+        symbol = ca.SX.sym(f"noise_{len(self._noise)}")
+        self._noise.append(symbol)
+        return symbol
+
+    def idle_while(self, condition: ca.SX, step: ca.SX, switch: ca.SX) -> None:
+        """Say when a parameter that switches equations on is as good as 0.
+
+        Args:
+            condition: Expression of states, parameters and `step`.
+            step: Symbol of the step length, s.
+            switch: The parameter's symbol.
+        """
+        self._idle = (condition, step, switch)
+
+    def build(self) -> Component:
+        """Turn the collected equations into a component."""
+        table = {
+            c: [(v, e) for v, e in self._variables.values() if v.causality == c]
+            for c in ("parameter", "input", "output")
+        }
+        x = _column(symbol for _, symbol, _ in self._states.values())
+        u = _column(symbol for _, symbol in table["input"])
+        p = _column(symbol for _, symbol in table["parameter"])
+        h = ca.SX.sym("h")
+        x0 = _column(initial for _, _, initial in self._states.values())
+        rates = _column(self._rates.get(name, ca.SX(0)) for name in self._states)
+        projected = _column(
+            self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+        y = _column(expression for _, expression in table["output"])
+        project = ca.Function("project", [x], [projected])
+        f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
+        shortcut = None
+        if self._idle is not None:
+            condition, length, switch = self._idle
+            cheap = ca.Function("f", [x, u, p], [ca.cse(ca.substitute(rates, switch, 0.0))])
+            shortcut = Shortcut(
+                ca.Function("holds", [x, p, length], [condition]),
+                ca.Function("cheap_step", [x, u, p, h], [_rk4(cheap, project, x, u, p, h)]),
+            )
+        x_next = _rk4(f, project, x, u, p, h)
+        return Component(
+            name=self._name,
+            description=self._description,
+            parameters=tuple(v for v, _ in table["parameter"]),
+            inputs=tuple(v for v, _ in table["input"]),
+            output_variables=tuple(v for v, _ in table["output"]),
+            states=tuple(state for state, _, _ in self._states.values()),
+            initial=ca.Function("initial", [u, p], [ca.cse(x0)], ["u", "p"], ["x"]),
+            derivatives=f,
+            step=ca.Function("step", [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"]),
+            outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
+            max_step_s=self._max_step_s,
+            shortcut=shortcut,
+            sampling=self._sampling(x, u, p),
+        )
+
+    def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
+        if self._period is None:
+            return None
+        after = _column(
+            self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+        w = _column(self._noise)
+        return Sampling(
+            period=self._period,
+            seed="seed" if self._noise else None,
+            channels=len(self._noise),
+            stream=zlib.crc32(self._name.encode()),
+            update=ca.Function(
+                "update", [x, u, p, w], [ca.cse(after)], ["x", "u", "p", "w"], ["x_next"]
+            ),
+        )
+
+    def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        if variable.name in self._variables:
+            raise ModelError(f"{self._name}: {variable.name!r} is declared twice.")
+        self._variables[variable.name] = (variable, expression)
+        return expression
+
+
+def _column(parts: Iterable[ca.SX]) -> ca.SX:
+    parts = list(parts)
+    return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+
+
+def _rk4(f: ca.Function, project: ca.Function, x: ca.SX, u: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+    """One classical Runge-Kutta step of fourth order, then the projection."""
+    k1 = f(x, u, p)
+    k2 = f(x + h / 2 * k1, u, p)
+    k3 = f(x + h / 2 * k2, u, p)
+    k4 = f(x + h * k3, u, p)
+    return ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
