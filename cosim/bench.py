@@ -1,6 +1,7 @@
 """`uavtwin bench`: the speed figures of the README, measured here and now.
 
-Every figure is the best of several runs, native and pythonfmu side by side in one process.
+Every figure is the best of several runs, native FMU and Python slave of the same component side by
+side in one process.
 """
 
 import tempfile
@@ -11,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from fmus import build, component_model
+from fmus.python_slave import build_python_slave
 from twin.airframe import airframe
-from twin.errors import FmuError
 from twin.imu import imu
 from twin.vehicle_file import load_vehicle
 
@@ -54,18 +55,18 @@ def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:
         progress(0.4)
         both = _per_step(pair, 20_000) / 2
         progress(0.6)
-        python = _pythonfmu(folder)
+        python = build_python_slave(body, folder / "python.fmu")
         python_inside = _inside(python, 1.0)
         progress(0.8)
         python_per_step = _per_step(System({"airframe": python}), 1_000)
         progress(1.0)
     return [
         Row("airframe, one 1 ms step inside the native FMU", inside, "us", "<= 0.5"),
-        Row("the same inside a pythonfmu slave", python_inside, "us", ""),
+        Row("the same inside a Python slave (pythonfmu)", python_inside, "us", ""),
         Row("native faster by", python_inside / inside, "x", ">= 50"),
         Row("airframe, one doStep through the master", per_step, "us", "<= 5"),
         Row("airframe and IMU, per FMU and doStep through the master", both, "us", "<= 5"),
-        Row("pythonfmu slave, one doStep through the master", python_per_step, "us", ""),
+        Row("Python slave, one doStep through the master", python_per_step, "us", ""),
         Row("native faster by", python_per_step / per_step, "x", ">= 10"),
     ]
 
@@ -93,12 +94,3 @@ def _per_step(system: System, steps: int) -> float:
             master.run(steps * STEP_S, STEP_S)
             best = min(best, time.perf_counter() - begin)
     return best / steps * 1e6
-
-
-def _pythonfmu(folder: Path) -> Path:
-    try:
-        from pythonfmu.builder import FmuBuilder
-    except ImportError as error:
-        raise FmuError("bench compares with pythonfmu: pip install uavtwin[test].") from error
-    script = Path(__file__).with_name("airframe_slave.py")
-    return Path(FmuBuilder.build_FMU(str(script), dest=str(folder)))

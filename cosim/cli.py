@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -18,6 +18,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from twin.errors import TwinError
+
+Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 
 if TYPE_CHECKING:
     from twin.flightlog import Flight
@@ -50,7 +52,7 @@ VehicleName = Annotated[
 
 
 def main() -> None:
-    """Entry point: errors a user can mend become one line and exit code 2."""
+    """Entry point: errors a user can mend become a text and exit code 2."""
     try:
         app()
     except TwinError as error:
@@ -66,6 +68,26 @@ def main() -> None:
             raise  # an interrupt inside CasADi comes out as a SystemError
         _stderr.print("interrupted")
         sys.exit(130)
+
+
+def _print_version(wanted: bool) -> None:
+    from importlib.metadata import version
+
+    if wanted:
+        _stdout.print(version("uavtwin"))
+        raise typer.Exit(Exit.FINE)
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Options before the verb."""
 
 
 @app.command()
@@ -110,7 +132,7 @@ def gap(
     from twin.vehicle_file import load_vehicle
 
     from .gap import flight_gap
-    from .output import check_folder, make_folder, write_run
+    from .output import check_folder, results_folder, write_run
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
@@ -123,15 +145,15 @@ def gap(
                 step((i + done) / len(flights))
 
             gaps.append(flight_gap(flight, model, horizon, share))
-    make_folder(out)
-    _write_gap(gaps, out)
     options = {
         "vehicle": Path(vehicle).name,
         "horizon": horizon,
         "rebuild_commands": rebuild_commands,
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
-    write_run(out, "gap", options, inputs)
+    with results_folder(out, force) as folder:
+        _write_gap(gaps, folder)
+        write_run(folder, "gap", options, inputs)
     _print_gap(gaps, out, as_json)
     damaged = _print_damage(flights)
     if damaged or not any(g.channels for g in gaps):
@@ -154,7 +176,7 @@ def demo(
 
     from .demo import fly, hide
     from .gap import flight_gap
-    from .output import check_folder, make_folder, write_json, write_run
+    from .output import check_folder, results_folder, write_json, write_run
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
@@ -162,24 +184,37 @@ def demo(
     flight = fly(model, hidden.plant, seed)
     with _progress("comparing") as step:
         gaps = [flight_gap(flight, model, progress=step)]
-    make_folder(out)
-    write_flight(flight, out / "flight.parquet")
-    _write_gap(gaps, out)
-    write_json(out / "truth.json", {"effect": hidden.effect, "text": hidden.text})
-    write_run(out, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
+    with results_folder(out, force) as folder:
+        write_flight(flight, folder / "flight.parquet")
+        _write_gap(gaps, folder)
+        write_json(folder / "truth.json", {"effect": hidden.effect, "text": hidden.text})
+        write_run(folder, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
     _print_gap(gaps, out, as_json)
     _stderr.print(f"hidden in this flight: {hidden.text} ({hidden.effect})")
 
 
 @app.command()
 def export(
-    components: Annotated[list[str], typer.Argument(help="airframe, imu, battery, replay.")],
+    components: Annotated[
+        list[str],
+        typer.Argument(
+            help="airframe, imu, magnetometer, barometer, position, battery, environment, "
+            "mission, controller, controller_px4, replay; or corrected-twin: all of them fused "
+            "into one FMU, and as .ssp."
+        ),
+    ],
     vehicle: VehicleName = "copter_default",
     fmi: Annotated[str, typer.Option(help="FMI versions: 2, 3 or 2,3.")] = "2",
     flight: Annotated[Path | None, typer.Option(help="Flight for the replay component.")] = None,
+    linear: Annotated[
+        str, typer.Option(help="Columns of the replay to interpolate linearly; others hold.")
+    ] = "",
     drive: Annotated[
         str | None, typer.Option(help="Airframe inputs: command or rotor_speed.")
     ] = None,
+    mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
+    controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
+    position: Annotated[str, typer.Option(help="Position sensor: gnss or mocap.")] = "gnss",
     platform: Annotated[
         str,
         typer.Option(
@@ -188,24 +223,29 @@ def export(
         ),
     ] = "linux64",
     start: Annotated[
-        list[str] | None, typer.Option(help="Start value baked into the FMU: NAME=VALUE.")
+        list[str] | None,
+        typer.Option(help="Start value baked into the FMU: NAME=VALUE, in the corrected twin "
+                     "PART.NAME=VALUE."),
     ] = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
     as_json: Json = False,
-) -> None:
+) -> None:  # fmt: skip
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
-    from .export import export_components
-    from .output import check_folder, make_folder, write_run
+    from .export import Choice, export_components
+    from .output import check_folder, results_folder, write_run
 
     check_folder(out, force)
-    plan = export_components(components, vehicle, fmi, flight, drive, start or [], platform)
-    make_folder(out)
-    written = plan(out)
+    choice = Choice(vehicle, fmi, platform, drive, start or [], flight, linear, mission,
+                    controller, position)  # fmt: skip
+    plan = export_components(components, choice)
     options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
-               "platform": platform, "start": start or []}  # fmt: skip
+               "linear": linear, "mission": mission, "controller": controller,
+               "position": position, "platform": platform, "start": start or []}  # fmt: skip
     inputs = [p for p in (Path(vehicle), flight) if p is not None and p.is_file()]
-    write_run(out, "export", options, inputs)
+    with results_folder(out, force) as folder, _progress("building") as step:
+        written = plan(folder, step)
+        write_run(folder, "export", options, inputs)
     if as_json:
         _print_json(written)
         return
@@ -213,6 +253,74 @@ def export(
         platforms = ",".join(row["platforms"])
         _stdout.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
         _stdout.print(f"  sha256 {row['sha256']}")
+
+
+@app.command()
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
+    ],
+    vehicle: VehicleName = "copter_default",
+    wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
+    gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
+    controller: Annotated[str, typer.Option(help="lqr or px4.")] = "lqr",
+    effect: Annotated[
+        list[str] | None, typer.Option(help="Effect to switch on; may be given several times.")
+    ] = None,
+    start: Annotated[list[str] | None, typer.Option(help="Start value PART.NAME=VALUE.")] = None,
+    stop: Annotated[float | None, typer.Option(help="Stop time, s.")] = None,
+    step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
+    interval: Annotated[float | None, typer.Option(help="Time between recorded rows, s.")] = None,
+    algorithm: Annotated[Algorithm, typer.Option(help="How the parts exchange values.")] = "jacobi",
+    fused: Annotated[bool, typer.Option("--fused", help="Run the twin as one FMU.")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="As fast as the clock.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Recording as CSV, not Parquet.")] = False,
+    out: Out = Path("simulation"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Fly a scenario, or run an .ssp, and record every output."""
+    import tempfile
+
+    from .interface import read_interface
+    from .output import check_folder, results_folder, write_json, write_run
+    from .simulate import Scenario, run_scenario, scenario_system, summary
+    from .simulation_report import write_simulation_report
+
+    check_folder(out, force)
+    plan = Scenario(scenario, vehicle, controller, _three(wind, "--wind"), gusts, seed,
+                    tuple(effect or ()), tuple(start or ()), fused)  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="uavtwin-") as build_folder:
+        with _progress("building") as done:
+            system = scenario_system(plan, Path(build_folder), done)
+        with _progress("flying") as done:
+            recording = run_scenario(
+                system, stop, step, interval, algorithm, 1.0 if realtime else None, done
+            )
+        interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
+    units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
+    figures = summary(recording)
+    claim = _flight_claim(Path(scenario).name, recording.time_s[-1], figures)
+    options = {"scenario": Path(scenario).name, "vehicle": Path(vehicle).name, "wind": wind,
+               "gusts": gusts, "controller": controller, "effect": effect or [],
+               "start": start or [], "stop": stop, "step": step, "interval": interval,
+               "algorithm": algorithm, "fused": fused}  # fmt: skip
+    inputs = [p for p in (Path(scenario), Path(vehicle)) if p.is_file()]
+    with results_folder(out, force) as folder:
+        recording.write(folder / ("recording.csv" if csv else "recording.parquet"))
+        write_json(folder / "summary.json", figures)
+        facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
+        write_simulation_report(recording, units, claim, facts, Path(scenario).name,
+                                folder / "report.html")  # fmt: skip
+        write_run(folder, "simulate", options, inputs, seed)
+    if as_json:
+        _print_json(figures)
+        return
+    _stdout.print(claim, style="bold", markup=False)
+    if realtime:
+        _stderr.print(f"at most {1e3 * recording.lateness_s:.1f} ms behind the clock")
+    _stdout.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
 
 
 @app.command()
@@ -234,9 +342,26 @@ def bench(as_json: Json = False) -> None:
 @app.command("version")
 def show_version() -> None:
     """Print the version."""
-    from importlib.metadata import version
+    _print_version(True)
 
-    _stdout.print(version("uavtwin"))
+
+def _three(text: str, option: str) -> tuple[float, float, float]:
+    """Three numbers separated by commas."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise TwinError(f"{option} {text}: write three numbers, e.g. 5,0,0.") from None
+    return x, y, z
+
+
+def _flight_claim(scenario: str, duration_s: float, figures: dict[str, Any]) -> str:
+    """One sentence on a simulation."""
+    if not figures:
+        return f"{scenario}: {duration_s:g} s simulated"
+    return (
+        f"{scenario}: {duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms from the "
+        f"setpoint, {figures['tracking_worst_m']:.2f} m at worst"
+    )
 
 
 # -- printing -------------------------------------------------------------------------------

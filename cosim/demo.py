@@ -7,22 +7,20 @@ know; a controller designed on the twin flies it, and noisy sensors record it as
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from twin import closed_loop
 from twin.airframe import AXES, airframe
-from twin.component import Component
-from twin.controller import feedback, lqr
+from twin.controller import controller
 from twin.flightlog import Flight
 from twin.imu import imu
 from twin.teacher_forced import sensor_readings
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEP_S = 1e-3
-IDLE = 0.0  # every input while disarmed: motors off, no wind
+STEP_S = closed_loop.STEP_S
 IMU_EVERY, POSE_EVERY = 5, 10  # 200 Hz and 100 Hz
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
@@ -67,10 +65,11 @@ def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flig
         seed: Of the sensor noise.
         name: Of the flight.
     """
-    body, sensor = airframe(plant), imu(plant)
+    body, sensor = airframe(plant, "command"), imu(plant)
     setpoints, phases = _setpoints(plant)
-    armed = (np.array(phases) != "ground")[None, :].astype(np.float64)
-    states, inputs = _closed_loop(airframe(vehicle), body, setpoints, armed, plant)
+    states, inputs = closed_loop.fly(
+        body.with_starts(closed_loop.standing(plant)), controller(vehicle), setpoints
+    )
     p = np.tile(body.parameter_values()[:, None], len(states))
     truth = np.asarray(body.outputs(states.T, inputs.T, p), dtype=np.float64)
     sensed = truth[[body.output_names.index(n) for n in sensor.input_names]]
@@ -81,45 +80,22 @@ def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flig
 
 
 def _setpoints(plant: Vehicle) -> tuple[Array, list[str]]:
-    """Position and velocity along the waypoints (minimum-jerk), shape (n, 6), and phases."""
+    """Setpoints along the waypoints (minimum-jerk, nose north), shape (n, 11), and phases."""
     here = np.array([0.0, 0.0, -plant.leg_height_m])
     rest = here.copy()
     rows, phases = [], []
     for phase, duration, place in WAYPOINTS:
         there = rest + np.array(place)
-        s = np.arange(round(duration / STEP_S)) * STEP_S / duration
+        s = np.arange(round(duration / STEP_S))[:, None] * STEP_S / duration
         way = 10 * s**3 - 15 * s**4 + 6 * s**5
         speed = (30 * s**2 - 60 * s**3 + 30 * s**4) / duration
-        rows.append(
-            np.hstack([here + way[:, None] * (there - here), speed[:, None] * (there - here)])
-        )
+        push = (60 * s - 180 * s**2 + 120 * s**3) / duration**2
+        yaw, armed = np.zeros_like(s), np.full_like(s, phase != "ground")
+        leg = there - here
+        rows.append(np.hstack([here + way * leg, speed * leg, push * leg, yaw, armed]))
         phases += [phase] * len(s)
         here = there
     return np.vstack(rows), phases
-
-
-def _closed_loop(
-    model: Component, body: Component, setpoints: Array, armed: Array, plant: Vehicle
-) -> tuple[Array, Array]:
-    """States and inputs at every step, shapes (n, n_x) and (n, n_u)."""
-    control = feedback(lqr(model), model)
-    x, integral = ca.SX.sym("x", len(body.states)), ca.SX.sym("i", 3)
-    setpoint, live = ca.SX.sym("setpoint", 6), ca.SX.sym("live")
-    p = body.parameter_values()
-    u, rate = control(x, integral, setpoint, body.input_values())
-    u, rate = ca.if_else(live, u, IDLE), live * rate
-    x_next = body.step(x, u, p, STEP_S)
-    both = ca.vertcat(x, integral)
-    step = ca.Function(
-        "closed_loop", [both, setpoint, live], [ca.vertcat(x_next, integral + STEP_S * rate), u]
-    )
-    start = np.asarray(body.initial(body.input_values(), p), dtype=np.float64).ravel()
-    names = [s.name for s in body.states]
-    start[names.index("pos_z")] = -plant.leg_height_m
-    run = step.mapaccum("flight", len(setpoints))
-    states, inputs = run(np.concatenate([start, np.zeros(3)]), setpoints.T, armed)
-    states = np.asarray(states, dtype=np.float64).T[:, : len(start)]
-    return np.vstack([start, states[:-1]]), np.asarray(inputs, dtype=np.float64).T
 
 
 def _record(

@@ -1,91 +1,189 @@
-"""`uavtwin export`: components of a vehicle as FMU files."""
+"""`uavtwin export`: components of a vehicle, or the whole twin, as files that FMI tools run."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from fmus import FmuModel, build, component_model, replay_model
+from fmus import FmuModel, build, component_model, fuse, replay_model
 from fmus.platforms import Platform, compilers, select_platforms
 from twin.airframe import airframe
+from twin.assembly import CONTROLLERS, Assembly, flying_twin
+from twin.barometer import barometer
 from twin.battery import battery
 from twin.component import Component, unknown_name
+from twin.effects import EFFECTS
+from twin.environment import environment
 from twin.errors import TwinError
 from twin.flightlog import Flight, read_flight
 from twin.imu import imu
+from twin.magnetometer import magnetometer
+from twin.mission import mission
+from twin.position import PRESETS, Kind, position_sensor
+from twin.rotors import Drive
+from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
 
 from .output import sha256
+from .ssp import write_ssp
+from .system import Connection, System
 
-COMPONENTS = ("airframe", "imu", "battery", "replay")
+FUSED = "corrected-twin"
+STEP_S = 1e-3
+"""Step of the whole twin: of its fused FMU, and of the co-simulation of its parts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What a user wants exported, next to the names of the components.
+
+    Attributes:
+        vehicle: Vehicle file, or the name of a built-in vehicle.
+        fmi: FMI versions, comma-separated.
+        platform: Platforms, comma-separated, or "all".
+        drive: Inputs of the airframe; None: what the vehicle describes.
+        starts: "NAME=VALUE" texts; "part.name" for the corrected twin.
+        flight: To replay.
+        linear: Columns of the replay to interpolate, comma-separated.
+        mission: Of the components `mission` and `corrected-twin`.
+        controller: Of the corrected twin.
+        position: Kind of position sensor.
+    """
+
+    vehicle: str = "copter_default"
+    fmi: str = "2"
+    platform: str = "linux64"
+    drive: str | None = None
+    starts: Sequence[str] = ()
+    flight: Path | None = None
+    linear: str = ""
+    mission: str = "hover"
+    controller: str = "lqr"
+    position: str = "gnss"
+
+
+def _makers(vehicle: Vehicle, choice: Choice) -> dict[str, Callable[[], Component]]:
+    """Every component by its name, each with all its effects built in."""
+    drive = cast(Drive | None, choice.drive)
+    return {
+        "airframe": lambda: airframe(vehicle, drive, EFFECTS),
+        "imu": lambda: imu(vehicle, EFFECTS),
+        "magnetometer": lambda: magnetometer(vehicle, EFFECTS),
+        "barometer": lambda: barometer(vehicle, EFFECTS),
+        "position": lambda: position_sensor(vehicle, EFFECTS, cast(Kind, choice.position)),
+        "battery": lambda: battery(vehicle),
+        "environment": lambda: environment(vehicle),
+        "mission": lambda: mission(vehicle, choice.mission),
+        "controller": lambda: CONTROLLERS["lqr"](vehicle),
+        "controller_px4": lambda: CONTROLLERS["px4"](vehicle),
+    }
 
 
 def export_components(
-    names: Sequence[str],
-    vehicle: str,
-    fmi: str,
-    flight: Path | None,
-    drive: str | None,
-    starts: Sequence[str],
-    platform: str = "linux64",
-) -> Callable[[Path], list[dict[str, Any]]]:
-    """Check everything, then return the function that writes the FMUs into a folder.
+    names: Sequence[str], choice: Choice
+) -> Callable[[Path, Callable[[float], None]], list[dict[str, Any]]]:
+    """Check everything, then return the function that writes into a folder.
 
     Raises:
         TwinError: An unknown component, FMI version, drive, platform or start value; a missing
             flight or compiler.
     """
+    vehicle = load_vehicle(choice.vehicle)
+    makers = _makers(vehicle, choice)
+    choices = (*makers, "replay", FUSED)
     for name in names:
-        if name not in COMPONENTS:
-            raise TwinError(unknown_name("export", "component", name, COMPONENTS))
-    versions = _versions(fmi)
-    platforms = _platforms(platform)
-    if drive not in (None, "command", "rotor_speed"):
-        raise TwinError(f"--drive {drive}: choose command or rotor_speed.")
-    if "replay" in names and flight is None:
+        if name not in choices:
+            raise TwinError(unknown_name("export", "component", name, choices))
+    versions, platforms = _versions(choice.fmi), _platforms(choice.platform)
+    if choice.drive not in (None, "command", "rotor_speed"):
+        raise TwinError(f"--drive {choice.drive}: choose command or rotor_speed.")
+    if choice.position not in PRESETS:
+        raise TwinError(unknown_name("export", "position sensor", choice.position, PRESETS))
+    if "replay" in names and choice.flight is None:
         raise TwinError("replay needs the flight to replay: --flight LOG.")
-    model = load_vehicle(vehicle)
-    values = _starts(starts)
-    makers: dict[str, Callable[[], Component]] = {
-        "airframe": lambda: airframe(model, drive),  # type: ignore[arg-type]
-        "imu": lambda: imu(model),
-        "battery": lambda: battery(model),
-    }
-    parts = {n: makers[n]() for n in names if n != "replay"}
+    values = start_values(choice.starts)
+    models: list[FmuModel] = []
+    assembly: Assembly | None = None
+    known: set[str] = set()
+    for name in dict.fromkeys(names):
+        if name == FUSED:
+            assembly = flying_twin(vehicle, choice.mission, choice.controller)
+            settable = {f"{k}.{v}" for k, c in assembly.parts.items() for v in _settable(c)}
+            assembly = assembly.with_starts({k: v for k, v in values.items() if k in settable})
+            models.append(fused_model(assembly, vehicle.name))
+            known |= settable
+        elif name == "replay" and choice.flight is not None:
+            models.append(_replay(read_flight(choice.flight), choice.linear))
+        else:
+            component = makers[name]()
+            own = {k: v for k, v in values.items() if k in _settable(component)}
+            models.append(component_model(component.with_starts(own)))
+            known |= _settable(component)
     for name in values:
-        known = {v.name for c in parts.values() for v in c.parameters + c.inputs}
         if name not in known:
             raise TwinError(unknown_name("--start", "parameter or input", name, known))
-    models = [
-        component_model(c.with_starts({k: v for k, v in values.items() if k in _settable(c)}))
-        for c in parts.values()
-    ]
-    if flight is not None and "replay" in names:
-        models.append(_replay(read_flight(flight)))
-    return lambda out: _write(models, versions, platforms, out)
+    return lambda out, progress: _write(models, assembly, versions, platforms, out, progress)
+
+
+def fused_model(assembly: Assembly, vehicle: str) -> FmuModel:
+    """The whole twin as the model of one FMU."""
+    text = f"Flying twin of {vehicle}: {', '.join(assembly.parts)} in one"
+    return fuse("corrected_twin", text, assembly.parts, assembly.connections, STEP_S)
+
+
+def system_of(
+    assembly: Assembly,
+    folder: Path,
+    fmi: int = 2,
+    platforms: Sequence[str] = ("linux64",),
+    progress: Callable[[float], None] = lambda _: None,
+) -> System:
+    """The whole twin as one FMU per part, built into a folder, and connections."""
+    fmus: dict[str, Path] = {}
+    for name, part in assembly.parts.items():
+        fmus[name] = build(component_model(part), folder / f"{name}.fmu", fmi, platforms)
+        progress(len(fmus) / len(assembly.parts))
+    connections = tuple(Connection(a, b) for a, b in assembly.connections)
+    return System(fmus, connections, stop_time_s=assembly.duration_s, step_s=STEP_S)
 
 
 def _write(
     models: Sequence[FmuModel],
+    assembly: Assembly | None,
     versions: Sequence[int],
     platforms: Sequence[Platform],
     out: Path,
+    progress: Callable[[float], None],
 ) -> list[dict[str, Any]]:
     names = [p.name for p in platforms]
-    written = []
+    written, steps = [], len(versions) * (len(models) + (assembly is not None))
+
+    def add(path: Path, version: int) -> None:
+        """List a file that was written."""
+        written.append(
+            {
+                "file": str(path.relative_to(out)),
+                "fmi": version,
+                "platforms": names,
+                "bytes": path.stat().st_size,
+                "sha256": sha256(path),
+            }
+        )
+        progress(len(written) / steps)
+
     for version in versions:
         folder = out if len(versions) == 1 else out / f"fmi{version}"
         folder.mkdir(exist_ok=True)
         for model in models:
-            path = build(model, folder / f"{model.name}.fmu", version, names)
-            written.append(
-                {
-                    "file": str(path.relative_to(out)),
-                    "fmi": version,
-                    "platforms": names,
-                    "bytes": path.stat().st_size,
-                    "sha256": sha256(path),
-                }
-            )
+            add(build(model, folder / f"{model.name}.fmu", version, names), version)
+        if assembly is not None:
+            parts = folder / "parts"
+            parts.mkdir()
+            system = system_of(assembly, parts, version, names)
+            add(write_ssp(system, folder / "corrected_twin.ssp"), version)
+            for path in system.fmus.values():
+                path.unlink()
+            parts.rmdir()
     return written
 
 
@@ -105,7 +203,12 @@ def _platforms(text: str) -> tuple[Platform, ...]:
     return platforms
 
 
-def _starts(texts: Sequence[str]) -> dict[str, float]:
+def start_values(texts: Sequence[str]) -> dict[str, float]:
+    """Start values of "NAME=NUMBER" texts.
+
+    Raises:
+        TwinError: A text is not of that form.
+    """
     values = {}
     for text in texts:
         name, equals, value = text.partition("=")
@@ -122,6 +225,10 @@ def _settable(component: Component) -> set[str]:
     return {v.name for v in component.parameters + component.inputs}
 
 
-def _replay(flight: Flight) -> FmuModel:
+def _replay(flight: Flight, linear: str) -> FmuModel:
     columns = tuple(c for c in flight.table if c not in ("time", "phase") and flight.has(c))
-    return replay_model(flight, columns)
+    wanted = [c.strip() for c in linear.split(",") if c.strip()]
+    for name in wanted:
+        if name not in columns:
+            raise TwinError(unknown_name(f"--linear, {flight.name}", "column", name, columns))
+    return replay_model(flight, columns, tuple(wanted))

@@ -5,8 +5,7 @@ from the measured state every horizon through its start values.
 """
 
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,84 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fmus import build, component_model, replay_model
-from twin.airframe import AXES, airframe
-from twin.component import Component
+from twin.airframe import AXES
 from twin.errors import LogError
 from twin.flightlog import Flight
 from twin.frames import rotation_vector
-from twin.imu import imu
-from twin.measured import MeasuredMotion, measured_motion
+from twin.prepared import Twin, prepare
 from twin.residuals import Channel, FlightGap
 from twin.teacher_forced import (
     GRID_S,
-    Inputs,
-    airframe_inputs,
-    choose_drive,
-    measured_states,
     predicted_readings,
     teacher_forced_channels,
 )
-from twin.vehicle import GRAVITY_M_S2, Vehicle
+from twin.vehicle import Vehicle
 
 from .master import Master
 from .system import System, connect
 
 Array = NDArray[np.float64]
 DEFAULT_HORIZON_S = 0.5
-LONGEST_FLIGHT_S = 3600.0
-"""Everything is held in memory on a 1 ms grid, about 0.5 MB per second of flight."""
-LIFT_OFF_HEIGHT_M = 0.1
-"""Above its resting place by this much, a vehicle counts as airborne."""
 _POSE = tuple(f"{s}_{a}" for s in ("pos", "vel") for a in AXES) + tuple(f"q_{a}" for a in "wxyz")
 _RATES = tuple(f"omega_{a}" for a in AXES)
-
-
-@dataclass(frozen=True, slots=True)
-class Twin:
-    """A flight on the grid of its twin: components, inputs and measured states."""
-
-    airframe: Component
-    imu: Component
-    inputs: Inputs
-    motion: MeasuredMotion
-    states: Array
-    phases: NDArray[np.str_]
-    airborne: NDArray[np.bool_]
-    notes: tuple[str, ...]
-
-
-def prepare(flight: Flight, vehicle: Vehicle) -> Twin:
-    """Put a flight onto the grid of a twin.
-
-    Raises:
-        LogError: The flight lacks what the vehicle needs, is too short, or never flies.
-    """
-    body = airframe(vehicle, choose_drive(flight, vehicle))
-    time = flight.table["time"].to_numpy(dtype=np.float64)
-    if len(time) < 2 or time[-1] - time[0] < 2 * GRID_S:
-        raise LogError(f"{flight.name}: too short: {len(time)} samples.")
-    if time[-1] - time[0] > LONGEST_FLIGHT_S:
-        raise LogError(
-            f"{flight.name}: {time[-1] - time[0]:.0f} s long, more than {LONGEST_FLIGHT_S:.0f} s. "
-            f"Cut the log, or check its clock."
-        )
-    first = round(float(time[0]) / GRID_S)
-    last = int(np.floor(float(time[-1]) / GRID_S + 1e-6))
-    t: Array = np.arange(first, last + 1).astype(np.float64) * GRID_S
-    motion = measured_motion(flight)
-    inputs = airframe_inputs(flight, vehicle, body, t)
-    phases = _phases(flight, t)
-    airborne = _airborne(vehicle, body, inputs, motion, phases)
-    if not airborne.any():
-        raise LogError(
-            f"{flight.name}: never airborne with {vehicle.name}: {_why_grounded(motion, phases)}"
-        )
-    states = measured_states(body, motion, inputs)
-    on_ground = float(np.mean(~airborne))
-    notes = list(motion.notes + inputs.notes)
-    if on_ground > 0:
-        notes.append(f"{on_ground * (t[-1] - t[0]):.1f} s on the ground are left out")
-    return Twin(body, imu(vehicle), inputs, motion, states, phases, airborne, tuple(notes))
 
 
 def flight_gap(
@@ -119,6 +60,7 @@ def flight_gap(
         flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases
     )
     short, notes = _short_horizon(flight, twin, horizon_s, progress or (lambda _: None))
+    notes += _wrong_vehicle(channels, vehicle)
     warnings = [f"{f.where}: {f.message}" for f in flight.findings if f.severity != "info"]
     return FlightGap(
         flight=flight.name,
@@ -128,6 +70,18 @@ def flight_gap(
         warnings=tuple([*twin.notes, *notes, *warnings]),
         facts=dict(flight.facts),
     )
+
+
+def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
+    """A doubt where the rotors carry a weight of quite another size than the flight shows."""
+    for channel in (c for c in channels if c.name == "acc_z"):
+        ratio = float(channel.measured.mean() / channel.simulated.mean())
+        if not 0.5 <= ratio <= 2.0:
+            return [
+                f"in flight the measured acc_z is on average {ratio:.2g} times that of the twin: "
+                f"is {vehicle.name} the right vehicle file?"
+            ]
+    return []
 
 
 # -- short horizon --------------------------------------------------------------------------
@@ -238,72 +192,9 @@ def _end_channels(
     return channels
 
 
-# -- phases ---------------------------------------------------------------------------------
-
-
-def _phases(flight: Flight, t_s: Array) -> NDArray[np.str_]:
-    """Phase of the last row at or before each time, "" where the flight says nothing."""
-    if "phase" not in flight.table:
-        return np.full(len(t_s), "", dtype="<U8")
-    rows = np.searchsorted(flight.table["time"].to_numpy(), t_s + 1e-9, side="right") - 1
-    text = flight.table["phase"].fillna("").to_numpy(dtype="<U8")
-    return np.asarray(text[np.maximum(rows, 0)])
-
-
 def _spans(t_s: Array, phases: NDArray[np.str_]) -> tuple[tuple[str, float, float], ...]:
     changes = np.flatnonzero(phases[1:] != phases[:-1]) + 1
     edges = [0, *changes.tolist(), len(t_s) - 1]
     return tuple(
         (str(phases[a]), float(t_s[a]), float(t_s[b])) for a, b in pairwise(edges) if phases[a]
     )
-
-
-def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
-    """Way out for a flight without a sample in the air."""
-    if np.all(phases == "ground"):
-        return "the whole flight is in phase ground."
-    if motion.position is not None:
-        down = motion.position.values[:, 2]
-        if (
-            np.max(down) - down[0] > 5 * LIFT_OFF_HEIGHT_M
-            and down[0] - np.min(down) < LIFT_OFF_HEIGHT_M
-        ):
-            return (
-                f"pos_z rises to {np.max(down):.2f} m and never goes below its start. It counts "
-                f"down: is it an altitude?"
-            )
-    return (
-        "its rotors never carry half of the weight more than 0.1 m above the resting place. Check "
-        "the vehicle file, the scale of the commands and the length of the record."
-    )
-
-
-def _airborne(
-    vehicle: Vehicle,
-    body: Component,
-    inputs: Inputs,
-    motion: MeasuredMotion,
-    phases: NDArray[np.str_],
-) -> NDArray[np.bool_]:
-    """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
-    resting place where the record starts at rest and holds a position."""
-    n = vehicle.rotors.count
-    p = body.parameter_values()
-    x = np.tile(
-        np.asarray(body.initial(inputs.u[0], p), dtype=np.float64).ravel(), (len(inputs.t_s), 1)
-    )
-    rotors = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
-    x[:, rotors] = inputs.rotor_states
-    y = np.asarray(body.outputs(x.T, inputs.u.T, np.tile(p[:, None], len(x))), dtype=np.float64)
-    thrust = sum(y[body.output_names.index(f"thrust_{i}")] for i in range(1, n + 1))
-    carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
-    airborne = carried & (phases != "ground")
-    starts_in_air = (
-        bool(np.median(carried[: max(1, round(0.2 / GRID_S))])) and phases[0] != "ground"
-    )
-    if motion.position is not None and not starts_in_air:
-        height = -motion.position.at(inputs.t_s)[:, 2]
-        rest = height[np.isfinite(height) & ~carried]
-        if len(rest):
-            airborne &= ~(height < float(np.median(rest)) + LIFT_OFF_HEIGHT_M)
-    return np.asarray(airborne, dtype=np.bool_)

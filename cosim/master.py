@@ -1,83 +1,44 @@
-"""The co-simulation master: steps FMUs together with fixed communication steps.
-
-Algorithms:
-    jacobi        All slaves step from the values at the start of the step; outputs are read when
-                  all have stepped. The same as libcosim to the last bit (whose steps, counted in
-                  nanoseconds, differ from ours in the last bit).
-    settled       Jacobi, and at each communication point the outputs that directly depend on
-                  inputs are brought up to date in the order of the dependencies, so that a
-                  sensor shows the present and not the previous instant. The same as ecos to the
-                  last bit.
-    gauss_seidel  Slaves step one after another in the order of the dependencies, each with the
-                  newest outputs of those before it.
-
-Source: FMI 3.0.1 specification, sec. 4 and 2.4.9; Gomes et al., Co-simulation: a survey, ACM
-Computing Surveys 51 (2018), sec. 4.
-"""
+"""The co-simulation master: loads a system, initialises it and runs it; see `stepping` for how."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
-from graphlib import CycleError, TopologicalSorter
-from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from twin.errors import FmuError
 
-from .slave import Slave, dependencies
-from .system import Connection, System
+from .adaptive import SAMPLE_PERIOD, Control, Grid, advance_to
+from .bus import Bus
+from .pace import Pace
+from .recording import Interrupted, Recording
+from .rollback import Rollback
+from .slave import Slave
+from .stepping import Algorithm, Stepping
+from .system import System
 
-Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
+__all__ = ["Algorithm", "Interrupted", "Master", "Recording"]
 
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """Values at the communication points.
-
-    Attributes:
-        names: "slave.variable" of each column.
-        time_s: Shape (n,).
-        values: Shape (n, len(names)).
-    """
-
-    names: tuple[str, ...]
-    time_s: NDArray[np.float64]
-    values: NDArray[np.float64]
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """One column by name."""
-        return self.values[:, self.names.index(name)]
-
-    def frame(self) -> pd.DataFrame:
-        """As a table with `time` first."""
-        table = pd.DataFrame(self.values, columns=list(self.names))
-        table.insert(0, "time", self.time_s)
-        return table
-
-    def write(self, path: Path) -> None:
-        """Write Parquet or CSV, chosen by the suffix; CSV keeps every bit (shortest repr)."""
-        if path.suffix == ".parquet":
-            self.frame().to_parquet(path, index=False)
-        elif path.suffix == ".csv":
-            self.frame().to_csv(path, index=False)
-        else:
-            raise FmuError(f"{path.name}: recordings are written as .parquet or .csv.")
+SHORTEST = 1e-9
+"""Shortest step of the step-size control, in output steps."""
 
 
 class Master:
-    """Loads a system once and runs it as often as wanted; a context manager."""
+    """Loads a system once and runs it as often as wanted; a context manager.
+
+    Attributes:
+        slaves: In the order of the system.
+        record_names: "slave.variable" of each recorded column.
+        time_s: Time reached.
+    """
 
     def __init__(self, system: System, record: Sequence[str] | None = None) -> None:
         """Load the FMUs.
 
         Args:
             system: What to run.
-            record: "slave.variable" outputs to record; None: all outputs.
+            record: "slave.variable" outputs to record; None: all that are scalars.
 
         Raises:
             FmuError: A file, a name, a unit or a connection is wrong.
@@ -86,146 +47,54 @@ class Master:
         self.slaves: list[Slave] = []
         self._ready = False
         try:
-            self._load(record)
+            for name, path in system.fmus.items():
+                self.slaves.append(Slave(name, path))
+            system.check({s.name: s.interface for s in self.slaves})
+            self._bus = Bus(system, {s.name: s for s in self.slaves}, record)
+            self._stepping = Stepping(self._bus)
         except BaseException:
             self.close()
             raise
-
-    def _load(self, record: Sequence[str] | None) -> None:
-        system = self.system
-        incoming: dict[str, list[tuple[str, str]]] = {name: [] for name in system.fmus}
-        for connection in system.connections:
-            slave, variable = system.split(connection.target)
-            system.split(connection.source)
-            if any(variable == v for v, _ in incoming[slave]):
-                raise FmuError(f"{connection.target} has two sources; an input takes one.")
-            incoming[slave].append((variable, connection.source))
-        self._starts: dict[str, dict[str, float]] = {name: {} for name in system.fmus}
-        for name, value in system.starts.items():
-            slave, variable = system.split(name)
-            self._starts[slave][variable] = value
-        for name, path in system.fmus.items():
-            self.slaves.append(Slave(name, path))
-        self._by_name = {s.name: s for s in self.slaves}
-        self._check(system.connections)
-        self._bind(incoming, record)
-        self._order, self._direct = self._dependency_order()
-        last = {i: visit for visit, i in enumerate(self._order)}
-        self._sequence = sorted(last, key=last.__getitem__)
-        self._periods = [system.periods.get(s.name, 1) for s in self.slaves]
-        for name, period in system.periods.items():
-            if name not in self._by_name or period < 1:
-                raise FmuError(f"period of {name!r} = {period}: needs a slave and an integer >= 1.")
-        self._all = list(range(len(self.slaves)))
-        self._one_rate = all(k == 1 for k in self._periods)
-        self._writes = [partial(self._write, i) for i in self._all if len(self.slaves[i].inputs)]
-
-    def _bind(
-        self, incoming: Mapping[str, list[tuple[str, str]]], record: Sequence[str] | None
-    ) -> None:
-        """One bus holds all outputs in use: each slave's outputs are a view of it, its inputs a
-        gather from it."""
-        sources = [c.source for c in self.system.connections]
-        if record is None:
-            record = [f"{s.name}.{v}" for s in self.slaves for v in s.output_names()]
-        wanted = dict.fromkeys([*record, *sources])
-        names = [n for s in self.slaves for n in wanted if self.system.split(n)[0] == s.name]
-        offset = {name: i for i, name in enumerate(names)}
-        self._bus = np.zeros(len(names))
-        self._gather = []
-        first = 0
-        for s in self.slaves:
-            own = [self.system.split(n)[1] for n in names if self.system.split(n)[0] == s.name]
-            s.bind([v for v, _ in incoming[s.name]], own, self._bus[first : first + len(own)])
-            first += len(own)
-            gather = [offset[source] for _, source in incoming[s.name]]
-            self._gather.append(np.array(gather, dtype=np.intp))
-        self.record_names = tuple(record)
-        self._columns = np.array([offset[n] for n in record], dtype=np.intp)
-
-    def _check(self, connections: Sequence[Connection]) -> None:
-        for c in connections:
-            (a, x), (b, y) = self.system.split(c.source), self.system.split(c.target)
-            source, target = self._by_name[a].port(x), self._by_name[b].port(y)
-            if source.causality != "output" or target.causality != "input":
-                raise FmuError(
-                    f"{c.source} ({source.causality}) -> {c.target} ({target.causality}): "
-                    f"a connection goes from an output to an input."
-                )
-            if source.unit and target.unit and source.unit != target.unit:
-                raise FmuError(
-                    f"{c.source} [{source.unit}] -> {c.target} [{target.unit}]: units differ."
-                )
-
-    def _dependency_order(self) -> tuple[list[int], list[bool]]:
-        """Visits of slaves after which every output that directly depends on an input is right.
-
-        A slave comes twice where some of its outputs are needed before its inputs are known: an
-        airframe gives its position to a controller whose command enters its acceleration.
-
-        Returns:
-            Indices of slaves, and whether each has direct feed-through from another.
-
-        Raises:
-            FmuError: An output depends on itself.
-        """
-        source = {c.target: c.source for c in self.system.connections}
-        felt: dict[str, set[str]] = {}
-        own: list[list[str]] = []
-        for s in self.slaves:
-            own.append([])
-            for output, inputs in dependencies(s.description).items():
-                targets = [f"{s.name}.{u}" for u in inputs]
-                felt[f"{s.name}.{output}"] = {source[t] for t in targets if t in source}
-                own[-1].append(f"{s.name}.{output}")
-        try:
-            TopologicalSorter(felt).prepare()
-        except CycleError as error:
-            raise FmuError(
-                f"Algebraic loop: {' -> '.join(error.args[1])}, each directly depending on the one "
-                f"before it. Put a state or a delay between two of them."
-            ) from None
-        direct = [any(felt[o] for o in outputs) for outputs in own]
-        order: list[int] = []
-        done = set().union(*felt.values()) - felt.keys()  # not in the FMU's ModelStructure
-        remaining = dict(enumerate(own))
-        while remaining:
-            ready = {i: [o for o in r if felt[o] <= done] for i, r in remaining.items()}
-            whole = [i for i, r in ready.items() if len(r) == len(remaining[i])]
-            i = whole[0] if whole else next(i for i, r in ready.items() if r)
-            order.append(i)
-            done.update(ready[i])
-            remaining[i] = [o for o in remaining[i] if o not in done]
-            if not remaining[i]:
-                del remaining[i]
-        return order, direct
-
-    # -- running --------------------------------------------------------------------------
+        self.record_names = self._bus.recorded
 
     def initialize(
-        self, start_time_s: float = 0.0, starts: Mapping[str, float] | None = None
+        self,
+        start_time_s: float | None = None,
+        starts: Mapping[str, float] | None = None,
+        stop_time_s: float | None = None,
     ) -> None:
         """Reset, set start values and initialise all slaves at a time.
 
         Args:
-            start_time_s: Time of the first communication point.
+            start_time_s: Time of the first communication point; None: the system's.
             starts: Start values on top of the system's, "slave.variable" -> value.
+            stop_time_s: Told to the slaves, which may refuse to go beyond; None: nothing is.
+
+        Raises:
+            FmuError: A start value is wrong, a slave refused, or a loop has no solution.
         """
-        values = {name: dict(v) for name, v in self._starts.items()}
-        for name, value in (starts or {}).items():
+        start_s = self.system.start_time_s if start_time_s is None else start_time_s
+        values: dict[str, dict[str, float]] = {s.name: {} for s in self.slaves}
+        for name, value in {**self.system.starts, **(starts or {})}.items():
             slave, variable = self.system.split(name)
             values[slave][variable] = value
+        self._ready = False
         for s in self.slaves:
             s.reset()
-            s.initialize(start_time_s, values[s.name])
-        for _ in range(2):  # inputs may enter initial states, whose order is not known
-            self._settle(range(len(self.slaves)))
+            s.initialize(start_s, values[s.name], stop_time_s)
+        for s in self.slaves:
+            s.read_outputs()  # where the solution of loops starts
+        self._stepping.settle(start_s, initial=True)
+        self._bus.write_all()
         for s in self.slaves:
             s.finish_initialization()
-        self._settle(range(len(self.slaves)))
-        self.time_s = start_time_s
-        self._start_s, self._count = start_time_s, 0
+            s.read_outputs()
+        self._stepping.settle(start_s)
+        self._stepping.count = 0
+        self.time_s = self._start_s = start_s
         self._ready = True
+
+    # -- fixed steps ------------------------------------------------------------------------
 
     def run(
         self,
@@ -234,119 +103,149 @@ class Master:
         algorithm: Algorithm = "jacobi",
         every: int = 1,
         progress: Callable[[float], None] | None = None,
+        realtime: float | None = None,
     ) -> Recording:
         """Step until a time; the first row is the present.
 
         Args:
             stop_time_s: Time of the last communication point.
             step_s: Base communication step.
-            algorithm: See the module.
+            algorithm: See `stepping`.
             every: Record every so many steps.
             progress: Called now and then with the time reached.
+            realtime: Simulated seconds per second of the clock, 1 for real time; None: as fast
+                as possible.
 
         Raises:
             FmuError: The step is not positive, the time is past, or a slave failed.
+            Interrupted: Ctrl-C; holds the recording up to then. Between two steps, where a run in
+                real time spends its time, the system can be run on.
+        """
+        steps = self._steps(stop_time_s, step_s)
+        if every < 1:
+            raise FmuError(f"every = {every}: record every so many steps, at least 1.")
+        if realtime is not None and not (realtime > 0 and np.isfinite(realtime)):
+            raise FmuError(f"realtime = {realtime:g}: needs a positive factor, e.g. 1.")
+        step, bus = self._stepping.algorithm(algorithm), self._bus
+        rows = _Rows(bus, steps // every + 1)
+        rows.add(self.time_s)
+        origin = self.time_s
+        pace = Pace(realtime, origin) if realtime is not None else None
+        self._ready = waiting = False
+        try:
+            for k in range(1, steps + 1):
+                step(self.time_s, step_s)
+                self.time_s = origin + k * step_s
+                if k % every == 0:
+                    rows.add(self.time_s)
+                if pace is not None:
+                    waiting = True
+                    pace.wait(self.time_s)
+                    waiting = False
+                if progress is not None and k % 1000 == 0:
+                    progress(self.time_s)
+        except KeyboardInterrupt:
+            self._ready = waiting
+            done = round((self.time_s - origin) / step_s)
+            raise Interrupted(rows.recording(done, pace=pace)) from None
+        self._ready = True
+        return rows.recording(steps, pace=pace)
+
+    # -- controlled steps -------------------------------------------------------------------
+
+    def run_adaptive(
+        self,
+        stop_time_s: float,
+        step_s: float,
+        tolerance: float,
+        algorithm: Algorithm = "settled",
+        progress: Callable[[float], None] | None = None,
+    ) -> Recording:
+        """Run with step-size control and record on an even grid; the first row is the present.
+
+        No step crosses an output instant, nor a sample instant of a slave that has a parameter
+        `sample_period`.
+
+        Args:
+            stop_time_s: Time of the last output.
+            step_s: Time between two outputs, the longest step.
+            tolerance: Error allowed per step in every real number that is connected or recorded,
+                relative to the larger of its value and its nominal value.
+            algorithm: See `stepping`.
+            progress: Called now and then with the time reached.
+
+        Raises:
+            FmuError: A slave cannot take steps back, or the tolerance cannot be reached.
+        """
+        steps = self._steps(stop_time_s, step_s)
+        if not (tolerance > 0 and np.isfinite(tolerance)):
+            raise FmuError(f"tolerance = {tolerance:g}: needs a positive number, e.g. 1e-4.")
+        if not self._stepping.one_rate:
+            raise FmuError(
+                "step-size control and periods of slaves exclude each other: give the slave a "
+                "parameter sample_period, or use fixed steps."
+            )
+        for s in self.slaves:
+            if not (s.interface.varies_step and s.interface.saves_state):
+                raise FmuError(
+                    f"{s.name} ({s.path.name}): step-size control needs "
+                    f"canHandleVariableCommunicationStepSize and canGetAndSetFMUstate; this FMU "
+                    f"says no. Use fixed steps."
+                )
+        advance, bus = self._stepping.algorithm(algorithm), self._bus
+        ports = {n: bus.port(n) for n in bus.position}
+        compared = [n for n, port in ports.items() if port.kind == "Real"]
+        nominal = np.array([ports[n].nominal for n in compared])
+        control = Control(compared, nominal, tolerance, SHORTEST * step_s, step_s)
+        grids, rollback, rows = self._sample_grids(), Rollback(bus), _Rows(bus, steps + 1)
+        rows.add(self.time_s)
+        origin = self.time_s
+        self._ready = False
+        try:
+            for k in range(1, steps + 1):
+                instant = origin + k * step_s
+                advance_to(
+                    instant, self.time_s, control, grids, advance, rollback, bus.positions(compared)
+                )
+                self.time_s = instant
+                rows.add(instant)
+                if progress is not None and k % 100 == 0:
+                    progress(instant)
+        finally:
+            rollback.free()
+        self._ready = True
+        return rows.recording(control.steps, control.rejected)
+
+    def _sample_grids(self) -> list[Grid]:
+        sampled = [s for s in self.slaves if SAMPLE_PERIOD in s.ports]
+        return [Grid(self._start_s, s.get(SAMPLE_PERIOD)) for s in sampled]
+
+    def _steps(self, stop_time_s: float, step_s: float) -> int:
+        """Number of steps until a time.
+
+        Raises:
+            FmuError: There is no such number, or nothing has been initialised.
         """
         if not step_s > 0 or not np.isfinite(step_s):
             raise FmuError(f"communication step {step_s:g} s must be positive, e.g. 0.001.")
         if not np.isfinite(stop_time_s):
             raise FmuError(f"stop time {stop_time_s:g} s must be a finite number.")
-        if every < 1:
-            raise FmuError(f"every = {every}: record every so many steps, at least 1.")
         if not self._ready:
             raise FmuError("the system is not initialised: call initialize() before run().")
         steps = round((stop_time_s - self.time_s) / step_s)
-        if steps < 0 or abs(self.time_s + steps * step_s - stop_time_s) > 1e-6 * step_s * max(
-            1, steps
-        ):
+        missed_s = abs(self.time_s + steps * step_s - stop_time_s)
+        if steps < 0 or missed_s > 1e-6 * step_s * max(1, steps):
             raise FmuError(
                 f"from {self.time_s:g} s to {stop_time_s:g} s is not a whole number of steps of "
                 f"{step_s:g} s."
             )
-        rows = steps // every + 1
-        time, values = np.empty(rows), np.empty((rows, len(self.record_names)))
-        advance = {
-            "jacobi": self._jacobi,
-            "settled": self._settled,
-            "gauss_seidel": self._gauss_seidel,
-        }
-        if algorithm not in advance:
-            raise FmuError(f"algorithm {algorithm!r}: choose {', '.join(advance)}.")
-        step, bus, columns = advance[algorithm], self._bus, self._columns
-        everything = np.array_equal(columns, np.arange(len(bus)))
-        time[0], values[0] = self.time_s, bus[columns]
-        first, origin = self._count, self.time_s
-        for k in range(1, steps + 1):
-            step(step_s)
-            self.time_s = origin + k * step_s
-            self._count = first + k
-            if k % every == 0:
-                time[k // every] = self.time_s
-                values[k // every] = bus if everything else bus[columns]
-            if progress is not None and k % 1000 == 0:
-                progress(self.time_s)
-        return Recording(self.record_names, time, values)
+        return steps
 
-    def _jacobi(self, h: float) -> None:
-        if self._one_rate:
-            for write in self._writes:
-                write()
-            for s in self.slaves:
-                s.step(self.time_s, h)
-            for s in self.slaves:
-                s.read_outputs()
-            return
-        due = self._due()
-        for i in range(len(self.slaves)):
-            if self._count % self._periods[i] == 0:
-                self._write(i)
-        for i in due:
-            k = self._periods[i]
-            self.slaves[i].step(self.time_s - (k - 1) * h, k * h)
-        for i in due:
-            self._read(i)
-
-    def _settled(self, h: float) -> None:
-        self._jacobi(h)
-        self._settle([i for i in self._due() if self._direct[i]])
-
-    def _gauss_seidel(self, h: float) -> None:
-        due = set(self._due())
-        for i in self._sequence:
-            if i not in due:
-                continue
-            k = self._periods[i]
-            self._write(i)
-            self.slaves[i].step(self.time_s - (k - 1) * h, k * h)
-            self._read(i)
-
-    def _due(self) -> list[int]:
-        """Slaves whose period ends with the step under way."""
-        if self._one_rate:
-            return self._all
-        return [i for i, k in enumerate(self._periods) if (self._count + 1) % k == 0]
-
-    def _settle(self, which: Sequence[int] | range) -> None:
-        """Set inputs and read outputs without stepping, in the order of the dependencies."""
-        chosen = set(which)
-        for i in self._order:
-            if i in chosen:
-                self._write(i)
-                self._read(i)
-
-    def _write(self, i: int) -> None:
-        s = self.slaves[i]
-        if len(s.inputs):
-            self._bus.take(self._gather[i], None, s.inputs, "clip")
-            s.write_inputs()
-
-    def _read(self, i: int) -> None:
-        self.slaves[i].read_outputs()
-
-    # -- end ------------------------------------------------------------------------------
+    # -- end --------------------------------------------------------------------------------
 
     def close(self) -> None:
         """Free all slaves."""
+        self._ready = False
         for s in self.slaves:
             s.close()
 
@@ -360,3 +259,31 @@ class Master:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+class _Rows:
+    """The rows of a recording under way."""
+
+    def __init__(self, bus: Bus, count: int) -> None:
+        self._bus, self._filled = bus, 0
+        self._time, self._values = np.empty(count), np.empty((count, len(bus.recorded)))
+        # Where everything on the bus is recorded, a copy does without the slower gather.
+        everything = np.array_equal(bus.columns, np.arange(len(bus.values)))
+        self._columns: NDArray[np.intp] | slice = slice(None) if everything else bus.columns
+
+    def add(self, time_s: float) -> None:
+        """Record the present."""
+        self._time[self._filled] = time_s
+        self._values[self._filled] = self._bus.values[self._columns]
+        self._filled += 1
+
+    def recording(self, steps: int, rejected: int = 0, pace: Pace | None = None) -> Recording:
+        """What has been recorded so far."""
+        return Recording(
+            self._bus.recorded,
+            self._time[: self._filled],
+            self._values[: self._filled],
+            steps,
+            rejected,
+            0.0 if pace is None else pace.lateness_s,
+        )

@@ -1,9 +1,12 @@
-"""Output folders: nothing overwritten unless asked, a `run.json` beside every result."""
+"""Output folders: all results or none, none overwritten unless asked, a `run.json` beside them."""
 
 import hashlib
 import json
+import os
 import platform
-from collections.abc import Iterable, Mapping
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,26 +20,56 @@ def check_folder(out: Path, force: bool) -> None:
     """Refuse an output folder before the work is done; nothing is made yet.
 
     Raises:
-        TwinError: It is a file, or it holds files and `force` is not given.
+        TwinError: It is a file, it cannot be written, or it holds files and `force` is not given.
     """
     if out.exists() and not out.is_dir():
         raise TwinError(f"{out}: is a file; --out names a folder.")
+    there = _nearest(out)
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise TwinError(
+            f"{out}: cannot be written, {there} is "
+            f"{'write-protected' if there.is_dir() else 'a file'}. Choose another --out."
+        )
     if out.is_dir() and any(out.iterdir()) and not force:
         raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
 
 
-def make_folder(out: Path) -> None:
-    """Make the output folder, parents included.
+@contextmanager
+def results_folder(out: Path, force: bool) -> Iterator[Path]:
+    """A temporary folder whose content is moved to `out` at the end; nothing is, if that fails.
+
+    Files of `out` that have another name than a result stay.
 
     Raises:
-        TwinError: It cannot be made.
+        TwinError: As `check_folder`, or a result cannot be moved to its place.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise TwinError(
-            f"{out}: cannot be made: {error.strerror}. Choose another --out."
-        ) from error
+    check_folder(out, force)
+    with tempfile.TemporaryDirectory(prefix=".uavtwin-", dir=_nearest(out)) as folder:
+        results = Path(folder) / "results"
+        results.mkdir()
+        yield results
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            _move(results, out)
+        except OSError as error:
+            place = error.filename2 or error.filename
+            raise TwinError(
+                f"{place}: cannot be written: {error.strerror}. Choose another --out."
+            ) from error
+
+
+def _nearest(out: Path) -> Path:
+    """The folder itself, or the nearest one above it that exists."""
+    return next(path for path in (out, *out.absolute().parents) if path.exists())
+
+
+def _move(made: Path, place: Path) -> None:
+    """Move a file or a folder; a folder already there keeps what else it holds."""
+    if made.is_dir() and place.is_dir():
+        for entry in sorted(made.iterdir()):
+            _move(entry, place / entry.name)
+    else:
+        made.replace(place)
 
 
 def sha256(path: Path) -> str:

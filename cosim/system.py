@@ -2,9 +2,14 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 from twin.errors import FmuError
+
+from .interface import Interface
+
+_WIDTH = {"Boolean": 0, "Enumeration": 1, "Integer": 1, "Real": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +29,20 @@ class System:
         connections: Output to input; an input has at most one source.
         starts: Start values, "slave.variable" -> value.
         periods: Slaves that step only every so many base steps; 1 where not named.
+        start_time_s: Usual start time.
+        stop_time_s: Usual stop time; None: there is none.
+        step_s: Usual base step; None: there is none.
+        folder: What keeps the files of an unpacked archive while the system is in use.
     """
 
     fmus: Mapping[str, Path]
     connections: tuple[Connection, ...] = ()
     starts: Mapping[str, float] = field(default_factory=dict)
     periods: Mapping[str, int] = field(default_factory=dict)
+    start_time_s: float = 0.0
+    stop_time_s: float | None = None
+    step_s: float | None = None
+    folder: object = field(default=None, repr=False, compare=False)
 
     def split(self, name: str) -> tuple[str, str]:
         """Slave and variable of "slave.variable".
@@ -39,11 +52,53 @@ class System:
         """
         slave, _, variable = name.partition(".")
         if slave not in self.fmus or not variable:
+            near = get_close_matches(slave, self.fmus, n=1, cutoff=0.5)
+            hint = f" Did you mean {near[0]!r}?" if near and near[0] != slave else ""
             raise FmuError(
-                f"{name!r}: there is no slave {slave!r}; the system has {', '.join(self.fmus)}. "
-                f"Names are slave.variable."
+                f"{name!r}: there is no slave {slave!r}; the system has {', '.join(self.fmus)}."
+                f"{hint} Names are slave.variable."
             )
         return slave, variable
+
+    def check(self, interfaces: Mapping[str, Interface]) -> None:
+        """Hold names, connections, start values and periods against the FMUs.
+
+        Args:
+            interfaces: Of every slave.
+
+        Raises:
+            FmuError: Something does not fit.
+        """
+        for name in self.starts:
+            slave, variable = self.split(name)
+            interfaces[slave].scalar(variable)
+        for name, period in self.periods.items():
+            if name not in self.fmus or period < 1:
+                raise FmuError(f"period of {name!r} = {period}: needs a slave and an integer >= 1.")
+        taken: set[str] = set()
+        for c in self.connections:
+            self._check_connection(c, interfaces)
+            if c.target in taken:
+                raise FmuError(f"{c.target} has two sources; an input takes one.")
+            taken.add(c.target)
+
+    def _check_connection(self, c: Connection, interfaces: Mapping[str, Interface]) -> None:
+        (a, x), (b, y) = self.split(c.source), self.split(c.target)
+        source, target = interfaces[a].scalar(x), interfaces[b].scalar(y)
+        if source.causality != "output" or target.causality != "input":
+            raise FmuError(
+                f"{c.source} ({source.causality}) -> {c.target} ({target.causality}): "
+                f"a connection goes from an output to an input."
+            )
+        if source.unit and target.unit and source.unit != target.unit:
+            raise FmuError(
+                f"{c.source} [{source.unit}] -> {c.target} [{target.unit}]: units differ."
+            )
+        if _WIDTH[str(source.kind)] > _WIDTH[str(target.kind)]:
+            raise FmuError(
+                f"{c.source} ({source.type}) -> {c.target} ({target.type}): values would be "
+                f"rounded. Put a converting FMU between them."
+            )
 
 
 def connect(source: str, target: str, names: Iterable[str]) -> tuple[Connection, ...]:

@@ -4,44 +4,138 @@ Each document holds a pair of markers; what stands between them is replaced. `--
 nothing and exits 1 if a table is out of date.
 """
 
+import re
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from twin.assembly import CONTROLLERS, flying_twin
+from twin.component import Component, Variable
+from twin.effects import EFFECTS, EffectParameter
 from twin.flightlog.columns import COLUMNS
+from twin.vehicle import Vehicle
 from twin.vehicle_fields import FIELDS
+from twin.vehicle_file import load_vehicle
 
 HERE = Path(__file__).parent
 BEGIN, END = "<!-- table: do not edit, run docs/tables.py -->", "<!-- end of table -->"
+EXAMPLE = "crazyflie"
+"""Vehicle whose start values are shown: it has a battery, so every component exists."""
+
+
+def rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
+    """A Markdown table."""
+    content = [f"| {' | '.join(line)} |" for line in (head, *lines)]
+    return [content[0], "|" + "---|" * len(head), *content[1:]]
 
 
 def flight_table() -> str:
     """Columns of the flight table."""
-    rows = [f"| `{c.name}` | {c.unit or '-'} | {c.description} |" for c in COLUMNS]
-    return "\n".join(["| column | unit | meaning |", "|---|---|---|", *rows])
+    lines = [(f"`{c.name}`", c.unit or "-", c.description) for c in COLUMNS]
+    return "\n".join(rows(("column", "unit", "meaning"), lines))
 
 
 def vehicle() -> str:
     """Keys of the vehicle file, a table per section."""
-    lines: list[str] = []
-    section = ""
+    sections: dict[str, list[Sequence[str]]] = {}
     for key, field in FIELDS.items():
-        if key.split(".")[0] != section:
-            section = key.split(".")[0]
-            lines += [
-                "",
-                f"### [{section}]",
-                "",
-                "| key | unit | needed | meaning |",
-                "|---|---|---|---|",
-            ]
+        section, _, name = key.partition(".")
         unit = field.unit.removeprefix("poly:") or "-"
         sign = {True: "; > 0", False: "; >= 0", None: ""}[field.positive]
         needed = "yes" if field.required else "no"
-        lines.append(f"| `{key.split('.')[1]}` | {unit}{sign} | {needed} | {field.meaning} |")
-    return "\n".join(lines[1:])
+        line = (f"`{name}`", f"{unit}{sign}", needed, field.meaning)
+        sections.setdefault(section, []).append(line)
+    head = ("key", "unit", "needed", "meaning")
+    return "\n\n".join(
+        "\n".join([f"### [{name}]", "", *rows(head, lines)]) for name, lines in sections.items()
+    )
 
 
-DOCUMENTS = {"flight_table.md": flight_table, "vehicle.md": vehicle}
+# -- FMUs -----------------------------------------------------------------------------------
+
+
+def fmus() -> str:
+    """Variables of every component, a table each."""
+    model = load_vehicle(EXAMPLE)
+    parts = {**flying_twin(model, "tour").parts, "controller_px4": CONTROLLERS["px4"](model)}
+    return "\n\n".join(_component(name, part) for name, part in parts.items())
+
+
+def _component(name: str, component: Component) -> str:
+    """Variables of one component; effects by name only, numbered variables in one line."""
+    owners = [v.name.split(".")[0] for v in component.parameters]
+    effects = [f"`{e}`" for e in EFFECTS if e in owners]
+    groups: dict[str, list[Variable]] = {}
+    for v in component.variables:
+        if v.name.split(".")[0] not in EFFECTS:
+            groups.setdefault(re.sub(r"_\d+\b", "_{i}", v.name), []).append(v)
+    lines = [_group(pattern, group) for pattern, group in groups.items()]
+    return "\n".join(
+        [
+            f"### {name}",
+            "",
+            f"{component.description}.",
+            *([f"Effects ([numbers](effects.md)): {', '.join(effects)}."] if effects else []),
+            "",
+            *rows(("variable", "kind", "unit", "start", "meaning"), lines),
+        ]
+    )
+
+
+def _group(pattern: str, group: list[Variable]) -> Sequence[str]:
+    """One line for a variable, or for those that differ in a number."""
+    first, meaning = group[0], group[0].description
+    if len(group) > 1:
+        pattern = pattern.format(i=f"{{1..{len(group)}}}")
+        meaning = re.sub(r"(rotor|motor|waypoint) 1\b", r"\1 i", meaning, flags=re.IGNORECASE)
+    starts = list(dict.fromkeys(_start(v) for v in group))
+    return f"`{pattern}`", first.causality, first.unit, ", ".join(starts), meaning
+
+
+def _start(v: Variable) -> str:
+    if v.causality == "output":
+        return "-"
+    return ("true" if v.start else "false") if v.boolean else f"{v.start:.4g}"
+
+
+# -- effects --------------------------------------------------------------------------------
+
+
+def effects() -> str:
+    """The effect library: an overview, then the parameters."""
+    model = load_vehicle("copter_default")
+    overview = [
+        (f"`{e.name}`", e.component, e.meaning, ", ".join(f"`{n}`" for n in e.needs), e.source)
+        for e in EFFECTS.values()
+    ]
+    numbers = [_number(e.name, p, model) for e in EFFECTS.values() for p in e.parameters]
+    return "\n".join(
+        [
+            "## Effects",
+            "",
+            *rows(("effect", "in", "meaning", "needs", "source"), overview),
+            "",
+            "## Parameters",
+            "",
+            *rows(("parameter", "unit", "start", "prior", "meaning"), numbers),
+        ]
+    )
+
+
+def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence[str]:
+    p = parameter.sized(model)
+    name = f"`{effect}.{p.name}{'_1..n' if p.per_rotor else ''}`"
+    mark = "\\*" if parameter.scale is not None else ""
+    low, high = p.prior
+    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
+
+
+DOCUMENTS = {
+    "flight_table.md": flight_table,
+    "vehicle.md": vehicle,
+    "fmus.md": fmus,
+    "effects.md": effects,
+}
 
 
 def main(check: bool) -> int:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import platformdirs
 
-from twin.component import Variable
 from twin.errors import FmuError
 
 from .description import build_description, model_description
@@ -26,11 +25,12 @@ from .platforms import (
     select_platforms,
     universal_binary,
 )
+from .source import generated_sources
 
 CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden")
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
-_NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
+NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -58,7 +58,7 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
     chosen = select_platforms(platforms)
     sources = _sources(model, fmi)
     token = _token(model, fmi, sources)
-    sources["model.h"] = _model_header(model, token)
+    sources |= generated_sources(model, token)
     compiled = tuple(name for name in sorted(sources) if name.endswith(".c"))
     members = {
         "modelDescription.xml": model_description(model, fmi, token, compiled),
@@ -68,80 +68,30 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
     }
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(model, compiled)
-    _write_archive(path, members)
+    write_archive(path, members)
     return path
 
 
 def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
-    """C files and headers of the FMU, `model.h` excepted (it holds the token of the rest)."""
+    """C files and headers of the FMU, still without the token (which the rest determines)."""
     own = resources.files(__package__) / "c"
     headers = resources.files("fmpy") / "c-code"
-    texts = {
-        name: (own / name).read_text() for name in ("core.c", "core.h", "noise.h", f"fmi{fmi}.c")
+    names = {"core.c", "core.h", "noise.h", f"fmi{fmi}.c", *(part.glue for part in model.parts)}
+    return {
+        **{name: (own / name).read_text() for name in names},
+        **{name: (headers / name).read_text() for name in _HEADERS[fmi]},
+        **generated_sources(model, token=""),
     }
-    texts |= {name: (headers / name).read_text() for name in _HEADERS[fmi]}
-    texts |= model.headers
-    texts["model.c"] = model.source
-    texts["tables.c"] = _tables(model)
-    return texts
 
 
 def _token(model: FmuModel, fmi: int, sources: Mapping[str, str]) -> str:
     """Instantiation token: the same for the same content, different for any other."""
-    digest = hashlib.sha256(
-        repr((model.name, model.max_step_s, sorted(model.defines.items()))).encode()
-    )
-    digest.update(model_description(model, fmi, "", ()))
+    digest = hashlib.sha256(model_description(model, fmi, "", ()))
     for name in sorted(sources):
         digest.update(name.encode() + sources[name].encode())
     for name in sorted(model.resources):
         digest.update(name.encode() + model.resources[name])
-    return str(uuid.uuid5(_NAMESPACE, digest.hexdigest()))
-
-
-def _model_header(model: FmuModel, token: str) -> str:
-    first = {
-        c: 1 + sum(v.causality in before for v in model.variables)
-        for c, before in (("INPUT", ("parameter",)), ("OUTPUT", ("parameter", "input")))
-    }
-    defines = {
-        "N_VARIABLES": len(model.variables) + 1,
-        "FIRST_INPUT": first["INPUT"],
-        "FIRST_OUTPUT": first["OUTPUT"],
-        "N_STATES": len(model.state_names),
-        "MAX_STEP": repr(model.max_step_s),
-        "MODEL_TOKEN": f'"{token}"',
-        **model.defines,
-    }
-    lines = "\n".join(f"#define {name} {value}" for name, value in defines.items())
-    return f"#ifndef UAVTWIN_MODEL_H\n#define UAVTWIN_MODEL_H\n{lines}\n#endif\n"
-
-
-def _tables(model: FmuModel) -> str:
-    """Interface table and state names as C data."""
-
-    def row(v: Variable) -> str:
-        """One line of the C table."""
-        causality = {
-            "parameter": "FIXED_PARAMETER" if v.fixed else "PARAMETER",
-            "input": "INPUT",
-            "output": "OUTPUT",
-        }[v.causality]
-        low = "-HUGE_VAL" if v.minimum is None else repr(float(v.minimum))
-        high = "HUGE_VAL" if v.maximum is None else repr(float(v.maximum))
-        return (
-            f'    {{"{v.name}", "{v.unit}", {causality}, {int(v.boolean)}, '
-            f"{float(v.start)!r}, {low}, {high}}},"
-        )
-
-    rows = "\n".join(row(v) for v in model.variables)
-    states = "".join(f'"{name}", ' for name in model.state_names)
-    return (
-        '#include <math.h>\n\n#include "core.h"\n\n'
-        "const Variable variables[N_VARIABLES] = {\n"
-        f'    {{"time", "s", OUTPUT, 0, 0, -HUGE_VAL, HUGE_VAL}},\n{rows}\n}};\n'
-        f"const char* const state_names[N_STATES + 1] = {{{states}0}};\n"
-    )
+    return str(uuid.uuid5(NAMESPACE, digest.hexdigest()))
 
 
 def _binaries(
@@ -208,7 +158,7 @@ def cache_folder() -> Path:
     return Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
 
 
-def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
+def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes."""
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:

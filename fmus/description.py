@@ -189,5 +189,5 @@ def _unit_definitions(root: etree._Element, model: FmuModel) -> None:
 
 def _default_experiment(root: etree._Element, model: FmuModel) -> None:
     etree.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(model.max_step_s)
+        root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(model.longest_step_s)
     )

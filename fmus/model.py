@@ -1,111 +1,189 @@
-"""What the builder turns into an FMU: an interface table, dependencies and C source."""
+"""What the builder turns into an FMU: parts with their tables and kernels, how they join."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import resources
 
 import casadi as ca
 import numpy as np
 
-from twin.component import Component, Variable
+from twin.component import Causality, Component, Sampling, Variable
+
+_EXPORTED = re.compile(
+    r"^(?:const )?\w+\*? (?P<name>\w+)\([^)]*\) ?\{(?:[^\n]*\}|.*?\n\})\n+"
+    r"|^static const casadi_int casadi_s\d+\[[^;]*;\n",
+    re.MULTILINE | re.DOTALL,
+)
+"""What CasADi writes to be called from outside: functions that are not static, and their tables."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One model inside an FMU, a C source file of its own.
+
+    Attributes:
+        name: A C identifier.
+        variables: In the order of its value references from 1 on: parameters, inputs, outputs.
+        dependencies: Inputs on which each output directly depends during simulation.
+        initial_dependencies: Inputs and parameters on which each output depends at the end of
+            initialisation.
+        state_names: Continuous states, for messages.
+        max_step_s: Longest internal step.
+        glue: File of `fmus/c` that makes a model of tables and kernels.
+        kernels: C source in front of it.
+        defines: Macros that the glue needs.
+        sampling: What happens at sample instants.
+        resources: Files it reads.
+        folder: Where they lie in the resources folder, "" or ending in a slash.
+    """
+
+    name: str
+    variables: tuple[Variable, ...]
+    dependencies: Mapping[str, tuple[str, ...]]
+    initial_dependencies: Mapping[str, tuple[str, ...]]
+    state_names: tuple[str, ...]
+    max_step_s: float
+    glue: str
+    kernels: str = ""
+    defines: Mapping[str, int | str] = field(default_factory=dict)
+    sampling: Sampling | None = None
+    resources: Mapping[str, bytes] = field(default_factory=dict)
+    folder: str = ""
+
+    def of(self, causality: Causality) -> tuple[Variable, ...]:
+        """Its parameters, inputs or outputs."""
+        return tuple(v for v in self.variables if v.causality == causality)
 
 
 @dataclass(frozen=True, slots=True)
 class FmuModel:
     """Everything an FMU holds, apart from the FMI version it speaks.
 
+    Names of variables are unique over all parts.
+
     Attributes:
         name: Model identifier, a C identifier.
-        variables: In value-reference order from 1 on: parameters, inputs, outputs.
-        dependencies: Inputs on which each output directly depends during simulation.
-        initial_dependencies: Inputs and parameters on which each output depends at the end of
-            initialisation.
-        state_names: Continuous states, for messages.
-        defines: Further lines of `model.h`.
-        source: C source of the model, `model.c` without its tables.
-        headers: Further C headers, by file name.
-        max_step_s: Longest internal step.
-        resources: Files of the resources folder.
+        parts: One, or several joined by `fuse`.
+        connections: (output, input), by name.
+        order: Indices of parts in an order in which all outputs become right at initialisation.
+        step_s: Longest step between two exchanges of values; None for a part alone.
     """
 
     name: str
     description: str
-    variables: tuple[Variable, ...]
-    dependencies: Mapping[str, tuple[str, ...]]
-    initial_dependencies: Mapping[str, tuple[str, ...]]
-    state_names: tuple[str, ...]
-    source: str
-    max_step_s: float
-    headers: Mapping[str, str] = field(default_factory=dict)
-    defines: Mapping[str, int] = field(default_factory=dict)
-    resources: Mapping[str, bytes] = field(default_factory=dict)
+    parts: tuple[Part, ...]
+    connections: tuple[tuple[str, str], ...] = ()
+    order: tuple[int, ...] = (0,)
+    step_s: float | None = None
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """In value-reference order from 1 on: parameters, inputs without source, outputs."""
+        connected = {target for _, target in self.connections}
+        kinds: tuple[Causality, ...] = ("parameter", "input", "output")
+        return tuple(
+            v for kind in kinds for p in self.parts for v in p.of(kind) if v.name not in connected
+        )
+
+    @property
+    def dependencies(self) -> dict[str, tuple[str, ...]]:
+        """Inputs on which each output directly depends; connected ones are held over a step."""
+        connected = {target for _, target in self.connections}
+        return {
+            output: tuple(u for u in inputs if u not in connected)
+            for p in self.parts
+            for output, inputs in p.dependencies.items()
+        }
+
+    @property
+    def initial_dependencies(self) -> dict[str, tuple[str, ...]]:
+        """Inputs and parameters that each output feels at the end of initialisation."""
+        source = {target: output for output, target in self.connections}
+        felt: dict[str, dict[str, None]] = {}  # sets in a fixed order
+        for part in (self.parts[i] for i in self.order):
+            felt |= {
+                output: {
+                    name: None
+                    for k in known
+                    for name in (felt.get(source[k], {}) if k in source else {k: None})
+                }
+                for output, known in part.initial_dependencies.items()
+            }
+        return {output: tuple(known) for output, known in felt.items()}
+
+    @property
+    def resources(self) -> dict[str, bytes]:
+        """Files of the resources folder."""
+        return {p.folder + name: file for p in self.parts for name, file in p.resources.items()}
+
+    @property
+    def longest_step_s(self) -> float:
+        """Longest internal step, s."""
+        return self.step_s or self.parts[0].max_step_s
 
 
 def component_model(component: Component) -> FmuModel:
     """The FMU model of a CasADi component: kernels generated as C."""
     kernels = _kernels(component)
-    return FmuModel(
+    part = Part(
         name=component.name,
-        description=component.description,
         variables=component.variables,
         dependencies=_dependencies(component),
         initial_dependencies=_initial_dependencies(component),
         state_names=tuple(s.name for s in component.states),
-        source=(resources.files(__package__) / "c" / "casadi.c").read_text(),
-        headers={"kernels.h": _kernel_header(kernels)},
         max_step_s=component.max_step_s,
+        glue="casadi.h",
+        kernels=_kernel_source(kernels),
         defines=_defines(component, kernels),
+        sampling=component.sampling,
     )
+    return FmuModel(component.name, component.description, (part,))
 
 
 def _kernels(component: Component) -> list[ca.Function]:
     """Every function of the component that its C source calls."""
     functions = [component.initial, component.step, component.outputs, *_tangents(component)]
-    if component.sampling is not None:
-        functions.append(component.sampling.update)
-    if component.shortcut is not None:
-        functions += [component.shortcut.holds, component.shortcut.step]
+    sampling = component.sampling
+    if sampling is not None:
+        functions.append(sampling.update)
+        if sampling.lines:
+            functions += [sampling.signals, sampling.delays]
+    for shortcut in component.shortcuts:
+        functions += [shortcut.holds, shortcut.step, shortcut.outputs]
     return functions
 
 
-def _kernel_header(functions: list[ca.Function]) -> str:
-    """C source of the kernels, included by `casadi.c`."""
+def _kernel_source(functions: list[ca.Function]) -> str:
+    """C source of the kernels, all of it static: several parts are linked into one library."""
     generator = ca.CodeGenerator(
         "kernel", {"with_header": False, "casadi_int": "int", "with_export": False}
     )
     for function in functions:
         generator.add(function)
-    prototypes = "\n".join(
-        f"static int {f.name()}(const double** arg, double** res, int* iw, double* w, int mem);"
-        for f in functions
-    )
-    linkage = "/* Internal linkage: the compiler can fold the kernels into their callers. */"
-    return f"{linkage}\n{prototypes}\n\n{generator.dump()}"
+    names = {f.name() for f in functions}
+
+    def kept(exported: re.Match[str]) -> str:
+        """Kernels and CasADi's helpers, without the functions that describe a kernel to CasADi."""
+        name = exported["name"] or ""
+        called = name in names or name.startswith("casadi_")
+        return f"static {exported[0]}" if called else ""
+
+    return _EXPORTED.sub(kept, generator.dump())
 
 
-def _defines(component: Component, functions: list[ca.Function]) -> dict[str, int]:
-    """Lines of `model.h`: work space of the kernels, and what the component has."""
-    defines = {
+def _defines(component: Component, functions: list[ca.Function]) -> dict[str, int | str]:
+    """Work space of the kernels, and the list of shortcuts."""
+    return {
         "N_ARGUMENTS": max(f.sz_arg() for f in functions) + 1,
         "N_RESULTS": max(f.sz_res() for f in functions) + 1,
         "N_INTEGERS": max(f.sz_iw() for f in functions) + 1,
         "N_WORK": max(f.sz_w() for f in functions) + 1,
+        "SHORTCUTS(TRY)": " ".join(f"TRY({i})" for i in range(len(component.shortcuts))),
     }
-    if component.shortcut is not None:
-        defines["HAS_SHORTCUT"] = 1
-    if component.sampling is not None:
-        reference = {v.name: i for i, v in enumerate(component.variables, start=1)}
-        defines |= {
-            "SAMPLE_PERIOD": reference[component.sampling.period],
-            "SEED": reference[component.sampling.seed or component.sampling.period],
-            "N_NOISE": component.sampling.channels,
-            "STREAM": component.sampling.stream,
-        }
-    return defines
 
 
 def _tangents(component: Component) -> list[ca.Function]:
-    """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp[, w]) -> dy` at the start."""
+    """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start."""
     x = ca.SX.sym("x", len(component.states))
     u, du = (ca.SX.sym(n, len(component.inputs)) for n in ("u", "du"))
     p, dp = (ca.SX.sym(n, len(component.parameters)) for n in ("p", "dp"))
@@ -117,10 +195,9 @@ def _tangents(component: Component) -> list[ca.Function]:
         dy = ca.jtimes(y, ca.vertcat(u, p), ca.vertcat(du, dp))
         return ca.Function(name, arguments, [ca.cse(dy)])
 
-    start = [u, p, du, dp] if component.sampling is None else [u, p, du, dp, w]
     return [
         tangent("tangent", x, [x, u, p, du, dp]),
-        tangent("initial_tangent", _first_state(component, u, p, w), start),
+        tangent("initial_tangent", _first_state(component, u, p, w), [u, p, du, dp, w]),
     ]
 
 
@@ -131,8 +208,8 @@ def _draws(component: Component) -> ca.SX:
 
 def _first_state(component: Component, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
     """State at the start, the first sample instant included."""
-    x = component.initial(u, p)
-    return x if component.sampling is None else component.sampling.update(x, u, p, w)
+    x, sampling = component.initial(u, p), component.sampling
+    return x if sampling is None else sampling.update(x, u, p, w, sampling.signals(x, u, p))
 
 
 def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:

@@ -2,7 +2,6 @@
 
 import re
 import struct
-from importlib import resources
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from twin.errors import LogError
 from twin.flightlog import Flight
 from twin.flightlog.columns import COLUMNS, motor_number
 
-from .model import FmuModel
+from .model import FmuModel, Part
 
 Array = NDArray[np.float64]
 GAP_FACTOR = 5.0
@@ -57,18 +56,18 @@ def replay_model(
         for name in columns
     )
     nothing = {v.name: () for v in outputs + validity}
-    return FmuModel(
+    part = Part(
         name="replay",
-        description=f"Recorded flight {flight.name}",
         variables=outputs + validity,
         dependencies=nothing,
         initial_dependencies=nothing,
         state_names=(),
-        source=(resources.files(__package__) / "c" / "replay.c").read_text(),
         max_step_s=1e-3,
+        glue="replay.h",
         defines={"N_SIGNALS": len(columns)},
         resources={"record.bin": record},
     )
+    return FmuModel("replay", f"Recorded flight {flight.name}", (part,))
 
 
 def _signal(flight: Flight, name: str) -> tuple[Array, Array]:

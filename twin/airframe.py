@@ -10,7 +10,7 @@ paper rotates it with the matrix that takes body velocity to earth. G_a is the g
 of the spinning rotors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -18,10 +18,13 @@ from numpy.typing import NDArray
 
 from .component import Component
 from .component_builder import ComponentBuilder
+from .effects import Blocks, Effect, effects_of
+from .effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
+from .effects.timing import COMMAND_PERIOD_S
 from .errors import ModelError
 from .frames import cross, quaternion_rate, to_body, to_ned
-from .ground import ground_wrench
-from .rotors import Drive, RotorExpressions, rotor_equations
+from .ground import ground_contact
+from .rotors import Drive, first_reaching, hover_level, rotor_equations, rotor_inputs
 from .vehicle import GRAVITY_M_S2, Vehicle
 
 Array = NDArray[np.float64]
@@ -32,74 +35,71 @@ START_HEIGHT_M = 10.0
 """Height at which the airframe starts, in hover, when no start value says otherwise."""
 
 
-def airframe(vehicle: Vehicle, drive: Drive | None = None) -> Component:
+def airframe(
+    vehicle: Vehicle, drive: Drive | None = None, effects: Iterable[str] = ()
+) -> Component:
     """The airframe of a vehicle as a component; its start values are a hover at 10 m.
 
     Args:
-        vehicle: Numbers of the aircraft.
+        vehicle: Numbers of the aircraft, and the effects that are switched on.
         drive: "command" (inputs `cmd_1..n`) or "rotor_speed" (inputs `rotor_1..n`, rad/s);
             default: what the vehicle file describes.
+        effects: Effects to build in, switched off, as blocks of parameters: identifiers of
+            `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
+            the vehicle are always in, and on.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
     """
-    component = _equations(vehicle, drive or vehicle.drive)
+    wanted = {*effects, *vehicle.effects}
+    chosen = [e for e in effects_of("airframe") if e.name in wanted]
+    component = _equations(vehicle, drive or vehicle.drive, chosen)
     return component.with_starts(hover_trim(component, vehicle))
 
 
-def _equations(vehicle: Vehicle, drive: Drive) -> Component:
+def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Component:
     m = ComponentBuilder(
         "airframe", f"Six-degree-of-freedom airframe of {vehicle.name}, driven by {drive}"
     )
-    rotors = rotor_equations(m, vehicle.rotors, drive)
-    wind_n = [
-        m.input(f"wind_{a}", "m/s", f"Wind, NED {d}") for a, d in zip(AXES, _NED, strict=True)
-    ]
-    mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
-    inertia = _inertia(m, vehicle.inertia_kg_m2)
-    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
-    pos_n, vel_n, q_nb, omega_b = _motion_states(m)
-
-    air_b = to_body(q_nb, [v - w for v, w in zip(vel_n, wind_n, strict=True)])
-    drag_b = _drag(m, vehicle, air_b)
-    thrust_b, thrust_moment_b, spin_momentum = _rotor_wrench(m, vehicle, rotors)
-    contact_b, contact_moment_b = ground_wrench(m, vehicle, pos_n, vel_n, q_nb, omega_b)
+    blocks = Blocks(m, vehicle, effects)
+    inputs = rotor_inputs(m, vehicle, drive)
+    if blocks.include("command_delay"):
+        m.sampled(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay")
+    z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
+    motion = _motion(m, vehicle, blocks, z_ground)
+    rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
+    wrench = blocks.apply(_wrench(m, vehicle, rotors))
+    contact = ground_contact(
+        m, vehicle, z_ground, motion.pos_n, motion.vel_n, motion.q_nb, motion.omega_b
+    )
+    switches = [contact.enabled, *blocks.switches]
+    m.idle_while(ca.logic_and(blocks.off(), contact.out_of_reach), contact.step, switches)
+    if blocks.switches:
+        m.idle_while(blocks.off(), contact.step, blocks.switches)
 
     specific_force_b = [
-        (t + d + c) / mass for t, d, c in zip(thrust_b, drag_b, contact_b, strict=True)
+        (f + c) / motion.body.mass for f, c in zip(wrench.force, contact.force, strict=True)
     ]
-    acceleration_n = to_ned(q_nb, specific_force_b)
-    acceleration_n[2] += gravity
-
-    momentum_b = [
-        sum((j * w for j, w in zip(row, omega_b, strict=True)), start=ca.SX(0)) for row in inertia
-    ]
-    momentum_b[2] += spin_momentum
-    moment_b = [
-        t + c - g
-        for t, c, g in zip(
-            thrust_moment_b, contact_moment_b, cross(omega_b, momentum_b), strict=True
-        )
-    ]
-    inverse = _symmetric_inverse(inertia)
-    angular_acceleration_b = [
-        sum((i * t for i, t in zip(row, moment_b, strict=True)), start=ca.SX(0)) for row in inverse
-    ]
+    acceleration_n = to_ned(motion.q_nb, specific_force_b)
+    acceleration_n[2] += motion.gravity
+    angular_acceleration_b = _angular_acceleration(
+        motion, [a + b for a, b in zip(wrench.moment, contact.moment, strict=True)]
+    )
     for i, axis in enumerate(AXES):
-        m.derivative(f"pos_{axis}", vel_n[i])
+        m.derivative(f"pos_{axis}", motion.vel_n[i])
         m.derivative(f"vel_{axis}", acceleration_n[i])
         m.derivative(f"omega_{axis}", angular_acceleration_b[i])
-    for name, rate in zip("wxyz", quaternion_rate(q_nb, omega_b), strict=True):
+    for name, rate in zip("wxyz", quaternion_rate(motion.q_nb, motion.omega_b), strict=True):
         m.derivative(f"q_{name}", rate)
 
     for i, axis in enumerate(AXES):
-        m.output(f"pos_{axis}", "m", f"Position, NED {_NED[i]}", pos_n[i])
+        m.output(f"pos_{axis}", "m", f"Position, NED {_NED[i]}", motion.pos_n[i])
     for i, axis in enumerate(AXES):
-        m.output(f"vel_{axis}", "m/s", f"Velocity, NED {_NED[i]}", vel_n[i])
+        m.output(f"vel_{axis}", "m/s", f"Velocity, NED {_NED[i]}", motion.vel_n[i])
     for i, name in enumerate("wxyz"):
-        m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", q_nb[i])
+        m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", motion.q_nb[i])
     for i, axis in enumerate(AXES):
-        m.output(f"omega_{axis}", "rad/s", f"Body rate about {_FRD[i]}", omega_b[i])
+        m.output(f"omega_{axis}", "rad/s", f"Body rate about {_FRD[i]}", motion.omega_b[i])
     for i, axis in enumerate(AXES):
         m.output(
             f"specific_force_{axis}",
@@ -114,15 +114,16 @@ def _equations(vehicle: Vehicle, drive: Drive) -> Component:
             f"Angular acceleration about {_FRD[i]}",
             angular_acceleration_b[i],
         )
-    for i, thrust in enumerate(rotors.thrust_n, start=1):
+    for i, thrust in enumerate(rotors.thrust, start=1):
         m.output(f"thrust_{i}", "N", f"Thrust of rotor {i}", thrust)
-    if drive == "command":
-        for i, speed in enumerate(rotors.speed_rad_s, start=1):
+    for i, spin in enumerate(rotors.spin, start=1):
+        m.output(f"spin_{i}", "1", f"Speed of rotor {i} over that in hover", spin)
+    if drive == "command" and vehicle.rotors.from_speed:
+        for i, spin in enumerate(rotors.spin, start=1):
+            speed = spin * hover_level(vehicle)
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
     if vehicle.battery is not None:
-        m.output(
-            "ibat_a", "A", "Battery current", _current(m, vehicle, rotors.thrust_n, gravity, mass)
-        )
+        m.output("ibat_a", "A", "Battery current", _current(m, vehicle, rotors))
     return m.build()
 
 
@@ -155,7 +156,7 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
     residual = ca.vertcat(rates[wanted], rates[steady])
     unknown = ca.vertcat(v, r)
     newton = ca.Function("newton", [unknown], [residual, ca.jacobian(residual, unknown)])
-    guess = _trim_guess(vehicle, component.input_names)
+    guess = _trim_guess(vehicle, component.input_names, len(steady))
     for _ in range(50):
         value, slope = (np.asarray(a, dtype=np.float64) for a in newton(guess))
         step = np.linalg.pinv(slope) @ value.ravel()
@@ -177,40 +178,79 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
             f"positions and directions."
         )
     trim = dict(zip(names, commands.tolist(), strict=True))
+    settable = {v.name for v in component.parameters}
     for i, level in zip(steady, guess[len(names) :].tolist(), strict=True):
-        trim[f"initial.{component.states[i].name}"] = level
+        start = f"initial.{component.states[i].name}"
+        if start in settable:  # others start settled on their input
+            trim[start] = level
     return trim
 
 
-def _trim_guess(vehicle: Vehicle, inputs: Sequence[str]) -> Array:
+def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:
     """Equal rotors that carry the weight: argument of the thrust map, then its state if any."""
     rotors = vehicle.rotors
-
-    def solve(coefficients: tuple[float, ...], value: float, low: float, high: float) -> float:
-        grid = np.linspace(low, high, 2001)
-        level = np.polynomial.polynomial.polyval(grid, coefficients)
-        return float(grid[int(np.argmax(level >= value))])
-
-    if not rotors.from_speed:
-        level = command = solve(rotors.thrust_n, vehicle.hover_thrust_n, 0.0, 1.0)
-    else:
-        limit = 10.0
-        while (
-            np.polynomial.polynomial.polyval(limit, rotors.thrust_n) < vehicle.hover_thrust_n
-            and limit < 1e6
-        ):
-            limit *= 2
-        level = solve(rotors.thrust_n, vehicle.hover_thrust_n, 0.0, limit)
-        command = solve(rotors.speed_rad_s, level, 0.0, 1.0) if rotors.speed_rad_s else level
+    level = hover_level(vehicle)
+    command = level
+    if rotors.from_speed and rotors.speed_rad_s:
+        command = first_reaching(rotors.speed_rad_s, level, 1.0)
     first = level if "rotor_1" in inputs else command
-    has_state = "rotor_1" not in inputs and rotors.lag_up_s > 0
-    return np.array([first] * rotors.count + [level] * (rotors.count if has_state else 0))
+    return np.array([first] * rotors.count + [level] * n_steady)
+
+
+def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX) -> Motion:
+    """Declare the states of the rigid body and its surroundings."""
+    wind_n = [
+        m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
+        for a, d in zip(AXES, _NED, strict=True)
+    ]
+    density = m.input("density", "kg/m3", "Air density", AIR_DENSITY_KG_M3)
+    voltage = ca.SX(vehicle.voltage_v)
+    if vehicle.rotors.reference_voltage_v is not None or blocks.include("battery_sag"):
+        voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
+    mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
+    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
+    body = blocks.apply(Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle)))
+    air = blocks.apply(Air(wind_n))
+    initial, pos_n, vel_n, q_nb, omega_b = _motion_states(m)
+    reference = m.parameter(
+        "reference_density",
+        AIR_DENSITY_KG_M3,
+        "kg/m3",
+        "Air density at which the numbers of rotors and drag hold",
+        minimum=1e-3,
+    )
+    return Motion(
+        body=body,
+        pos_n=pos_n,
+        vel_n=vel_n,
+        q_nb=q_nb,
+        omega_b=omega_b,
+        air_b=to_body(q_nb, [v - w for v, w in zip(vel_n, air.wind_n, strict=True)]),
+        height=z_ground - pos_n[2],
+        density=density / reference,
+        gravity=gravity,
+        voltage=voltage,
+        start_vel_n=[initial[f"vel_{a}"] for a in AXES],
+    )
+
+
+def _angular_acceleration(motion: Motion, moment_b: Sequence[ca.SX]) -> list[ca.SX]:
+    """Euler's equation: `J domega/dt = M - omega x (J omega)`."""
+    inertia, omega_b = motion.body.inertia, motion.omega_b
+    momentum = [
+        sum((j * w for j, w in zip(row, omega_b, strict=True)), start=ca.SX(0)) for row in inertia
+    ]
+    net = [a - b for a, b in zip(moment_b, cross(omega_b, momentum), strict=True)]
+    return [
+        sum((i * t for i, t in zip(row, net, strict=True)), start=ca.SX(0))
+        for row in _symmetric_inverse(inertia)
+    ]
 
 
 def _motion_states(
     m: ComponentBuilder,
-) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
-    """Position and velocity NED, attitude, body rates, each starting at its `initial.*`."""
+) -> tuple[dict[str, ca.SX], list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
+    """Start values by name; position and velocity NED, attitude, body rates."""
     start = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
     rows = (
         [(f"pos_{a}", "m", f"position, NED {d}") for a, d in zip(AXES, _NED, strict=True)]
@@ -234,6 +274,7 @@ def _motion_states(
     for a, c in zip("wxyz", q, strict=True):
         m.projection(f"q_{a}", c / length)
     return (
+        initial,
         [x[f"pos_{a}"] for a in AXES],
         [x[f"vel_{a}"] for a in AXES],
         q,
@@ -269,14 +310,14 @@ def _symmetric_inverse(J: list[list[ca.SX]]) -> list[list[ca.SX]]:
     return [[value / determinant for value in row] for row in adjugate]
 
 
-def _drag(m: ComponentBuilder, vehicle: Vehicle, air_b: Sequence[ca.SX]) -> list[ca.SX]:
+def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
     """Linear and quadratic drag along the body axes.
 
     Source: quadratic, Stevens, Lewis & Johnson, ch. 2; linear (rotor drag lumped into the body),
     Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7.
     """
     force = []
-    for i, (axis, air) in enumerate(zip(AXES, air_b, strict=True)):
+    for i, (axis, air) in enumerate(zip(AXES, motion.air_b, strict=True)):
         linear = m.parameter(
             f"drag.linear_{axis}",
             float(vehicle.drag_linear_n_s_m[i]),
@@ -291,62 +332,62 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, air_b: Sequence[ca.SX]) -> list
             f"Quadratic drag along body {_FRD[i]}",
             minimum=0,
         )
-        force.append(-(linear + quadratic * ca.fabs(air)) * air)
+        force.append(-motion.density * (linear + quadratic * ca.fabs(air)) * air)
     return force
 
 
-def _rotor_wrench(
-    m: ComponentBuilder, vehicle: Vehicle, rotors: RotorExpressions
-) -> tuple[list[ca.SX], list[ca.SX], ca.SX]:
-    """Force, moment (body FRD) and spin angular momentum about body z of all rotors."""
-    force_z, moment, momentum = ca.SX(0), [ca.SX(0)] * 3, ca.SX(0)
-    spin_inertia = (
-        m.parameter(
+def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
+    """Rotor hubs from the centre of mass, one [x, y, z] per rotor."""
+    return [
+        [
+            m.parameter(
+                f"rotor_{n}.{a}", hub[k], "m", f"Hub of rotor {n} from the centre of mass, {d}"
+            )
+            for k, (a, d) in enumerate(zip(AXES, _FRD, strict=True))
+        ]
+        for n, hub in enumerate(vehicle.rotors.position_m.tolist(), start=1)
+    ]
+
+
+def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
+    """Drag of the body, thrust, reaction torque and gyroscopic torque of the rotors."""
+    motion = rotors.motion
+    force = _drag(m, vehicle, motion)
+    moment = [ca.SX(0)] * 3
+    for hub, direction, thrust, torque in zip(
+        motion.body.hubs, rotors.direction, rotors.thrust, rotors.torque, strict=True
+    ):
+        force[2] -= thrust
+        # +1 clockwise seen from above spins about +z; the body feels the reaction.
+        moment = [
+            moment[0] - hub[1] * thrust,
+            moment[1] + hub[0] * thrust,
+            moment[2] - direction * torque,
+        ]
+    if vehicle.rotors.from_speed:
+        inertia = m.parameter(
             "spin_inertia",
             vehicle.rotors.spin_inertia_kg_m2,
             "kg.m2",
             "Inertia of one rotor about its axis",
             minimum=0,
         )
-        if rotors.speed_rad_s
-        else ca.SX(0)
-    )
-    for i in range(vehicle.rotors.count):
-        n = i + 1
-        x, y = (
-            m.parameter(
-                f"rotor_{n}.{a}",
-                float(vehicle.rotors.position_m[i, k]),
-                "m",
-                f"Hub of rotor {n} from the centre of mass, body {_FRD[k]}",
-            )
-            for k, a in enumerate("xy")
-        )
-        direction = float(
-            vehicle.rotors.direction[i]
-        )  # +1 clockwise seen from above: spins about +z
-        thrust = rotors.thrust_n[i]
-        force_z -= thrust
-        moment = [
-            moment[0] - y * thrust,
-            moment[1] + x * thrust,
-            moment[2] - direction * rotors.torque_n_m[i],
-        ]
-        if rotors.speed_rad_s:
-            momentum += direction * spin_inertia * rotors.speed_rad_s[i]
-    return [ca.SX(0), ca.SX(0), force_z], moment, momentum
+        spin = sum((d * s for d, s in zip(rotors.direction, rotors.spin, strict=True)), ca.SX(0))
+        momentum = [ca.SX(0), ca.SX(0), inertia * hover_level(vehicle) * spin]
+        gyroscopic = cross(motion.omega_b, momentum)
+        moment = [a - b for a, b in zip(moment, gyroscopic, strict=True)]
+    return Wrench(rotors, force, moment)
 
 
-def _current(
-    m: ComponentBuilder, vehicle: Vehicle, thrust_n: list[ca.SX], gravity: ca.SX, mass: ca.SX
-) -> ca.SX:
+def _current(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> ca.SX:
     """Battery current: induced power grows with thrust^1.5 (momentum theory, Leishman ch. 2)."""
     assert vehicle.battery is not None
     hover = m.parameter(
         "hover_current", vehicle.battery.hover_current_a, "A", "Battery current in hover", minimum=0
     )
-    share = mass * gravity / len(thrust_n)
-    loads = [ca.if_else(t > 0, t, 0.0) / share for t in thrust_n]
+    motion = rotors.motion
+    share = motion.body.mass * motion.gravity / len(rotors.thrust)
+    loads = [ca.if_else(t > 0, t, 0.0) / share for t in rotors.thrust]
     # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms.
     load = sum((x * ca.sqrt(x) for x in loads), start=ca.SX(0))
-    return hover * load / len(thrust_n)
+    return hover * load / len(loads)

@@ -9,8 +9,9 @@ and are integrated by the classical Runge-Kutta method of fourth order (RK4) wit
 held over the step, followed by an optional projection (a quaternion back to unit length).
 
 A sampled component also has memory that changes at the instants t_k = t_0 + k T alone, k = 0, 1,
-...: x(t_k+) = update(x(t_k-), u, p, w_k) with w_k standard normal draws that are a function of
-seed, component and k (`twin.noise`). `Run` is the reference of how all this is put together.
+...: x(t_k+) = update(x(t_k-), u, p, w_k, d_k). Here w_k are standard normal draws, a function of
+seed, component and k (`twin.noise`), and d_k is what some signals(x, u, p) were a while before.
+`Run` is the reference of how all this is put together.
 """
 
 from collections.abc import Iterable, Mapping
@@ -68,33 +69,54 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Shortcut:
-    """A step with some equations left out, exact while they would come to zero.
+    """Step and outputs with some equations left out, exact while they would come to zero.
 
     Attributes:
-        holds: `(x, p, h) -> 0 or 1`: whether the cheap step is as good over the next h seconds.
+        holds: `(x, p, h) -> 0 or 1`: whether the cheap ones are as good over the next h seconds;
+            h = 0 for the outputs.
         step: `(x, u, p, h) -> x`, the same numbers as the full step then.
+        outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
     """
 
     holds: ca.Function
     step: ca.Function
+    outputs: ca.Function
+
+
+@dataclass(frozen=True, slots=True)
+class DelayLine:
+    """A signal remembered over its last sample instants.
+
+    Attributes:
+        samples: How many, the present one among them: the longest delay is samples - 1 periods.
+    """
+
+    name: str
+    samples: int
 
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What a component does at its sample instants.
+    """What a component does at its sample instants: signals enter the lines, then it updates.
 
     Attributes:
         period: Name of the parameter that holds T, s.
         seed: Name of the parameter that seeds the noise; None without noise.
         channels: Number of standard normal draws per instant.
         stream: Tells the draws of this component from those of others with the same seed.
-        update: `(x, u, p, w) -> x`.
+        lines: Delay lines.
+        signals: `(x, u, p) -> s`, what enters each line.
+        delays: `p -> s`, how far each line is looked back.
+        update: `(x, u, p, w, d) -> x` with the delayed signals d.
     """
 
     period: str
     seed: str | None
     channels: int
     stream: int
+    lines: tuple[DelayLine, ...]
+    signals: ca.Function
+    delays: ca.Function
     update: ca.Function
 
 
@@ -108,7 +130,7 @@ class Component:
         step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
         outputs: `(x, u, p) -> y`.
         sampling: What happens at sample instants; None: nothing does.
-        shortcut: A cheaper way to the same step while a condition holds; None: there is none.
+        shortcuts: Cheaper ways to the same numbers, tried in this order.
         max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
 
     The CasADi functions take columns; a matrix with one column per sample is a batch.
@@ -125,7 +147,7 @@ class Component:
     step: ca.Function
     outputs: ca.Function
     max_step_s: float
-    shortcut: Shortcut | None = None
+    shortcuts: tuple[Shortcut, ...] = ()
     sampling: Sampling | None = None
 
     @property
@@ -193,6 +215,8 @@ class Run:
         self.component, self.p = component, p
         self.x = np.asarray(component.initial(u, p), dtype=np.float64).ravel()
         self._start_s, self._count = time_s, 0
+        lines = () if component.sampling is None else component.sampling.lines
+        self._records = tuple(np.zeros(line.samples) for line in lines)
         self._sample(u)
 
     def step(self, time_s: float, step_s: float, u: Array) -> None:
@@ -228,7 +252,38 @@ class Run:
         if sampling.seed is not None:
             seed = int(self._parameter(sampling.seed))
             w = normal(seed, sampling.stream, sampling.channels, self._count, 1)[0]
-        self.x = np.asarray(sampling.update(self.x, u, self.p, w), dtype=np.float64).ravel()
+        d = self._look_back(sampling, u)
+        self.x = np.asarray(sampling.update(self.x, u, self.p, w, d), dtype=np.float64).ravel()
+
+    def _look_back(self, sampling: Sampling, u: Array) -> Array:
+        """Remember the signals of this instant and return each at its delay before.
+
+        Sample j of a line is at j modulo its length; before the first one a signal counts as having
+        always had that value.
+        """
+        signals = np.asarray(sampling.signals(self.x, u, self.p), dtype=np.float64).ravel()
+        delays_s = np.asarray(sampling.delays(self.p), dtype=np.float64).ravel()
+        period_s, k = self._parameter(sampling.period), self._count
+        records, delayed = [], []
+        for line, record, signal, delay_s in zip(
+            sampling.lines, self._records, signals, delays_s, strict=True
+        ):
+            n = line.samples
+            periods = float(delay_s) / period_s
+            if not 0 <= periods <= n - 1 + SAMPLE_TOLERANCE:
+                raise ModelError(
+                    f"{self.component.name}: delay {line.name} = {delay_s:g} s must be from 0 to "
+                    f"{(n - 1) * period_s:g} s: make it shorter or {sampling.period} longer."
+                )
+            periods = min(periods, n - 1.0)
+            back = int(periods)
+            record = record.copy()  # so that a copy of the run has its own
+            record[k % n] = signal
+            after, before = (record[max(k - j, 0) % n] for j in (back, back + 1))
+            delayed.append(after + (periods - back) * (before - after))
+            records.append(record)
+        self._records = tuple(records)
+        return np.array(delayed)
 
     def _parameter(self, name: str) -> float:
         names = [v.name for v in self.component.parameters]

@@ -5,11 +5,11 @@ equations, and turns both into a `Component`.
 """
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import casadi as ca
 
-from .component import Component, Sampling, Shortcut, State, Variable, check_range
+from .component import Component, DelayLine, Sampling, Shortcut, State, Variable, check_range
 from .errors import ModelError
 
 
@@ -22,10 +22,11 @@ class ComponentBuilder:
         self._states: dict[str, tuple[State, ca.SX, ca.SX]] = {}
         self._rates: dict[str, ca.SX] = {}
         self._projections: dict[str, ca.SX] = {}
-        self._idle: tuple[ca.SX, ca.SX, ca.SX] | None = None
+        self._idle: list[tuple[ca.SX, ca.SX, Sequence[ca.SX]]] = []
         self._updates: dict[str, ca.SX] = {}
         self._period: str | None = None
         self._noise: list[ca.SX] = []
+        self._delayed: list[tuple[DelayLine, ca.SX, ca.SX, ca.SX]] = []
 
     def parameter(
         self,
@@ -55,7 +56,7 @@ class ComponentBuilder:
         self._declare(Variable(name, "output", unit, description), ca.SX(expression))
 
     def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
-        """Declare a state with its initial value, an expression of inputs and parameters."""
+        """Declare a state with its initial value: of inputs, parameters, states with their own."""
         symbol = ca.SX.sym(name)
         self._states[name] = (State(name, unit, description), symbol, ca.SX(initial))
         return symbol
@@ -69,7 +70,9 @@ class ComponentBuilder:
         self._projections[name] = expression
 
     def sampled(self, period_s: float, description: str) -> ca.SX:
-        """Make the component sampled, with the parameters `sample_period` and `seed`.
+        """Make the component sampled, with the parameter `sample_period`.
+
+        A component that draws noise gets the parameter `seed` next to it.
 
         Returns:
             Symbol of the sample period, s.
@@ -103,18 +106,50 @@ class ComponentBuilder:
         self._noise.append(symbol)
         return symbol
 
-    def idle_while(self, condition: ca.SX, step: ca.SX, switch: ca.SX) -> None:
-        """Say when a parameter that switches equations on is as good as 0.
+    def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
+        """What a signal was a while before each sample instant; for use in updates.
+
+        Between sample instants the signal counts as a straight line, before the start as having
+        always had its first value.
+
+        Args:
+            name: Of the delay, for messages.
+            signal: Scalar expression of states, inputs and parameters, taken before the update.
+            delay_s: Expression of parameters, s, from 0 to `samples` - 1 sample periods; any other
+                value stops the simulation.
+            samples: How many samples are remembered, the present one among them.
+
+        Returns:
+            Symbol of the delayed signal.
+
+        Raises:
+            ModelError: `samples` is below 1.
+        """
+        if samples < 1:
+            raise ModelError(
+                f"{self._name}: delay {name!r} needs at least 1 sample, not {samples}."
+            )
+        symbol = ca.SX.sym(f"delayed_{name}")
+        line = DelayLine(name, samples)
+        self._delayed.append((line, ca.SX(signal), ca.SX(delay_s), symbol))
+        return symbol
+
+    def idle_while(self, condition: ca.SX, step: ca.SX, switches: Sequence[ca.SX]) -> None:
+        """Say when parameters that switch equations on are as good as 0.
+
+        Said several times, the first condition that holds counts.
 
         Args:
             condition: Expression of states, parameters and `step`.
-            step: Symbol of the step length, s.
-            switch: The parameter's symbol.
+            step: Symbol of the step length, s; 0 where the outputs are asked for.
+            switches: The parameters' symbols.
         """
-        self._idle = (condition, step, switch)
+        self._idle.append((condition, step, switches))
 
     def build(self) -> Component:
         """Turn the collected equations into a component."""
+        if self._period is not None and not self._noise:
+            self._variables.pop("seed", None)
         table = {
             c: [(v, e) for v, e in self._variables.values() if v.causality == c]
             for c in ("parameter", "input", "output")
@@ -122,8 +157,8 @@ class ComponentBuilder:
         x = _column(symbol for _, symbol, _ in self._states.values())
         u = _column(symbol for _, symbol in table["input"])
         p = _column(symbol for _, symbol in table["parameter"])
-        h = ca.SX.sym("h")
         x0 = _column(initial for _, _, initial in self._states.values())
+        x0 = ca.substitute(x0, x, x0)  # a state that starts at another's value
         rates = _column(self._rates.get(name, ca.SX(0)) for name in self._states)
         projected = _column(
             self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
@@ -131,15 +166,19 @@ class ComponentBuilder:
         y = _column(expression for _, expression in table["output"])
         project = ca.Function("project", [x], [projected])
         f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
-        shortcut = None
-        if self._idle is not None:
-            condition, length, switch = self._idle
-            cheap = ca.Function("f", [x, u, p], [ca.cse(ca.substitute(rates, switch, 0.0))])
-            shortcut = Shortcut(
-                ca.Function("holds", [x, p, length], [condition]),
-                ca.Function("cheap_step", [x, u, p, h], [_rk4(cheap, project, x, u, p, h)]),
+
+        def shortcut(
+            i: int, condition: ca.SX, length: ca.SX, switches: Sequence[ca.SX]
+        ) -> Shortcut:
+            off = [ca.SX(0.0)] * len(switches)
+            (dx,), (cheap_y,) = (ca.substitute([e], list(switches), off) for e in (rates, y))
+            cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
+            return Shortcut(
+                holds=ca.Function(f"holds_{i}", [x, p, length], [condition]),
+                step=_rk4(f"cheap_step_{i}", cheap, project),
+                outputs=ca.Function(f"cheap_outputs_{i}", [x, u, p], [ca.cse(cheap_y)]),
             )
-        x_next = _rk4(f, project, x, u, p, h)
+
         return Component(
             name=self._name,
             description=self._description,
@@ -149,27 +188,35 @@ class ComponentBuilder:
             states=tuple(state for state, _, _ in self._states.values()),
             initial=ca.Function("initial", [u, p], [ca.cse(x0)], ["u", "p"], ["x"]),
             derivatives=f,
-            step=ca.Function("step", [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"]),
+            step=_rk4("step", f, project),
             outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
             max_step_s=self._max_step_s,
-            shortcut=shortcut,
+            shortcuts=tuple(shortcut(i, *idle) for i, idle in enumerate(self._idle)),
             sampling=self._sampling(x, u, p),
         )
 
     def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
         if self._period is None:
+            if self._updates or self._noise or self._delayed:
+                raise ModelError(f"{self._name}: updates need a sample period: call sampled().")
             return None
         after = _column(
             self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
         )
         w = _column(self._noise)
+        signals = _column(signal for _, signal, _, _ in self._delayed)
+        delays = _column(delay for _, _, delay, _ in self._delayed)
+        d = _column(symbol for _, _, _, symbol in self._delayed)
         return Sampling(
             period=self._period,
             seed="seed" if self._noise else None,
             channels=len(self._noise),
             stream=zlib.crc32(self._name.encode()),
+            lines=tuple(line for line, *_ in self._delayed),
+            signals=ca.Function("signals", [x, u, p], [ca.cse(signals)], ["x", "u", "p"], ["s"]),
+            delays=ca.Function("delays", [p], [ca.cse(delays)], ["p"], ["s"]),
             update=ca.Function(
-                "update", [x, u, p, w], [ca.cse(after)], ["x", "u", "p", "w"], ["x_next"]
+                "update", [x, u, p, w, d], [ca.cse(after)], ["x", "u", "p", "w", "d"], ["x_next"]
             ),
         )
 
@@ -185,10 +232,13 @@ def _column(parts: Iterable[ca.SX]) -> ca.SX:
     return ca.vertcat(*parts) if parts else ca.SX(0, 1)
 
 
-def _rk4(f: ca.Function, project: ca.Function, x: ca.SX, u: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-    """One classical Runge-Kutta step of fourth order, then the projection."""
+def _rk4(name: str, f: ca.Function, project: ca.Function) -> ca.Function:
+    """`(x, u, p, h) -> x`: one classical Runge-Kutta step of fourth order, then the projection."""
+    x, u, p = f.sx_in()
+    h = ca.SX.sym("h")
     k1 = f(x, u, p)
     k2 = f(x + h / 2 * k1, u, p)
     k3 = f(x + h / 2 * k2, u, p)
     k4 = f(x + h * k3, u, p)
-    return ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+    x_next = ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+    return ca.Function(name, [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"])

@@ -5,6 +5,7 @@ damping ratio `CONTACT_DAMPING`, slow enough for RK4 at 1 ms.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -26,19 +27,38 @@ SLIP_SPEED_M_S = 0.02
 """Speed at which friction reaches 71 % of its Coulomb value."""
 
 
-def ground_wrench(
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """What the ground does to the vehicle.
+
+    Attributes:
+        force: N, body FRD.
+        moment: About the centre of mass, N m, body FRD.
+        enabled: Parameter that switches the ground on.
+        step: Symbol of the step length, s, in `out_of_reach`.
+        out_of_reach: Whether no foot can touch the ground within the step.
+    """
+
+    force: list[ca.SX]
+    moment: list[ca.SX]
+    enabled: ca.SX
+    step: ca.SX
+    out_of_reach: ca.SX
+
+
+def ground_contact(
     m: ComponentBuilder,
     vehicle: Vehicle,
+    z_ground: ca.SX,
     pos_n: Sequence[ca.SX],
     vel_n: Sequence[ca.SX],
     q_nb: Sequence[ca.SX],
     omega_b: Sequence[ca.SX],
-) -> tuple[list[ca.SX], list[ca.SX]]:
-    """Force (N) and moment about the centre of mass (N m) of the ground, body FRD."""
+) -> Contact:
+    """Declare the parameters of the ground, whose plane is at `z_ground` NED, m."""
     enabled = m.parameter(
         "ground.enabled", 1.0, "1", "Whether there is a ground", boolean=True, minimum=0, maximum=1
     )
-    z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     count = vehicle.rotors.count
     omega0 = 2 * np.pi * CONTACT_HZ
     stiffness = m.parameter(
@@ -63,12 +83,10 @@ def ground_wrench(
         "Centre of mass over the ground when standing",
         minimum=0,
     )
-    # Out of reach of the feet in any attitude, whatever happens within a step: no contact.
+    # Out of reach of the feet in any attitude, whatever happens within a step.
     step = ca.SX.sym("step")
-    feet = np.linalg.norm(vehicle.rotors.position_m[:, :2], axis=1).max()
     speed_n = ca.sqrt(sum((v * v for v in vel_n), start=ca.SX(0)))
-    reach = float(feet) + height + CLEARANCE_M + 2 * step * speed_n
-    m.idle_while(pos_n[2] + reach < z_ground, step, enabled)
+    reach = vehicle.arm_m + height + CLEARANCE_M + 2 * step * speed_n
 
     # Everything is linear in the place of the foot, so columns in NED are made once:
     # a foot at (x, y, height) is at R_x x + R_y y + R_z height from the centre of mass.
@@ -89,4 +107,6 @@ def ground_wrench(
         f_n = [-grip * v_n[0], -grip * v_n[1], -normal]
         force_n = [a + b for a, b in zip(force_n, f_n, strict=True)]
         moment_n = [a + b for a, b in zip(moment_n, cross(reach_n, f_n), strict=True)]
-    return to_body(q_nb, force_n), to_body(q_nb, moment_n)
+    return Contact(
+        to_body(q_nb, force_n), to_body(q_nb, moment_n), enabled, step, pos_n[2] + reach < z_ground
+    )

@@ -1,109 +1,118 @@
-"""Inertial measurement unit: lever arm, low-pass, bias and noise between motion and readings.
+"""Inertial measurement unit: lever arm, low-pass and noise between motion and readings.
 
-    acc  = LP(f_b + alpha x r + omega x (omega x r)) + b_a + n_a
-    gyro = LP(omega) + b_g + n_g
+    acc  = LP(f_b + alpha x r + omega x (omega x r)) + n_a
+    gyro = LP(omega) + n_g
 
 with the specific force f_b at the centre of mass, the sensor at r, and LP a second-order
-Butterworth low-pass. At each sample instant n is drawn anew and b takes a step of a random walk
-from the bias on; between the instants both are held. Source: Titterton & Weston, Strapdown
-Inertial Navigation Technology, ch. 3; noise model, IEEE Std 952-1997, annex C.
+Butterworth low-pass. At each sample instant n, white noise plus a random walk, is drawn anew;
+between the instants it is held while the rest follows the motion. Source: Titterton & Weston,
+Strapdown Inertial Navigation Technology, ch. 3; noise model, IEEE Std 952-1997, annex C.
+
+Scale, misalignment, bias, vibration, delay and a stuck channel are effects (`twin.effects`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import casadi as ca
 import numpy as np
 
 from .component import Component
 from .component_builder import ComponentBuilder
+from .effects import Blocks
+from .effects.inertial import IMU_CHANNELS
+from .effects.sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Latency, Mounting
 from .frames import cross
+from .sensor_errors import (
+    AXES,
+    BODY,
+    NoiseLevel,
+    late,
+    noise,
+    noise_level,
+    sensor_blocks,
+    vector_input,
+    vector_parameter,
+)
 from .vehicle import Vehicle
 
 SAMPLE_PERIOD_S = 1e-3
-AXES = ("x", "y", "z")
-_FRD = ("forward", "right", "down")
+DELAY_SAMPLES = 251
+"""Samples remembered: the longest delay is one less than that many sample periods."""
+_UNITS = ("m/s2",) * 3 + ("rad/s",) * 3
+_MEANINGS = tuple(
+    f"{sensor}, {d}"
+    for sensor in ("Accelerometer, specific force", "Gyroscope, body rate")
+    for d in BODY
+)
 
 
-def imu(vehicle: Vehicle) -> Component:
-    """The IMU of a vehicle as a component."""
+def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
+    """The IMU of a vehicle as a component.
+
+    Args:
+        vehicle: Numbers of the aircraft, and the effects that are switched on.
+        effects: Effects to build in, switched off: identifiers of `twin.effects.EFFECTS`, of
+            which those count that act on the IMU.
+    """
     m = ComponentBuilder("imu", f"Accelerometer and gyroscope of {vehicle.name}")
     period = m.sampled(SAMPLE_PERIOD_S, "Time between two draws of the noise")
-    force = _vector_input(m, "specific_force", "m/s2", "Specific force at the centre of mass")
-    alpha = _vector_input(m, "angular_acceleration", "rad/s2", "Angular acceleration")
-    omega = _vector_input(m, "omega", "rad/s", "Body rate")
-    arm = [
-        m.parameter(
-            f"position_{a}",
-            float(vehicle.imu_position_m[i]),
-            "m",
-            f"Accelerometer from the centre of mass, body {_FRD[i]}",
+    blocks = sensor_blocks(m, vehicle, "imu", effects)
+    still = _felt(m, vehicle, blocks)
+    felt = blocks.apply(still)
+    reading = blocks.apply(
+        ImuReading(
+            acc=_low_pass(
+                m, "acc", felt.specific_force_b, still.specific_force_b, vehicle.accel_cutoff_hz
+            ),
+            gyro=_low_pass(m, "gyro", felt.omega_b, still.omega_b, vehicle.gyro_cutoff_hz),
         )
-        for i, a in enumerate(AXES)
-    ]
-    tangential, centripetal = cross(alpha, arm), cross(omega, cross(omega, arm))
-    at_sensor = [f + t + c for f, t, c in zip(force, tangential, centripetal, strict=True)]
-    readings = (
-        ("acc", "m/s2", "Accelerometer, specific force", at_sensor, vehicle.accel_cutoff_hz),
-        ("gyro", "rad/s", "Gyroscope, body rate", omega, vehicle.gyro_cutoff_hz),
     )
-    for name, unit, meaning, signal, cutoff in readings:
-        bias = [
-            m.parameter(
-                f"{name}_bias_{a}",
-                0.0,
-                unit,
-                f"Bias of the {meaning.split(',')[0].lower()}, body {d}",
-            )
-            for a, d in zip(AXES, _FRD, strict=True)
-        ]
-        if cutoff is not None:
-            signal = _low_pass(m, name, unit, signal, cutoff)
-        error = _noise(m, name, unit, period)
-        for a, d, s, b, e in zip(AXES, _FRD, signal, bias, error, strict=True):
-            m.output(f"{name}_{a}", unit, f"{meaning}, body {d}", s + b + e)
+    readings = _delayed(m, blocks, [*reading.acc, *reading.gyro])
+    errors = _errors(m, vehicle, blocks, period)
+    readings = [r + e for r, e in zip(readings, errors, strict=True)]
+    readings = _frozen(m, blocks, readings, period)
+    for channel, unit, meaning, value in zip(
+        IMU_CHANNELS, _UNITS, _MEANINGS, readings, strict=True
+    ):
+        m.output(channel, unit, meaning, value)
     return m.build()
 
 
-def _noise(m: ComponentBuilder, name: str, unit: str, period: ca.SX) -> list[ca.SX]:
-    """White noise plus the walk of the bias, per axis; both off by default."""
-    white = m.parameter(
-        f"{name}_noise", 0.0, unit, f"Noise of {name}, standard deviation", minimum=0
-    )
-    walk = m.parameter(
-        f"{name}_bias_walk",
-        0.0,
-        unit,
-        f"Walk of the bias of {name}, standard deviation after 1 s",
-        minimum=0,
-    )
-    errors = []
-    for a in AXES:
-        drift = m.memory(f"{name}_drift_{a}", unit, f"Walk of the bias of {name}, {a}")
-        noise = m.memory(f"{name}_noise_{a}", unit, f"Noise of {name}, {a}")
-        m.update(f"{name}_drift_{a}", drift + walk * ca.sqrt(period) * m.noise())
-        m.update(f"{name}_noise_{a}", white * m.noise())
-        errors.append(drift + noise)
-    return errors
-
-
-def _vector_input(m: ComponentBuilder, name: str, unit: str, meaning: str) -> list[ca.SX]:
-    return [
-        m.input(f"{name}_{a}", unit, f"{meaning}, body {d}")
-        for a, d in zip(AXES, _FRD, strict=True)
+def _felt(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> Felt:
+    """Inputs, carried over to the place of the accelerometer."""
+    force = vector_input(m, "specific_force", "m/s2", "Specific force at the centre of mass", BODY)
+    alpha = vector_input(m, "angular_acceleration", "rad/s2", "Angular acceleration", BODY)
+    omega = vector_input(m, "omega", "rad/s", "Body rate", BODY)
+    rotors = range(1, vehicle.rotors.count + 1) if blocks.include("vibration") else ()
+    spin = [
+        m.input(f"spin_{i}", "1", f"Speed of rotor {i} over that in hover", 1.0) for i in rotors
     ]
+    meaning = "Accelerometer from the centre of mass"
+    arm = vector_parameter(m, "position", vehicle.imu_position_m.tolist(), "m", meaning, BODY)
+    arm = blocks.apply(Mounting(arm)).arm_b
+    tangential, centripetal = cross(alpha, arm), cross(omega, cross(omega, arm))
+    at_sensor = [f + t + c for f, t, c in zip(force, tangential, centripetal, strict=True)]
+    return Felt(at_sensor, omega, spin)
 
 
 def _low_pass(
-    m: ComponentBuilder, name: str, unit: str, signal: Sequence[ca.SX], cutoff_hz: float
+    m: ComponentBuilder,
+    name: str,
+    signal: list[ca.SX],
+    settled_on: list[ca.SX],
+    cutoff_hz: float | None,
 ) -> list[ca.SX]:
-    """Second-order Butterworth low-pass per axis, starting settled on its input."""
+    """Second-order Butterworth low-pass per axis, starting settled, without any vibration."""
+    if cutoff_hz is None:
+        return signal
     cutoff = m.parameter(
         f"{name}_cutoff", cutoff_hz, "Hz", f"Low-pass of {name}", minimum=1e-3, maximum=200.0
     )
     w = 2 * np.pi * cutoff
+    unit = _UNITS[IMU_CHANNELS.index(f"{name}_x")]
     filtered = []
-    for a, s in zip(AXES, signal, strict=True):
-        y = m.state(f"{name}_lp_{a}", unit, f"Low-passed {name}, {a}", s)
+    for a, s, start in zip(AXES, signal, settled_on, strict=True):
+        y = m.state(f"{name}_lp_{a}", unit, f"Low-passed {name}, {a}", start)
         v = m.state(
             f"{name}_lp_rate_{a}", f"{unit}.s-1", f"Rate of the low-passed {name}, {a}", 0.0
         )
@@ -111,3 +120,49 @@ def _low_pass(
         m.derivative(f"{name}_lp_rate_{a}", w * w * (s - y) - np.sqrt(2) * w * v)
         filtered.append(y)
     return filtered
+
+
+def _delayed(m: ComponentBuilder, blocks: Blocks, readings: list[ca.SX]) -> list[ca.SX]:
+    """Delayed samples while the delay is on, else the readings themselves."""
+    if not blocks.include("imu_delay"):
+        return readings
+    latency = blocks.apply(Latency(late=ca.SX(0), delay_s=ca.SX(0)))
+    return [
+        ca.if_else(latency.late, late(m, channel, unit, reading, latency, DELAY_SAMPLES), reading)
+        for channel, unit, reading in zip(IMU_CHANNELS, _UNITS, readings, strict=True)
+    ]
+
+
+def _errors(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, period: ca.SX) -> list[ca.SX]:
+    """Noise of the six channels."""
+    s = vehicle.sensors
+    acc = noise_level(m, "acc", "m/s2", s.accel_noise_m_s2, s.accel_walk_m_s2)
+    gyro = noise_level(m, "gyro", "rad/s", s.gyro_noise_rad_s, s.gyro_walk_rad_s)
+    white = blocks.apply(ImuNoise(acc.white, gyro.white))
+    levels = [NoiseLevel(white.acc, acc.walk)] * 3 + [NoiseLevel(white.gyro, gyro.walk)] * 3
+    return [
+        noise(m, channel, unit, level, period)
+        for channel, unit, level in zip(IMU_CHANNELS, _UNITS, levels, strict=True)
+    ]
+
+
+def _frozen(
+    m: ComponentBuilder, blocks: Blocks, readings: list[ca.SX], period: ca.SX
+) -> list[ca.SX]:
+    """Readings, of which a stuck one repeats its last value."""
+    if not blocks.include("stuck_sensor"):
+        return readings
+    count = m.memory("samples", "1", "Sample instants so far")
+    m.update("samples", count + 1)
+    freezing = blocks.apply(Freezing(count * period, [ca.SX(0)] * len(readings)))
+    outputs = []
+    for channel, unit, reading, stuck in zip(
+        IMU_CHANNELS, _UNITS, readings, freezing.stuck, strict=True
+    ):
+        frozen = m.memory(f"{channel}.frozen", "1", f"Whether {channel} stands still")
+        last = m.memory(f"{channel}.last", unit, f"Value at which {channel} stands still")
+        shown = ca.if_else(frozen, last, reading)
+        m.update(f"{channel}.frozen", stuck)
+        m.update(f"{channel}.last", shown)
+        outputs.append(shown)
+    return outputs

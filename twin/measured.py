@@ -93,7 +93,7 @@ def measured_motion(flight: Flight) -> MeasuredMotion:
         velocity = _derivative(position)
         notes.append("velocity derived from position (Savitzky-Golay, 9 samples)")
     if gyro is None and attitude is not None and len(attitude.t_s) > 9:
-        gyro = _rates_of(attitude)
+        gyro = rates_of(attitude)
         notes.append("body rates derived from attitude")
     missing = [
         n
@@ -148,7 +148,8 @@ def _derivative(signal: Signal) -> Signal:
     return Signal(signal.t_s, differentiate(Signal(signal.t_s, smooth)))
 
 
-def _rates_of(attitude: Signal) -> Signal:
+def rates_of(attitude: Signal) -> Signal:
+    """Body rates between neighbouring attitudes, rad/s, at the times half-way."""
     step = rotation_vector(attitude.values[1:], attitude.values[:-1])
     dt = np.diff(attitude.t_s)[:, None]
     return Signal((attitude.t_s[1:] + attitude.t_s[:-1]) / 2, step / dt)
@@ -162,7 +163,7 @@ def _attitude_doubt(attitude: Signal, rates: Signal) -> list[str]:
     """
     if len(attitude.t_s) < 40 or attitude.rate_hz < 5 * AGREEMENT_HZ:
         return []
-    turning = _rates_of(attitude)
+    turning = rates_of(attitude)
     slow = zero_phase(turning, AGREEMENT_HZ)
     gyro = Signal(rates.t_s, zero_phase(rates, AGREEMENT_HZ)).at(turning.t_s)
     known = np.all(np.isfinite(gyro) & np.isfinite(slow), axis=1)

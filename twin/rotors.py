@@ -10,34 +10,21 @@ Three kinds, chosen by the vehicle file and by what the flight holds:
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
+import numpy as np
 
 from .component_builder import ComponentBuilder
+from .effects.definition import Blocks
+from .effects.stages import Motion, Motors, Thrust
 from .errors import ModelError
-from .vehicle import Rotors
+from .vehicle import Rotors, Vehicle
 
 Drive = Literal["command", "rotor_speed"]
 
 
-@dataclass(frozen=True, slots=True)
-class RotorExpressions:
-    """What the rigid body needs of each rotor, as expressions.
-
-    Attributes:
-        thrust_n: Along body -z, one per rotor.
-        torque_n_m: Reaction torque, positive number, one per rotor.
-        speed_rad_s: Speed, one per rotor; empty when the thrust map is of the command.
-    """
-
-    thrust_n: list[ca.SX]
-    torque_n_m: list[ca.SX]
-    speed_rad_s: list[ca.SX]
-
-
-def polynomial(coefficients: Sequence[ca.SX], argument: ca.SX) -> ca.SX:
+def polynomial(coefficients: Sequence[Any], argument: Any) -> Any:
     """Value of a polynomial with ascending coefficients (Horner)."""
     value = coefficients[-1]
     for c in coefficients[-2::-1]:
@@ -45,44 +32,106 @@ def polynomial(coefficients: Sequence[ca.SX], argument: ca.SX) -> ca.SX:
     return value
 
 
-def rotor_equations(m: ComponentBuilder, rotors: Rotors, drive: Drive) -> RotorExpressions:
-    """Declare inputs, parameters and states of the rotors; return their thrust and torque.
+def rotor_inputs(m: ComponentBuilder, vehicle: Vehicle, drive: Drive) -> list[ca.SX]:
+    """Declare what drives the rotors, one input each: `cmd_i`, 0..1, or `rotor_i`, rad/s.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
     """
+    numbers = range(1, vehicle.rotors.count + 1)
+    if drive == "command":
+        return [m.input(f"cmd_{i}", "1", f"Command of motor {i}, 0..1") for i in numbers]
+    if not vehicle.rotors.from_speed:
+        raise ModelError(
+            "Measured rotor speeds cannot drive a vehicle whose thrust map is of the command; "
+            "give rotors.thrust_from_speed in the vehicle file."
+        )
+    # Hover trim is a start value of the inputs, set once the whole airframe is known.
+    return [m.input(f"rotor_{i}", "rad/s", f"Speed of rotor {i}") for i in numbers]
+
+
+def rotor_equations(
+    m: ComponentBuilder,
+    vehicle: Vehicle,
+    drive: Drive,
+    inputs: list[ca.SX],
+    motion: Motion,
+    blocks: Blocks,
+) -> Thrust:
+    """Declare parameters and states of the rotors; return what each gives."""
+    rotors = vehicle.rotors
     argument, argument_unit = ("rotor speed", "rad/s") if rotors.from_speed else ("command", "1")
     thrust = _coefficients(m, "thrust", "N", "Thrust", rotors.thrust_n, argument, argument_unit)
     torque = _coefficients(
         m, "torque", "N.m", "Reaction torque", rotors.torque_n_m, argument, argument_unit
     )
     if drive == "rotor_speed":
-        if not rotors.from_speed:
-            raise ModelError(
-                "Measured rotor speeds cannot drive a vehicle whose thrust map is of the command; "
-                "give rotors.thrust_from_speed in the vehicle file."
-            )
-        # Hover trim is a start value of the inputs, set once the whole airframe is known.
-        level = [
-            m.input(f"rotor_{i}", "rad/s", f"Speed of rotor {i}")
-            for i in range(1, rotors.count + 1)
-        ]
+        level, rate = inputs, _spin_rates(m, rotors, blocks)
     else:
-        level = _driven_by_command(m, rotors)
+        level, rate = _driven_by_command(m, vehicle, inputs, motion.voltage, blocks)
     # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
-    return RotorExpressions(
-        thrust_n=[_not_negative(polynomial(thrust, x)) for x in level],
-        torque_n_m=[_not_negative(polynomial(torque, x)) for x in level],
-        speed_rad_s=level if rotors.from_speed else [],
+    pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
+    twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
+    spin, spin_rate = _spin(vehicle, level, rate)
+    return Thrust(
+        motion, rotors.direction.tolist(), vehicle.hover_thrust_n, spin, spin_rate, pushes, twists
     )
 
 
-def _driven_by_command(m: ComponentBuilder, rotors: Rotors) -> list[ca.SX]:
-    """Rotor speed or effective command behind saturation, voltage and lag."""
-    commands = [
-        m.input(f"cmd_{i}", "1", f"Command of motor {i}, 0..1") for i in range(1, rotors.count + 1)
+def hover_level(vehicle: Vehicle) -> float:
+    """Argument of the thrust map, rad/s or command, at which equal rotors carry the weight.
+
+    Nearly so: the next value of a grid of 2001. The end of the grid where none carries it.
+    """
+    rotors, high = vehicle.rotors, 1.0
+    if rotors.from_speed:
+        high = 10.0
+        while polynomial(rotors.thrust_n, high) < vehicle.hover_thrust_n and high < 1e6:
+            high *= 2
+    return first_reaching(rotors.thrust_n, vehicle.hover_thrust_n, high)
+
+
+def first_reaching(coefficients: Sequence[float], value: float, high: float) -> float:
+    """First argument from 0 to `high`, on a grid of 2001, where a polynomial reaches a value."""
+    grid = np.linspace(0.0, high, 2001)
+    reached = np.polynomial.polynomial.polyval(grid, coefficients) >= value
+    return float(grid[int(np.argmax(reached))] if reached.any() else high)
+
+
+def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.SX]:
+    """Time derivatives of measured rotor speeds, an input where an effect asks for them."""
+    if not blocks.include("rotor_inertia_torque"):
+        return [ca.SX(0)] * rotors.count
+    return [
+        m.input(f"spin_rate_{i}", "rad/s2", f"Rate of change of the speed of rotor {i}")
+        for i in range(1, rotors.count + 1)
     ]
-    steady = [ca.fmin(ca.fmax(c, 0.0), 1.0) for c in commands]
+
+
+def _driven_by_command(
+    m: ComponentBuilder,
+    vehicle: Vehicle,
+    commands: list[ca.SX],
+    voltage: ca.SX,
+    blocks: Blocks,
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Rotor speed or effective command behind saturation, voltage and lag, and its rate."""
+    rotors = vehicle.rotors
+    if rotors.from_speed and not rotors.speed_rad_s:
+        raise ModelError(
+            f"Commands cannot drive {vehicle.name}: it is known by rotor speed only. Give "
+            f"rotors.speed_from_command in the vehicle file."
+        )
+    up, down = ca.SX(0), ca.SX(0)
+    if rotors.lag_up_s > 0:
+        up = m.parameter(
+            "lag.up", rotors.lag_up_s, "s", "Rotor time constant, rising", minimum=1e-3
+        )
+        down = m.parameter(
+            "lag.down", rotors.lag_down_s, "s", "Rotor time constant, falling", minimum=1e-3
+        )
+    motors = blocks.apply(Motors(commands, up, down))
+    steady = [ca.fmin(ca.fmax(c, 0.0), 1.0) for c in motors.command]
     if rotors.reference_voltage_v is not None:
         reference = m.parameter(
             "reference_voltage",
@@ -97,7 +146,6 @@ def _driven_by_command(m: ComponentBuilder, rotors: Rotors) -> list[ca.SX]:
             "1",
             "Power of voltage over reference voltage that multiplies the command",
         )
-        voltage = m.input("vbat_v", "V", "Battery voltage", rotors.reference_voltage_v)
         scale = ca.fmax(voltage / reference, 0.0) ** exponent
         steady = [c * scale for c in steady]
     if rotors.speed_rad_s:
@@ -105,24 +153,67 @@ def _driven_by_command(m: ComponentBuilder, rotors: Rotors) -> list[ca.SX]:
             m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
         )
         steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
-    if rotors.lag_up_s == 0:
-        return steady
-    up = m.parameter("lag.up", rotors.lag_up_s, "s", "Rotor time constant, rising", minimum=1e-3)
-    down = m.parameter(
-        "lag.down", rotors.lag_down_s, "s", "Rotor time constant, falling", minimum=1e-3
-    )
+    if not blocks.include("motor_lag") and rotors.lag_up_s == 0:
+        return steady, [ca.SX(0)] * rotors.count
+    return _lagging(m, rotors, steady, motors)
+
+
+def _lagging(
+    m: ComponentBuilder, rotors: Rotors, steady: list[ca.SX], motors: Motors
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """First-order lag per rotor; one without a lag of its own starts settled on its input, and
+    a lag of 0 s passes the input through."""
     state, unit, meaning = (
         ("rotor", "rad/s", "speed of rotor")
         if rotors.from_speed
         else ("effort", "1", "effective command of motor")
     )
-    level = []
+    levels, rates = [], []
     for i, target in enumerate(steady, start=1):
-        start = m.parameter(f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True)
+        own_lag = rotors.lag_up_s > 0
+        start = target
+        if own_lag:
+            start = m.parameter(
+                f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True
+            )
         x = m.state(f"{state}_{i}", unit, meaning.capitalize() + f" {i}", start)
-        m.derivative(f"{state}_{i}", (target - x) / ca.if_else(target > x, up, down))
-        level.append(x)
-    return level
+        lag = ca.if_else(target > x, motors.lag_up, motors.lag_down)
+        if own_lag:
+            level, rate = x, (target - x) / lag
+        else:
+            lags = lag > 0
+            level = ca.if_else(lags, x, target)
+            rate = ca.if_else(lags, (target - x) / ca.if_else(lags, lag, 1.0), 0.0)
+        m.derivative(f"{state}_{i}", rate)
+        levels.append(level)
+        rates.append(rate)
+    return levels, rates
+
+
+SLOWEST_SPIN = 0.1
+"""Rotor speed over that in hover below which its rate is not told from the thrust: there the map
+of the command has no slope."""
+
+
+def _spin(
+    vehicle: Vehicle, level: list[ca.SX], rate: list[ca.SX]
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Rotor speed over that in hover and its rate; thrust grows with its square where the map is
+    of the command."""
+    rotors = vehicle.rotors
+    if rotors.from_speed:
+        hover = hover_level(vehicle)
+        return [x / hover for x in level], [r / hover for r in rate]
+    x = ca.SX.sym("x")
+    share = _not_negative(polynomial(rotors.thrust_n, x)) / vehicle.hover_thrust_n
+    slope = ca.Function("slope", [x], [share, ca.jacobian(share, x)])
+    spins, rates = [], []
+    for value, change in zip(level, rate, strict=True):
+        load, steepness = slope(value)
+        spin = ca.sqrt(load)
+        spins.append(spin)
+        rates.append(steepness * change / (2 * ca.fmax(spin, SLOWEST_SPIN)))
+    return spins, rates
 
 
 def _coefficients(

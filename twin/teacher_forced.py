@@ -15,7 +15,7 @@ from .airframe import AXES
 from .component import Component
 from .errors import LogError
 from .flightlog import Flight
-from .flightlog.columns import ACC, motor_columns
+from .flightlog.columns import ACC, is_known, motor_columns
 from .measured import (
     RATE_CUTOFF_HZ,
     MeasuredMotion,
@@ -25,12 +25,17 @@ from .measured import (
 )
 from .residuals import Channel
 from .rotors import Drive
+from .sampled import noiseless_outputs
 from .vehicle import Vehicle
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
 """Step of the grid: the communication step of the co-simulation."""
 _WARM_UP_S = 2.0
+RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple(
+    f"q_{a}" for a in "wxyz"
+)
+"""States of the rigid body, which flights measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +55,11 @@ class Inputs:
     u: Array
     rotor_states: Array
     notes: tuple[str, ...]
+
+    @property
+    def step_s(self) -> float:
+        """Step of the grid."""
+        return float(self.t_s[1] - self.t_s[0])
 
 
 def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
@@ -79,12 +89,15 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
 
 
 def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
-    """Inputs of the airframe on a uniform grid of `GRID_S`: the last sample held, wind zero."""
+    """Inputs of the airframe on a uniform grid: the last sample held.
+
+    What no flight table holds, such as the wind, stays at its start value.
+    """
     notes: list[str] = []
     u = np.tile(airframe.input_values(), (len(t_s), 1))
     columns = []
     for i, name in enumerate(airframe.input_names):
-        if name.startswith("wind_"):
+        if not is_known(name):
             continue
         if flight.has(name):
             u[:, i] = Signal(*flight.signal([name])).held(t_s)[:, 0]
@@ -93,10 +106,12 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
             notes.append(
                 f"no {name} in the flight: {name} = {u[0, i]:g} {airframe.inputs[i].unit} assumed"
             )
-    return Inputs(tuple(columns), t_s, u, _rotor_states(airframe, u), tuple(notes))
+    return Inputs(
+        tuple(columns), t_s, u, _rotor_states(airframe, u, float(t_s[1] - t_s[0])), tuple(notes)
+    )
 
 
-def _rotor_states(airframe: Component, u: Array) -> Array:
+def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
     """Integrate the rotor states alone over the inputs, settled on the first input."""
     index = [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
     if not index:
@@ -105,8 +120,8 @@ def _rotor_states(airframe: Component, u: Array) -> Array:
     r, v = ca.SX.sym("r", len(index)), ca.SX.sym("v", u.shape[1])
     x = ca.SX(airframe.initial(airframe.input_values(), p))
     x[index] = r
-    step = ca.Function("rotor_step", [r, v], [airframe.step(x, v, p, GRID_S)[index]])
-    warm = round(_WARM_UP_S / GRID_S)
+    step = ca.Function("rotor_step", [r, v], [airframe.step(x, v, p, step_s)[index]])
+    warm = round(_WARM_UP_S / step_s)
     held = np.vstack([np.tile(u[:1], (warm, 1)), u[:-1]])
     start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
     states = step.mapaccum("rotor_states", len(held))(start, held.T)
@@ -137,7 +152,32 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             x[:, [column[n] for n in names]] = values
     rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
     x[:, rotors] = inputs.rotor_states
+    hidden = sorted(set(range(x.shape[1])) - set(rotors) - {column[n] for n in RIGID})
+    if hidden:
+        x[:, hidden] = _hidden_states(airframe, hidden, x, inputs)
     return x
+
+
+def _hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
+    """Integrate states that nobody measures, such as a load on its rope, along the measured ones.
+
+    Where the motion is unknown its last known values count.
+    """
+    known = np.all(np.isfinite(x), axis=1)
+    if not known.any():
+        return np.full((len(x), len(index)), np.nan)
+    last = np.maximum.accumulate(np.where(known, np.arange(len(x)), -1))
+    path = x[np.where(last < 0, np.argmax(known), last)]
+    p, u = airframe.parameter_values({"ground.enabled": 0.0}), inputs.u
+    z, at, v = (
+        ca.SX.sym(n, k) for n, k in (("z", len(index)), ("x", x.shape[1]), ("u", u.shape[1]))
+    )
+    full = ca.SX(at)
+    full[index] = z
+    step = ca.Function("hidden_step", [z, at, v], [airframe.step(full, v, p, inputs.step_s)[index]])
+    start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
+    after = step.mapaccum("hidden_states", len(x))(start, path.T, u.T)
+    return np.vstack([start, np.asarray(after, dtype=np.float64).T[:-1]])
 
 
 def predicted_readings(
@@ -177,14 +217,7 @@ def sensor_readings(imu: Component, sensed: Array) -> Array:
         return np.full((len(sensed), len(imu.output_names)), np.nan)
     last = np.maximum.accumulate(np.where(known, np.arange(len(sensed)), -1))
     clean = sensed[np.where(last < 0, np.argmax(known), last)]
-    p = imu.parameter_values()
-    batch_p = np.tile(p[:, None], len(clean))
-    states = np.zeros((0, len(clean)))
-    if imu.states:
-        start = np.asarray(imu.initial(clean[0], p), dtype=np.float64).ravel()
-        later = imu.step.mapaccum("imu_states", len(clean))(start, clean.T, batch_p, GRID_S)
-        states = np.column_stack([start, np.asarray(later, dtype=np.float64)[:, :-1]])
-    readings = np.asarray(imu.outputs(states, clean.T, batch_p), dtype=np.float64).T
+    readings = noiseless_outputs(imu, clean, GRID_S)
     readings[~known] = np.nan
     return readings
 

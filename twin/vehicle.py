@@ -1,15 +1,19 @@
 """The numbers of one aircraft, in SI units, and where each comes from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .sensor_data import Sensors
+
 Array = NDArray[np.float64]
 GRAVITY_M_S2 = 9.80665
 """Standard gravity, CGPM 1901."""
+NOMINAL_CELL_V = 3.7
+"""Voltage of one lithium polymer cell, half full."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +25,11 @@ class Battery:
     capacity_a_s: float
     resistance_ohm: float
     hover_current_a: float
+
+    @property
+    def mean_voltage_v(self) -> float:
+        """Open-circuit voltage when half full."""
+        return (self.full_voltage_v + self.empty_voltage_v) / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +79,11 @@ class Vehicle:
         drag_quadratic_n_s2_m2: Per body axis, shape (3,).
         leg_height_m: Centre of mass over the ground when standing.
         imu_position_m: Accelerometer from the centre of mass, shape (3,).
+        sensors: Noise of the sensors, and the site.
         sources: Pedigree of each number, by its key in the file; "default: ..." where the file
             is silent and a default stands in.
         doubts: What looks odd but is not refused.
+        effects: Effects that are switched on (`twin.effects`), each with all its parameters.
     """
 
     name: str
@@ -89,6 +100,8 @@ class Vehicle:
     battery: Battery | None
     sources: Mapping[str, str]
     doubts: tuple[str, ...] = ()
+    sensors: Sensors = field(default_factory=Sensors)
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
     def drive(self) -> Literal["command", "rotor_speed"]:
@@ -101,6 +114,22 @@ class Vehicle:
     def hover_thrust_n(self) -> float:
         """Thrust of one rotor in hover, equally shared."""
         return self.mass_kg * GRAVITY_M_S2 / self.rotors.count
+
+    @property
+    def arm_m(self) -> float:
+        """Distance of the farthest rotor from the centre of mass in the rotor plane."""
+        return float(np.linalg.norm(self.rotors.position_m[:, :2], axis=1).max())
+
+    @property
+    def voltage_v(self) -> float:
+        """Voltage at which the maps hold; without one that of the battery, or of one cell."""
+        if self.rotors.reference_voltage_v is not None:
+            return self.rotors.reference_voltage_v
+        return NOMINAL_CELL_V if self.battery is None else self.battery.mean_voltage_v
+
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Vehicle":
+        """The same vehicle with these effects, each with all its parameters, and no others."""
+        return replace(self, effects=effects)
 
     def with_mass(self, mass_kg: float) -> "Vehicle":
         """The same vehicle with another mass."""

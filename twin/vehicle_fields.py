@@ -10,7 +10,8 @@ class Field:
     Attributes:
         unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
             whose value has unit U.
-        shape: "scalar", "vector", "n x 3", "list", "text" or "polynomial".
+        shape: How its value is read: "scalar", "vector", "inertia", "n x 3", "list", "pair",
+            "lag" or "polynomial".
         required: Whether a file without it is refused.
         positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
             when >= 0 is enough.
@@ -28,7 +29,7 @@ FIELDS: dict[str, Field] = {
     "body.mass": Field("kg", "scalar", True, True, "Take-off mass, battery included."),
     "body.inertia": Field(
         "kg*m^2",
-        "vector",
+        "inertia",
         True,
         None,
         "Inertia about the centre of mass, body FRD: [Ixx, Iyy, Izz] or "
@@ -145,10 +146,107 @@ FIELDS: dict[str, Field] = {
     "imu.gyro_cutoff": Field(
         "Hz", "scalar", False, True, "Second-order low-pass of the gyroscope; absent: none."
     ),
+    "imu.accel_noise": Field(
+        "m/s^2", "scalar", False, False, "White noise of a reading, standard deviation. Default 0."
+    ),
+    "imu.accel_walk": Field(
+        "m/s^2",
+        "scalar",
+        False,
+        False,
+        "Random walk of the accelerometer's bias, standard deviation after 1 s. Default 0.",
+    ),
+    "imu.gyro_noise": Field(
+        "rad/s", "scalar", False, False, "White noise of a reading, standard deviation. Default 0."
+    ),
+    "imu.gyro_walk": Field(
+        "rad/s",
+        "scalar",
+        False,
+        False,
+        "Random walk of the gyroscope's bias, standard deviation after 1 s. Default 0.",
+    ),
     "battery.full_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when full."),
     "battery.empty_voltage": Field("V", "scalar", False, True, "Open-circuit voltage when empty."),
     "battery.capacity": Field("A*s", "scalar", False, True, "Charge from full to empty."),
     "battery.resistance": Field("ohm", "scalar", False, False, "Internal resistance."),
     "battery.hover_current": Field("A", "scalar", False, True, "Current drawn in hover."),
+    "magnetometer.field": Field(
+        "T",
+        "vector",
+        False,
+        None,
+        "Magnetic flux density at the site [north, east, down]. Without it: by the World Magnetic "
+        "Model from [site]; without that either, that of southern Germany.",
+    ),
+    "magnetometer.noise": Field(
+        "T", "scalar", False, False, "White noise of a reading, standard deviation. Default 0."
+    ),
+    "magnetometer.walk": Field(
+        "T",
+        "scalar",
+        False,
+        False,
+        "Random walk of the bias, standard deviation after 1 s. Default 0.",
+    ),
+    "barometer.noise": Field(
+        "Pa", "scalar", False, False, "White noise of a reading, standard deviation. Default 0."
+    ),
+    "barometer.walk": Field(
+        "Pa",
+        "scalar",
+        False,
+        False,
+        "Random walk of the bias, standard deviation after 1 s. Default 0.",
+    ),
+    "position.period": Field("s", "scalar", False, True, "Time between two samples."),
+    "position.delay": Field("s", "scalar", False, False, "From the motion to the output."),
+    "position.antenna": Field(
+        "m",
+        "vector",
+        False,
+        None,
+        "Antenna or markers [x, y, z] from the centre of mass, body FRD.",
+    ),
+    "position.noise": Field(
+        "m",
+        "vector",
+        False,
+        False,
+        "White noise of the position [north, east, down], standard deviation.",
+    ),
+    "position.walk": Field(
+        "m",
+        "vector",
+        False,
+        False,
+        "Random walk of the position error [north, east, down], standard deviation after 1 s.",
+    ),
+    "position.velocity_noise": Field(
+        "m/s",
+        "vector",
+        False,
+        False,
+        "White noise of the velocity [north, east, down], standard deviation.",
+    ),
+    "position.attitude_noise": Field(
+        "rad",
+        "scalar",
+        False,
+        False,
+        "White noise of the attitude about each axis, standard deviation; motion capture alone.",
+    ),
+    "site.latitude": Field(
+        "rad", "scalar", False, None, "Geodetic latitude of the site, north > 0."
+    ),
+    "site.longitude": Field("rad", "scalar", False, None, "Longitude of the site, east > 0."),
+    "site.height": Field("m", "scalar", False, None, "Height over WGS 84. Default 0."),
+    "site.year": Field("1", "scalar", False, None, "Decimal year of the flights. Default 2025.5."),
+    "site.pressure": Field(
+        "Pa", "scalar", False, True, "Static pressure at the origin of NED. Default 101325 Pa."
+    ),
+    "site.temperature": Field(
+        "K", "scalar", False, True, "Air temperature at the origin of NED. Default 288.15 K."
+    ),
 }
 """Every key a vehicle file may hold, in the order of the documentation."""

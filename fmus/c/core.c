@@ -5,30 +5,76 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "noise.h"
+
 /* As in the Python reference, twin/component.py. */
 #define SAMPLE_TOLERANCE 1e-6
+
+#define FOR_EACH_PART(P) for (Part* P = c->parts; P < c->parts + fmu.n_parts; P++)
 
 static int fail(Instance* c, const char* format, const char* name, double a, double b) {
     snprintf(c->message, sizeof c->message, format, name, a, b);
     return -1;
 }
 
-void core_reset(Instance* c) {
-    memset(&c->state, 0, sizeof c->state);
-    for (unsigned i = 1; i < FIRST_OUTPUT; i++) c->state.v[i] = variables[i].start;
-    c->state.mode = INSTANTIATED;
-    c->state.outputs_stale = 1;
+/* ---- memory ---- */
+
+static size_t record_size(const Model* m) {
+    size_t n = 0;
+    for (unsigned i = 0; m->sampling && i < m->sampling->n_lines; i++) n += m->sampling->lines[i].capacity;
+    return n;
+}
+
+static double* take(double** from, size_t n) {
+    double* taken = *from;
+    *from += n;
+    return taken;
+}
+
+/* One block: the state, then scratch. */
+static int allocate(Instance* c) {
+    size_t kept = fmu.n_connections, scratch = 0;
+    FOR_EACH_PART(p) {
+        const Model* m = p->model;
+        const Sampling* s = m->sampling;
+        kept += m->n_variables + m->n_states + 1 + record_size(m);
+        scratch += m->n_variables + m->n_states + (s ? s->n_noise + 2 * s->n_lines : 0);
+    }
+    c->state_size = sizeof(State) + kept * sizeof(double);
+    c->state = calloc(1, c->state_size + scratch * sizeof(double));
+    if (!c->state) return -1;
+    double *state = c->state->values, *rest = state + kept;
+    c->carried = take(&state, fmu.n_connections);
+    FOR_EACH_PART(p) {
+        const Model* m = p->model;
+        const Sampling* s = m->sampling;
+        p->v = take(&state, m->n_variables);
+        p->x = take(&state, m->n_states);
+        p->samples = take(&state, 1);
+        p->record = take(&state, record_size(m));
+        p->change = take(&rest, m->n_variables);
+        p->next = take(&rest, m->n_states);
+        p->noise = take(&rest, s ? s->n_noise : 0);
+        p->signal = take(&rest, s ? s->n_lines : 0);
+        p->delayed = take(&rest, s ? s->n_lines : 0);
+    }
+    return 0;
 }
 
 Instance* core_new(const char* resources, char* message, size_t size) {
-    Instance* c = calloc(1, sizeof *c);
-    if (!c) {
+    Instance* c = calloc(1, sizeof *c + fmu.n_parts * sizeof(Part));
+    for (unsigned i = 0; c && i < fmu.n_parts; i++) c->parts[i].model = fmu.models[i];
+    if (!c || allocate(c)) {
         snprintf(message, size, "out of memory");
-        return NULL;
-    }
-    if (model_open(resources, &c->data, message, size) != 0) {
         free(c);
         return NULL;
+    }
+    for (unsigned i = 0; i < fmu.n_connections; i++) c->parts[fmu.connections[i].source.part].gives = 1;
+    FOR_EACH_PART(p) {
+        if (p->model->open && p->model->open(resources, &p->data, message, size)) {
+            core_free(c);
+            return NULL;
+        }
     }
     core_reset(c);
     return c;
@@ -36,170 +82,321 @@ Instance* core_new(const char* resources, char* message, size_t size) {
 
 void core_free(Instance* c) {
     if (!c) return;
-    model_close(c->data);
+    FOR_EACH_PART(p)
+        if (p->data) p->model->close(p->data);
+    free(c->state);
     free(c);
 }
 
-#ifdef SAMPLE_PERIOD
-#include "noise.h"
-
-static void sample(Instance* c) {
-    State* s = &c->state;
-    double noise[N_NOISE + 1], next[N_STATES + 1];
-    standard_normal((uint64_t)s->v[SEED], STREAM, N_NOISE, (uint64_t)s->samples, noise);
-    model_update(s, c->data, noise, next);
-    memcpy(s->x, next, N_STATES * sizeof(double));
+void core_reset(Instance* c) {
+    memset(c->state, 0, c->state_size);
+    FOR_EACH_PART(p)
+        for (unsigned i = 1; i < p->model->first_output; i++) p->v[i] = p->model->variables[i].start;
+    c->state->mode = INSTANTIATED;
+    c->state->outputs = STALE;
 }
-#endif
+
+/* ---- one part ---- */
+
+static int check_states(Instance* c, const Part* p) {
+    for (unsigned i = 0; i < p->model->n_states; i++)
+        if (!isfinite(p->x[i]))
+            return fail(c, "state %s = %g at time %g s: the simulation has diverged",
+                        p->model->state_names[i], p->x[i], p->v[0]);
+    return 0;
+}
+
+static int put_out(Instance* c, Part* p) {
+    const Model* m = p->model;
+    m->outputs(p);
+    for (unsigned i = m->first_output; i < m->n_variables; i++)
+        if (!isfinite(p->v[i]))
+            return fail(c, "output %s = %g at time %g s is not a finite number", m->variables[i].name,
+                        p->v[i], p->v[0]);
+    return 0;
+}
+
+/* Remember the signals of sample instant k, and look each up at its delay before, between two
+ * instants on a straight line. Sample j of a line is at j modulo capacity; before the first sample
+ * a signal counts as having always had that value. */
+static int look_back(Instance* c, Part* p) {
+    const Sampling* s = p->model->sampling;
+    const uint64_t k = (uint64_t)*p->samples;
+    const double period = p->v[s->period];
+    double* line = p->record;
+    s->signals(p, p->signal);
+    s->delays(p, p->delayed);
+    for (unsigned i = 0; i < s->n_lines; line += s->lines[i++].capacity) {
+        const unsigned n = s->lines[i].capacity;
+        double periods = p->delayed[i] / period;
+        if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
+            return fail(c, "delay %s = %g s must be from 0 to %g s: make it shorter or sample_period longer",
+                        s->lines[i].name, p->delayed[i], (n - 1) * period);
+        if (periods > n - 1) periods = n - 1;
+        const double whole = floor(periods);
+        const uint64_t back = (uint64_t)whole;
+        line[k % n] = p->signal[i];
+        const double after = line[back < k ? (k - back) % n : 0];
+        const double before = line[back + 1 < k ? (k - back - 1) % n : 0];
+        p->delayed[i] = after + (periods - whole) * (before - after);
+    }
+    return 0;
+}
+
+static int sample(Instance* c, Part* p) {
+    const Sampling* s = p->model->sampling;
+    if (s->n_lines && look_back(c, p)) return -1;
+    if (s->n_noise)
+        standard_normal((uint64_t)p->v[s->seed], s->stream, (int)s->n_noise, (uint64_t)*p->samples,
+                        p->noise);
+    s->update(p, p->noise, p->delayed, p->next);
+    memcpy(p->x, p->next, p->model->n_states * sizeof(double));
+    return 0;
+}
 
 /* States at the start, the first sample instant included. */
-static void begin(Instance* c) {
-    model_initial(&c->state, c->data, c->state.x);
-    c->state.start_time = c->state.v[0];
-    c->state.samples = 0;
-#ifdef SAMPLE_PERIOD
-    sample(c);
-#endif
+static int begin(Instance* c, Part* p) {
+    p->model->initial(p, p->x);
+    *p->samples = 0;
+    return p->model->sampling ? sample(c, p) : 0;
 }
 
-int core_get(Instance* c, unsigned vr, double* value) {
-    State* s = &c->state;
-    if (vr >= N_VARIABLES) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
-    if (vr >= FIRST_OUTPUT && s->outputs_stale) {
-        if (s->mode < STEPPING) begin(c);
-        model_outputs(s, c->data);
-        for (unsigned i = FIRST_OUTPUT; i < N_VARIABLES; i++)
-            if (!isfinite(s->v[i]))
-                return fail(c, "output %s = %g at time %g s is not a finite number", variables[i].name,
-                            s->v[i], s->v[0]);
-        s->outputs_stale = 0;
+/* Integrate over a time without sample instants, in equal parts of at most max_step. */
+static void integrate(Part* p, double h) {
+    const Model* m = p->model;
+    double n = ceil(h / m->max_step - 1e-6);
+    if (n < 1) n = 1;
+    double dt = h / n;
+    for (long k = 0; m->n_states > 0 && k < (long)n; k++) {
+        m->step(p, dt, p->next);
+        memcpy(p->x, p->next, m->n_states * sizeof(double));
     }
-    *value = s->v[vr];
+}
+
+static int advance(Instance* c, Part* p, double time, double h) {
+    const Sampling* s = p->model->sampling;
+    if (!s) {
+        integrate(p, h);
+    } else {
+        const double period = p->v[s->period], slack = SAMPLE_TOLERANCE * period;
+        double now = time, left = h;
+        for (;;) {
+            double ahead = c->state->start_time + (*p->samples + 1) * period - now;
+            int due = ahead <= left + slack;
+            double part = due && ahead < left - slack ? ahead : left;
+            if (part > slack) integrate(p, part);
+            now += part;
+            left -= part;
+            if (!due) break;
+            *p->samples += 1;
+            if (sample(c, p)) return -1;
+        }
+    }
+    p->v[0] = time + h;
+    return check_states(c, p);
+}
+
+/* ---- parts together ---- */
+
+static void receive(Instance* c) {
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port to = fmu.connections[i].target;
+        c->parts[to.part].v[to.variable] = c->carried[i];
+    }
+}
+
+/* Everything at the start, as start values and free inputs have it: the parts are visited in the
+ * order of their dependencies; each gets its connected inputs, finds its states, and puts out. With
+ * `tangents` small changes go the same way. */
+static int settle(Instance* c, int tangents) {
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port to = fmu.connections[i].target;
+        c->carried[i] = fmu.models[to.part]->variables[to.variable].start;
+    }
+    for (unsigned k = 0; k < fmu.n_visits; k++) {
+        Part* p = &c->parts[fmu.visits[k]];
+        receive(c);
+        if (begin(c, p) || put_out(c, p)) return -1;
+        if (tangents) p->model->tangent(p, 1, p->noise, p->change);
+        for (unsigned i = 0; i < fmu.n_connections; i++) {
+            const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
+            if (from.part != fmu.visits[k]) continue;
+            c->carried[i] = p->v[from.variable];
+            c->parts[to.part].change[to.variable] = p->change[from.variable];
+        }
+    }
+    return 0;
+}
+
+static int refresh(Instance* c) {
+    if (c->state->outputs == FRESH) return 0;
+    if (c->state->mode < STEPPING) {
+        if (settle(c, 0)) return -1;
+    } else {
+        FOR_EACH_PART(p)
+            if (!(p->gives && c->state->outputs == REST_STALE) && put_out(c, p)) return -1;
+    }
+    c->state->outputs = FRESH;
+    return 0;
+}
+
+/* All parts step from the inputs held, then those that give put out, and the values are carried on;
+ * what no part reads waits until somebody asks. */
+static int step_all(Instance* c, double time, double h) {
+    receive(c);
+    FOR_EACH_PART(p)
+        if (advance(c, p, time, h)) return -1;
+    c->state->outputs = STALE;
+    FOR_EACH_PART(p)
+        if (p->gives && put_out(c, p)) return -1;
+    if (fmu.n_connections) c->state->outputs = REST_STALE;
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port from = fmu.connections[i].source;
+        c->carried[i] = c->parts[from.part].v[from.variable];
+    }
+    return 0;
+}
+
+/* ---- variables ---- */
+
+int core_get(Instance* c, unsigned vr, double* value) {
+    if (vr >= fmu.n_ports) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
+    const Port at = fmu.ports[vr];
+    if (vr == 0) {
+        *value = c->state->time;
+        return 0;
+    }
+    if (at.variable >= fmu.models[at.part]->first_output && refresh(c)) return -1;
+    *value = c->parts[at.part].v[at.variable];
     return 0;
 }
 
 int core_set(Instance* c, unsigned vr, double value) {
-    State* s = &c->state;
-    if (vr == 0 || vr >= N_VARIABLES)
+    if (vr == 0 || vr >= fmu.n_ports)
         return fail(c, "%sno settable variable has value reference %.0f", "", vr, 0);
-    const Variable* k = &variables[vr];
+    const Port at = fmu.ports[vr];
+    const Variable* k = &fmu.models[at.part]->variables[at.variable];
     if (k->causality == OUTPUT) return fail(c, "%s is an output and cannot be set", k->name, 0, 0);
-    if (k->causality == FIXED_PARAMETER && s->mode >= STEPPING)
+    if (k->causality == FIXED_PARAMETER && c->state->mode >= STEPPING)
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);
     if (!isfinite(value))
-        return fail(c, "%s = %g at time %g s is not a finite number", k->name, value, s->v[0]);
+        return fail(c, "%s = %g at time %g s is not a finite number", k->name, value, c->state->time);
     if (value < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, value, k->minimum);
     if (value > k->maximum) return fail(c, "%s = %g is above its maximum %g", k->name, value, k->maximum);
-    s->v[vr] = value;
-    s->outputs_stale = 1;
+    c->parts[at.part].v[at.variable] = value;
+    c->state->outputs = STALE;
     return 0;
-}
-
-int core_enter_initialization(Instance* c, double start_time) {
-    if (c->state.mode != INSTANTIATED)
-        return fail(c, "%sinitialization was entered twice; reset the FMU first", "", 0, 0);
-    if (!isfinite(start_time)) return fail(c, "%sstart time %g is not finite", "", start_time, 0);
-    c->state.v[0] = start_time;
-    c->state.mode = INITIALIZING;
-    c->state.outputs_stale = 1;
-    return 0;
-}
-
-static int check_finite(Instance* c) {
-    for (int i = 0; i < N_STATES; i++)
-        if (!isfinite(c->state.x[i]))
-            return fail(c, "state %s = %g at time %g s: the simulation has diverged", state_names[i],
-                        c->state.x[i], c->state.v[0]);
-    return 0;
-}
-
-/* Integrate over a time without sample instants, in equal parts of at most MAX_STEP. */
-static void integrate(Instance* c, double h) {
-    State* s = &c->state;
-    double next[N_STATES + 1], n = ceil(h / MAX_STEP - 1e-6);
-    if (n < 1) n = 1;
-    double dt = h / n;
-    for (long k = 0; N_STATES > 0 && k < (long)n; k++) {
-        model_step(s, c->data, dt, next);
-        memcpy(s->x, next, N_STATES * sizeof(double));
-    }
-}
-
-int core_exit_initialization(Instance* c) {
-    if (c->state.mode != INITIALIZING) return fail(c, "%sinitialization was not entered", "", 0, 0);
-    begin(c);
-    c->state.mode = STEPPING;
-    c->state.outputs_stale = 1;
-    return check_finite(c);
-}
-
-int core_step(Instance* c, double time, double h) {
-    State* s = &c->state;
-    if (s->mode != STEPPING) return fail(c, "%sdoStep before initialization or after terminate", "", 0, 0);
-    if (!(h > 0) || !isfinite(h))
-        return fail(c, "%scommunication step size %g s must be positive", "", h, 0);
-    if (!(fabs(time - s->v[0]) <= 1e-3 * h))
-        return fail(c, "%sdoStep at %.9g s, but the FMU is at %.9g s", "", time, s->v[0]);
-    if (h / MAX_STEP > 1e9) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
-#ifdef SAMPLE_PERIOD
-    const double period = s->v[SAMPLE_PERIOD], slack = SAMPLE_TOLERANCE * period;
-    double now = time, left = h;
-    for (;;) {
-        double ahead = s->start_time + (s->samples + 1) * period - now;
-        int due = ahead <= left + slack;
-        double part = due && ahead < left - slack ? ahead : left;
-        if (part > slack) integrate(c, part);
-        now += part;
-        left -= part;
-        if (!due) break;
-        s->samples += 1;
-        sample(c);
-    }
-#else
-    integrate(c, h);
-#endif
-    s->v[0] = time + h;
-    s->outputs_stale = 1;
-    return check_finite(c);
 }
 
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                     size_t n_known, const double seed[], double result[]) {
-    double change[N_VARIABLES] = {0};
+    FOR_EACH_PART(p) memset(p->change, 0, p->model->n_variables * sizeof(double));
     for (size_t i = 0; i < n_known; i++) {
-        if (known[i] == 0 || known[i] >= FIRST_OUTPUT)
+        const Port at = fmu.ports[known[i] < fmu.n_ports ? known[i] : 0];
+        if (at.variable == 0 || at.variable >= fmu.models[at.part]->first_output)
             return fail(c, "%sdirectional derivative: value reference %.0f is no input or parameter", "",
                         known[i], 0);
-        change[known[i]] += seed[i];
+        c->parts[at.part].change[at.variable] += seed[i];
     }
-    for (size_t i = 0; i < n_unknown; i++)
-        if (unknown[i] < FIRST_OUTPUT || unknown[i] >= N_VARIABLES)
+    for (size_t i = 0; i < n_unknown; i++) {
+        const Port at = fmu.ports[unknown[i] < fmu.n_ports ? unknown[i] : 0];
+        if (at.variable < fmu.models[at.part]->first_output)
             return fail(c, "%sdirectional derivative: value reference %.0f is no output", "", unknown[i], 0);
-    model_tangent(&c->state, c->data, c->state.mode < STEPPING, change);
-    for (size_t i = 0; i < n_unknown; i++) result[i] = change[unknown[i]];
+    }
+    if (c->state->mode < STEPPING) {
+        if (settle(c, 1)) return -1;
+    } else {
+        FOR_EACH_PART(p) p->model->tangent(p, 0, p->noise, p->change); /* connected inputs are held */
+    }
+    for (size_t i = 0; i < n_unknown; i++) {
+        const Port at = fmu.ports[unknown[i]];
+        result[i] = c->parts[at.part].change[at.variable];
+    }
+    return 0;
+}
+
+/* ---- life cycle ---- */
+
+int core_enter_initialization(Instance* c, double start_time) {
+    if (c->state->mode != INSTANTIATED)
+        return fail(c, "%sinitialization was entered twice; reset the FMU first", "", 0, 0);
+    if (!isfinite(start_time)) return fail(c, "%sstart time %g is not finite", "", start_time, 0);
+    c->state->time = c->state->start_time = start_time;
+    FOR_EACH_PART(p) p->v[0] = start_time;
+    c->state->mode = INITIALIZING;
+    c->state->outputs = STALE;
+    return 0;
+}
+
+int core_exit_initialization(Instance* c) {
+    if (c->state->mode != INITIALIZING) return fail(c, "%sinitialization was not entered", "", 0, 0);
+    if (fmu.n_connections && settle(c, 0)) return -1;
+    receive(c); /* what enters states alone may have come after its part's visit */
+    FOR_EACH_PART(p)
+        if (begin(c, p) || check_states(c, p)) return -1;
+    c->state->mode = STEPPING;
+    c->state->outputs = STALE;
+    return 0;
+}
+
+/* A time that rounding alone keeps off the grid start + k step, put on it: what comes out does not
+ * depend on how the importer divides the time. */
+static double on_grid(const Instance* c, double time) {
+    const double start = c->state->start_time, grid = start + round((time - start) / fmu.step) * fmu.step;
+    return fabs(grid - time) <= 1e-6 * fmu.step ? grid : time;
+}
+
+int core_step(Instance* c, double time, double h) {
+    State* s = c->state;
+    if (s->mode != STEPPING) return fail(c, "%sdoStep before initialization or after terminate", "", 0, 0);
+    if (!(h > 0) || !isfinite(h))
+        return fail(c, "%scommunication step size %g s must be positive", "", h, 0);
+    if (!(fabs(time - s->time) <= 1e-3 * h))
+        return fail(c, "%sdoStep at %.9g s, but the FMU is at %.9g s", "", time, s->time);
+    int too_long = h / fmu.step > 1e9;
+    FOR_EACH_PART(p) too_long |= h / p->model->max_step > 1e9;
+    if (too_long) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
+    double n = ceil(h / fmu.step - 1e-6);
+    if (n <= 1) {
+        if (step_all(c, time, h)) return -1;
+    } else {
+        double dt = h / n;
+        if (fabs(dt - fmu.step) <= 1e-9 * fmu.step) dt = fmu.step;
+        for (long k = 0; k < (long)n; k++)
+            if (step_all(c, on_grid(c, time + k * dt), dt)) return -1;
+    }
+    s->time = time + h;
     return 0;
 }
 
 int core_terminate(Instance* c) {
-    if (c->state.mode != STEPPING) return fail(c, "%sterminate before initialization", "", 0, 0);
-    c->state.mode = TERMINATED;
+    if (c->state->mode != STEPPING) return fail(c, "%sterminate before initialization", "", 0, 0);
+    c->state->mode = TERMINATED;
     return 0;
 }
 
-static const char tag[] = MODEL_TOKEN;
+/* ---- saved states ---- */
 
-size_t core_saved_size(void) { return sizeof tag + sizeof(State); }
+static size_t tag_size(void) { return strlen(fmu.token) + 1; }
+
+size_t core_saved_size(const Instance* c) { return tag_size() + c->state_size; }
 
 void core_save(const Instance* c, char* bytes) {
-    memcpy(bytes, tag, sizeof tag);
-    memcpy(bytes + sizeof tag, &c->state, sizeof(State));
+    memcpy(bytes, fmu.token, tag_size());
+    memcpy(bytes + tag_size(), c->state, c->state_size);
+}
+
+int core_check_saved(Instance* c, const char* bytes, size_t size) {
+    if (size != core_saved_size(c))
+        return fail(c, "%ssaved state has %.0f bytes, expected %.0f", "", (double)size,
+                    (double)core_saved_size(c));
+    if (memcmp(bytes, fmu.token, tag_size()) != 0)
+        return fail(c, "%ssaved state belongs to another FMU or another version of this one", "", 0, 0);
+    return 0;
 }
 
 int core_restore(Instance* c, const char* bytes, size_t size) {
-    if (size != core_saved_size())
-        return fail(c, "%ssaved state has %.0f bytes, expected %.0f", "", (double)size, (double)core_saved_size());
-    if (memcmp(bytes, tag, sizeof tag) != 0)
-        return fail(c, "%ssaved state belongs to another FMU or another version of this one", "", 0, 0);
-    memcpy(&c->state, bytes + sizeof tag, sizeof(State));
+    if (core_check_saved(c, bytes, size)) return -1;
+    memcpy(c->state, bytes + tag_size(), c->state_size);
     return 0;
 }

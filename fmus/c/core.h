@@ -1,62 +1,125 @@
 /* What an FMU of this project is, apart from the FMI version it speaks.
  *
- * An instance is one flat `State`: saving it, restoring it and writing it to a byte string are
- * memcpy, exact to the bit. A model (generated `model.c`, or `replay.c`) supplies the table of
- * variables and three functions of the state.
+ * An FMU is a `System` of one or more parts, joined output to input and stepped together. A part is
+ * a constant `Model` - tables and functions, nothing that changes - in a source file of its own
+ * (part_NAME.c), all else in that file being static; system.c names the parts and joins them.
+ *
+ * What changes lies in one flat block of memory per instance, the `State`: saving it, restoring it
+ * and writing it to a byte string are memcpy, exact to the bit. A `Part` holds the addresses of its
+ * share of the block, and scratch memory; all of it is allocated when the instance is made.
+ *
+ * While stepping, a part sees what the others put out at the end of the last step (Jacobi): the
+ * values on the connections are `carried` in the state. At initialization the parts are visited in
+ * the order of their dependencies. Both give what a master makes of one FMU per part, to the bit.
  */
 #ifndef UAVTWIN_CORE_H
 #define UAVTWIN_CORE_H
 
 #include <stddef.h>
-#include "model.h" /* N_VARIABLES, FIRST_INPUT, FIRST_OUTPUT, N_STATES, MAX_STEP, MODEL_TOKEN; for a
-                      sampled model also SAMPLE_PERIOD and SEED (value references), N_NOISE, STREAM */
+#include <stdint.h>
 
+/* ---- what a part is: constant data ---- */
 enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT };
 
 typedef struct {
     const char* name;
-    const char* unit;
     int causality;
-    int boolean;
     double start, minimum, maximum;
 } Variable;
 
-enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
-
-/* v[0] is time; v[value reference] the variables in the order parameters, inputs, outputs. */
 typedef struct {
-    double v[N_VARIABLES];
-    double x[N_STATES + 1];
-    double start_time;
-    double samples; /* sample instants since the start */
-    int mode;
-    int outputs_stale;
+    const char* name;
+    unsigned capacity; /* samples remembered, the present one among them */
+} Line;
+
+typedef struct Part Part;
+
+/* What happens at the sample instants start + k period. References are those of the part. */
+typedef struct {
+    unsigned period, seed;
+    unsigned n_noise;
+    uint32_t stream; /* tells parts with one seed apart */
+    unsigned n_lines;
+    const Line* lines; /* delay lines */
+    void (*signals)(const Part* p, double* now);    /* what enters the lines */
+    void (*delays)(const Part* p, double* seconds); /* how far each is looked back */
+    /* State after the instant, given standard normal draws and delayed signals. */
+    void (*update)(const Part* p, const double* noise, const double* delayed, double* x_next);
+} Sampling;
+
+typedef struct {
+    unsigned n_variables, first_input, first_output; /* [0] is time; parameters, inputs, outputs */
+    const Variable* variables;
+    unsigned n_states;
+    const char* const* state_names;
+    double max_step;          /* s, longest internal step */
+    const Sampling* sampling; /* NULL: none */
+    /* Open what is needed from the resources folder; 0, or -1 with a message. NULL: nothing. */
+    int (*open)(const char* resources, void** data, char* message, size_t size);
+    void (*close)(void* data);
+    void (*initial)(const Part* p, double* x);
+    void (*step)(const Part* p, double h, double* x_next);
+    void (*outputs)(Part* p);
+    /* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
+     * variable; those of parameters and inputs are read, those of outputs written. At the start the
+     * states change too; `noise` is what the first sample instant draws. */
+    void (*tangent)(const Part* p, int starting, const double* noise, double* change);
+} Model;
+
+/* ---- how parts make a system: constant data, in system.c ---- */
+typedef struct {
+    unsigned part, variable; /* variable: value reference within the part */
+} Port;
+
+typedef struct {
+    Port source, target;
+} Connection;
+
+typedef struct {
+    const char* token;
+    double step; /* s, longest step between two exchanges of values */
+    unsigned n_parts;
+    const Model* const* models;
+    unsigned n_ports; /* variables of the FMU by value reference; [0] stands for time */
+    const Port* ports;
+    unsigned n_connections;
+    const Connection* connections;
+    unsigned n_visits; /* parts in the order in which outputs become right, some of them twice */
+    const unsigned* visits;
+} System;
+
+extern const System fmu;
+
+/* ---- an instance ---- */
+struct Part {
+    const Model* model;
+    double *v, *x, *samples, *record;                 /* in the state: variables, states, sample
+                                                         instants so far, delay lines */
+    double *next, *noise, *signal, *delayed, *change; /* scratch */
+    void* data;                                       /* made by open() */
+    int gives;                                        /* whether a connection starts here */
+};
+
+enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
+/* Which outputs are older than the states: none, those of parts that give nothing, or all. */
+enum { FRESH, REST_STALE, STALE };
+
+typedef struct {
+    double time, start_time;
+    int32_t mode, outputs;
+    double values[]; /* of the connections, then of the parts */
 } State;
 
-/* ---- supplied by the model ---- */
-extern const Variable variables[N_VARIABLES];
-extern const char* const state_names[N_STATES + 1];
-/* Open what the model needs from the resources folder; 0, or -1 with a message. */
-int model_open(const char* resources, void** data, char* message, size_t size);
-void model_close(void* data);
-void model_initial(const State* s, const void* data, double* x);
-void model_step(const State* s, const void* data, double h, double* x_next);
-void model_outputs(State* s, void* data);
-/* State after a sample instant, given N_NOISE standard normal draws. */
-void model_update(const State* s, const void* data, const double* noise, double* x_next);
-/* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
- * variable; the entries of parameters and inputs are read, those of outputs written. At the end of
- * initialization the initial states change too. */
-void model_tangent(const State* s, const void* data, int initializing, double* change);
-
-/* ---- used by the FMI shims ---- */
 typedef struct {
-    State state;
-    void* data;
-    void* host; /* handles of the FMI shim, never part of the state */
+    State* state;
+    size_t state_size;
+    double* carried; /* in the state, by connection */
+    void* host;      /* handles of the FMI shim, never part of the state */
     char message[320];
+    Part parts[];
 } Instance;
 
+/* ---- used by the FMI shims: 0, or -1 with c->message ---- */
 Instance* core_new(const char* resources, char* message, size_t size);
 void core_free(Instance* c);
 void core_reset(Instance* c);
@@ -69,9 +132,10 @@ int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, con
 int core_step(Instance* c, double time, double h);
 int core_terminate(Instance* c);
 
-/* A saved state: version tag, size and bytes. */
-size_t core_saved_size(void);
+/* A saved state: version tag and bytes, core_saved_size() in all. */
+size_t core_saved_size(const Instance* c);
 void core_save(const Instance* c, char* bytes);
+int core_check_saved(Instance* c, const char* bytes, size_t size);
 int core_restore(Instance* c, const char* bytes, size_t size);
 
 #endif

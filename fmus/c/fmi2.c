@@ -85,7 +85,7 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     Host* h = NULL;
     if (fmuType != fmi2CoSimulation) {
         snprintf(message, sizeof message, "only co-simulation is supported");
-    } else if (!fmuGUID || strcmp(fmuGUID, MODEL_TOKEN) != 0) {
+    } else if (!fmuGUID || strcmp(fmuGUID, fmu.token) != 0) {
         snprintf(message, sizeof message, "GUID does not match: binary and modelDescription.xml differ");
     } else if ((h = calloc(1, sizeof *h + strlen(name)))) {
         path_of_uri(fmuResourceLocation ? fmuResourceLocation : "", path, sizeof path);
@@ -166,12 +166,12 @@ NO_VARIABLES(fmi2GetString, fmi2String)
 NO_VARIABLES(fmi2SetString, const fmi2String)
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate* state) {
-    if (!*state && !(*state = malloc(core_saved_size()))) return refuse(c, "out of memory");
+    if (!*state && !(*state = malloc(core_saved_size(c)))) return refuse(c, "out of memory");
     core_save(c, *state);
     return fmi2OK;
 }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
-    return state ? status(c, core_restore(c, state, core_saved_size())) : refuse(c, "no state was saved");
+    return state ? status(c, core_restore(c, state, core_saved_size(c))) : refuse(c, "no state was saved");
 }
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate* state) {
     (void)c;
@@ -182,18 +182,17 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate* state) {
     return fmi2OK;
 }
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t* size) {
-    (void)c, (void)state;
-    *size = core_saved_size();
+    (void)state;
+    *size = core_saved_size(c);
     return fmi2OK;
 }
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size) {
-    if (!state || size < core_saved_size()) return refuse(c, "buffer too small for the saved state");
-    memcpy(bytes, state, core_saved_size());
+    if (!state || size < core_saved_size(c)) return refuse(c, "buffer too small for the saved state");
+    memcpy(bytes, state, core_saved_size(c));
     return fmi2OK;
 }
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate* state) {
-    Instance probe = *(Instance*)c; /* checks tag and size without touching the instance */
-    if (core_restore(&probe, bytes, size)) return refuse(c, probe.message);
+    if (core_check_saved(c, bytes, size)) return status(c, -1);
     if (!*state && !(*state = malloc(size))) return refuse(c, "out of memory");
     memcpy(*state, bytes, size);
     return fmi2OK;
@@ -233,6 +232,6 @@ NO_PENDING_STATUS(fmi2GetStringStatus, fmi2String)
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real* value) {
     if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
-    *value = ((Instance*)c)->state.v[0];
+    *value = ((Instance*)c)->state->time;
     return fmi2OK;
 }

@@ -38,7 +38,7 @@ fmi3Instance fmi3InstantiateCoSimulation(
     Host* h = NULL;
     if (eventModeUsed) {
         snprintf(message, sizeof message, "event mode is not supported");
-    } else if (!instantiationToken || strcmp(instantiationToken, MODEL_TOKEN) != 0) {
+    } else if (!instantiationToken || strcmp(instantiationToken, fmu.token) != 0) {
         snprintf(message, sizeof message,
                  "instantiation token does not match: binary and modelDescription.xml differ");
     } else if ((h = calloc(1, sizeof *h))) {
@@ -161,12 +161,12 @@ fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference vr[], size_t n
 }
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState* state) {
-    if (!*state && !(*state = malloc(core_saved_size()))) return refuse(c, "out of memory");
+    if (!*state && !(*state = malloc(core_saved_size(c)))) return refuse(c, "out of memory");
     core_save(c, *state);
     return fmi3OK;
 }
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
-    return state ? status(c, core_restore(c, state, core_saved_size())) : refuse(c, "no state was saved");
+    return state ? status(c, core_restore(c, state, core_saved_size(c))) : refuse(c, "no state was saved");
 }
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState* state) {
     (void)c;
@@ -177,18 +177,17 @@ fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState* state) {
     return fmi3OK;
 }
 fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t* size) {
-    (void)c, (void)state;
-    *size = core_saved_size();
+    (void)state;
+    *size = core_saved_size(c);
     return fmi3OK;
 }
 fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size) {
-    if (!state || size < core_saved_size()) return refuse(c, "buffer too small for the saved state");
-    memcpy(bytes, state, core_saved_size());
+    if (!state || size < core_saved_size(c)) return refuse(c, "buffer too small for the saved state");
+    memcpy(bytes, state, core_saved_size(c));
     return fmi3OK;
 }
 fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState* state) {
-    Instance probe = *(Instance*)c; /* checks tag and size without touching the instance */
-    if (core_restore(&probe, (const char*)bytes, size)) return refuse(c, probe.message);
+    if (core_check_saved(c, (const char*)bytes, size)) return status(c, -1);
     if (!*state && !(*state = malloc(size))) return refuse(c, "out of memory");
     memcpy(*state, bytes, size);
     return fmi3OK;
@@ -202,7 +201,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boole
     if (eventHandlingNeeded) *eventHandlingNeeded = fmi3False;
     if (terminateSimulation) *terminateSimulation = fmi3False;
     if (earlyReturn) *earlyReturn = fmi3False;
-    if (lastSuccessfulTime) *lastSuccessfulTime = ((Instance*)c)->state.v[0];
+    if (lastSuccessfulTime) *lastSuccessfulTime = ((Instance*)c)->state->time;
     return status(c, code);
 }
 

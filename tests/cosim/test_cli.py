@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -92,6 +93,36 @@ def test_an_output_folder_that_holds_files_is_kept(
     code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path, "--force")
     assert code == 0
     assert (tmp_path / "precious.txt").read_text() == "mine"
+
+
+def test_an_interrupted_gap_writes_nothing(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    table: Path,
+    tmp_path: Path,
+) -> None:
+    def interrupt(_: object, path: Path) -> None:
+        """Half a report, then Ctrl-C."""
+        path.write_text("<html>")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cosim.report.write_gap_report", interrupt)
+    code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / "o")
+    assert code == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_demo_needs_a_vehicle_driven_by_commands(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    document = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
+    path = tmp_path / "paper.toml"
+    path.write_text(document.split("```toml\n")[1].split("```")[0])
+    code, _, said = run(capsys, "demo", "--vehicle", path, "--out", tmp_path / "o")
+    assert code == 2
+    assert "paper_quad" in said
+    assert "rotors.speed_from_command" in said
+    assert not (tmp_path / "o").exists()
 
 
 def test_demo_shows_the_effect_it_hid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -253,9 +284,10 @@ def test_nanobench_through_the_example(
     assert gap["channels"]["acc_x"]["n"] > 3000
 
 
-def test_the_installed_command_runs() -> None:
+@pytest.mark.parametrize("word", ["version", "--version"])
+def test_the_installed_command_runs(word: str) -> None:
     command = Path(sys.executable).with_name("uavtwin")
     result = subprocess.run(
-        [command, "version"], capture_output=True, text=True, check=True, env={**os.environ}
+        [command, word], capture_output=True, text=True, check=True, env={**os.environ}
     )
-    assert result.stdout.strip()
+    assert result.stdout.strip() == version("uavtwin")

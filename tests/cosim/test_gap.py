@@ -15,7 +15,7 @@ from cosim.demo import (
     VEL_NOISE_M_S,
     fly,
 )
-from cosim.gap import Twin, flight_gap, prepare, start_values
+from cosim.gap import flight_gap, start_values
 from cosim.master import Master
 from cosim.system import System, connect
 from fmus import build, component_model, replay_model
@@ -23,6 +23,7 @@ from twin.errors import LogError
 from twin.flightlog import Flight
 from twin.frames import to_body
 from twin.measured import RATE_CUTOFF_HZ, Signal, differentiate, zero_phase
+from twin.prepared import Twin, prepare
 from twin.residuals import Channel, FlightGap
 from twin.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import GRAVITY_M_S2, Vehicle
@@ -184,7 +185,10 @@ def test_nothing_hidden_leaves_the_noise_of_the_sensors(quiet_gap: dict[str, Cha
 
 
 def test_nothing_hidden_leaves_the_noise_of_the_restarts(quiet_gap: dict[str, Channel]) -> None:
-    """Measured start and end are noisy; interpolation between samples takes up to half of it."""
+    """Measured start and end are noisy; interpolation between samples takes up to half of it.
+
+    The table holds commands for 5 ms that changed every ms: a little more than noise.
+    """
     horizon = 0.5
     tilt = 2 * ATT_NOISE
     bounds = {
@@ -197,7 +201,7 @@ def test_nothing_hidden_leaves_the_noise_of_the_restarts(quiet_gap: dict[str, Ch
         for axis in "xyz":
             channel = quiet_gap[f"{group}_{axis}@"]
             assert len(channel.t_s) > 40
-            assert 0.3 * bound < rms(channel.residual) < 1.1 * bound, channel.name
+            assert 0.3 * bound < rms(channel.residual) < 1.2 * bound, channel.name
 
 
 # -- planted effects ----------------------------------------------------------------------
@@ -424,3 +428,14 @@ def test_altitude_instead_of_down_is_named() -> None:
     flight = fly(FEISI, FEISI, seed=1)
     with pytest.raises(LogError, match="is it an altitude"):
         flight_gap(flipped(flight, ("pos_z", "vel_z")), FEISI)
+
+
+@pytest.mark.parametrize(
+    ("factor", "doubted"), [(0.4, True), (0.7, False), (1.5, False), (2.2, True)]
+)
+def test_a_vehicle_of_another_size_is_doubted(short: Flight, factor: float, doubted: bool) -> None:
+    """Half or twice the specific force that the rotors should give is no model error."""
+    table = short.table.assign(acc_z=factor * short.table["acc_z"])
+    told = " / ".join(flight_gap(replace(short, table=table), FEISI, 20.0).warnings)
+    assert ("is feisi_x150 the right vehicle file?" in told) == doubted
+    assert (f"{factor:.2g} times" in told) == doubted

@@ -18,9 +18,11 @@ import pytest
 from numpy.typing import NDArray
 
 from cosim.master import Algorithm, Master
+from cosim.ssp import write_ssp
 from cosim.system import System, connect
 from fmus import build, component_model
 from twin.airframe import airframe
+from twin.battery import battery
 from twin.component import Component
 from twin.imu import imu
 from twin.vehicle_file import load_vehicle
@@ -38,7 +40,7 @@ AIRFRAME_STARTS = {
     "drag.linear_x": 0.3,
     "drag.quadratic_y": 0.05,
 }
-IMU_STARTS = {"acc_bias_z": 0.05, "position_x": 0.03, "gyro_bias_y": -0.01}
+IMU_STARTS = {"position_z": 0.05, "position_x": 0.03, "acc_cutoff": 70.0}
 STARTS = {f"airframe.{n}": v for n, v in AIRFRAME_STARTS.items()} | {
     f"imu.{n}": v for n, v in IMU_STARTS.items()
 }
@@ -138,13 +140,18 @@ def needs(package: str) -> None:
 
 def seen_by(package: str, paths: dict[str, Path], folder: Path) -> Array:
     """Outputs after each step in another importer, shape (STEPS, n)."""
+    values = in_process_of(package, folder / "values.npy", *map(str, paths.values()))
+    assert values.shape == (STEPS, len(output_names()))
+    return values
+
+
+def in_process_of(package: str, out: Path, *arguments: str) -> Array:
+    """What this file as a program, see its end, leaves in a file."""
     needs(package)
-    out = folder / "values.npy"
-    command = [sys.executable, __file__, package, *map(str, paths.values()), str(out)]
+    command = [sys.executable, __file__, package, str(out), *arguments]
     result = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert result.returncode == 0, result.stdout + result.stderr
     values: Array = np.load(out)
-    assert values.shape == (STEPS, len(output_names()))
     return values
 
 
@@ -166,6 +173,65 @@ def test_ecos_is_settled_to_the_bit(fmus: dict[int, dict[str, Path]], tmp_path: 
     """ecos sets inputs once more after each step: feed-through outputs show the present."""
     theirs = seen_by("ecospy", fmus[2], tmp_path)
     assert with_master(fmus[2], "settled")[1:].tobytes() == theirs.tobytes()
+
+
+# -- the same as .ssp -----------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trio(tmp_path_factory: pytest.TempPathFactory) -> System:
+    """An airframe and its battery, which feel each other, and an IMU at a fifth of the rate."""
+    vehicle, folder = load_vehicle("crazyflie"), tmp_path_factory.mktemp("trio")
+    parts = (airframe(vehicle), battery(vehicle), imu(replace(vehicle, accel_cutoff_hz=80.0)))
+    return System(
+        {c.name: build(component_model(c), folder / f"{c.name}.fmu") for c in parts},
+        connect("airframe", "imu", parts[2].input_names)
+        + connect("airframe", "battery", ["ibat_a"])
+        + connect("battery", "airframe", ["vbat_v"]),
+        {
+            **{f"airframe.cmd_{i}": 0.7 + 1e-5 * i for i in range(1, 5)},
+            "airframe.initial.pos_z": -50.0,
+            "airframe.initial.omega_x": 0.1,
+            "airframe.wind_y": -1.5,
+            "battery.initial.charge": 0.9,
+            "imu.position_x": 0.03,
+        },
+        {"imu": 5},
+        step_s=STEP_S,
+    )
+
+
+SSP_NAMES = ("airframe.pos_z", "airframe.omega_x", "battery.vbat_v", "imu.acc_z", "imu.gyro_x")
+
+
+def ssp_seen_by(package: str, system: System, folder: Path) -> Array:
+    ssp = write_ssp(system, folder / "trio.ssp")
+    values = in_process_of(package, folder / "values.npy", str(ssp), *SSP_NAMES)
+    assert values.shape == (STEPS, len(SSP_NAMES))
+    assert np.ptp(values, axis=0).min() > 1e-7  # everything moves
+    return values
+
+
+def test_libcosim_reads_our_ssp(trio: System, tmp_path: Path) -> None:
+    """Structure, start values, base step and the slower IMU: the bits of `jacobi`."""
+    theirs = ssp_seen_by("libcosimpy", trio, tmp_path)
+    with Master(trio, SSP_NAMES) as master:
+        master.initialize()
+        ours = master.run(STEPS * STEP_S, STEP_S, "jacobi").values[1:]
+    # Their steps are 1 ms but for the last bit.
+    np.testing.assert_allclose(theirs, ours, rtol=1e-12, atol=1e-12)
+
+
+def test_ecos_reads_our_ssp(trio: System, tmp_path: Path) -> None:
+    """The bits of `settled`. ecos reads no rates from SSP, so every slave steps at 1 ms, and after
+    a step it passes values on by one link only, so the battery does not feed the airframe here."""
+    forward = [c for c in trio.connections if not c.source.startswith("battery")]
+    even = replace(trio, periods={}, connections=tuple(forward))
+    theirs = ssp_seen_by("ecospy", even, tmp_path)
+    with Master(even, SSP_NAMES) as master:
+        master.initialize()
+        ours = master.run(STEPS * STEP_S, STEP_S, "settled").values[1:]
+    assert ours.tobytes() == theirs.tobytes()
 
 
 # -- in the process of the importer ---------------------------------------------------------
@@ -221,6 +287,42 @@ def _with_ecospy(paths: Sequence[str]) -> Array:
     return np.array(rows)
 
 
+def _ssp_with_libcosimpy(arguments: Sequence[str]) -> Array:
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+
+    ssp, *names = arguments
+    execution = CosimExecution.from_ssp_file(ssp)  # with the base step of the file
+    observer = CosimObserver.create_last_value()
+    assert execution.add_observer(observer)
+    places = []
+    for slave, _, name in (n.partition(".") for n in names):
+        index = execution.slave_index_from_instance_name(slave)
+        found = [v for v in execution.slave_variables(index) if v.name.decode() == name]
+        places.append((index, [found[0].reference]))
+    rows = []
+    for _ in range(STEPS):
+        assert execution.step()
+        rows.append([observer.last_real_values(s, r)[0] for s, r in places])
+    return np.array(rows)
+
+
+def _ssp_with_ecospy(arguments: Sequence[str]) -> Array:
+    from ecospy import EcosSimulation
+
+    ssp, *names = arguments
+    rows, names = [], [n.replace(".", "::", 1) for n in names]
+    with EcosSimulation(STEP_S, ssp_path=ssp) as simulation:
+        simulation.init(parameter_set="initialValues")
+        for _ in range(STEPS):
+            simulation.step(1)
+            rows.append([simulation.get_real(n) for n in names])
+    return np.array(rows)
+
+
 if __name__ == "__main__":
-    run = {"libcosimpy": _with_libcosimpy, "ecospy": _with_ecospy}[sys.argv[1]]
-    np.save(sys.argv[4], run(sys.argv[2:4]))
+    package, out, *arguments = sys.argv[1:]
+    parts = {"libcosimpy": _with_libcosimpy, "ecospy": _with_ecospy}
+    whole = {"libcosimpy": _ssp_with_libcosimpy, "ecospy": _ssp_with_ecospy}
+    run = whole if arguments[0].endswith(".ssp") else parts
+    np.save(out, run[package](arguments))

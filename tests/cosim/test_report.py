@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.report import MAX_POINTS, channel_figure, claim, describe, write_gap_report
+from cosim.figures import MAX_POINTS, channel_figure
+from cosim.report import claim, describe, write_gap_report
 from twin.residuals import Channel, FlightGap, rank, summaries
 
 HOSTILE = "</script><script>alert('x')</script><b>&"
@@ -89,6 +90,13 @@ def test_claim_comes_first_and_names_channel_phase_and_size(tmp_path: Path) -> N
         "Twin and flight disagree most in acc_z (specific force, down axis) during takeoff: "
         "0.707 m/s² rms, 200 % of the signal."
     )
+
+
+def test_a_bar_cut_at_100_percent_says_so_and_the_number_is_not_cut(tmp_path: Path) -> None:
+    text, _ = written(tmp_path / "report.html", flight())
+    assert '<i class="cut" style="width:80px"></i>200 %' in text
+    assert '<i style="width:80px">' not in text
+    assert "cut at 100 %" in text
 
 
 def test_claim_when_they_agree_and_when_there_is_nothing() -> None:

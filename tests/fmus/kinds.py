@@ -20,10 +20,11 @@ from fmpy.fmi2 import (
 from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
-from fmus import FmuModel, component_model, replay_model
+from fmus import FmuModel, component_model, fuse, replay_model
 from twin.airframe import airframe
 from twin.battery import battery
 from twin.component import Component
+from twin.component_builder import ComponentBuilder
 from twin.flightlog import Flight
 from twin.imu import imu
 from twin.vehicle_file import load_vehicle
@@ -41,7 +42,7 @@ COMPONENTS: dict[str, Callable[[], Component]] = {
     ),
     "battery": lambda: battery(load_vehicle("crazyflie")),
 }
-KINDS = (*COMPONENTS, "replay")
+KINDS = (*COMPONENTS, "replay", "fused")
 ALL = [(kind, fmi) for kind in KINDS for fmi in (2, 3)]
 
 
@@ -52,7 +53,8 @@ def component(kind: str) -> Component:
 
 @cache
 def model(kind: str) -> FmuModel:
-    return replay_example() if kind == "replay" else component_model(component(kind))
+    others = {"replay": replay_example, "fused": fused_example}
+    return others[kind]() if kind in others else component_model(component(kind))
 
 
 def recorded(**columns: Iterable[float]) -> Flight:
@@ -66,6 +68,58 @@ def replay_example() -> FmuModel:
     baro = np.where(np.arange(200) % 4 == 0, 101325 - t, np.nan)
     flight = recorded(time=t, cmd_1=0.5 + 0.1 * np.sin(t), baro_pa=baro)
     return replay_model(flight, ("cmd_1", "baro_pa"), linear=("baro_pa",))
+
+
+def receiver() -> Component:
+    """Position fixes that are late, noisy, and come at odd instants."""
+    m = ComponentBuilder("receiver", "Position receiver")
+    m.sampled(0.0107, "Time between two fixes")
+    delay = m.parameter("delay", 0.05, "s", "Age of a fix when it comes", minimum=0)
+    noise = m.parameter("noise", 0.0, "m", "Noise of a fix, standard deviation", minimum=0)
+    for a in ("x", "y", "z"):
+        position = m.input(f"pos_{a}", "m", f"Position, {a}")
+        fix = m.memory(f"fix_{a}", "m", f"Last fix, {a}")
+        late = m.delayed(f"fix_{a}", position, delay, 10)
+        m.update(f"fix_{a}", late + noise * m.noise())
+        m.output(f"fix_{a}", "m", f"Last fix, {a}", fix)
+    return m.build()
+
+
+def commands() -> FmuModel:
+    """Recorded commands, a straight line between 25 samples a second."""
+    t = np.arange(100) / 25
+    columns = {f"cmd_{i}": 0.55 + 0.1 * np.sin(5 * t + i) for i in range(1, 5)}
+    return replay_model(recorded(time=t, **columns), tuple(columns), linear=tuple(columns))
+
+
+@cache
+def fused_parts() -> dict[str, FmuModel]:
+    """Models by name, not in the order of their dependencies."""
+    return {
+        "imu": model("imu-filtered"),
+        "battery": model("battery"),
+        "airframe": model("airframe-crazyflie"),
+        "receiver": component_model(receiver()),
+        "flight": commands(),
+    }
+
+
+def fused_connections() -> list[tuple[str, str]]:
+    """From each output to every input of its name, airframe to sensors and back by the battery."""
+    parts = fused_parts()
+    return [
+        (f"{a}.{v.name}", f"{b}.{v.name}")
+        for a in ("airframe", "battery", "flight")
+        for b in parts
+        for v in parts[a].variables
+        if v.causality == "output"
+        and v.name in {u.name for u in parts[b].variables if u.causality == "input"}
+    ]
+
+
+def fused_example() -> FmuModel:
+    """Airframe, battery, sensors and recorded commands in one."""
+    return fuse("fused", "Several parts in one", fused_parts(), fused_connections())
 
 
 class Instance:
@@ -84,14 +138,18 @@ class Instance:
             unzipDirectory=str(folder),
             instanceName="tested",
         )
+        self._callbacks = fmi2CallbackFunctions()
+        self._callbacks.logger = fmi2CallbackLoggerTYPE(
+            lambda *a: self.messages.append(a[4].decode())
+        )
+        self._callbacks.allocateMemory = defaultCallbacks.allocateMemory
+        self._callbacks.freeMemory = defaultCallbacks.freeMemory
+        self.instantiate()
+
+    def instantiate(self) -> None:
+        """Make the instance; the library is loaded."""
         if self.fmi == 2:
-            callbacks = fmi2CallbackFunctions()
-            callbacks.logger = fmi2CallbackLoggerTYPE(
-                lambda *a: self.messages.append(a[4].decode())
-            )
-            callbacks.allocateMemory = defaultCallbacks.allocateMemory
-            callbacks.freeMemory = defaultCallbacks.freeMemory
-            self.fmu.instantiate(callbacks=callbacks)
+            self.fmu.instantiate(callbacks=self._callbacks)
         else:
             self.fmu.instantiate(logMessage=lambda *a: self.messages.append(a[3].decode()))
 

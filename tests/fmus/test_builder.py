@@ -5,13 +5,14 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
 import pytest
 from kinds import Instance, component, model, token, unzip
 
-from fmus import FmuModel, build, component_model
+from fmus import build, component_model
 from twin.errors import FmuError
 
 FmuFile = Callable[[str, int], Path]
@@ -55,10 +56,9 @@ def test_another_process_builds_the_same_bytes(fmu_file: FmuFile, tmp_path: Path
 
 def test_token_follows_the_content(fmu_file: FmuFile, tmp_path: Path) -> None:
     other_start = component_model(component("battery").with_starts({"resistance": 0.25}))
-    other_data = FmuModel(
-        **{f: getattr(model("replay"), f) for f in FmuModel.__slots__ if f != "resources"},
-        resources={"record.bin": model("replay").resources["record.bin"][:-8] + b"\0" * 8},
-    )
+    (part,) = model("replay").parts
+    record = {"record.bin": part.resources["record.bin"][:-8] + b"\0" * 8}
+    other_data = replace(model("replay"), parts=(replace(part, resources=record),))
     tokens = [
         token(unzip(path, tmp_path / str(i)))
         for i, path in enumerate(

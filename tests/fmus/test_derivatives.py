@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinds import KINDS, Array, Instance, component
+from kinds import COMPONENTS, Array, Instance, component
 
 from twin.component import Variable
 
@@ -59,7 +59,7 @@ def sizes(kind: str, here: Array) -> Array:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize("kind", [k for k in KINDS if k != "replay"])
+@pytest.mark.parametrize("kind", COMPONENTS)
 def test_against_central_differences(fmu_folder: Folder, kind: str, fmi: int) -> None:
     rng = np.random.default_rng(7)
     variables = knowns(kind)

@@ -157,6 +157,27 @@ def test_projection_follows_each_step() -> None:
     assert c.advance(np.array([1.0]), np.zeros(0), np.zeros(0), 0.2)[0] == 1.05
 
 
+def test_shortcuts_leave_out_what_their_switches_turn_on() -> None:
+    """The first leaves out both pulls, the second one of them; with both on neither is exact."""
+    m = ComponentBuilder("c", "")
+    near, far = (m.parameter(n, 1.0, "1", "", boolean=True) for n in ("near", "far"))
+    x = m.state("x", "1", "", 0.0)
+    m.derivative("x", -near * x + far * x**2)
+    m.output("pull", "1", "", 3 * near + 5 * far)
+    step = ca.SX.sym("step")
+    m.idle_while(ca.fabs(x) + step > 8, step, [near, far])
+    m.idle_while(ca.fabs(x) > 4, step, [near])
+    first, second = m.build().shortcuts
+    p, off, half = np.array([1.0, 1.0]), np.array([0.0, 0.0]), np.array([0.0, 1.0])
+    c, u = m.build(), np.zeros(0)
+    for shortcut, switched in ((first, off), (second, half)):
+        for x0 in (-2.0, 0.3, 5.0):
+            assert shortcut.step(x0, u, p, 0.01) == c.step(x0, u, switched, 0.01)
+            assert shortcut.outputs(x0, u, p) == c.outputs(x0, u, switched)
+    over = [[float(s.holds(7.5, p, h)) for s in (first, second)] for h in (1.0, 0.0)]
+    assert over == [[1.0, 1.0], [0.0, 1.0]]
+
+
 @pytest.mark.parametrize("vehicle", BUILTIN)
 def test_interface_table_is_complete(vehicle: str) -> None:
     """Every variable has unit and meaning, names are unique, and starts are within range."""

@@ -10,16 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.errors import ModelError
-from twin.residuals import (
-    Channel,
-    FlightGap,
-    gap_json,
-    pool,
-    rank,
-    slow_part,
-    spectrum,
-    summarise,
-)
+from twin.residuals import Channel, FlightGap, gap_json, pool, rank, summarise
+from twin.spectra import slow_part, spectrum
 
 RATE_HZ = 200.0
 

@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 from rig import Rig, plain, vec
 from scipy.signal import cont2discrete, lfilter
 from scipy.spatial.transform import Rotation
+from sensor_rig import draws
 
 from twin.battery import battery
 from twin.component import Run
 from twin.errors import ModelError
 from twin.imu import imu
+from twin.sensor_data import Sensors
 from twin.vehicle_file import load_vehicle
 
 ARM = np.array([0.05, -0.03, 0.02])
@@ -65,17 +67,6 @@ def test_sensor_at_the_centre_of_mass_reads_the_specific_force() -> None:
     rig = Rig(imu(plain()))
     y = read(rig, np.array([1.0, 2, -9]), np.full(3, 50.0), np.full(3, 8.0))
     assert [y[f"acc_{a}"] for a in "xyz"] == [1.0, 2.0, -9.0]
-
-
-def test_bias_is_added_to_the_reading() -> None:
-    for changes in ({}, {"accel_cutoff_hz": 40.0, "gyro_cutoff_hz": 40.0}):
-        component = imu(plain(**changes))
-        rig = Rig(component, {"acc_bias_y": 0.3, "gyro_bias_z": -0.02})
-        u = rig.inputs({"specific_force_y": 1.0, "omega_z": 0.5})
-        settled = np.asarray(component.initial(u, rig.p), dtype=np.float64).ravel()
-        y = rig.outputs(settled, u)
-        assert (y["acc_y"], y["gyro_z"]) == pytest.approx((1.3, 0.48), abs=1e-12)
-        assert (y["acc_x"], y["gyro_x"]) == (0.0, 0.0)
 
 
 def test_low_pass_against_the_exact_zero_order_hold() -> None:
@@ -152,7 +143,7 @@ def test_discharge_is_exact() -> None:
 def test_open_circuit_voltage_at_both_ends() -> None:
     component = battery(load_vehicle("crazyflie"))
     for charge, voltage in ((1.0, 4.2), (0.0, 3.0)):
-        rig = Rig(component, {"initial.charge": charge})
+        rig = Rig(component, {"initial.charge": charge, "initial.current": 0.0})
         y = rig.outputs(rig.state(), rig.inputs({"ibat_a": 0.0}))
         assert y["vbat_v"] == pytest.approx(voltage)
 
@@ -177,18 +168,22 @@ def test_hover_draws_the_hover_current() -> None:
 def test_noise_and_bias_walk_of_the_imu() -> None:
     """White noise has the size asked for; the walk's spread grows with the root of time."""
     sensor = imu(load_vehicle("copter_default"))
-    changes = {"acc_noise": 0.2, "gyro_bias_walk": 0.5, "sample_period": 0.01}
-    u = sensor.input_values()
-    acc, gyro = [], []
-    for seed in range(40):
-        run = Run(sensor, u, sensor.parameter_values({**changes, "seed": seed}))
-        for k in range(100):
-            run.step(k * 0.01, 0.01, u)
-            acc.append(run.outputs(u)[:3])
-        gyro.append(run.outputs(u)[3:])
-    assert np.std(acc) == pytest.approx(0.2, rel=0.03)
-    assert np.std(gyro) == pytest.approx(0.5 * np.sqrt(1.01), rel=0.2)  # 120 walks of 101 steps
-    assert np.ptp([sensor.outputs(run.x, u, run.p)[i] for i in range(3)]) > 0  # axes differ
+    white = draws(sensor, {"acc_noise": 0.2, "gyro_noise": 0.03}, 4000)
+    assert white.std(axis=0) == pytest.approx([0.2] * 3 + [0.03] * 3, rel=0.05)
+    assert np.abs(np.corrcoef(white.T) - np.eye(6)).max() < 0.07  # axes differ
+    walks = np.array(
+        [draws(sensor, {"gyro_bias_walk": 0.5}, 401, k)[[100, 400]] for k in range(60)]
+    )
+    early, late = walks[:, :, 3:].std(axis=(0, 2))
+    assert late == pytest.approx(0.5 * np.sqrt(4.01), rel=0.17)  # 180 walks
+    assert late / early == pytest.approx(2.0, rel=0.25)
+    assert np.all(walks[:, :, :3] == 0.0)
+
+
+def test_the_vehicle_file_sets_the_noise() -> None:
+    quiet, loud = imu(plain()), imu(plain(sensors=Sensors(accel_noise_m_s2=0.3)))
+    assert {v.name: v.start for v in quiet.parameters}["acc_noise"] == 0.0
+    assert {v.name: v.start for v in loud.parameters}["acc_noise"] == 0.3
 
 
 def test_an_imu_without_noise_is_the_ideal_one() -> None:

@@ -140,7 +140,7 @@ def test_units(key: str, line: str, attribute: str, si: object) -> None:
 def test_thrust_constant_in_any_notation(thrust: str) -> None:
     line = f'thrust_from_speed = {{ {thrust}, source = "s" }}'
     vehicle = parse_vehicle(by_speed(line), "v.toml")
-    assert vehicle.drive == "rotor_speed"
+    assert (vehicle.name, vehicle.drive) == ("v", "rotor_speed")
     np.testing.assert_allclose(vehicle.rotors.thrust_n, [0, 0, 1e-6], rtol=1e-12)
 
 
@@ -196,6 +196,13 @@ def test_entries_of_no_effect_are_doubted() -> None:
     assert "counts only with rotors.reference_voltage" in vehicle.doubts[0]
     text = by_speed() + 'command_range = { value = [0, 2], source = "s" }\n'
     assert "command_range counts only" in parse_vehicle(text, "v.toml").doubts[0]
+
+
+def test_a_vehicle_known_by_rotor_speed_cannot_be_driven_by_commands() -> None:
+    vehicle = parse_vehicle(by_speed(), "v.toml")
+    assert airframe(vehicle).input_names[0] == "rotor_1"
+    with pytest.raises(ModelError, match=r"drive v: .* Give rotors\.speed_from_command"):
+        airframe(vehicle, "command")
 
 
 # -- what is refused ----------------------------------------------------------------------
@@ -306,6 +313,38 @@ def test_what_is_wrong_is_said(case: str) -> None:
     assert len(str(error.value)) < 600
 
 
+def test_all_mistakes_are_said_at_once() -> None:
+    text = FULL.replace('"kg", source = "scale"', '"m", source = "scale"')
+    text = text.replace("value = 40,", "value = -40,").replace("lag =", "lagg =")
+    text = re.sub("^capacity.*\n", "", text, flags=re.MULTILINE)
+    text = text.replace('["ccw", "ccw", "cw", "cw"]', '["ccw", "cw"]')
+    with pytest.raises(ModelError) as error:
+        parse_vehicle(text, "mine.toml")
+    first, *lines = str(error.value).splitlines()
+    assert first == "mine.toml: 5 mistakes:"
+    starts = ("unknown key", "body.mass", "battery.resistance", "rotors.direction", "[battery]")
+    assert [line.startswith(f"  {start}") for line, start in zip(lines, starts, strict=True)] == [
+        True
+    ] * 5
+
+
+def test_a_torque_map_of_the_other_argument_is_of_no_use() -> None:
+    text = by_speed() + 'torque_from_command = { coefficients = [1], unit = "N*m", source = "s" }\n'
+    with pytest.raises(
+        ModelError, match=r"torque_from_command is of no use with thrust_from_speed"
+    ):
+        parse_vehicle(text, "mine.toml")
+
+
+@pytest.mark.parametrize("name", ["full_voltage", "empty_voltage", "hover_current"])
+def test_a_battery_is_whole_or_none(name: str) -> None:
+    head, battery = FULL.split("[battery]\n")
+    assert parse_vehicle(head + "[battery]\n", "v.toml").battery is None
+    line = next(row for row in battery.splitlines() if row.startswith(name))
+    with pytest.raises(ModelError, match=r"\[battery\] is given without .*all of them or none"):
+        parse_vehicle(f"{head}[battery]\n{line}\n", "v.toml")
+
+
 def test_misspelt_section_is_said() -> None:
     with pytest.raises(ModelError, match=r"unknown section: 'rotor'\. Did you mean 'rotors'"):
         parse_vehicle(FULL.replace("[rotors]", "[rotor]"), "mine.toml")
@@ -344,7 +383,7 @@ def test_what_is_wrong_with_maps_of_the_speed_is_said(
     [
         (b"[body\nmass = 1", r"mine\.toml: not valid TOML: .*line 1"),
         (b"\xff\xfe[body]", r"mine\.toml: cannot be read as text"),
-        (b"", r"mine\.toml: body\.mass is missing"),
+        (b"", r"(?s)mine\.toml: 5 mistakes:.*  body\.mass is missing"),
         (b"\x00", r"mine\.toml: not valid TOML"),
         (FULL.encode() + b"[body]\n", r"not valid TOML"),
     ],

@@ -42,13 +42,20 @@ def mixer_names(motors: int) -> list[str]:
 
 
 def mixer_scale(name: str) -> Array:
+    """Share of roll, pitch, yaw and thrust in each motor of a known mixer, shape (motors, 4)."""
+    return geometry_scale(np.array(_GEOMETRIES[name], dtype=np.float64))
+
+
+def geometry_scale(rotors: Array) -> Array:
     """Share of roll, pitch, yaw and thrust in each motor, shape (motors, 4).
 
     Pseudo-inverse of the map from rotor thrusts to moments and thrust, then normalised.
 
+    Args:
+        rotors: Position forward and right, direction (+1 counter-clockwise), shape (motors, 3).
+
     Source: PX4 v1.12, lib/mixer/MultirotorMixer/geometries/tools/px_generate_mixers.py.
     """
-    rotors = np.array(_GEOMETRIES[name], dtype=np.float64)
     x, y, turn = rotors.T
     effect = np.vstack([-y, x, _MOMENT * turn, np.ones(len(rotors))])
     scale = np.linalg.pinv(effect)

@@ -26,6 +26,7 @@ from .flight import Array, Finding
 
 _TINY = 1e-6
 _NORM_DOUBT = 1e-3
+_FASTEST_ROTOR_RAD_S = 4500.0
 
 
 def check_columns(name: str, columns: list[str]) -> list[Finding]:
@@ -249,6 +250,11 @@ def _doubt_units(table: pd.DataFrame) -> list[Finding]:
             f"median {np.median(mag):.3g} T: the Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)"
         )
         found.append(Finding("error", "mag", message))
+    speed = table[[c for c in table if str(c).startswith("rotor_")]].to_numpy()
+    median = float(np.median(speed[speed > 0])) if (speed > 0).any() else 0.0
+    if median > _FASTEST_ROTOR_RAD_S:
+        message = f"median {median:.0f} rad/s: is it in rpm? 1 rpm = 0.10472 rad/s"
+        found.append(Finding("error", "rotor", message))
     for column, low, high, message in (
         ("baro_pa", 2e4, 1.2e5, "expected in Pa, about 101325 at sea level"),
         ("vbat_v", 2.0, 500.0, "expected in V"),

@@ -176,6 +176,8 @@ def doubtful(case: str) -> pd.DataFrame:
             f["acc_z"] *= -1.0
         case "gyro":  # in degrees per second
             f["gyro_x"] = 60.0 * np.sin(f["time"])
+        case "rotor":  # in rpm
+            f[list(motor_columns("rotor", 4))] *= 30.0 / np.pi * 1.5
         case "mag":  # in gauss
             f[["mag_x", "mag_y", "mag_z"]] *= 1e4
         case "baro_pa":  # in hPa
@@ -191,7 +193,9 @@ def doubtful(case: str) -> pd.DataFrame:
     return f
 
 
-@pytest.mark.parametrize("case", ["acc", "acc up", "gyro", "mag", "baro_pa", "pos", "vel", "time"])
+@pytest.mark.parametrize(
+    "case", ["acc", "acc up", "gyro", "rotor", "mag", "baro_pa", "pos", "vel", "time"]
+)
 def test_wrong_unit_or_frame_becomes_a_finding(tmp_path: Path, case: str) -> None:
     findings = read(doubtful(case), tmp_path).findings
     assert [(f.severity, f.where) for f in findings] == [("error", case.split(maxsplit=1)[0])]

@@ -1,4 +1,6 @@
-/* A recorded flight as a model: every output is a signal of `resources/record.bin`.
+/* A recorded flight as a model: every output is a signal of `record.bin` among the resources.
+ *
+ * Included at the end of part_NAME.c, which holds the tables.
  *
  * record.bin, little endian: "UAVTWIN1", uint64 number of signals; per signal uint64 number of
  * samples, uint64 1 for linear interpolation or 0 for hold, double longest gap in s, then the
@@ -7,12 +9,9 @@
  * samples further apart a linear signal is valid at the samples alone. Where a signal is not valid
  * it holds the sample before (before the record the first one): nothing is extrapolated.
  */
-#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "core.h"
 
 typedef struct {
     uint64_t count, linear;
@@ -38,11 +37,17 @@ static FILE* open_read(const char* path) {
 static FILE* open_read(const char* path) { return fopen(path, "rb"); }
 #endif
 
-int model_open(const char* resources, void** data, char* message, size_t size) {
+static void model_close(void* data) {
+    if (!data) return;
+    free(((Record*)data)->bytes);
+    free(data);
+}
+
+static int model_open(const char* resources, void** data, char* message, size_t size) {
     char path[4200];
     size_t length = strlen(resources);
     const char* slash = length && (resources[length - 1] == '/' || resources[length - 1] == '\\') ? "" : "/";
-    snprintf(path, sizeof path, "%s%srecord.bin", resources, slash);
+    snprintf(path, sizeof path, "%s%s" FOLDER "record.bin", resources, slash);
     FILE* file = open_read(path);
     if (!file) {
         snprintf(message, size, "cannot open the recorded flight %.200s", path);
@@ -82,18 +87,12 @@ int model_open(const char* resources, void** data, char* message, size_t size) {
     return 0;
 }
 
-void model_close(void* data) {
-    if (!data) return;
-    free(((Record*)data)->bytes);
-    free(data);
-}
-
-void model_initial(const State* s, const void* data, double* x) { (void)s, (void)data, (void)x; }
-void model_step(const State* s, const void* data, double h, double* x) { (void)s, (void)data, (void)h, (void)x; }
+static void model_initial(const Part* p, double* x) { (void)p, (void)x; }
+static void model_step(const Part* p, double h, double* x) { (void)p, (void)h, (void)x; }
 
 /* Outputs depend on time alone. */
-void model_tangent(const State* s, const void* data, int initializing, double* change) {
-    (void)s, (void)data, (void)initializing;
+static void model_tangent(const Part* p, int starting, const double* noise, double* change) {
+    (void)p, (void)starting, (void)noise;
     for (unsigned i = FIRST_OUTPUT; i < N_VARIABLES; i++) change[i] = 0;
 }
 
@@ -116,9 +115,9 @@ static uint64_t locate(Signal* s, double t) {
 /* A sample counts from this much before its time: communication points carry rounding errors. */
 #define TIME_TOLERANCE 1e-9
 
-void model_outputs(State* s, void* data) {
-    Record* r = data;
-    double t = s->v[0] + TIME_TOLERANCE;
+static void model_outputs(Part* p) {
+    Record* r = p->data;
+    double t = p->v[0] + TIME_TOLERANCE;
     for (int i = 0; i < N_SIGNALS; i++) {
         Signal* k = &r->signals[i];
         double value, valid;
@@ -127,7 +126,7 @@ void model_outputs(State* s, void* data) {
             valid = 0;
         } else {
             uint64_t j = locate(k, t);
-            double age = s->v[0] - k->time[j]; /* from -TIME_TOLERANCE on */
+            double age = p->v[0] - k->time[j]; /* from -TIME_TOLERANCE on */
             value = k->value[j];
             valid = age <= k->longest_gap + TIME_TOLERANCE;
             if (k->linear && j + 1 < k->count) {
@@ -137,7 +136,23 @@ void model_outputs(State* s, void* data) {
                 if (bridged) value += (k->value[j + 1] - value) * (age / span);
             }
         }
-        s->v[FIRST_OUTPUT + i] = value;
-        s->v[FIRST_OUTPUT + N_SIGNALS + i] = valid;
+        p->v[FIRST_OUTPUT + i] = value;
+        p->v[FIRST_OUTPUT + N_SIGNALS + i] = valid;
     }
 }
+
+const Model MODEL = {
+    .n_variables = N_VARIABLES,
+    .first_input = FIRST_INPUT,
+    .first_output = FIRST_OUTPUT,
+    .variables = variables,
+    .n_states = N_STATES,
+    .state_names = state_names,
+    .max_step = MAX_STEP,
+    .open = model_open,
+    .close = model_close,
+    .initial = model_initial,
+    .step = model_step,
+    .outputs = model_outputs,
+    .tangent = model_tangent,
+};

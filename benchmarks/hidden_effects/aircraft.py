@@ -1,0 +1,166 @@
+"""The aircraft of our own plant, and the vehicle file that describes each exactly.
+
+All numbers are made up, of the size of: a 450 class quadrotor, a 150 mm indoor quadrotor, a
+hexacopter with 12 inch rotors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .noise import Noise
+from .parameters import FIELD_T, GRAVITY_M_S2, GROUND_PRESSURE_PA, Array, Parameters
+
+_X = np.array([[1.0, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]])
+_HEX = [[np.cos(a), np.sin(a), 0.0] for a in np.arange(6) * np.pi / 3]
+_SPIN = np.array([-1.0, -1.0, 1.0, 1.0])
+_MADE_UP = "made up"
+
+
+@dataclass(frozen=True)
+class Aircraft:
+    """An aircraft.
+
+    Attributes:
+        name: What the vehicle file calls it.
+        nominal: Its numbers with nothing hidden.
+        by_command: Whether the vehicle file gives thrust against the command, not the speed.
+        pace: Speeds of its missions over those of the largest aircraft.
+        spin_inertia: Of one rotor about its axis, kg m2; it acts only where it is hidden.
+        thrust_of_rpm: Ascending coefficients, N, where thrust is not k times speed squared.
+        torque_of_rpm: The same of the reaction torque, N m.
+    """
+
+    name: str
+    nominal: Parameters
+    by_command: bool
+    pace: float
+    spin_inertia: float
+    thrust_of_rpm: tuple[float, ...] | None = None
+    torque_of_rpm: tuple[float, ...] | None = None
+
+    @property
+    def arm(self) -> float:
+        """Largest distance of a hub from the centre of mass, m."""
+        return float(np.linalg.norm(self.nominal.hubs[:, :2], axis=1).max())
+
+
+def _aircraft(
+    name: str, hubs: Array, direction: Array, thrust_k: float, torque_k: float, by_command: bool,
+    pace: float, spin_inertia: float, **numbers: object,
+) -> Aircraft:  # fmt: skip
+    r = len(hubs)
+    hover = float(np.sqrt(float(numbers["mass"]) * GRAVITY_M_S2 / (r * thrust_k)))  # type: ignore[arg-type]
+    nominal = Parameters(
+        hubs=hubs,
+        direction=direction,
+        thrust_k=np.full(r, thrust_k),
+        torque_k=np.full(r, torque_k),
+        hover_speed=hover,
+        **numbers,  # type: ignore[arg-type]
+    )
+    return Aircraft(name, nominal, by_command, pace, spin_inertia)
+
+
+AIRCRAFT = {
+    a.name: a
+    for a in (
+        _aircraft(
+            "quad_450", 0.159 * _X + [0, 0, -0.03], _SPIN, 1.105e-5, 1.779e-7, False, 1.0, 6e-5,
+            mass=1.4, inertia=np.array([0.0211, 0.0219, 0.0366]), speed_0=80.0, speed_1=900.0,
+            lag=0.035, radius=0.127, leg=0.12, drag_linear=np.array([0.28, 0.28, 0.36]),
+            drag_quadratic=np.zeros(3), accel_cutoff_hz=60.0,
+            imu_arm=np.array([0.02, -0.01, -0.015]),
+        ),
+        _aircraft(
+            "quad_150", 0.053 * _X, _SPIN, 2.17e-7, 2.6e-9, True, 0.8, 8e-7,
+            mass=0.32, inertia=np.array([5.2e-4, 6.9e-4, 8.8e-4]), speed_0=300.0, speed_1=3000.0,
+            lag=0.025, radius=0.038, leg=0.04, drag_linear=np.array([0.06, 0.06, 0.08]),
+            drag_quadratic=np.array([0.012, 0.012, 0.02]), accel_cutoff_hz=80.0,
+            full_v=8.4, empty_v=6.6, reference_v=7.7, capacity=1500.0, hover_current=9.0,
+        ),
+        _aircraft(
+            "hexa_600", 0.3 * np.array(_HEX), np.array([1.0, -1.0] * 3), 1.6e-5, 2.6e-7, False,
+            1.0, 6e-5,
+            mass=2.6, inertia=np.array([0.045, 0.047, 0.082]), speed_0=60.0, speed_1=850.0,
+            lag=0.045, radius=0.14, leg=0.15, drag_linear=np.array([0.5, 0.5, 0.7]),
+            drag_quadratic=np.array([0.01, 0.01, 0.02]), accel_cutoff_hz=50.0,
+            imu_arm=np.array([0.0, 0.0, -0.03]), capacity=9000.0, hover_current=26.0,
+            resistance=0.02,
+        ),
+    )
+}  # fmt: skip
+
+
+def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
+    """The vehicle file that a user of this aircraft believes in; format of docs/vehicle.md."""
+    p = aircraft.nominal
+    lines = [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"', "", "[body]"]
+
+    def add(key: str, value: object, unit: str) -> None:
+        lines.append(f'{key} = {{ value = {_text(value)}, unit = "{unit}", source = "made up" }}')
+
+    def polynomial(key: str, coefficients: Sequence[float], unit: str, of: str = "") -> None:
+        argument = f'of = "{of}", ' if of else ""
+        lines.append(
+            f'{key} = {{ coefficients = {_text([*coefficients])}, unit = "{unit}", {argument}'
+            f'source = "{_MADE_UP}" }}'
+        )
+
+    add("mass", p.mass, "kg")
+    add("inertia", p.inertia, "kg*m^2")
+    add("drag_linear", p.drag_linear, "N*s/m")
+    add("drag_quadratic", p.drag_quadratic, "N*s^2/m^2")
+    add("leg_height", p.leg, "m")
+    lines += ["", "[rotors]"]
+    add("position", p.hubs, "m")
+    names = ["cw" if d > 0 else "ccw" for d in p.direction]
+    lines.append(f'direction = {{ value = {_text(names)}, source = "{_MADE_UP}" }}')
+    k, q, a, b = float(p.thrust_k[0]), float(p.torque_k[0]), p.speed_0, p.speed_1
+    if aircraft.by_command:
+        polynomial("thrust_from_command", [k * a * a, 2 * k * a * b, k * b * b], "N")
+        add("torque_per_thrust", q / k, "m")
+    elif aircraft.thrust_of_rpm and aircraft.torque_of_rpm:
+        polynomial("thrust_from_speed", aircraft.thrust_of_rpm, "N", of="rpm")
+        polynomial("torque_from_speed", aircraft.torque_of_rpm, "N*m", of="rpm")
+        polynomial("speed_from_command", [a, b], "rad/s")
+    else:
+        add("thrust_from_speed", k, "N*s^2/rad^2")
+        add("torque_from_speed", q, "N*m*s^2/rad^2")
+        polynomial("speed_from_command", [a, b], "rad/s")
+    add("lag", p.lag, "s")
+    lines += ["", "[imu]"]
+    add("position", p.imu_arm, "m")
+    add("accel_cutoff", p.accel_cutoff_hz, "Hz")
+    add("accel_noise", noise.accel, "m/s^2")
+    add("gyro_noise", noise.gyro, "rad/s")
+    lines += ["", "[battery]"]
+    add("full_voltage", p.full_v, "V")
+    add("empty_voltage", p.empty_v, "V")
+    add("capacity", p.capacity, "A*s")
+    add("resistance", p.resistance, "ohm")
+    add("hover_current", p.hover_current, "A")
+    lines += ["", "[magnetometer]"]
+    add("field", list(FIELD_T), "T")
+    add("noise", noise.mag, "T")
+    lines += ["", "[barometer]"]
+    add("noise", noise.baro, "Pa")
+    lines += ["", "[position]"]
+    add("period", 0.01, "s")
+    add("delay", 0.0, "s")
+    add("noise", [noise.position] * 3, "m")
+    add("velocity_noise", [noise.velocity] * 3, "m/s")
+    add("attitude_noise", noise.attitude, "rad")
+    lines += ["", "[site]"]
+    add("pressure", GROUND_PRESSURE_PA, "Pa")
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: object) -> str:
+    """A number, a text or nested lists of them as TOML."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return "[" + ", ".join(_text(v) for v in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else repr(float(value))  # type: ignore[arg-type]

@@ -1,0 +1,103 @@
+"""Every case of the benchmark: what is hidden, how much, with which sensors, by which seed.
+
+A case is named by a hash: the name of its folder says nothing about what is hidden in it.
+"""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from .plants import EFFECTS, PLANTS, Plant
+
+MAGNITUDES = ("small", "medium", "large")
+NOISE_LEVELS = ("low", "medium", "high")
+_SHARES = {"single": 0.5, "nothing": 0.2, "pair": 0.2, "outside": 0.1}
+"""Of a subset."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One case.
+
+    Attributes:
+        plant: Name of the plant.
+        kind: single, pair, outside or nothing.
+        effects: Names of the hidden effects.
+        magnitude: small, medium or large; "none" when nothing is hidden.
+        noise: Level of the sensors.
+        seed: Draws sizes, signs, missions and noise.
+    """
+
+    plant: str
+    kind: str
+    effects: tuple[str, ...]
+    magnitude: str
+    noise: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Text that tells it from all others."""
+        effects = "+".join(self.effects)
+        return f"{self.plant}/{effects}/{self.magnitude}/{self.noise}/{self.seed}"
+
+    @property
+    def id(self) -> str:
+        """Name of its folder."""
+        return _digest(self.key)[:12]
+
+    @property
+    def entropy(self) -> int:
+        """Where its random numbers start."""
+        return int(_digest(self.key + "/random")[:15], 16)
+
+    @property
+    def aircraft(self) -> str:
+        """Name of the aircraft that flies it."""
+        names = PLANTS[self.plant].aircraft
+        return names[self.seed % len(names)]
+
+
+def cases(plants: Iterable[str] = PLANTS) -> list[Case]:
+    """All cases of some plants."""
+    return [case for name in plants for case in _cases(PLANTS[name])]
+
+
+def _cases(plant: Plant) -> Iterator[Case]:
+    for noise in NOISE_LEVELS:
+        for name in plant.effects:
+            kind = "outside" if EFFECTS[name].outside else "single"
+            for magnitude in MAGNITUDES:
+                for seed in range(plant.seeds):
+                    yield Case(plant.name, kind, (name,), magnitude, noise, seed)
+        for pair in plant.pairs:
+            for seed in range(plant.seeds):
+                yield Case(plant.name, "pair", pair, "medium", noise, seed)
+        for seed in range(plant.quiet_seeds):
+            yield Case(plant.name, "nothing", (), "none", noise, seed)
+
+
+def subset(every: Iterable[Case], size: int) -> list[Case]:
+    """So many cases, spread evenly over plants, kinds and effects; the same ones each time."""
+    every = list(every)
+    chosen: list[Case] = []
+    kinds = [k for k in _SHARES if any(c.kind == k for c in every)]
+    whole = sum(_SHARES[k] for k in kinds)
+    for kind in kinds:
+        wanted = round(size * _SHARES[kind] / whole)
+        chosen += _round_robin([c for c in every if c.kind == kind], wanted)
+    return chosen
+
+
+def _round_robin(every: list[Case], wanted: int) -> list[Case]:
+    """One of each effect (and plant), then a second of each, and so on."""
+    strata: dict[tuple[str, ...], list[Case]] = {}
+    for case in sorted(every, key=lambda c: _digest(c.key)):
+        strata.setdefault((case.plant, *case.effects), []).append(case)
+    rounds = max((len(s) for s in strata.values()), default=0)
+    order = [s[i] for i in range(rounds) for s in strata.values() if i < len(s)]
+    return order[:wanted]
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()

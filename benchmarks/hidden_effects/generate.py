@@ -1,0 +1,140 @@
+"""Write the flights of the benchmark: `python -m benchmarks.hidden_effects.generate --out DIR`.
+
+    DIR/flights/ID/   fit_1.parquet fit_2.parquet holdout_1.parquet vehicle.toml
+    DIR/truth/ID.json what is hidden, never beside the flights
+
+Cases that are complete are skipped, so a run that was cut short goes on where it stopped.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from importlib.util import find_spec
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+
+from twin.flightlog.flight import Flight
+from twin.flightlog.table import write_flight
+from twin.vehicle_file import parse_vehicle
+
+from .cases import MAGNITUDES, NOISE_LEVELS, Case, cases, subset
+from .plants import PLANTS, may_fly_together
+from .produce import FLIGHTS, Produced, produce
+
+CASES_AT_ONCE = 100
+"""In one simulation: beyond, memory grows and time per flight hardly falls."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    options = _options(arguments)
+    plants = options.plant or installed_plants()
+    wanted = [
+        c
+        for c in cases(plants)
+        if (not options.effect or set(options.effect) & ({*c.effects} or {"nothing"}))
+        and (not options.kind or c.kind in options.kind)
+        and (not options.magnitude or c.magnitude in (*options.magnitude, "none"))
+        and (not options.noise or c.noise in options.noise)
+    ]
+    if options.subset:
+        wanted = subset(wanted, options.subset)
+    missing = [c for c in wanted if not is_complete(options.out, c)]
+    print(f"{len(wanted)} cases, {len(wanted) - len(missing)} there already", file=sys.stderr)
+    start, done = time.perf_counter(), 0
+    os.environ["SCIPY_ARRAY_API"] = "1"  # for drone-models, see third_party
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        for count in pool.map(write_batch, repeat(options.out), batches(missing)):
+            done += count
+            spent = time.perf_counter() - start
+            each = spent / (done * len(FLIGHTS))
+            print(
+                f"{done}/{len(missing)} cases, {spent:.0f} s, {each:.2f} s per flight",
+                file=sys.stderr,
+            )
+    return 0
+
+
+def installed_plants() -> list[str]:
+    """Plants whose package is there; the others are named on stderr."""
+    found = []
+    for plant in PLANTS.values():
+        if plant.package and not find_spec(plant.name):
+            print(f"without {plant.name}: pip install {plant.package}", file=sys.stderr)
+        else:
+            found.append(plant.name)
+    return found
+
+
+def batches(wanted: Iterable[Case]) -> list[list[Case]]:
+    """Cases that fly together, like effects side by side."""
+    groups: dict[tuple[str, ...], list[Case]] = {}
+    for case in sorted(wanted, key=lambda c: (c.effects, c.key)):
+        together = may_fly_together(case.plant, case.aircraft)
+        groups.setdefault((case.plant, *together), []).append(case)
+    return [
+        group[i : i + CASES_AT_ONCE]
+        for group in groups.values()
+        for i in range(0, len(group), CASES_AT_ONCE)
+    ]
+
+
+def write_batch(out: Path, batch: list[Case]) -> int:
+    """Produce cases and write them; returns how many."""
+    for produced in produce(batch):
+        write_case(out, produced)
+    return len(batch)
+
+
+def write_case(out: Path, produced: Produced) -> None:
+    """Write one case, its truth last: a case with a truth file is complete."""
+    parse_vehicle(produced.vehicle, "vehicle.toml")
+    folder, truth = flights_folder(out, produced.case), truth_file(out, produced.case)
+    folder.mkdir(parents=True, exist_ok=True)
+    truth.parent.mkdir(parents=True, exist_ok=True)
+    for name, table in produced.flights.items():
+        write_flight(Flight(name, table), folder / f"{name}.parquet")
+    (folder / "vehicle.toml").write_text(produced.vehicle, "utf-8")
+    text = json.dumps(produced.truth, indent=1, sort_keys=True)
+    partial = truth.with_suffix(".partial")
+    partial.write_text(text + "\n", "utf-8")
+    partial.replace(truth)
+
+
+def is_complete(out: Path, case: Case) -> bool:
+    """Whether nothing of a case is missing."""
+    folder = flights_folder(out, case)
+    names = [f"{name}.parquet" for name in FLIGHTS] + ["vehicle.toml"]
+    return truth_file(out, case).is_file() and all((folder / n).is_file() for n in names)
+
+
+def flights_folder(out: Path, case: Case) -> Path:
+    """Where the flights of a case lie."""
+    return out / "flights" / case.id
+
+
+def truth_file(out: Path, case: Case) -> Path:
+    """Where the truth of a case lies."""
+    return out / "truth" / f"{case.id}.json"
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--subset", type=int, help="so many cases, spread evenly")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--plant", action="append", choices=tuple(PLANTS))
+    parser.add_argument("--effect", action="append", help='with this effect, or "nothing"')
+    parser.add_argument("--kind", action="append", choices=("single", "pair", "outside", "nothing"))
+    parser.add_argument("--magnitude", action="append", choices=MAGNITUDES)
+    parser.add_argument("--noise", action="append", choices=NOISE_LEVELS)
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

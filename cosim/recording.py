@@ -1,0 +1,62 @@
+"""What a run leaves behind."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from twin.errors import FmuError
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Values at the communication points.
+
+    Attributes:
+        names: "slave.variable" of each column.
+        time_s: Shape (n,).
+        values: Shape (n, len(names)).
+        steps: Communication steps taken.
+        rejected: Steps taken back by the step-size control and tried again with shorter ones.
+        lateness_s: Longest delay behind the clock, of a run in real time.
+    """
+
+    names: tuple[str, ...]
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+    steps: int = 0
+    rejected: int = 0
+    lateness_s: float = 0.0
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """One column by name."""
+        return self.values[:, self.names.index(name)]
+
+    def frame(self) -> pd.DataFrame:
+        """As a table with `time` first."""
+        table = pd.DataFrame(self.values, columns=list(self.names))
+        table.insert(0, "time", self.time_s)
+        return table
+
+    def write(self, path: Path) -> None:
+        """Write Parquet or CSV, chosen by the suffix; CSV keeps every bit (shortest repr)."""
+        if path.suffix == ".parquet":
+            self.frame().to_parquet(path, index=False)
+        elif path.suffix == ".csv":
+            self.frame().to_csv(path, index=False)
+        else:
+            raise FmuError(f"{path.name}: recordings are written as .parquet or .csv.")
+
+
+class Interrupted(KeyboardInterrupt):
+    """A run was interrupted between or during steps.
+
+    Attributes:
+        recording: What had been recorded by then.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        super().__init__(f"interrupted at {recording.time_s[-1]:g} s")
+        self.recording = recording

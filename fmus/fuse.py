@@ -1,0 +1,155 @@
+"""Several components as one FMU: the parts are stepped together inside, without a master."""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
+
+from twin.component import Component, Sampling, unknown_name
+from twin.errors import FmuError
+
+from .model import FmuModel, Part, component_model
+
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def fuse(
+    name: str,
+    description: str,
+    parts: Mapping[str, FmuModel | Component],
+    connections: Iterable[tuple[str, str]],
+    step_s: float = 1e-3,
+) -> FmuModel:
+    """One FMU model of connected parts.
+
+    Every parameter, every output and every input without a connection becomes a variable of the
+    FMU, named "part.variable". A communication step is divided into equal steps of at most
+    `step_s`; in each, all parts step from the inputs held, then their outputs go along the
+    connections. The numbers are those of the co-simulation of one FMU per part by the Jacobi
+    algorithm at that step, to the last bit. For that the noise of a part is that of its component
+    alone: two parts of one component draw the same numbers unless their seeds differ.
+
+    Args:
+        name: Model identifier, a C identifier.
+        description: One line.
+        parts: Components, or models of one part, by a name that is a C identifier.
+        connections: ("part.output", "part.input") pairs.
+        step_s: Longest step between two exchanges of values.
+
+    Raises:
+        FmuError: A name is wrong or unknown, a connection is not from an output to a free input of
+            the same unit, outputs depend on themselves, or two parts would draw the same noise.
+    """
+    if not step_s > 0 or step_s == float("inf"):
+        raise FmuError(f"{name}: step {step_s:g} s must be positive, e.g. 0.001.")
+    for identifier in (name, *parts):
+        if not _IDENTIFIER.fullmatch(identifier):
+            raise FmuError(f"{name}: {identifier!r} is no C identifier; use letters, digits and _.")
+    renamed = tuple(_renamed(name, key, part) for key, part in parts.items())
+    connected = tuple(connections)
+    _check_connections(name, renamed, connected)
+    _check_noise(name, renamed)
+    order = _order(name, renamed, {target: source for source, target in connected})
+    return FmuModel(name, description, renamed, connected, order, step_s)
+
+
+def _renamed(owner: str, name: str, of: FmuModel | Component) -> Part:
+    """The part under a new name, which its variables, states and files bear as well."""
+    model = component_model(of) if isinstance(of, Component) else of
+    if len(model.parts) > 1:
+        raise FmuError(f"{owner}: {name} is fused already; give its parts instead.")
+    (part,) = model.parts
+
+    def under(names: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+        return {f"{name}.{k}": tuple(f"{name}.{v}" for v in values) for k, values in names.items()}
+
+    return replace(
+        part,
+        name=name,
+        variables=tuple(replace(v, name=f"{name}.{v.name}") for v in part.variables),
+        dependencies=under(part.dependencies),
+        initial_dependencies=under(part.initial_dependencies),
+        state_names=tuple(f"{name}.{s}" for s in part.state_names),
+        sampling=None if part.sampling is None else _renamed_sampling(name, part.sampling),
+        folder=f"{name}/",
+    )
+
+
+def _renamed_sampling(name: str, sampling: Sampling) -> Sampling:
+    return replace(
+        sampling,
+        period=f"{name}.{sampling.period}",
+        seed=None if sampling.seed is None else f"{name}.{sampling.seed}",
+        lines=tuple(replace(line, name=f"{name}.{line.name}") for line in sampling.lines),
+    )
+
+
+def _check_connections(
+    owner: str, parts: Iterable[Part], connections: Iterable[tuple[str, str]]
+) -> None:
+    """Known names, from an output to an input, one source each, equal units."""
+    variables = {v.name: v for part in parts for v in part.variables}
+    seen: set[str] = set()
+    for source, target in connections:
+        for end in (source, target):
+            if end not in variables:
+                raise FmuError(unknown_name(owner, "variable", end, variables))
+        a, b = variables[source], variables[target]
+        if (a.causality, b.causality) != ("output", "input"):
+            raise FmuError(
+                f"{owner}: {source} ({a.causality}) -> {target} ({b.causality}): "
+                f"a connection goes from an output to an input."
+            )
+        if a.unit != b.unit:
+            raise FmuError(f"{owner}: {source} [{a.unit}] -> {target} [{b.unit}]: units differ.")
+        if target in seen:
+            raise FmuError(f"{owner}: {target} has two sources; an input takes one.")
+        seen.add(target)
+
+
+def _check_noise(owner: str, parts: Iterable[Part]) -> None:
+    """No two parts with one stream and one seed."""
+    drawn: dict[tuple[int, float], str] = {}
+    for part in parts:
+        if part.sampling is None or part.sampling.seed is None:
+            continue
+        (seed,) = (v for v in part.variables if v.name == part.sampling.seed)
+        other = drawn.setdefault((part.sampling.stream, seed.start), part.name)
+        if other != part.name:
+            raise FmuError(
+                f"{owner}: {other} and {part.name} are the same component with the same seed "
+                f"{seed.start:g} and would draw the same noise: start one with another seed."
+            )
+
+
+def _order(owner: str, parts: tuple[Part, ...], source: Mapping[str, str]) -> tuple[int, ...]:
+    """Visits of parts after which every output is right, at initialisation and while stepping.
+
+    A part comes twice where some of its outputs are needed before its inputs are known: an
+    airframe gives its position to a controller whose command enters its acceleration.
+    """
+    felt = {
+        output: {source[u] for u in (*direct, *part.initial_dependencies[output]) if u in source}
+        for part in parts
+        for output, direct in part.dependencies.items()
+    }
+    try:
+        TopologicalSorter(felt).prepare()
+    except CycleError as error:
+        raise FmuError(
+            f"{owner}: algebraic loop: {' -> '.join(error.args[1])}, each depending on the one "
+            f"before it within an instant. Put a state between two of them."
+        ) from None
+    order: list[int] = []
+    done: set[str] = set()
+    remaining = {i: list(part.dependencies) for i, part in enumerate(parts)}
+    while remaining:
+        ready = {i: [o for o in left if felt[o] <= done] for i, left in remaining.items()}
+        whole = [i for i, left in remaining.items() if len(ready[i]) == len(left)]
+        i = whole[0] if whole else next(i for i in remaining if ready[i])
+        order.append(i)
+        done.update(ready[i])
+        remaining[i] = [o for o in remaining[i] if o not in done]
+        if not remaining[i]:
+            del remaining[i]
+    return tuple(order)

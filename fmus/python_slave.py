@@ -1,0 +1,156 @@
+"""Python-slave FMUs: a component evaluated by Python itself, behind pythonfmu's shared libraries.
+
+For prototypes, and for what the C route refuses. Such an FMU runs in a Python process alone, with
+numpy and casadi: other hosts cannot load it (`undefined symbol: _Py_NoneStruct`).
+
+All Python slaves of a process share its modules. So everything an FMU imports of ours is inside it
+under names made of its content, and two versions of a component never meet.
+"""
+
+import hashlib
+import json
+import re
+import uuid
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+from lxml import etree
+
+from twin.component import Component
+from twin.errors import FmuError
+
+from .builder import NAMESPACE, write_archive
+from .description import model_description
+from .model import FmuModel, component_model
+
+_ENTRY = '''\
+"""pythonfmu reads this file anew for each instance, and looks for the slave's class."""
+
+from twin.slave import ComponentSlave, keep
+
+keep(globals())  # pythonfmu gives back a reference to them that it does not own
+'''
+_IMPORTED = re.compile(r"^from \.(\w+) import", re.MULTILINE)
+_OURS = re.compile(r"^(from|import) (twin|pythonfmu)\b", re.MULTILINE)
+
+
+def build_python_slave(component: Component, path: Path) -> Path:
+    """Build an FMI 2 co-simulation FMU that runs in a Python process.
+
+    Args:
+        component: What the FMU computes.
+        path: File to write; its folder must exist.
+
+    Returns:
+        The path.
+
+    Raises:
+        FmuError: pythonfmu is not installed.
+    """
+    try:
+        libraries = resources.files("pythonfmu") / "resources" / "binaries"
+    except ModuleNotFoundError as error:
+        raise FmuError(
+            f"{component.name}: a Python slave needs pythonfmu: pip install pythonfmu."
+        ) from error
+    model = _model(component)
+    binaries = {
+        f"binaries/{platform}/{component.name}{suffix}": (libraries / platform / file).read_bytes()
+        for platform, file, suffix in (
+            ("linux64", "libpythonfmu-export.so", ".so"),
+            ("win64", "pythonfmu-export.dll", ".dll"),
+        )
+    }
+    files = _files(component)
+    digest = _digest({"": _description(model, "")} | binaries | files)
+    members = {
+        "modelDescription.xml": _description(model, str(uuid.uuid5(NAMESPACE, digest))),
+        **binaries,
+        **_staged(files, digest[:16]),
+    }
+    write_archive(path, members)
+    return path
+
+
+def component_text(component: Component) -> str:
+    """A component as JSON, equations serialized by CasADi; shortcuts, which `Run` never takes, not.
+
+    `slave_script.read_component` reads it.
+    """
+    fields = asdict(replace(component, shortcuts=()))
+    return json.dumps(fields, default=_function, allow_nan=False, indent=1)
+
+
+def _function(value: Any) -> dict[str, str]:
+    if isinstance(value, ca.Function):
+        return {"casadi": ca.CasadiMeta.version(), "function": value.serialize()}
+    raise TypeError(f"{value!r} does not travel in a Python slave.")
+
+
+def _model(component: Component) -> FmuModel:
+    """The native FMU's model, and what the host must have."""
+    needs = f"Prototype: needs a Python host with numpy and casadi {ca.CasadiMeta.version()}"
+    return replace(
+        component_model(component), description=f"{component.description}. {needs}".lstrip(". ")
+    )
+
+
+def _description(model: FmuModel, token: str) -> bytes:
+    """As of the native FMU, apart from what a Python slave has not."""
+    root = etree.fromstring(
+        model_description(model, 2, token, ()), etree.XMLParser(remove_blank_text=True)
+    )
+    (simulation,) = root.findall("CoSimulation")
+    simulation.set("needsExecutionTool", "true")
+    simulation.set("providesDirectionalDerivative", "false")
+    for sources in simulation.findall("SourceFiles"):
+        simulation.remove(sources)
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text
+
+
+def _files(component: Component) -> dict[str, bytes]:
+    """What goes into the resources folder, under names that are still the same in every FMU."""
+    licence = metadata.distribution("pythonfmu").read_text("licenses/LICENSE") or ""
+    script = (resources.files(__package__) / "slave_script.py").read_text()
+    texts = {
+        "slave.py": _ENTRY,
+        "twin/slave.py": script,
+        "twin/component.json": component_text(component),
+        "pythonfmu/LICENSE": licence,
+        **_modules("twin", "component"),
+        **_modules("pythonfmu", "fmi2slave"),
+    }
+    return {name: text.encode() for name, text in texts.items()}
+
+
+def _modules(package: str, module: str) -> dict[str, str]:
+    """A module of a package and all that it imports from there."""
+    folder, found, wanted = resources.files(package), dict[str, str](), {"__init__", module}
+    while missing := wanted - found.keys():
+        for name in missing:
+            found[name] = (folder / f"{name}.py").read_text()
+            wanted |= set(_IMPORTED.findall(found[name]))
+    return {f"{package}/{name}.py": text for name, text in found.items()}
+
+
+def _digest(contents: Mapping[str, bytes]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(contents):
+        digest.update(f"{name}\0{len(contents[name])}\0".encode() + contents[name])
+    return digest.hexdigest()
+
+
+def _staged(files: Mapping[str, bytes], tag: str) -> dict[str, bytes]:
+    """Archive members: each module under a name of its own."""
+    staged = {
+        re.sub(r"^\w+", rf"resources/\g<0>_{tag}", name): _OURS.sub(
+            rf"\1 \2_{tag}", content.decode()
+        ).encode()
+        for name, content in files.items()
+    }
+    return {"resources/slavemodule.txt": f"slave_{tag}".encode(), **staged}

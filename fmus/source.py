@@ -1,0 +1,114 @@
+"""The generated C of an FMU: a file per part with its tables, and `system.c`, which joins them."""
+
+from collections.abc import Iterable
+
+from twin.component import Sampling, Variable
+
+from .model import FmuModel, Part
+
+
+def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
+    """Generated C files by name."""
+    return {
+        **{f"part_{part.name}.c": _part(part) for part in model.parts},
+        "system.c": _system(model, token),
+    }
+
+
+def _part(part: Part) -> str:
+    """Tables, kernels, and the code around them; static apart from the model itself."""
+    parameters, inputs = len(part.of("parameter")), len(part.of("input"))
+    defines = {
+        "MODEL": f"model_{part.name}",
+        "N_VARIABLES": len(part.variables) + 1,
+        "FIRST_INPUT": 1 + parameters,
+        "FIRST_OUTPUT": 1 + parameters + inputs,
+        "N_STATES": len(part.state_names),
+        "MAX_STEP": repr(part.max_step_s),
+        "FOLDER": f'"{part.folder}"',
+        **part.defines,
+    }
+    states = "".join(f'"{name}", ' for name in part.state_names)
+    return "\n".join(
+        [
+            "#include <math.h>\n",
+            '#include "core.h"\n',
+            *(f"#define {name} {value}" for name, value in defines.items()),
+            "",
+            _table(
+                "static const Variable variables[]",
+                ['{"time", OUTPUT, 0, -HUGE_VAL, HUGE_VAL}', *map(_variable, part.variables)],
+            ),
+            f"static const char* const state_names[] = {{{states}0}};\n",
+            *([] if part.sampling is None else [_sampling(part, part.sampling)]),
+            part.kernels,
+            f'#include "{part.glue}"\n',
+        ]
+    )
+
+
+def _variable(v: Variable) -> str:
+    """One line of the interface table."""
+    causality = "FIXED_PARAMETER" if v.fixed else v.causality.upper()
+    low = "-HUGE_VAL" if v.minimum is None else repr(float(v.minimum))
+    high = "HUGE_VAL" if v.maximum is None else repr(float(v.maximum))
+    return f'{{"{v.name}", {causality}, {float(v.start)!r}, {low}, {high}}}'
+
+
+def _sampling(part: Part, sampling: Sampling) -> str:
+    reference = {v.name: i for i, v in enumerate(part.variables, start=1)}
+    defines = {
+        "SAMPLE_PERIOD": reference[sampling.period],
+        "SEED": 0 if sampling.seed is None else reference[sampling.seed],
+        "N_NOISE": sampling.channels,
+        "STREAM": f"{sampling.stream}u",
+        "N_LINES": len(sampling.lines),
+    }
+    lines = [f'{{"{line.name}", {line.samples}}}' for line in sampling.lines]
+    return "\n".join(
+        [
+            *(f"#define {name} {value}" for name, value in defines.items()),
+            "",
+            _table("static const Line lines[]", lines or ["{0, 0}"]),
+        ]
+    )
+
+
+def _system(model: FmuModel, token: str) -> str:
+    """The parts, the variables of the FMU and the connections."""
+    place = {
+        v.name: f"{{{i}, {reference}}}"
+        for i, part in enumerate(model.parts)
+        for reference, v in enumerate(part.variables, start=1)
+    }
+    ports = [place[v.name] for v in model.variables]
+    connections = [f"{{{place[a]}, {place[b]}}}" for a, b in model.connections]
+    names = [f"model_{part.name}" for part in model.parts]
+    return "\n".join(
+        [
+            "#include <math.h>\n",
+            '#include "core.h"\n',
+            f"extern const Model {', '.join(names)};\n",
+            _table("static const Model* const models[]", (f"&{name}" for name in names)),
+            _table("static const Port ports[]", ["{0, 0}", *ports]),
+            _table("static const Connection connections[]", connections or ["{{0, 0}, {0, 0}}"]),
+            _table("static const unsigned visits[]", map(str, model.order)),
+            "const System fmu = {",
+            f'    .token = "{token}",',
+            f"    .step = {'HUGE_VAL' if model.step_s is None else repr(model.step_s)},",
+            f"    .n_parts = {len(names)},",
+            "    .models = models,",
+            f"    .n_ports = {len(ports) + 1},",
+            "    .ports = ports,",
+            f"    .n_connections = {len(connections)},",
+            "    .connections = connections,",
+            f"    .n_visits = {len(model.order)},",
+            "    .visits = visits,",
+            "};\n",
+        ]
+    )
+
+
+def _table(declaration: str, rows: Iterable[str]) -> str:
+    """A constant array, one row per line."""
+    return declaration + " = {\n" + "".join(f"    {row},\n" for row in rows) + "};\n"

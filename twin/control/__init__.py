@@ -1,0 +1,1 @@
+"""What the controllers are made of: hover model, gains, attitude geometry, rotor mixing."""

@@ -1,0 +1,182 @@
+"""Effects of the air on airframe and rotors."""
+
+from dataclasses import replace
+
+import casadi as ca
+
+from ..frames import cross
+from .definition import Block, Effect, EffectParameter
+from .stages import Air, Thrust, Wrench
+
+NEAREST_GROUND = 0.25
+"""Rotor height over the scale of the ground effect below which it grows no more: standing."""
+
+
+def _rotor_drag(w: Wrench, p: Block) -> Wrench:
+    m, air = w.motion.body.mass * w.motion.density, w.motion.air_b
+    k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
+    return replace(w, force=[f - m * c * v for f, c, v in zip(w.force, k, air, strict=True)])
+
+
+def _parasitic_drag(w: Wrench, p: Block) -> Wrench:
+    air = w.motion.air_b
+    speed = ca.sqrt(sum((v * v for v in air), start=ca.SX(0)))
+    c = p["c_1_m"] * w.motion.body.mass * w.motion.density * speed
+    return replace(w, force=[f - c * v for f, v in zip(w.force, air, strict=True)])
+
+
+def _induced_inflow(r: Thrust, p: Block) -> Thrust:
+    climb = -r.motion.air_b[2]
+    factor = ca.fmax(1 - p["k_s_m"] * climb, 0.0)
+    return replace(r, thrust=[t * factor for t in r.thrust])
+
+
+def _translational_lift(r: Thrust, p: Block) -> Thrust:
+    x, y, _ = r.motion.air_b
+    half = (x * x + y * y) / (2 * p["induced_m_s"] ** 2)
+    inflow = ca.sqrt(ca.sqrt(1 + half * half) - half)
+    factor = 1 + p["gain"] * (1 - inflow)
+    return replace(r, thrust=[t * factor for t in r.thrust])
+
+
+def _blade_flapping(w: Wrench, p: Block) -> Wrench:
+    total = sum(w.rotors.thrust, start=ca.SX(0))
+    x, y, _ = w.motion.air_b
+    back = [-total * p["k_rad_s_m"] * x, -total * p["k_rad_s_m"] * y, ca.SX(0)]
+    moment = cross([ca.SX(0), ca.SX(0), -p["height_m"]], back)
+    return replace(
+        w,
+        force=[f + d for f, d in zip(w.force, back, strict=True)],
+        moment=[a + b for a, b in zip(w.moment, moment, strict=True)],
+    )
+
+
+def _steady_wind(a: Air, p: Block) -> Air:
+    blow = [p["north_m_s"], p["east_m_s"], p["down_m_s"]]
+    return replace(a, wind_n=[w + b for w, b in zip(a.wind_n, blow, strict=True)])
+
+
+def _ground_effect(r: Thrust, p: Block) -> Thrust:
+    height = ca.fmax(r.motion.height / p["height_m"], NEAREST_GROUND)
+    factor = 1 + p["gain"] / (1 + height * height)
+    return replace(r, thrust=[t * factor for t in r.thrust])
+
+
+ROTOR_DRAG = Effect(
+    "rotor_drag",
+    "drag of the turning rotors, proportional to the speed through the air",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter("k_xy_1_s", "1/s", "drag over mass and speed, body x and y", 0.3, (0, 1.5)),
+        EffectParameter("k_z_1_s", "1/s", "drag over mass and speed, body z", 0.0, (0, 1.5)),
+    ),
+    ("acc", "vel", "q"),
+    "Faessler, Franchi & Scaramuzza, RA-L 3 (2018), eq. 7; 0.38 1/s measured on a Crazyflie",
+    _rotor_drag,
+)
+
+PARASITIC_DRAG = Effect(
+    "parasitic_drag",
+    "drag of body and arms, growing with the square of the speed through the air",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter(
+            "c_1_m", "1/m", "drag over mass and speed squared, 0.5 rho Cd A / m", 0.02, (0, 0.2)
+        ),
+    ),
+    ("acc", "vel", "q"),
+    "Stevens, Lewis & Johnson, Aircraft Control and Simulation, ch. 2",
+    _parasitic_drag,
+)
+
+INDUCED_INFLOW = Effect(
+    "induced_inflow",
+    "rotors lose thrust in a climb and gain it in a descent",
+    "airframe",
+    Thrust,
+    (EffectParameter("k_s_m", "s/m", "share of the thrust lost per climb speed", 0.05, (0, 0.3)),),
+    ("acc", "vel", "q"),
+    "Leishman, Principles of Helicopter Aerodynamics, sec. 2.13: linear part of the climb",
+    _induced_inflow,
+)
+
+TRANSLATIONAL_LIFT = Effect(
+    "translational_lift",
+    "rotors gain thrust in forward flight, where fresh air reaches them",
+    "airframe",
+    Thrust,
+    (
+        EffectParameter("gain", "1", "thrust gained far above the induced speed", 0.3, (0, 1)),
+        EffectParameter(
+            "induced_m_s", "m/s", "speed of the induced flow in hover", 4.0, (1, 12), neutral=None
+        ),
+    ),
+    ("acc", "vel", "q"),
+    "Glauert's inflow in forward flight, Leishman, sec. 2.14, eq. 2.125 at zero disc angle",
+    _translational_lift,
+)
+
+BLADE_FLAPPING = Effect(
+    "blade_flapping",
+    "the rotor discs tilt back in forward flight: a drag that grows with thrust, and a moment",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter("k_rad_s_m", "rad.s/m", "tilt of the discs per speed", 0.015, (0, 0.08)),
+        EffectParameter(
+            "height_m", "m", "discs over the centre of mass", 0.03, (0, 0.15), neutral=None
+        ),
+    ),
+    ("acc", "vel", "q", "gyro"),
+    "Mahony, Kumar & Corke, IEEE Robotics & Automation Magazine 19 (2012), p. 25",
+    _blade_flapping,
+)
+
+STEADY_WIND = Effect(
+    "steady_wind",
+    "a wind that does not change during the flight",
+    "airframe",
+    Air,
+    (
+        EffectParameter("north_m_s", "m/s", "air moves north", 3.0, (-12, 12)),
+        EffectParameter("east_m_s", "m/s", "air moves east", 0.0, (-12, 12)),
+        EffectParameter("down_m_s", "m/s", "air moves down", 0.0, (-3, 3)),
+    ),
+    ("acc", "vel", "q"),
+    "definition: velocity of the air, NED",
+    _steady_wind,
+)
+
+GROUND_EFFECT = Effect(
+    "ground_effect",
+    "rotors gain thrust close to the ground",
+    "airframe",
+    Thrust,
+    (
+        EffectParameter("gain", "1", "thrust gained at the ground", 0.3, (0, 1)),
+        EffectParameter(
+            "height_m",
+            "m",
+            "height of the centre of mass at which half of it is left",
+            2.0,
+            (0.2, 10),
+            neutral=None,
+            scale=lambda v: v.arm_m,
+        ),
+    ),
+    ("acc", "pos", "q"),
+    "Cheeseman & Bennett, ARC R&M 3021 (1955), far-field 1 + (R/4z)^2, bounded at the ground",
+    _ground_effect,
+)
+
+EFFECTS = (
+    ROTOR_DRAG,
+    PARASITIC_DRAG,
+    INDUCED_INFLOW,
+    TRANSLATIONAL_LIFT,
+    BLADE_FLAPPING,
+    STEADY_WIND,
+    GROUND_EFFECT,
+)

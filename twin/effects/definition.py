@@ -1,0 +1,203 @@
+"""What an effect is: a named physical cause with a term in the equations of one component.
+
+A term is a pure function of a stage, the quantities that the component has computed so far, and
+gives the stage back with some of them changed. `Blocks` puts terms into a component as blocks of
+tunable parameters, `<effect>.enabled` first, off by default. What is off is left out exactly:
+the quantities are those of the component without the effect, to the last bit.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, TypeVar
+
+import casadi as ca
+
+from ..component_builder import ComponentBuilder
+from ..vehicle import Vehicle
+
+ComponentName = Literal["airframe", "imu", "magnetometer", "barometer", "position", "environment"]
+Stage = TypeVar("Stage")
+
+
+@dataclass(frozen=True, slots=True)
+class EffectParameter:
+    """One number of an effect.
+
+    Attributes:
+        name: Within the effect, ending in its unit where it has one (`k_xy_1_s`).
+        unit: SI unit.
+        description: One line.
+        start: A middling size, which counts once the effect is switched on.
+        prior: Smallest and largest value that a fit considers.
+        neutral: Value at which the effect vanishes; None for a shape (a height, a time constant
+            of something else).
+        scale: Vehicle quantity that start, prior and neutral are multiples of; None: absolute.
+        per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
+    """
+
+    name: str
+    unit: str
+    description: str
+    start: float
+    prior: tuple[float, float]
+    neutral: float | None = 0.0
+    scale: Callable[[Vehicle], float] | None = None
+    per_rotor: bool = False
+
+    def names(self, vehicle: Vehicle) -> list[str]:
+        """Names of its numbers: one, or one per rotor."""
+        if not self.per_rotor:
+            return [self.name]
+        return [f"{self.name}_{i}" for i in range(1, vehicle.rotors.count + 1)]
+
+    def sized(self, vehicle: Vehicle) -> "EffectParameter":
+        """The same with absolute numbers for a vehicle."""
+        if self.scale is None:
+            return self
+        k = self.scale(vehicle)
+        low, high = self.prior
+        neutral = None if self.neutral is None else k * self.neutral
+        return replace(
+            self, start=k * self.start, prior=(k * low, k * high), neutral=neutral, scale=None
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """A physical cause that a model may lack.
+
+    Attributes:
+        name: Identifier.
+        meaning: One line that a pilot understands.
+        component: Where its term stands.
+        stage: Class of the stage that its term changes.
+        parameters: Its numbers.
+        needs: Flight-table signals without which it cannot be seen; "q" stands for q_w..q_z,
+            "acc" for acc_x..acc_z, and so on.
+        source: Paper and equation, or the measurement.
+        term: `(stage, block) -> stage`, pure.
+    """
+
+    name: str
+    meaning: str
+    component: ComponentName
+    stage: type[Any]
+    parameters: tuple[EffectParameter, ...]
+    needs: tuple[str, ...]
+    source: str
+    term: Callable[[Any, "Block"], Any] = field(repr=False)
+
+    def starts(self, vehicle: Vehicle) -> dict[str, float]:
+        """Its numbers by name, each at its start value."""
+        sized = [p.sized(vehicle) for p in self.parameters]
+        return {name: p.start for p in sized for name in p.names(vehicle)}
+
+
+class Block:
+    """Parameters and states of one effect inside a component."""
+
+    def __init__(self, m: ComponentBuilder, effect: Effect, vehicle: Vehicle) -> None:
+        self._m, self._effect = m, effect
+        settings = vehicle.effects.get(effect.name)
+        self.enabled = m.parameter(
+            f"{effect.name}.enabled",
+            float(settings is not None),
+            "1",
+            f"Whether this acts: {effect.meaning}",
+            boolean=True,
+            minimum=0,
+            maximum=1,
+        )
+        self._values: dict[str, list[ca.SX]] = {}
+        for parameter in effect.parameters:
+            sized = parameter.sized(vehicle)
+            self._values[parameter.name] = [
+                m.parameter(
+                    f"{effect.name}.{name}",
+                    (settings or {}).get(name, sized.start),
+                    parameter.unit,
+                    f"{effect.name}: {parameter.description}",
+                )
+                for name in parameter.names(vehicle)
+            ]
+
+    def __getitem__(self, name: str) -> ca.SX:
+        """Symbol of a parameter."""
+        (value,) = self._values[name]
+        return value
+
+    def each(self, name: str) -> list[ca.SX]:
+        """Symbols of a parameter that every rotor has."""
+        return self._values[name]
+
+    def state(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
+        """Declare a state of the effect; it rests while the effect is off."""
+        full = f"{self._effect.name}.{name}"
+        return self._m.state(full, unit, f"{self._effect.name}: {description}", initial)
+
+    def derivative(self, name: str, rate: ca.SX) -> None:
+        """Give the time derivative of a state of the effect."""
+        self._m.derivative(f"{self._effect.name}.{name}", ca.if_else(self.enabled, rate, 0.0))
+
+    def memory(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
+        """Declare a state that changes at sample instants only."""
+        full = f"{self._effect.name}.{name}"
+        return self._m.memory(full, unit, f"{self._effect.name}: {description}", initial)
+
+    def update(self, name: str, value: ca.SX) -> None:
+        """Give the value of a memory of the effect from each sample instant on."""
+        self._m.update(f"{self._effect.name}.{name}", value)
+
+    def noise(self) -> ca.SX:
+        """A standard normal draw, new at each sample instant; for use in updates."""
+        return self._m.noise()
+
+    def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
+        """What a signal was a while before each sample instant; for use in updates."""
+        return self._m.delayed(f"{self._effect.name}.{name}", signal, delay_s, samples)
+
+
+class Blocks:
+    """The effects of one component, applied stage by stage while it is being built.
+
+    Attributes:
+        switches: Symbols of the `<effect>.enabled` parameters so far.
+    """
+
+    def __init__(self, m: ComponentBuilder, vehicle: Vehicle, effects: Iterable[Effect]) -> None:
+        self._m, self._vehicle, self._effects = m, vehicle, list(effects)
+        self.switches: list[ca.SX] = []
+
+    def apply(self, stage: Stage) -> Stage:
+        """The stage after all effects that change its class, each blended in by its switch."""
+        for effect in self._effects:
+            if effect.stage is not type(stage):
+                continue
+            block = Block(self._m, effect, self._vehicle)
+            self.switches.append(block.enabled)
+            stage = _blend(block.enabled, effect.term(stage, block), stage)
+        return stage
+
+    def include(self, name: str) -> bool:
+        """Whether the component was built with an effect, on or off."""
+        return any(e.name == name for e in self._effects)
+
+    def off(self) -> ca.SX:
+        """Expression: no effect is switched on."""
+        return sum(self.switches, start=ca.SX(0)) == 0
+
+
+def _blend(enabled: ca.SX, changed: Stage, old: Stage) -> Stage:
+    """Field by field the changed value where the effect is on, the old one where it is off."""
+    values = {
+        f.name: _choose(enabled, getattr(changed, f.name), getattr(old, f.name))
+        for f in fields(old)  # type: ignore[arg-type]
+        if getattr(changed, f.name) is not getattr(old, f.name)
+    }
+    return replace(old, **values)  # type: ignore[type-var]
+
+
+def _choose(enabled: ca.SX, new: Any, old: Any) -> Any:
+    if isinstance(old, ca.SX | float | int):
+        return ca.if_else(enabled, new, old)
+    return [_choose(enabled, a, b) for a, b in zip(new, old, strict=True)]

@@ -1,0 +1,124 @@
+"""Effects on mass, its distribution, and what hangs below."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from ..frames import to_body
+from .definition import Block, Effect, EffectParameter
+from .stages import Body, Wrench
+
+ROPE_HZ = 5.0
+"""Natural frequency of the load on its rope, Hz: stiff beside any pendulum, slow beside 1 ms."""
+ROPE_DAMPING = 0.3
+"""Damping ratio of the rope. Made up: it stops ringing within a second."""
+LIGHTEST_LOAD_KG = 1e-6
+"""A lighter load moves as this one does, and pulls in proportion to its own mass."""
+
+
+def _mass_offset(b: Body, p: Block) -> Body:
+    return replace(b, mass=b.mass + p["mass_kg"])
+
+
+def _cog_offset(b: Body, p: Block) -> Body:
+    shift = [p["x_m"], p["y_m"], ca.SX(0)]
+    return replace(b, hubs=[[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs])
+
+
+def _inertia_error(b: Body, p: Block) -> Body:
+    factor = [p[f"scale_{a}"] for a in "xyz"]
+    inertia = [list(row) for row in b.inertia]
+    for i, k in enumerate(factor):
+        inertia[i][i] = k * inertia[i][i]
+    return replace(b, inertia=inertia)
+
+
+def _slung_load(w: Wrench, p: Block) -> Wrench:
+    motion = w.motion
+    mass, length = ca.fmax(p["mass_kg"], LIGHTEST_LOAD_KG), p["length_m"]
+    omega = 2 * np.pi * ROPE_HZ
+    stiffness, damping = mass * omega**2, 2 * ROPE_DAMPING * mass * omega
+    rest = [ca.SX(0), ca.SX(0), length + motion.gravity / omega**2]
+    # Place and speed of the load relative to the vehicle, NED.
+    r = [p.state(f"r_{a}", "m", f"load from the vehicle, NED {a}", s)
+         for a, s in zip("xyz", rest, strict=True)]  # fmt: skip
+    v = [p.state(f"v_{a}", "m/s", f"speed of the load, NED {a}", s)
+         for a, s in zip("xyz", motion.start_vel_n, strict=True)]  # fmt: skip
+    distance = ca.sqrt(sum((c * c for c in r), start=ca.SX(0)) + 1e-12)
+    along = [c / distance for c in r]
+    relative = [a - b for a, b in zip(v, motion.vel_n, strict=True)]
+    stretch = sum((a * b for a, b in zip(along, relative, strict=True)), start=ca.SX(0))
+    taut = distance > length
+    tension = ca.if_else(
+        taut, ca.fmax(stiffness * (distance - length) + damping * stretch, 0.0), 0.0
+    )
+    for a, way, unit in zip("xyz", relative, along, strict=True):
+        pull = -tension * unit / mass
+        p.derivative(f"r_{a}", way)
+        p.derivative(f"v_{a}", pull + motion.gravity if a == "z" else pull)
+    share = p["mass_kg"] / mass
+    force = to_body(motion.q_nb, [share * tension * c for c in along])
+    return replace(w, force=[f + t for f, t in zip(w.force, force, strict=True)])
+
+
+MASS_OFFSET = Effect(
+    "mass_offset",
+    "the aircraft is heavier or lighter than the model",
+    "airframe",
+    Body,
+    (EffectParameter("mass_kg", "kg", "mass on top of the model's", 0.1, (-0.3, 0.8),
+                     scale=lambda v: v.mass_kg),),
+    ("acc",),
+    "definition",
+    _mass_offset,
+)  # fmt: skip
+
+COG_OFFSET = Effect(
+    "cog_offset",
+    "the centre of mass is not where the model has it",
+    "airframe",
+    Body,
+    (
+        EffectParameter("x_m", "m", "centre of mass forward of the model's", 0.05, (-0.4, 0.4),
+                        scale=lambda v: v.arm_m),
+        EffectParameter("y_m", "m", "centre of mass right of the model's", 0.0, (-0.4, 0.4),
+                        scale=lambda v: v.arm_m),
+    ),
+    ("gyro",),
+    "definition: rotor hubs move the other way",
+    _cog_offset,
+)  # fmt: skip
+
+INERTIA_ERROR = Effect(
+    "inertia_error",
+    "the aircraft turns more sluggishly or more nimbly than its inertia in the model says",
+    "airframe",
+    Body,
+    tuple(
+        EffectParameter(f"scale_{a}", "1", f"moment of inertia about {a} over the model's", 1.3,
+                        (0.3, 3), 1.0)
+        for a in "xyz"
+    ),
+    ("gyro",),
+    "definition: factors on the diagonal of the inertia matrix",
+    _inertia_error,
+)  # fmt: skip
+
+SLUNG_LOAD = Effect(
+    "slung_load",
+    "a load hangs below on a rope and swings",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter("mass_kg", "kg", "mass of the load", 0.1, (0, 0.6),
+                        scale=lambda v: v.mass_kg),
+        EffectParameter("length_m", "m", "length of the rope", 0.7, (0.1, 5), neutral=None),
+    ),
+    ("acc", "vel", "q"),
+    "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
+    "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
+    _slung_load,
+)  # fmt: skip
+
+EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

@@ -1,0 +1,203 @@
+"""Effects between motor command and rotor wrench."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+
+from ..frames import cross
+from ..vehicle import Vehicle
+from .definition import Block, Effect, EffectParameter
+from .stages import Motors, Thrust, Wrench
+
+
+def _hover_momentum(vehicle: Vehicle) -> float:
+    """Spin momentum of one rotor in hover, N m s: by its file, or a guess from its size.
+
+    The guess is thrust times arm over 400 rad/s^2: within a factor of five for 27 g to 2 kg.
+    """
+    return vehicle.hover_thrust_n * vehicle.arm_m / 400.0
+
+
+def _scaled(r: Thrust, factor: list[ca.SX]) -> Thrust:
+    return replace(r, thrust=[t * k for t, k in zip(r.thrust, factor, strict=True)])
+
+
+def _thrust_scale(r: Thrust, p: Block) -> Thrust:
+    return _scaled(r, [p["scale"]] * len(r.thrust))
+
+
+def _thrust_curve(r: Thrust, p: Block) -> Thrust:
+    return _scaled(r, [ca.fmax(1 + p["slope"] * (t / r.hover - 1), 0.0) for t in r.thrust])
+
+
+def _battery_sag(r: Thrust, p: Block) -> Thrust:
+    factor = ca.fmax(1 + p["slope"] * (r.motion.voltage / p["reference_v"] - 1), 0.0)
+    return replace(r, thrust=[t * factor for t in r.thrust], torque=[q * factor for q in r.torque])
+
+
+def _motor_lag(d: Motors, p: Block) -> Motors:
+    extra = ca.fmax(p["tau_s"], 0.0)
+    return replace(d, lag_up=d.lag_up + extra, lag_down=d.lag_down + extra)
+
+
+def _rotor_efficiency_loss(r: Thrust, p: Block) -> Thrust:
+    return _scaled(r, [1 - loss for loss in p.each("loss")])
+
+
+def _rotor_inertia_torque(r: Thrust, p: Block) -> Thrust:
+    k = p["momentum_n_m_s"]
+    return replace(r, torque=[q + k * s for q, s in zip(r.torque, r.spin_rate, strict=True)])
+
+
+def _gyroscopic_torque(w: Wrench, p: Block) -> Wrench:
+    spin = sum((d * s for d, s in zip(w.rotors.direction, w.rotors.spin, strict=True)), ca.SX(0))
+    momentum = [ca.SX(0), ca.SX(0), p["momentum_n_m_s"] * spin]
+    torque = cross(w.motion.omega_b, momentum)
+    return replace(w, moment=[m - t for m, t in zip(w.moment, torque, strict=True)])
+
+
+def _yaw_torque_scale(r: Thrust, p: Block) -> Thrust:
+    return replace(r, torque=[p["scale"] * q for q in r.torque])
+
+
+def _thrust_tilt(w: Wrench, p: Block) -> Wrench:
+    x, y = p["x_rad"], p["y_rad"]
+    axis = [x, y, 1 - ca.sqrt(ca.fmax(1 - x * x - y * y, 0.0))]  # change of [0, 0, -1]
+    force, moment = list(w.force), list(w.moment)
+    for hub, t in zip(w.motion.body.hubs, w.rotors.thrust, strict=True):
+        change = [t * a for a in axis]
+        force = [f + c for f, c in zip(force, change, strict=True)]
+        moment = [m + c for m, c in zip(moment, cross(hub, change), strict=True)]
+    return replace(w, force=force, moment=moment)
+
+
+def _voltage(vehicle: Vehicle) -> float:
+    return vehicle.voltage_v
+
+
+def _momentum(description: str, source: str, name: str, meaning: str, stage: type[Thrust | Wrench],
+              term: Callable[..., Thrust | Wrench], needs: tuple[str, ...]) -> Effect:  # fmt: skip
+    parameter = EffectParameter(
+        "momentum_n_m_s", "N.m.s", description, 1.0, (0, 10), scale=_hover_momentum
+    )
+    return Effect(name, meaning, "airframe", stage, (parameter,), needs, source, term)
+
+
+THRUST_SCALE = Effect(
+    "thrust_scale",
+    "every rotor gives more or less thrust than its map says, by the same factor",
+    "airframe",
+    Thrust,
+    (EffectParameter("scale", "1", "thrust over that of the map", 0.9, (0.5, 1.6), neutral=1.0),),
+    ("acc",),
+    "definition: one factor on the thrust map",
+    _thrust_scale,
+)
+
+THRUST_CURVE = Effect(
+    "thrust_curve",
+    "thrust grows faster or slower with the command than the map says, the same in hover",
+    "airframe",
+    Thrust,
+    (EffectParameter("slope", "1", "relative change of thrust per excess thrust over hover",
+                     0.2, (-0.6, 0.6)),),
+    ("acc",),
+    "definition: first-order change of the shape of the map about hover",
+    _thrust_curve,
+)  # fmt: skip
+
+BATTERY_SAG = Effect(
+    "battery_sag",
+    "thrust falls as the battery voltage falls",
+    "airframe",
+    Thrust,
+    (
+        EffectParameter("slope", "1", "relative thrust per relative voltage", 1.5, (0, 4)),
+        EffectParameter("reference_v", "V", "voltage at which the maps hold", 1.0, (0.7, 1.3),
+                        neutral=None, scale=_voltage),
+    ),
+    ("acc", "vbat"),
+    "thrust of a brushless motor against voltage, slope 1 to 2: Podhradsky, Coopmans & Jensen, "
+    "J. Intell. Robot. Syst. 74 (2014)",
+    _battery_sag,
+)  # fmt: skip
+
+MOTOR_LAG = Effect(
+    "motor_lag",
+    "rotors follow the command more slowly than the model's do",
+    "airframe",
+    Motors,
+    (EffectParameter("tau_s", "s", "time constant on top of the model's", 0.05, (0, 0.3)),),
+    ("acc", "gyro"),
+    "first-order rotor dynamics: Mahony, Kumar & Corke 2012, p. 22; 75 ms measured on a Crazyflie",
+    _motor_lag,
+)
+
+ROTOR_EFFICIENCY_LOSS = Effect(
+    "rotor_efficiency_loss",
+    "single rotors give less thrust than the others: a damaged blade, a worn motor",
+    "airframe",
+    Thrust,
+    (EffectParameter("loss", "1", "share of the thrust lost", 0.0, (0, 0.6), per_rotor=True),),
+    ("acc", "gyro"),
+    "definition: one factor per rotor",
+    _rotor_efficiency_loss,
+)
+
+ROTOR_INERTIA_TORQUE = _momentum(
+    "spin momentum of one rotor in hover",
+    "reaction to the rotor's own acceleration; measured on a Crazyflie: R2 of yaw 0.52 to 0.92",
+    "rotor_inertia_torque",
+    "rotors that speed up or slow down twist the body about the yaw axis",
+    Thrust,
+    _rotor_inertia_torque,
+    ("gyro",),
+)
+
+GYROSCOPIC_TORQUE = _momentum(
+    "spin momentum of one rotor in hover",
+    "Stevens, Lewis & Johnson, eq. 1.7-8 with the momentum of the rotors",
+    "gyroscopic_torque",
+    "spinning rotors resist roll and pitch rates with a torque at right angles",
+    Wrench,
+    _gyroscopic_torque,
+    ("gyro",),
+)
+
+YAW_TORQUE_SCALE = Effect(
+    "yaw_torque_scale",
+    "rotors twist the body about the yaw axis more or less than their map says",
+    "airframe",
+    Thrust,
+    (EffectParameter("scale", "1", "reaction torque over that of the map", 1.5, (0.2, 5), 1.0),),
+    ("gyro",),
+    "definition: one factor on the torque map",
+    _yaw_torque_scale,
+)
+
+THRUST_TILT = Effect(
+    "thrust_tilt",
+    "rotor axes are not parallel to body z: a constant sideways part of the thrust",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter("x_rad", "rad", "thrust leans forward", 0.03, (-0.2, 0.2)),
+        EffectParameter("y_rad", "rad", "thrust leans right", 0.0, (-0.2, 0.2)),
+    ),
+    ("acc", "q"),
+    "definition: axis of the thrust in body axes",
+    _thrust_tilt,
+)
+
+EFFECTS = (
+    THRUST_SCALE,
+    THRUST_CURVE,
+    BATTERY_SAG,
+    MOTOR_LAG,
+    ROTOR_EFFICIENCY_LOSS,
+    ROTOR_INERTIA_TORQUE,
+    GYROSCOPIC_TORQUE,
+    YAW_TORQUE_SCALE,
+    THRUST_TILT,
+)

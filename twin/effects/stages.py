@@ -1,0 +1,113 @@
+"""Stages of the airframe's equations that effects change, in the order of the computation."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+AIR_DENSITY_KG_M3 = 1.225
+"""ISA at sea level, ICAO Doc 7488."""
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """Mass properties about the centre of mass, body FRD.
+
+    Attributes:
+        mass: kg.
+        inertia: Inertia matrix, kg m2, 3 rows of 3.
+        hubs: Places of the rotor hubs, m, one [x, y, z] per rotor.
+    """
+
+    mass: ca.SX
+    inertia: list[list[ca.SX]]
+    hubs: list[list[ca.SX]]
+
+
+@dataclass(frozen=True, slots=True)
+class Air:
+    """The air around the vehicle: velocity NED, m/s."""
+
+    wind_n: list[ca.SX]
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """From the command to the rotor.
+
+    Attributes:
+        command: Motor commands 0..1.
+        lag_up: Time constant when speeding up, s.
+        lag_down: Time constant when slowing down, s.
+    """
+
+    command: list[ca.SX]
+    lag_up: ca.SX
+    lag_down: ca.SX
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the vehicle moves through the air, final from here on.
+
+    Attributes:
+        body: Its mass properties.
+        pos_n: Position NED, m.
+        vel_n: Velocity NED, m/s.
+        q_nb: Attitude, body to NED.
+        omega_b: Body rates, rad/s.
+        air_b: Velocity through the air, body FRD, m/s.
+        height: Centre of mass over the ground, m.
+        density: Air density over that at which the vehicle's numbers hold.
+        gravity: m/s2.
+        voltage: Battery voltage, V.
+        start_vel_n: Velocity NED at the start of the simulation, m/s.
+    """
+
+    body: Body
+    pos_n: list[ca.SX]
+    vel_n: list[ca.SX]
+    q_nb: list[ca.SX]
+    omega_b: list[ca.SX]
+    air_b: list[ca.SX]
+    height: ca.SX
+    density: ca.SX
+    gravity: ca.SX
+    voltage: ca.SX
+    start_vel_n: list[ca.SX]
+
+
+@dataclass(frozen=True, slots=True)
+class Thrust:
+    """What each rotor gives.
+
+    Attributes:
+        motion: As above.
+        direction: +1 clockwise seen from above, -1 counter-clockwise.
+        hover: Thrust of one rotor in hover by the vehicle's numbers, N.
+        spin: Rotor speed over that in hover.
+        spin_rate: Its time derivative, 1/s.
+        thrust: Along body -z, N.
+        torque: Reaction torque, N m, a positive number.
+    """
+
+    motion: Motion
+    direction: list[float]
+    hover: float
+    spin: list[ca.SX]
+    spin_rate: list[ca.SX]
+    thrust: list[ca.SX]
+    torque: list[ca.SX]
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """Force, N, and moment about the centre of mass, N m, body FRD, the ground left out."""
+
+    rotors: Thrust
+    force: list[ca.SX]
+    moment: list[ca.SX]
+
+    @property
+    def motion(self) -> Motion:
+        """How the vehicle moves."""
+        return self.rotors.motion

@@ -1,0 +1,1 @@
+"""Find where a twin and its flights disagree, and name the missing physical effect."""

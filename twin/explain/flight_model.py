@@ -1,0 +1,304 @@
+"""A flight and everything that predicts its readings, as a function of the effects' numbers.
+
+| channels | measured | predicted by |
+|---|---|---|
+| acc_* | accelerometer | airframe and IMU at the measured motion |
+| gyro_rate_* | rate of change of the gyroscope | the same |
+| pose_acc_* | accelerometer | acceleration of the measured pose, and IMU |
+| pose_gyro_* | gyroscope | turning of the measured attitude, and IMU |
+| mag_* | magnetometer | measured attitude, and magnetometer |
+| baro_pa | barometer | measured height and velocity, and barometer |
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..barometer import barometer
+from ..component import Component
+from ..effects import Effect
+from ..flightlog import Flight
+from ..flightlog.columns import ACC, GYRO
+from ..frames import to_body, to_ned
+from ..imu import imu
+from ..magnetometer import magnetometer
+from ..measured import Signal, rates_of
+from ..prepared import Twin, prepare
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, ChannelData, Measured, measured, on_grid
+from .numbers import Number, with_effects
+from .prediction import Batch, sensing
+
+Array = NDArray[np.float64]
+MAG = ("mag_x", "mag_y", "mag_z")
+
+
+_STEPS = {"command_delay.delay_s": 0.01, "motor_lag.tau_s": 0.01}
+"""Numbers whose answers are differences of two predictions, and their steps, s."""
+_INTEGRATED = ("motor_lag.tau_s", "slung_load.length_m")
+"""Numbers that change states which nobody measures: rotors, a load on its rope. The motion of the
+load along that of the vehicle does not depend on its mass."""
+
+
+def in_equations(effect: Effect) -> bool:
+    """Whether the effect stands in the equations of a component, and not in time."""
+    return not effect.name.endswith("_delay")
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """One sensor of a flight: readings, and what predicts them from rows on the grid.
+
+    Attributes:
+        readings: Measured.
+        batch: Prediction; None: that of airframe and IMU.
+        rows: Its inputs, shape (n, n_u).
+        at: Inputs at which its slopes are taken, shape (n, n_u).
+        outputs: Which of its outputs.
+        late: Sign with which delays of IMU and pose shift the prediction.
+    """
+
+    readings: Measured
+    batch: Batch | None
+    rows: Array
+    at: Array
+    outputs: slice
+    late: Mapping[str, float]
+
+
+class FlightModel:
+    """One flight on a grid of `GRID_HZ`."""
+
+    def __init__(
+        self, flight: Flight, vehicle: Vehicle, body: Batch, effects: Sequence[str],
+        numbers: Sequence[Number],
+    ) -> None:  # fmt: skip
+        """Put the flight on the grid and filter its readings.
+
+        Args:
+            flight: As read.
+            vehicle: The model as it stands.
+            body: Of `prediction.physics`, made with the same effects and numbers.
+            effects: Effects in the equations, all switched on.
+            numbers: Every number, in the order of the prediction's.
+        """
+        self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
+        self._body, self._effects = body, list(effects)
+        self.twin = self._prepared({})
+        self._now = np.array([n.now for n in numbers])
+        self._parts = self._imu_parts() + self._pose_parts() + self._other_parts()
+        self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
+
+    def channels(
+        self, columns: Sequence[int], change: Mapping[str, float] | None = None
+    ) -> list[ChannelData]:
+        """Channels with some numbers changed.
+
+        Args:
+            columns: Numbers to differentiate by.
+            change: "effect.number" -> value, for those that differ from the model as it stands.
+        """
+        change = dict(change or {})
+        theta = np.array([change.get(n.full, n.now) for n in self.numbers])
+        states, inputs = self._moved(change)
+        body = self._body.value(theta, states, inputs)
+        slopes = self._body.slopes(columns, theta, states, inputs)
+        for k, i in enumerate(columns):
+            step = _STEPS.get(self.numbers[i].full)
+            if step is not None:
+                more = {**change, self.numbers[i].full: theta[i] + step}
+                moved = self._body.value(theta, *self._moved(more))
+                slopes[:, :, k] = (moved - body) / step
+        found: list[ChannelData] = []
+        for part in self._parts:
+            if part.batch is None:
+                predicted, answer = body[:, part.outputs], slopes[:, part.outputs]
+                at = predicted
+                if part.readings.names[0].startswith("gyro_rate"):
+                    predicted, answer = _step_mean(predicted), _step_mean(answer)
+            else:
+                predicted = part.batch.value(theta, part.rows)[:, part.outputs]
+                at = part.batch.value(theta, part.at)[:, part.outputs]
+                answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
+            predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
+            found += part.readings.channels(predicted, answer)
+        return found
+
+    # -- answers that are no derivatives of equations ----------------------------------------
+
+    def _in_time(
+        self, part: _Part, columns: Sequence[int], theta: Array, predicted: Array, answer: Array,
+        at: Array,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Delays and a turned heading, which shift or turn what is predicted."""
+        rate = np.gradient(at, 1 / GRID_HZ, axis=0)
+        turned = self._turned(at) if part.readings.names[0] == "pose_acc_x" else 0 * at
+        for i, n in enumerate(self.numbers):
+            if n.effect in part.late and theta[i]:
+                predicted = _shifted(predicted, part.late[n.effect] * theta[i])
+            if n.effect == "heading_offset" and theta[i]:
+                predicted = predicted + theta[i] * turned
+        for k, i in enumerate(columns):
+            name = self.numbers[i].effect
+            if name in part.late:
+                answer[:, :, k] = -part.late[name] * rate
+            if name == "heading_offset" and part.readings.names[0] == "pose_acc_x":
+                answer[:, :, k] = turned
+        return predicted, answer
+
+    def _turned(self, force_b: Array) -> Array:
+        """Change of a force in body axes per angle by which the measured heading is off."""
+        assert self.twin.motion.attitude is not None
+        q = list(self.twin.motion.attitude.at(self.twin.inputs.t_s).T)
+        north, east, _ = to_ned(q, list(force_b.T))
+        return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
+
+    def _moved(self, change: Mapping[str, float]) -> tuple[Array, Array]:
+        """States and inputs with the effects that have a memory as `change` has them."""
+        own = {k: v for k, v in change.items() if k in _INTEGRATED}
+        twin = self.twin
+        if own:
+            key = tuple(sorted(own.items()))
+            if key not in self._states:
+                self._states[key] = self._prepared(own)
+            twin = self._states[key]
+        states, inputs = twin.states, twin.inputs.u
+        delay = change.get("command_delay.delay_s", 0.0)
+        return self._late_commands(states, inputs, delay) if delay else (states, inputs)
+
+    def _prepared(self, values: Mapping[str, float]) -> Twin:
+        """The flight on its grid, unmeasured states integrated with effects that move them."""
+        moving = {name.partition(".")[0] for name in _INTEGRATED} & set(self._effects)
+        varied = with_effects(self.vehicle, sorted(moving), values)
+        return prepare(self.flight, varied, 1 / GRID_HZ, self._effects)
+
+    def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
+        """Commands, and the rotors that follow them, later by a while."""
+        twin = self.twin
+        rotors = [i for i, s in enumerate(twin.airframe.states)
+                  if s.name.startswith(("rotor_", "effort_"))]  # fmt: skip
+        drives = [i for i, n in enumerate(twin.airframe.input_names)
+                  if n.startswith(("cmd_", "rotor_"))]  # fmt: skip
+        states, inputs = states.copy(), inputs.copy()
+        states[:, rotors] = _shifted(states[:, rotors], delay_s)
+        inputs[:, drives] = _shifted(inputs[:, drives], delay_s)
+        return states, inputs
+
+    # -- parts ------------------------------------------------------------------------------
+
+    def _imu_parts(self) -> list[_Part]:
+        parts: list[tuple[tuple[str, ...], str, Array, Signal, float | None, slice]] = []
+        t, flight, v = self.twin.inputs.t_s, self.flight, self.vehicle
+        if flight.has(*ACC):
+            signal = Signal(*flight.signal(ACC))
+            parts.append((ACC, "m/s²", on_grid(signal, t), signal, v.accel_cutoff_hz, slice(0, 3)))
+        if flight.has(*GYRO):
+            signal = Signal(*flight.signal(GYRO))
+            gyro = on_grid(signal, t)
+            rate = np.diff(gyro, axis=0, prepend=gyro[:1]) * GRID_HZ
+            names = tuple(f"gyro_rate_{a}" for a in "xyz")
+            parts.append((names, "rad/s²", rate, signal, v.gyro_cutoff_hz, slice(3, 6)))
+        found = []
+        known = self.twin.airborne & np.all(np.isfinite(self.twin.states), axis=1)
+        for names, unit, values, signal, cutoff, outputs in parts:
+            band = min(BAND_HZ, 0.35 * signal.rate_hz)
+            readings = measured(names, unit, t, values, known, band, cutoff)
+            if readings is not None:
+                nothing = np.zeros((0, 0))
+                found.append(_Part(readings, None, nothing, nothing, outputs, {"imu_delay": 1.0}))
+        return found
+
+    def _pose_parts(self) -> list[_Part]:
+        """What the IMU reads against what the pose implies: no physics of the vehicle in between.
+
+        The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
+        a regressor would shrink what is found with it, or feign it where the residual has it too.
+        """
+        t, motion, flight = self.twin.inputs.t_s, self.twin.motion, self.flight
+        if motion.attitude is None or not flight.has(*GYRO):
+            return []
+        v = self.vehicle
+        gyro = on_grid(Signal(*flight.signal(GYRO)), t)
+        sensor = imu(replace(v, accel_cutoff_hz=None, gyro_cutoff_hz=None), self._effects)
+        batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
+        implied = _named("omega", rates_of(motion.attitude).at(t))
+        read = _named("omega", gyro)
+        late = {"imu_delay": 1.0, "position_delay": -1.0}
+        band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
+        groups = []
+        if motion.velocity is not None and flight.has(*ACC):
+            acc = on_grid(Signal(*flight.signal(ACC)), t)
+            q = list(motion.attitude.at(t).T)
+            pull = np.gradient(motion.velocity.at(t), t, axis=0)
+            pull[:, 2] -= GRAVITY_M_S2
+            force = self._body.value(self._now, self.twin.states, self.twin.inputs.u)[:, :3]
+            alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
+            implied |= alpha | _named("specific_force", np.stack(to_body(q, list(pull.T)), axis=-1))
+            read |= alpha | _named("specific_force", force)
+            groups.append((ACC, "m/s²", acc, v.accel_cutoff_hz, slice(0, 3)))
+        groups.append((GYRO, "rad/s", gyro, v.gyro_cutoff_hz, slice(3, 6)))
+        rows, at = _rows(sensor, implied, len(t)), _rows(sensor, read, len(t))
+        known = self.twin.airborne & np.all(np.isfinite(rows), axis=1)
+        known &= np.all(np.isfinite(at), axis=1)
+        found = []
+        for columns, unit, values, cutoff, outputs in groups:
+            names = tuple(f"pose_{c}" for c in columns)
+            readings = measured(names, unit, t, values, known, band, cutoff)
+            if readings is not None:
+                found.append(_Part(readings, batch, rows, at, outputs, late))
+        return found
+
+    def _other_parts(self) -> list[_Part]:
+        """Magnetometer and barometer."""
+        t, motion, flight = self.twin.inputs.t_s, self.twin.motion, self.flight
+        sensors: list[tuple[Component, tuple[str, ...], str, dict[str, Array]]] = []
+        if motion.attitude is not None and flight.has(*MAG):
+            q = motion.attitude.at(t)
+            inputs = {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}
+            if flight.has("ibat_a"):
+                inputs["ibat_a"] = Signal(*flight.signal(["ibat_a"])).held(t)[:, 0]
+            sensors.append((magnetometer(self.vehicle, self._effects), MAG, "T", inputs))
+        if motion.position is not None and flight.has("baro_pa"):
+            inputs = {"pos_z": motion.position.at(t)[:, 2]}
+            if motion.velocity is not None:
+                inputs |= _named("vel", motion.velocity.at(t))
+            sensors.append((barometer(self.vehicle, self._effects), ("baro_pa",), "Pa", inputs))
+        found = []
+        for sensor, names, unit, inputs in sensors:
+            rows = _rows(sensor, inputs, len(t))
+            signal = Signal(*flight.signal(list(names)))
+            known = self.twin.airborne & np.all(np.isfinite(rows), axis=1)
+            band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
+            readings = measured(names, unit, t, signal.at(t), known, band, None)
+            if readings is not None:
+                batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
+                found.append(_Part(readings, batch, rows, rows, slice(None), {}))
+        return found
+
+
+def _named(stem: str, values: Array) -> dict[str, Array]:
+    return {f"{stem}_{a}": values[:, i] for i, a in enumerate("xyz")}
+
+
+def _rows(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
+    """Inputs of a sensor in its order; what is not given stays at its start."""
+    rows = np.tile(sensor.input_values(), (n, 1))
+    for i, name in enumerate(sensor.input_names):
+        if name in inputs:
+            rows[:, i] = inputs[name]
+    return rows
+
+
+def _step_mean(values: Array) -> Array:
+    """Mean over the step of the grid that ends at each row."""
+    mean = np.array(values)
+    mean[1:] = (values[1:] + values[:-1]) / 2
+    return mean
+
+
+def _shifted(values: Array, later_s: float) -> Array:
+    """Values on the grid later by a while, linearly interpolated, the ends held."""
+    at = np.arange(len(values)) - later_s * GRID_HZ
+    return np.stack([np.interp(at, np.arange(len(values)), v) for v in values.T], axis=-1)

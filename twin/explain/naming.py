@@ -1,0 +1,143 @@
+"""Name what a model lacks: one effect, some, none, or a tie that the flights cannot break."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..flightlog import Flight
+from ..vehicle import Vehicle
+from .evidence import Scores, blocks_of, noise_of_all
+from .model import candidates, model_of
+from .numbers import columns_of
+from .refine import Fitted, Ground
+from .search import Hypothesis, search, weights
+
+Array = NDArray[np.float64]
+Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
+PER_EFFECT = 6.0
+"""Log prior odds against one more effect: one of forty, and seldom more than one at once."""
+PER_NUMBER = 1.5
+"""Log prior odds against one more number in an effect."""
+SMALLEST_SHARE = 0.03
+"""An effect that takes less than this share of the power of every channel is none to speak of."""
+SURE = 0.8
+"""Probability from which on a name is given."""
+SINGLES, PAIRS, TRIPLES = 6, 5, 3
+"""Hypotheses of each size that are fitted at their own best."""
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """What the flights say about a model.
+
+    Attributes:
+        verdict: In a word.
+        fitted: Hypotheses at their best, most probable first, `nothing` among them.
+        probabilities: Of each.
+        shares: Largest share of the power of a channel that each explains.
+        ground: What they were fitted against.
+    """
+
+    verdict: Verdict
+    fitted: tuple[Fitted, ...]
+    probabilities: tuple[float, ...]
+    shares: tuple[float, ...]
+    ground: Ground
+
+    @property
+    def best(self) -> Fitted:
+        """The most probable hypothesis."""
+        return self.fitted[0]
+
+    def probability_of(self, effect: str) -> float:
+        """That an effect is missing, alone or with others."""
+        return float(sum(p for f, p in zip(self.fitted, self.probabilities, strict=True)
+                         if effect in f.effects))  # fmt: skip
+
+
+def name_effects(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Naming:
+    """Fit every effect that the flights can show, alone and together.
+
+    Args:
+        flights: To fit on.
+        vehicle: The model as it stands.
+        seed: Of the bootstrap.
+        progress: Called with the share done.
+    """
+    model = model_of(flights, vehicle, candidates(flights), lambda done: progress(0.2 * done))
+    linear = columns_of(model.numbers, model.effects)
+    numbers = [model.numbers[i] for i in linear]
+    sd = np.array([n.sd for n in numbers])
+    rows = model.channels(linear)
+    noise = noise_of_all(rows, sd)
+    scores = Scores(blocks_of(rows, noise), sd)
+    chosen = _shortlist(search(scores, numbers))
+    ground = Ground(model, noise, scores.powers)
+    fitted = []
+    for i, hypothesis in enumerate(chosen):
+        fitted.append(ground.fit(hypothesis.effects))
+        progress(0.3 + 0.7 * (i + 1) / len(chosen))
+    shares = [share(ground, f) for f in fitted]
+    prior = np.array([-PER_EFFECT * len(f.effects) - PER_NUMBER * len(f.numbers) for f in fitted])
+    prior[
+        [bool(f.effects) and s < SMALLEST_SHARE for f, s in zip(fitted, shares, strict=True)]
+    ] -= 1e6
+    chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
+    order = np.argsort(-chance)
+    ranked = tuple(fitted[i] for i in order)
+    probabilities = tuple(float(chance[i]) for i in order)
+    return Naming(
+        _verdict(ranked, probabilities),
+        ranked,
+        probabilities,
+        tuple(shares[i] for i in order),
+        ground,
+    )
+
+
+def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The best of each size; a larger one only where it beats what it is made of."""
+    chosen = [h for h in found if not h.effects]
+    best = {h.effects: h.gain for h in found}
+    for size, count in ((1, SINGLES), (2, PAIRS), (3, TRIPLES)):
+        taken = 0
+        for h in found:
+            if len(h.effects) != size or h.gain <= 0:
+                continue
+            parts = [tuple(e for e in h.effects if e != left) for left in h.effects]
+            if size > 1 and h.gain < max(best.get(p, 0.0) for p in parts) + PER_EFFECT:
+                continue
+            chosen.append(h)
+            taken += 1
+            if taken == count:
+                break
+    return chosen
+
+
+def share(ground: Ground, fitted: Fitted) -> float:
+    """Largest share of the power of a channel, as the noise model weighs it, that is explained."""
+    if not fitted.effects:
+        return 0.0
+    before, after = (ground.model.channels([], change) for change in ({}, fitted.values))
+    shares = []
+    for i, noise in enumerate(ground.noise):
+        power, left = (
+            sum(b.power for b in blocks_of([[f[i]] for f in flights], [noise]).values())
+            for flights in (before, after)
+        )
+        shares.append(1 - left / power if power > 0 else 0.0)
+    return max(shares)
+
+
+def _verdict(ranked: Sequence[Fitted], probabilities: Sequence[float]) -> Verdict:
+    if probabilities[0] < SURE:
+        return "cannot_tell"
+    return "named" if ranked[0].effects else "nothing"

@@ -1,0 +1,97 @@
+"""The numbers that a search may change: those of every effect that flights can show."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS, Effect, EffectParameter
+from ..flightlog import Flight
+from ..vehicle import Vehicle
+
+Array = NDArray[np.float64]
+STEMS = {
+    "acc": "acc_x",
+    "gyro": "gyro_x",
+    "mag": "mag_x",
+    "pos": "pos_x",
+    "vel": "vel_x",
+    "q": "q_w",
+    "baro": "baro_pa",
+    "vbat": "vbat_v",
+    "ibat": "ibat_a",
+    "cmd": "cmd_1",
+}
+"""Flight-table column that stands for a signal named in `Effect.needs`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """One number of an effect, sized for a vehicle.
+
+    Attributes:
+        effect: Identifier.
+        name: As in the FMU, without the effect's name.
+        about: Unit, prior, neutral value.
+        now: Value in the model as it stands: the vehicle's setting, else the neutral value, for a
+            shape the start value.
+    """
+
+    effect: str
+    name: str
+    about: EffectParameter
+    now: float
+
+    @property
+    def full(self) -> str:
+        """Name in the FMU."""
+        return f"{self.effect}.{self.name}"
+
+    @property
+    def shape(self) -> bool:
+        """Whether it has no value at which the effect vanishes."""
+        return self.about.neutral is None
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of the prior: a quarter of its range."""
+        low, high = self.about.prior
+        return (high - low) / 4
+
+    def inside(self, value: float) -> float:
+        """The value, held inside the prior range."""
+        low, high = self.about.prior
+        return float(min(max(value, low), high))
+
+
+def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
+    """Every number of some effects, shapes behind all others."""
+    found = []
+    for effect in effects:
+        settings = vehicle.effects.get(effect.name, {})
+        for p in (p.sized(vehicle) for p in effect.parameters):
+            rest = p.start if p.neutral is None else p.neutral
+            for name in p.names(vehicle):
+                found.append(Number(effect.name, name, p, float(settings.get(name, rest))))
+    return sorted(found, key=lambda n: n.shape)
+
+
+def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
+    """Whether every flight has the signals without which the effect cannot be seen."""
+    return all(flight.has(STEMS[need]) for flight in flights for need in effect.needs)
+
+
+def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:
+    """Positions of the numbers of some effects, shapes left out."""
+    wanted = set(effects)
+    return [i for i, n in enumerate(numbers) if n.effect in wanted and not n.shape]
+
+
+def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, float]) -> Vehicle:
+    """The vehicle with some effects on; `values` are "effect.number" -> value."""
+    settings = {name: dict(numbers) for name, numbers in vehicle.effects.items()}
+    for name in effects:
+        own = {n.name: n.now for n in numbers_of([EFFECTS[name]], vehicle)}
+        settings[name] = {k: values.get(f"{name}.{k}", v) for k, v in own.items()}
+    return vehicle.with_effects(settings)

@@ -1,0 +1,84 @@
+"""Hypotheses: which effects, together, explain the residuals of all flights."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .evidence import Scores
+from .numbers import Number, columns_of
+
+Array = NDArray[np.float64]
+DRAWS = 4000
+"""Of the Bayesian bootstrap."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Some effects and nothing else.
+
+    Attributes:
+        effects: Identifiers, sorted; none: nothing is missing.
+        gains: Log likelihood over that of nothing, per block of time, out of sample, shape (n,).
+    """
+
+    effects: tuple[str, ...]
+    gains: Array
+
+    @property
+    def gain(self) -> float:
+        """Over all blocks."""
+        return float(self.gains.sum())
+
+
+def score(scores: Scores, numbers: Sequence[Number], effects: Iterable[str]) -> Hypothesis:
+    """One hypothesis, its numbers held inside their prior ranges."""
+    effects = tuple(sorted(effects))
+    columns = columns_of(numbers, effects)
+    low = np.array([numbers[i].about.prior[0] - numbers[i].now for i in columns])
+    high = np.array([numbers[i].about.prior[1] - numbers[i].now for i in columns])
+    return Hypothesis(effects, scores.gains(columns, low, high))
+
+
+def search(
+    scores: Scores, numbers: Sequence[Number], width: int = 12, most: int = 3
+) -> list[Hypothesis]:
+    """Hypotheses of up to `most` effects, best first, `nothing` among them.
+
+    All single effects and pairs are scored; larger sets grow from the best `width` of one less.
+    """
+    names = list(dict.fromkeys(n.effect for n in numbers))
+    found: dict[tuple[str, ...], Hypothesis] = {(): score(scores, numbers, ())}
+    for name in names:
+        found[(name,)] = score(scores, numbers, (name,))
+    for pair in combinations(sorted(names), 2):
+        found[pair] = score(scores, numbers, pair)
+    for size in range(3, most + 1):
+        best = sorted((h for k, h in found.items() if len(k) == size - 1), key=lambda h: -h.gain)
+        for h in best[:width]:
+            for name in names:
+                key = tuple(sorted({*h.effects, name}))
+                if len(key) == size and key not in found:
+                    found[key] = score(scores, numbers, key)
+    return sorted(found.values(), key=lambda h: -h.gain)
+
+
+def weights(hypotheses: Sequence[Hypothesis], prior: Array, seed: int = 0) -> Array:
+    """Probability of each hypothesis, shape (k,).
+
+    Bayesian bootstrap over the blocks of time: a lead that rests on a few blocks is worth little.
+
+    Args:
+        hypotheses: Scored over the same blocks.
+        prior: Log of the prior weight of each, shape (k,).
+        seed: Of the draws.
+    """
+    gains = np.stack([h.gains for h in hypotheses])
+    rng = np.random.default_rng(seed)
+    draws = rng.dirichlet(np.ones(gains.shape[1]), DRAWS) * gains.shape[1]
+    total = draws @ gains.T + prior
+    total -= total.max(axis=1, keepdims=True)
+    share = np.exp(total)
+    return np.asarray((share / share.sum(axis=1, keepdims=True)).mean(axis=0))
