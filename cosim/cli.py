@@ -215,6 +215,10 @@ def export(
     mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
     controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
     position: Annotated[str, typer.Option(help="Position sensor: gnss or mocap.")] = "gnss",
+    python_slave: Annotated[
+        bool,
+        typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
+    ] = False,
     platform: Annotated[
         str,
         typer.Option(
@@ -237,11 +241,12 @@ def export(
 
     check_folder(out, force)
     choice = Choice(vehicle, fmi, platform, drive, start or [], flight, linear, mission,
-                    controller, position)  # fmt: skip
+                    controller, position, python_slave)  # fmt: skip
     plan = export_components(components, choice)
     options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
                "linear": linear, "mission": mission, "controller": controller,
-               "position": position, "platform": platform, "start": start or []}  # fmt: skip
+               "position": position, "python_slave": python_slave, "platform": platform,
+               "start": start or []}  # fmt: skip
     inputs = [p for p in (Path(vehicle), flight) if p is not None and p.is_file()]
     with results_folder(out, force) as folder, _progress("building") as step:
         written = plan(folder, step)

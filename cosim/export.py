@@ -7,6 +7,7 @@ from typing import Any, cast
 
 from fmus import FmuModel, build, component_model, fuse, replay_model
 from fmus.platforms import Platform, compilers, select_platforms
+from fmus.python_slave import build_python_slave
 from twin.airframe import airframe
 from twin.assembly import CONTROLLERS, Assembly, flying_twin
 from twin.barometer import barometer
@@ -48,6 +49,7 @@ class Choice:
         mission: Of the components `mission` and `corrected-twin`.
         controller: Of the corrected twin.
         position: Kind of position sensor.
+        python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
     """
 
     vehicle: str = "copter_default"
@@ -60,6 +62,7 @@ class Choice:
     mission: str = "hover"
     controller: str = "lqr"
     position: str = "gnss"
+    python_slave: bool = False
 
 
 def _makers(vehicle: Vehicle, choice: Choice) -> dict[str, Callable[[], Component]]:
@@ -101,7 +104,10 @@ def export_components(
         raise TwinError(unknown_name("export", "position sensor", choice.position, PRESETS))
     if "replay" in names and choice.flight is None:
         raise TwinError("replay needs the flight to replay: --flight LOG.")
+    if choice.python_slave and (versions != [2] or {"replay", FUSED} & set(names)):
+        raise TwinError("--python-slave: FMI 2 and single components only; leave the rest native.")
     values = start_values(choice.starts)
+    slaves: list[Component] = []
     models: list[FmuModel] = []
     assembly: Assembly | None = None
     known: set[str] = set()
@@ -117,12 +123,18 @@ def export_components(
         else:
             component = makers[name]()
             own = {k: v for k, v in values.items() if k in _settable(component)}
-            models.append(component_model(component.with_starts(own)))
+            component = component.with_starts(own)
+            if choice.python_slave:
+                slaves.append(component)
+            else:
+                models.append(component_model(component))
             known |= _settable(component)
     for name in values:
         if name not in known:
             raise TwinError(unknown_name("--start", "parameter or input", name, known))
-    return lambda out, progress: _write(models, assembly, versions, platforms, out, progress)
+    return lambda out, progress: _write(
+        models, slaves, assembly, versions, platforms, out, progress
+    )
 
 
 def fused_model(assembly: Assembly, vehicle: str) -> FmuModel:
@@ -149,6 +161,7 @@ def system_of(
 
 def _write(
     models: Sequence[FmuModel],
+    slaves: Sequence[Component],
     assembly: Assembly | None,
     versions: Sequence[int],
     platforms: Sequence[Platform],
@@ -156,7 +169,7 @@ def _write(
     progress: Callable[[float], None],
 ) -> list[dict[str, Any]]:
     names = [p.name for p in platforms]
-    written, steps = [], len(versions) * (len(models) + (assembly is not None))
+    written, steps = [], len(versions) * (len(models) + len(slaves) + (assembly is not None))
 
     def add(path: Path, version: int) -> None:
         """List a file that was written."""
@@ -176,6 +189,8 @@ def _write(
         folder.mkdir(exist_ok=True)
         for model in models:
             add(build(model, folder / f"{model.name}.fmu", version, names), version)
+        for component in slaves:
+            add(build_python_slave(component, folder / f"{component.name}.fmu"), version)
         if assembly is not None:
             parts = folder / "parts"
             parts.mkdir()

@@ -150,6 +150,7 @@ def _kernels(component: Component) -> list[ca.Function]:
             functions += [sampling.signals, sampling.delays]
     for shortcut in component.shortcuts:
         functions += [shortcut.holds, shortcut.step, shortcut.outputs]
+        functions += [] if shortcut.update is None else [shortcut.update]
     return functions
 
 

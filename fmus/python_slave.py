@@ -55,7 +55,7 @@ def build_python_slave(component: Component, path: Path) -> Path:
         libraries = resources.files("pythonfmu") / "resources" / "binaries"
     except ModuleNotFoundError as error:
         raise FmuError(
-            f"{component.name}: a Python slave needs pythonfmu: pip install pythonfmu."
+            f"{component.name}: a Python slave needs pythonfmu: pip install uavtwin[python-slave]."
         ) from error
     model = _model(component)
     binaries = {

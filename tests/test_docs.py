@@ -1,5 +1,6 @@
 """Documentation says what the code says; every example and every TOML of it works."""
 
+import os
 import re
 import subprocess
 import sys
@@ -40,14 +41,56 @@ def test_every_polynomial_of_the_documentation_loads() -> None:
         assert parse_vehicle(body + torque + text, "variant.toml").rotors.thrust_n
 
 
+SHORT = {
+    "fly_tour_in_wind.py": ["3"],
+    "ab_effect.py": ["6"],
+    "swap_controller.py": ["3"],
+}
+"""Arguments that make an example fly less than its reader wants."""
+
+
 @pytest.mark.parametrize("script", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
 def test_examples_run(script: str) -> None:
     result = subprocess.run(
-        [sys.executable, ROOT / "examples" / script], capture_output=True, text=True, timeout=120
+        [sys.executable, "-W", "error", ROOT / "examples" / script, *SHORT.get(script, [])],
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert result.returncode == 0, result.stderr
     assert result.stdout.strip()
+    assert not result.stdout.startswith("skipped")
     assert len((ROOT / "examples" / script).read_text().splitlines()) < 60
+
+
+@pytest.mark.slow
+def test_the_fmu_document_works(tmp_path: Path) -> None:
+    """Its blocks in order, as a reader would: shell commands, the Python script, the C program."""
+    text = (ROOT / "docs" / "fmus.md").read_text()
+    script = ["set -eu"]
+    for language, block in re.findall(r"```(sh|python|c)\n(.*?)```", text, re.DOTALL):
+        if language == "sh":
+            script.append(block)
+        else:
+            name = "main.c" if language == "c" else "main.py"
+            script.append(f"cat > {name} <<'END OF FILE'\n{block}END OF FILE")
+        if language == "python":
+            script.append("python main.py")
+    bin_folder = Path(sys.executable).parent
+    result = subprocess.run(
+        ["bash", "-c", "\n".join(script)],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": f"{bin_folder}:{os.environ['PATH']}"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert result.returncode == 0, result.stdout + result.stderr
+    *_, drift, height = result.stdout.splitlines()
+    assert 0.05 < float(drift.split()[0]) < 0.5  # the wind is felt, and held against
+    assert drift.endswith("m from the setpoint at worst")
+    assert re.fullmatch(r"1\.[0-9]{3} m above the ground", height), height
+    assert (tmp_path / "twin" / "fmi2" / "flight.csv").read_text().startswith('"time"')
 
 
 @pytest.mark.parametrize("log", ["log10", "log15", "log16"])

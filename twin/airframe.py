@@ -74,8 +74,7 @@ def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Com
     )
     switches = [contact.enabled, *blocks.switches]
     m.idle_while(ca.logic_and(blocks.off(), contact.out_of_reach), contact.step, switches)
-    if blocks.switches:
-        m.idle_while(blocks.off(), contact.step, blocks.switches)
+    blocks.idle()
 
     specific_force_b = [
         (f + c) / motion.body.mass for f, c in zip(wrench.force, contact.force, strict=True)

@@ -60,6 +60,7 @@ def barometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     level = noise_level(m, "baro", "Pa", sensors.baro_noise_pa, sensors.baro_walk_pa)
     error = noise(m, "baro", "Pa", level, period)
     m.output("baro_pa", "Pa", "Static pressure read", reading.pressure + error)
+    blocks.idle()
     return m.build()
 
 

@@ -69,18 +69,21 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Shortcut:
-    """Step and outputs with some equations left out, exact while they would come to zero.
+    """Step, outputs and update with some equations left out, exact while they would come to zero.
 
     Attributes:
         holds: `(x, p, h) -> 0 or 1`: whether the cheap ones are as good over the next h seconds;
             h = 0 for the outputs.
         step: `(x, u, p, h) -> x`, the same numbers as the full step then.
         outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
+        update: `(x, u, p, w, d) -> x`, the same numbers as the full update then, h = 0; None: the
+            component is not sampled.
     """
 
     holds: ca.Function
     step: ca.Function
     outputs: ca.Function
+    update: ca.Function | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -167,16 +167,23 @@ class ComponentBuilder:
         project = ca.Function("project", [x], [projected])
         f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
 
+        sampling = self._sampling(x, u, p)
+
         def shortcut(
             i: int, condition: ca.SX, length: ca.SX, switches: Sequence[ca.SX]
         ) -> Shortcut:
-            off = [ca.SX(0.0)] * len(switches)
-            (dx,), (cheap_y,) = (ca.substitute([e], list(switches), off) for e in (rates, y))
+            on, off = list(switches), [ca.SX(0.0)] * len(switches)
+            dx, cheap_y = ca.substitute([rates, y], on, off)
             cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
+            update = None
+            if sampling is not None:
+                (after,) = ca.substitute([self._after()], on, off)
+                update = self._update(f"cheap_update_{i}", after, x, u, p)
             return Shortcut(
                 holds=ca.Function(f"holds_{i}", [x, p, length], [condition]),
                 step=_rk4(f"cheap_step_{i}", cheap, project),
                 outputs=ca.Function(f"cheap_outputs_{i}", [x, u, p], [ca.cse(cheap_y)]),
+                update=update,
             )
 
         return Component(
@@ -192,7 +199,7 @@ class ComponentBuilder:
             outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
             max_step_s=self._max_step_s,
             shortcuts=tuple(shortcut(i, *idle) for i, idle in enumerate(self._idle)),
-            sampling=self._sampling(x, u, p),
+            sampling=sampling,
         )
 
     def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
@@ -200,13 +207,8 @@ class ComponentBuilder:
             if self._updates or self._noise or self._delayed:
                 raise ModelError(f"{self._name}: updates need a sample period: call sampled().")
             return None
-        after = _column(
-            self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
-        )
-        w = _column(self._noise)
         signals = _column(signal for _, signal, _, _ in self._delayed)
         delays = _column(delay for _, _, delay, _ in self._delayed)
-        d = _column(symbol for _, _, _, symbol in self._delayed)
         return Sampling(
             period=self._period,
             seed="seed" if self._noise else None,
@@ -215,10 +217,20 @@ class ComponentBuilder:
             lines=tuple(line for line, *_ in self._delayed),
             signals=ca.Function("signals", [x, u, p], [ca.cse(signals)], ["x", "u", "p"], ["s"]),
             delays=ca.Function("delays", [p], [ca.cse(delays)], ["p"], ["s"]),
-            update=ca.Function(
-                "update", [x, u, p, w, d], [ca.cse(after)], ["x", "u", "p", "w", "d"], ["x_next"]
-            ),
+            update=self._update("update", self._after(), x, u, p),
         )
+
+    def _after(self) -> ca.SX:
+        """States after a sample instant."""
+        return _column(
+            self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+
+    def _update(self, name: str, after: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.Function:
+        w = _column(self._noise)
+        d = _column(symbol for _, _, _, symbol in self._delayed)
+        arguments = [x, u, p, w, d]
+        return ca.Function(name, arguments, [ca.cse(after)], ["x", "u", "p", "w", "d"], ["x_next"])
 
     def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:
         if variable.name in self._variables:

@@ -41,6 +41,7 @@ def environment(vehicle: Vehicle) -> Component:
     for a, d, steady, change in zip(AXES, _NED, wind, gust, strict=True):
         m.output(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}", steady + change)
     m.output("density", "kg/m3", "Density of the air", _density(m, pos_z))
+    blocks.idle()
     return m.build()
 
 

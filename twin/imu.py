@@ -75,6 +75,7 @@ def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
         IMU_CHANNELS, _UNITS, _MEANINGS, readings, strict=True
     ):
         m.output(channel, unit, meaning, value)
+    blocks.idle()
     return m.build()
 
 

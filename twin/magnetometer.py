@@ -53,4 +53,5 @@ def magnetometer(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     for a, d, b in zip(AXES, BODY, reading.field_b, strict=True):
         error = noise(m, f"mag_{a}", "T", level, period)
         m.output(f"mag_{a}", "T", f"Magnetic flux density read, {d}", b + error)
+    blocks.idle()
     return m.build()

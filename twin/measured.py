@@ -155,26 +155,39 @@ def rates_of(attitude: Signal) -> Signal:
     return Signal((attitude.t_s[1:] + attitude.t_s[:-1]) / 2, step / dt)
 
 
-def _attitude_doubt(attitude: Signal, rates: Signal) -> list[str]:
-    """A warning when attitude and gyroscope turn in different ways.
+def agreement(attitude: Signal, rates: Signal, later_s: float = 0.0) -> float | None:
+    """Correlation of the turning of the attitude with the gyroscope, -1 to 1.
 
-    Both pass a low-pass at `AGREEMENT_HZ` and are correlated; a conjugated quaternion, one in the
-    order x, y, z, w or one of other axes gives little or nothing.
+    Both pass a low-pass at `AGREEMENT_HZ`; a conjugated quaternion, one in the order x, y, z, w or
+    one of other axes gives little or nothing.
+
+    Args:
+        attitude: Quaternions of neighbouring signs.
+        rates: Body rates, rad/s.
+        later_s: By how much the attitude lags behind the gyroscope.
+
+    Returns:
+        None where there is too little of either, or hardly any turning.
     """
     if len(attitude.t_s) < 40 or attitude.rate_hz < 5 * AGREEMENT_HZ:
-        return []
+        return None
     turning = rates_of(attitude)
     slow = zero_phase(turning, AGREEMENT_HZ)
-    gyro = Signal(rates.t_s, zero_phase(rates, AGREEMENT_HZ)).at(turning.t_s)
+    gyro = Signal(rates.t_s, zero_phase(rates, AGREEMENT_HZ)).at(turning.t_s - later_s)
     known = np.all(np.isfinite(gyro) & np.isfinite(slow), axis=1)
     a, b = slow[known], gyro[known]
     size = float(np.sqrt(np.mean(b**2))) if known.any() else 0.0
     if size < 0.05:
-        return []
-    agreement = float(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b) + 1e-30))
-    if agreement > 0.5:
+        return None
+    return float(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b) + 1e-30))
+
+
+def _attitude_doubt(attitude: Signal, rates: Signal) -> list[str]:
+    """A warning when attitude and gyroscope turn in different ways."""
+    same = agreement(attitude, rates)
+    if same is None or same > 0.5:
         return []
     return [
-        f"attitude and gyroscope do not turn together (correlation {agreement:.2f}): check that q "
+        f"attitude and gyroscope do not turn together (correlation {same:.2f}): check that q "
         f"is [w, x, y, z], body to NED, and that both use forward-right-down axes"
     ]

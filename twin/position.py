@@ -131,6 +131,7 @@ def position_sensor(
         held = [taken(f"meas_q_{a}", "1", c) for a, c in zip("wxyz", attitude, strict=True)]
         for a, c in zip("wxyz", _shaken(m, data.attitude_noise_rad, held), strict=True):
             m.output(f"meas_q_{a}", "1", f"Attitude measured, body to NED, {a}", c)
+    blocks.idle()
     return m.build()
 
 

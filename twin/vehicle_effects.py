@@ -51,7 +51,7 @@ def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: Switche
             on.mistakes.append(unknown_name(f"[effects.{name}]", "number", key, values))
             continue
         try:
-            values[key] = read_number(full, entry, _spelled(units[key]))
+            values[key] = read_number(full, entry, spelled(units[key]))
             on.sources[full] = entry["source"]
         except ModelError as mistake:
             on.mistakes.append(str(mistake))
@@ -60,6 +60,6 @@ def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: Switche
     on.values[name] = values
 
 
-def _spelled(fmi_unit: str) -> str:
+def spelled(fmi_unit: str) -> str:
     """An FMI unit (`kg.m2`) as people write it in vehicle files (`kg*m^2`)."""
     return re.sub(r"(?<=[A-Za-z])(\d)", r"^\1", fmi_unit).replace(".", "*")

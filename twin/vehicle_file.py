@@ -37,23 +37,31 @@ def load_vehicle(name_or_path: str | Path) -> Vehicle:
     Raises:
         ModelError: No such vehicle, or the file is wrong; the text names file, key and value.
     """
-    text_name = str(name_or_path)
-    if text_name in builtin_vehicles():
-        text = (resources.files(__package__) / "vehicles" / f"{text_name}.toml").read_text("utf-8")
-        return parse_vehicle(text, f"{text_name}.toml")
+    return parse_vehicle(*vehicle_text(name_or_path))
+
+
+def vehicle_text(name_or_path: str | Path) -> tuple[str, str]:
+    """Text of a vehicle file, or of a built-in vehicle by its name, and the name of the file.
+
+    Raises:
+        ModelError: No such vehicle, or it cannot be read.
+    """
+    name = str(name_or_path)
+    if name in builtin_vehicles():
+        file = resources.files(__package__) / "vehicles" / f"{name}.toml"
+        return file.read_text("utf-8"), f"{name}.toml"
     path = Path(name_or_path)
     if not path.is_file():
-        near = get_close_matches(text_name, builtin_vehicles(), n=1)
+        near = get_close_matches(name, builtin_vehicles(), n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ModelError(
-            f"{text_name}: neither a vehicle file nor a built-in vehicle.{hint} "
+            f"{name}: neither a vehicle file nor a built-in vehicle.{hint} "
             f"Built in: {', '.join(builtin_vehicles())}; the format is in docs/vehicle.md."
         )
     try:
-        text = path.read_text("utf-8")
+        return path.read_text("utf-8"), path.name
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path.name}: cannot be read as text: {error}.") from error
-    return parse_vehicle(text, path.name)
 
 
 def parse_vehicle(text: str, file: str) -> Vehicle:

@@ -32,9 +32,14 @@ class Controller:
 
     Gains are for a rotor lag near 35 ms: rate loop 9 rad/s, attitude 4.5, velocity 2.6,
     position 1.2. Yaw gets what 45 % of the rotors' reaction torque gives, no more.
+
+    Args:
+        believed: The aircraft as the vehicle files have them.
+        trim: Angular acceleration that hover needs, rad/s2, shape (3, n): what a pilot has
+            trimmed on an earlier flight. It goes with the thrust.
     """
 
-    def __init__(self, believed: Batch) -> None:
+    def __init__(self, believed: Batch, trim: Array) -> None:
         p = believed.p
         self._p = p
         rotors, n = p.thrust_k.shape
@@ -50,6 +55,7 @@ class Controller:
         ratio = (p.torque_k / p.thrust_k).mean(axis=0)
         self._yaw_limit = 0.45 * ratio * p.mass * GRAVITY_M_S2 / p.inertia[2]
         self._velocity_integral = np.zeros((3, n))
+        self._trim = trim
         self._rate_integral = np.zeros((3, n))
         self._gyro_before = np.zeros((3, n))
 
@@ -94,8 +100,10 @@ class Controller:
         self._rate_integral += 8.0 * _DT_S * armed * rate_error
         bend = (gyro - self._gyro_before) / _DT_S
         self._gyro_before = gyro
-        torque = 9.0 * rate_error + self._rate_integral - 0.08 * bend
+        lift = np.maximum(-(acc * z).sum(axis=0), 0.3 * GRAVITY_M_S2)
+        trim = self._trim * lift / GRAVITY_M_S2
+        torque = 9.0 * rate_error + self._rate_integral - 0.08 * bend + trim
         wanted = 0.5 * torque[2]
         torque[2] = np.clip(wanted, -self._yaw_limit, self._yaw_limit)
         self._rate_integral[2] += torque[2] - wanted  # no wind-up
-        return torque, np.maximum(-(acc * z).sum(axis=0), 0.3 * GRAVITY_M_S2)
+        return torque, lift

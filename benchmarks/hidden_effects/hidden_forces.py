@@ -203,7 +203,7 @@ FORCES = (
     Hidden("thrust_curve", (0.08, 0.18, 0.35), _thrust_curve),
     Hidden("battery_sag", (0.5, 1.0, 2.0), _battery_sag),
     Hidden("motor_lag", (0.008, 0.02, 0.045), _motor_lag),
-    Hidden("rotor_efficiency_loss", (0.05, 0.12, 0.22), _rotor_efficiency_loss),
+    Hidden("rotor_efficiency_loss", (0.05, 0.1, 0.18), _rotor_efficiency_loss),
     Hidden("rotor_inertia_torque", (0.4, 1.0, 2.0), _rotor_inertia_torque),
     Hidden("gyroscopic_torque", (1.0, 2.5, 5.0), _gyroscopic_torque),
     Hidden("yaw_torque_scale", (0.15, 0.35, 0.8), _yaw_torque_scale),

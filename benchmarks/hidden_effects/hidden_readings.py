@@ -124,7 +124,7 @@ def _imu_delay(p: Parameters, a: Aircraft, size: float, rng: Rng) -> Change:
 
 
 def _position_delay(p: Parameters, a: Aircraft, size: float, rng: Rng) -> Change:
-    """Position and velocity are late; in half of the cases the attitude comes with them."""
+    """Position and velocity are late; in half of the cases the attitude of the log, too."""
     steps, truth = _steps(size)
     late = float(rng.integers(2))
     truth["attitude_is_late"] = Number(late, "1")
@@ -153,6 +153,6 @@ READINGS = (
     Hidden("vibration", (0.3, 1.0, 3.0), _vibration),
     Hidden("stuck_sensor", (0.2, 0.4, 0.6), _stuck_sensor),
     Hidden("imu_delay", (0.005, 0.012, 0.025), _imu_delay),
-    Hidden("position_delay", (0.02, 0.05, 0.1), _position_delay),
+    Hidden("position_delay", (0.02, 0.04, 0.08), _position_delay),
     Hidden("command_delay", (0.006, 0.015, 0.025), _command_delay),
 )

@@ -9,51 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
-from .aircraft import Aircraft
 from .control import Controller, Setpoint
-from .missions import CONTROL_HZ, Setpoints
-from .noise import Noise
-from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch, Parameters
+from .missions import CONTROL_HZ
+from .orders import Draws, Order, between, draw
+from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch
 from .physics import Dynamics, Layout, Motion, motion, own_dynamics
-from .vectors import cross, rotation, to_ned
+from .vectors import cross, rotation, to_ned, turned
 
 STEPS = round(1 / (CONTROL_HZ * STEP_S))
 """Steps of the plant per sample of controller and IMU."""
 POSE_EVERY = 2
 """Samples of the IMU per sample of the position sensor."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """One flight to be flown.
-
-    Attributes:
-        aircraft: What the controller believes to fly.
-        plant: What flies, hidden effects included.
-        setpoints: Mission.
-        noise: Level of the sensors by the vehicle file.
-        seed: Of every random number of this flight.
-    """
-
-    aircraft: Aircraft
-    plant: Parameters
-    setpoints: Setpoints
-    noise: Noise
-    seed: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Draws:
-    """Random numbers of the flights, drawn before they start; shape (k, ..., n)."""
-
-    accel: Array
-    gyro: Array
-    pos: Array
-    vel: Array
-    attitude: Array
-    gust: Array
 
 
 @dataclass(frozen=True)
@@ -87,8 +54,10 @@ def fly(orders: list[Order], dynamics: Dynamics = own_dynamics) -> Trace:
     """Fly missions all at once, with aircraft of equally many rotors."""
     batch = Batch([o.plant for o in orders])
     layout = Layout(batch.rotors)
-    draws = _draw(orders)
-    controller = Controller(Batch([o.aircraft.nominal for o in orders]))
+    draws = draw(orders)
+    controller = Controller(
+        Batch([o.aircraft.nominal for o in orders]), -_hover_error(batch, layout, dynamics)
+    )
     want = _setpoints(orders)
     x = _start(batch, layout)
     applied = np.zeros((batch.rotors, batch.n))
@@ -114,13 +83,13 @@ def fly(orders: list[Order], dynamics: Dynamics = own_dynamics) -> Trace:
             records["pose"][rows, :, flights] = _pose(batch, layout, x)[:, flights].T
         if j == 0:
             if k % POSE_EVERY == 0:
-                sensed = _sensed(batch, layout, x, records["pose"][k], draws, k)
+                sensed = _sensed(layout, x, records["pose"][k], draws, k)
             gyro = batch.p.gyro_scale * x[layout.omega] + batch.p.gyro_bias + draws.gyro[k]
             setpoint = Setpoint(*(w[k] for w in want))
             records["command"][k] = controller(setpoint, *sensed, gyro)
         for flights, rows in commands(step, k_max):
             applied[:, flights] = records["command"][rows, :, flights].T
-        wind = batch.p.wind + _between(draws.gust, k, j / STEPS)
+        wind = batch.p.wind + between(draws.gust, k, j / STEPS)
         at = motion(batch, layout, x, applied, wind, step * STEP_S, dynamics)
         if j == 0:
             records["truth"][k] = _truth(layout, x, at, wind)
@@ -152,12 +121,15 @@ def advance(
     return later, at.rate
 
 
-def turned(q: Array, angle: Array) -> Array:
-    """Attitudes after small turns about the body axes, rad; shapes (4, n) and (3, n)."""
-    w, v = q[0], q[1:]
-    half = 0.5 * angle
-    q = np.concatenate([(w - (v * half).sum(axis=0))[None], v + w * half + cross(v, half)])
-    return np.asarray(q / np.sqrt((q * q).sum(axis=0)))
+def _hover_error(batch: Batch, layout: Layout, dynamics: Dynamics) -> Array:
+    """Angular acceleration in level hover at the rotor speeds of the vehicle file, rad/s2."""
+    p = batch.p
+    x = _start(batch, layout)
+    x[layout.pos][2] = -100.0
+    x[layout.rotor] = p.hover_speed
+    command = np.broadcast_to((p.hover_speed - p.speed_0) / p.speed_1, x[layout.rotor].shape)
+    at = motion(batch, layout, x, command, np.zeros((3, batch.n)), 0.0, dynamics)
+    return at.angular_acceleration
 
 
 class _Schedule:
@@ -200,15 +172,11 @@ def _pose(batch: Batch, layout: Layout, x: Array) -> Array:
 
 
 def _sensed(
-    batch: Batch, layout: Layout, x: Array, late: Array, draws: Draws, k: int
+    layout: Layout, x: Array, late: Array, draws: Draws, k: int
 ) -> tuple[Array, Array, Array]:
-    """Position, velocity and attitude that the controller gets."""
-    attitude = np.where(batch.p.late_attitude > 0, late[6:], x[layout.q])
-    return (
-        late[:3] + draws.pos[k],
-        late[3:6] + draws.vel[k],
-        turned(attitude, draws.attitude[k]),
-    )
+    """Position and velocity that the controller gets, and attitude, its own and never late."""
+    attitude = turned(x[layout.q], draws.attitude[k])
+    return late[:3] + draws.pos[k], late[3:6] + draws.vel[k], attitude
 
 
 def _readings(layout: Layout, x: Array, at: Motion) -> dict[str, Array]:
@@ -225,27 +193,3 @@ def _setpoints(orders: list[Order]) -> list[Array]:
     """Position, velocity, acceleration, heading, its rate and arming, flights last."""
     names = ("pos", "vel", "acc", "yaw", "yaw_rate", "armed")
     return [np.stack([getattr(o.setpoints, name) for o in orders], axis=-1) for name in names]
-
-
-def _draw(orders: list[Order]) -> Draws:
-    """Each flight from its own seed, whatever flies beside it."""
-    columns: dict[str, list[Array]] = {}
-    for order in orders:
-        rng, noise, p = np.random.default_rng(order.seed), order.noise, order.plant
-        k = len(order.setpoints.yaw)
-        sizes = {
-            "accel": noise.accel * p.noise_scale, "gyro": noise.gyro * p.noise_scale,
-            "pos": noise.position, "vel": noise.velocity, "attitude": noise.attitude,
-        }  # fmt: skip
-        for name, size in sizes.items():
-            columns.setdefault(name, []).append(size * rng.standard_normal((k, 3)))
-        stay = float(np.exp(-1 / (CONTROL_HZ * p.gust_time)))
-        kick = p.gust_sigma * np.sqrt(1 - stay**2) * rng.standard_normal((k, 3))
-        kick[0] /= np.sqrt(1 - stay**2)
-        columns.setdefault("gust", []).append(lfilter([1.0], [1.0, -stay], kick, axis=0))
-    return Draws(**{name: np.stack(values, axis=-1) for name, values in columns.items()})
-
-
-def _between(gust: Array, k: int, share: float) -> Array:
-    """Straight line between two samples."""
-    return np.asarray(gust[k] + share * (gust[min(k + 1, len(gust) - 1)] - gust[k]))

@@ -43,7 +43,8 @@ class Instant:
         pos: NED, m, shape (3, n).
         vel: NED, m/s.
         air: Velocity through the air, body, m/s.
-        r: Rotation body to NED, shape (3, 3, n).
+        q: Attitude body to NED, unit quaternions, shape (4, n).
+        r: The same as matrices, shape (3, 3, n).
         omega: Body rates, rad/s.
         rotor: Rotor speeds, rad/s, shape (rotors, n).
         target: Speeds that the rotors strive for.
@@ -54,6 +55,7 @@ class Instant:
     pos: Array
     vel: Array
     air: Array
+    q: Array
     r: Array
     omega: Array
     rotor: Array
@@ -139,13 +141,14 @@ def motion(
     """
     p = batch.p
     omega, rotor, q = x[layout.omega], x[layout.rotor], x[layout.q]
-    r = rotation(q / np.sqrt((q * q).sum(axis=0)))
+    unit = q / np.sqrt((q * q).sum(axis=0))
+    r = rotation(unit)
     voltage, current = _battery(batch, rotor, x[layout.charge])
     target = _target(batch, command, voltage)
     air = to_body(r, x[layout.vel] - wind)
     force, alpha = dynamics(
         batch,
-        Instant(x[layout.pos], x[layout.vel], air, r, omega, rotor, target, command, t),
+        Instant(x[layout.pos], x[layout.vel], air, unit, r, omega, rotor, target, command, t),
     )
     rate = np.empty_like(x)
     if batch.on("load_mass"):

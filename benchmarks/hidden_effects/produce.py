@@ -13,7 +13,8 @@ from .gap import gap_json, true_gap
 from .hidden import Number, Truth
 from .missions import mission
 from .noise import NOISE
-from .own import Order, fly
+from .orders import Order
+from .own import fly
 from .parameters import Parameters
 from .plants import EFFECTS, PLANTS
 from .sensing import flight_table

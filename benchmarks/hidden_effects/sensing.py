@@ -9,7 +9,8 @@ import pandas as pd
 
 from .missions import CONTROL_HZ
 from .noise import ACCEL_BIT_M_S2, GYRO_BIT_RAD_S
-from .own import POSE_EVERY, Order, Trace, turned
+from .orders import Order
+from .own import POSE_EVERY, Trace
 from .parameters import (
     FIELD_T,
     GRAVITY_M_S2,
@@ -18,7 +19,7 @@ from .parameters import (
     Array,
     Parameters,
 )
-from .vectors import cross, rotation, to_body
+from .vectors import cross, rotation, to_body, turned
 
 SLOW_EVERY = 4
 """Samples of the IMU per sample of magnetometer and barometer."""

@@ -75,61 +75,149 @@ def crazyflie(model: str) -> Aircraft:
     )
 
 
-@cache
-def crazyflie_dynamics(model: str) -> Dynamics:
-    """Dynamics of drone-models for a batch that flies one of its aircraft."""
-    from drone_models.first_principles import (  # type: ignore[import-not-found]
-        dynamics,
-    )
+class Crazyflies:
+    """Dynamics of drone-models for batches that fly one of its aircraft."""
 
-    nominal, its = crazyflie(model).nominal, _parameters(model)
+    def __init__(self, model: str) -> None:
+        self._nominal, self._its = crazyflie(model).nominal, _parameters(model)
+        self._function = _function(float(self._its["L"]))
+        self._ready: tuple[Batch, _Call] | None = None
 
-    def accelerations(batch: Batch, now: Instant) -> tuple[Array, Array]:
-        p = batch.p
-        settings = _settings(p, nominal, its)
+    def __call__(self, batch: Batch, now: Instant) -> tuple[Array, Array]:
+        """Force without weight and angular acceleration, body axes."""
+        p, n = batch.p, now.rotor.shape[1]
+        if self._ready is None or self._ready[0] is not batch or self._ready[1].n != n:
+            settings = _settings(p, self._nominal, self._its)
+            self._ready = batch, _Call(self._function, settings, n)
+        call = self._ready[1]
         force, twist = air_forces(batch, now.air, now.command, now.t)
         force = force + p.drag_linear * now.air  # the drag matrix has it
         if batch.on("pitch_per_yaw"):
             twist[1] += p.pitch_per_yaw * now.omega[2]
         push, lean = pad_forces(batch, now.pos[2], now.vel, now.omega, now.r)
-        _, _, acceleration, spin, _ = dynamics(
-            _outside(now.pos),
-            _quaternion(now.r),
+        rate = call(
+            _quaternion(now.q),
             _outside(to_ned(now.r, now.air)),
             _outside(now.omega),
-            now.target.T * RPM,
             now.rotor.T * RPM,
             _outside(to_ned(now.r, force + push)),
             _outside(to_ned(now.r, twist + lean)),
-            **settings,
+            now.target.T * RPM,
         )
-        acceleration = acceleration * _FLIP - np.array([0.0, 0.0, GRAVITY_M_S2])
-        return to_body(now.r, p.mass * acceleration.T), (spin * _FLIP).T
-
-    return accelerations
+        free = rate[:, 7:10] * _FLIP - np.array([0.0, 0.0, GRAVITY_M_S2])
+        return to_body(now.r, p.mass * free.T), (rate[:, 10:13] * _FLIP).T
 
 
-def _settings(p: Parameters, nominal: Parameters, its: dict[str, Array]) -> dict[str, Any]:
-    """Keyword arguments of the dynamics, flights first."""
-    inertia = np.apply_along_axis(np.diag, 1, p.inertia.T)
+@cache
+def crazyflie_dynamics(model: str) -> Dynamics:
+    """Dynamics for one of the aircraft of drone-models."""
+    return Crazyflies(model)
+
+
+class _Call:
+    """A CasADi function over many flights, with its arguments in place."""
+
+    def __init__(self, function: Any, settings: dict[str, Array], n: int) -> None:
+        self.n = n
+        mapped = function.map(n)
+        self._state, self._command = np.zeros((n, 23)), np.zeros((n, 4))
+        self._rate = np.zeros((n, 17))
+        constant = [  # CasADi counts down the columns first
+            np.ascontiguousarray(np.broadcast_to(np.swapaxes(settings[k], 1, 2), (n, *shape[::-1])))
+            for k, shape in _SETTINGS.items()
+        ]
+        self._buffer, self._run = mapped.buffer()
+        self._kept = (self._state, self._command, *constant)
+        for i, array in enumerate(self._kept):
+            self._buffer.set_arg(i, array.data)
+        self._buffer.set_res(0, self._rate.data)
+
+    def __call__(self, *columns: Array) -> Array:
+        """Rates of the state from its parts after the position, flights first; commands last."""
+        self._state[:, 3:] = np.concatenate(columns[:-1], axis=1)
+        self._command[:] = columns[-1]
+        self._run()
+        return self._rate
+
+
+class _ByRow:
+    """A matrix whose rows come as columns, as those of a numpy matrix do in CasADi."""
+
+    def __init__(self, matrix: Any) -> None:
+        self._matrix = matrix
+
+    def __matmul__(self, vector: Any) -> Any:
+        return self._matrix @ vector
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._matrix[index].T
+
+
+def _function(arm: float) -> Any:
+    """Its symbolic dynamics as a function of state, command and parameters."""
+    import casadi as ca
+    from drone_models.first_principles import (  # type: ignore[import-not-found]
+        symbolic_dynamics,
+    )
+
+    symbols = {k: ca.MX.sym(k, *shape) for k, shape in _SETTINGS.items()}
+    polynomials = {
+        k: [symbols[k][i, :].T for i in range(symbols[k].shape[0])]
+        for k in ("rpm2thrust", "rpm2torque", "rotor_dyn_coef")
+    }
+    rate, state, command, _ = symbolic_dynamics(
+        model_rotor_vel=True,
+        model_dist_f=True,
+        model_dist_t=True,
+        **{
+            **symbols,
+            **polynomials,
+            "L": arm,
+            "gravity_vec": np.array([0.0, 0.0, -GRAVITY_M_S2]),
+            "mixing_matrix": _ByRow(symbols["mixing_matrix"]),
+        },
+    )
+    return ca.Function("dynamics", [state, command, *symbols.values()], [rate]).expand()
+
+
+_SETTINGS = {
+    "mass": (1, 1),
+    "prop_inertia": (1, 1),
+    "J": (3, 3),
+    "J_inv": (3, 3),
+    "rpm2thrust": (3, 4),
+    "rpm2torque": (3, 4),
+    "mixing_matrix": (3, 4),
+    "drag_matrix": (3, 3),
+    "rotor_dyn_coef": (4, 1),
+}
+"""Parameters of the dynamics that differ between flights, and their shapes."""
+
+
+def _settings(p: Parameters, nominal: Parameters, its: dict[str, Array]) -> dict[str, Array]:
+    """Parameters of the dynamics, flights first."""
     drag = p.drag_linear.copy()
     drag[:2] += 4 * p.rotor_h * p.hover_speed
     mixing = np.stack([-p.hubs[:, 1], -p.hubs[:, 0], p.direction]).transpose(2, 0, 1)
     mixing[:, :2] /= float(its["L"])
-    stiff = 1 / p.lag[:, None]  # type: ignore[index]
+    stiff = np.asarray(1 / np.asarray(p.lag))
+    thrust, torque = p.thrust_k.T / nominal.thrust_k, p.torque_k.T / nominal.torque_k
     return {
-        "mass": p.mass[:, None],  # type: ignore[index]
-        "L": float(its["L"]),
-        "prop_inertia": p.spin_inertia_yaw[:, None],  # type: ignore[index]
-        "gravity_vec": np.array([0.0, 0.0, -GRAVITY_M_S2]),
-        "J": inertia,
-        "J_inv": np.apply_along_axis(np.diag, 1, 1 / p.inertia.T),
-        "rpm2thrust": its["rpm2thrust"][:, None, None] * (p.thrust_k.T / nominal.thrust_k),
-        "rpm2torque": its["rpm2torque"][:, None, None] * (p.torque_k.T / nominal.torque_k),
+        "mass": np.asarray(p.mass)[:, None, None],
+        "prop_inertia": np.asarray(p.spin_inertia_yaw)[:, None, None],
+        "J": _diagonal(p.inertia),
+        "J_inv": _diagonal(1 / p.inertia),
+        "rpm2thrust": its["rpm2thrust"][None, :, None] * thrust[:, None],
+        "rpm2torque": its["rpm2torque"][None, :, None] * torque[:, None],
         "mixing_matrix": mixing,
-        "drag_matrix": -np.apply_along_axis(np.diag, 1, drag.T),
-        "rotor_dyn_coef": np.stack([stiff, 0 * stiff, stiff, 0 * stiff]),
+        "drag_matrix": -_diagonal(drag),
+        "rotor_dyn_coef": np.stack([stiff, 0 * stiff, stiff, 0 * stiff], axis=1)[:, :, None],
     }
+
+
+def _diagonal(v: Array) -> Array:
+    """Diagonal matrices, shape (n, 3, 3)."""
+    return np.asarray(v.T[:, :, None] * np.eye(3))
 
 
 def _outside(v: Array) -> Array:
@@ -137,12 +225,9 @@ def _outside(v: Array) -> Array:
     return np.asarray(v.T * _FLIP)
 
 
-def _quaternion(r: Array) -> Array:
-    """Theirs: x, y, z, w, forward-left-up to up."""
-    from scipy.spatial.transform import Rotation
-
-    flip = np.diag(_FLIP)
-    return np.asarray(Rotation.from_matrix(flip @ r.transpose(2, 0, 1) @ flip).as_quat())
+def _quaternion(q: Array) -> Array:
+    """Theirs: x, y, z, w, from forward-left-up to a world with z up."""
+    return np.stack([q[1], -q[2], -q[3], q[0]], axis=1)
 
 
 def _polynomial(coefficients: Array, argument: float) -> float:

@@ -44,3 +44,11 @@ def quaternion_rate(q: Array, omega: Array) -> Array:
     rate[0] = -(q[1:] * half).sum(axis=0)
     rate[1:] = q[0] * half + cross(q[1:], half)
     return rate
+
+
+def turned(q: Array, angle: Array) -> Array:
+    """Attitudes after small turns about the body axes, rad; shapes (4, n) and (3, n)."""
+    w, v = q[0], q[1:]
+    half = 0.5 * angle
+    q = np.concatenate([(w - (v * half).sum(axis=0))[None], v + w * half + cross(v, half)])
+    return np.asarray(q / np.sqrt((q * q).sum(axis=0)))

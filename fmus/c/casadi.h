@@ -59,6 +59,17 @@ static void model_tangent(const Part* p, int starting, const double* noise, doub
 
 #ifdef SAMPLE_PERIOD
 static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
+#define TRY(I)                                                                         \
+    CALL(holds_##I, &holds, p->x, PARAMETERS, &now);                                   \
+    if (holds) {                                                                       \
+        CALL(cheap_update_##I, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);      \
+        return;                                                                        \
+    }
+    double holds = 0;
+    const double now = 0;
+    SHORTCUTS(TRY)
+    (void)holds, (void)now;
+#undef TRY
     CALL(update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);
 }
 #if N_LINES > 0

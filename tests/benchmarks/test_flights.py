@@ -16,7 +16,8 @@ from benchmarks.hidden_effects.aircraft import AIRCRAFT, vehicle_toml
 from benchmarks.hidden_effects.cases import Case, cases, subset
 from benchmarks.hidden_effects.gap import true_gap
 from benchmarks.hidden_effects.noise import NOISE
-from benchmarks.hidden_effects.own import Order, Trace, fly
+from benchmarks.hidden_effects.orders import Order
+from benchmarks.hidden_effects.own import Trace, fly
 from benchmarks.hidden_effects.plants import EFFECTS
 from benchmarks.hidden_effects.produce import hide
 from benchmarks.hidden_effects.sensing import flight_table
@@ -115,7 +116,7 @@ def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
     names = list(orders)
     late = names.index("position_delay")
     steps = orders["position_delay"].plant.position_delay
-    assert steps % 10 == 0  # 50 ms: whole samples, so that records can be compared
+    assert steps % 10 == 0  # whole samples, so that records can be compared
     there = trace.truth[: -steps // 10, :3, late]
     np.testing.assert_allclose(trace.pose[steps // 10 :, :3, late], there, atol=1e-12)
 

@@ -1,6 +1,6 @@
 """The whole twin and each of its components: fused = parts, saved states, derivatives."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -232,50 +232,84 @@ def knowns(name: str) -> list[Variable]:
     ]
 
 
-def scattered(name: str, here: Mapping[str, float], rng: np.random.Generator) -> dict[str, float]:
-    """Values of the knowns around their starts."""
+def in_flight(name: str, rng: np.random.Generator) -> dict[str, float]:
+    """Random start values of the states, high above the ground, rotors turning."""
+    values = {}
+    for v in variables(name):
+        _, initial, state = v.name.partition("initial.")
+        if initial and state.startswith("effort"):
+            values[v.name] = rng.uniform(0.5, 0.8)
+        elif initial and v.maximum is None:
+            values[v.name] = v.start + (0.3 if state.startswith("q_") else 1.0) * rng.normal()
+        if state == "pos_z":
+            values[v.name] = -50.0
+    return values
+
+
+def scattered(name: str, rng: np.random.Generator) -> dict[str, float]:
+    """Values of the knowns around their starts, none at a limit, where it could move one way."""
     values = {}
     for v in knowns(name):
-        value = v.start * rng.uniform(0.9, 1.1) if v.start else 0.05 * rng.standard_normal()
-        if v.minimum is not None:  # at a limit it could be moved to one side only
-            value = max(value, v.minimum + 0.01 * abs(v.start) + 1e-4)
-        if v.maximum is not None:
-            value = min(value, v.maximum - 0.01 * abs(v.start) - 1e-4)
+        value = v.start * rng.uniform(0.95, 1.05)
+        if v.causality == "input" and not v.start:
+            value = rng.normal()
+        if v.minimum is not None and value - v.minimum < 1e-6:
+            value = v.minimum + 0.1
         values[v.name] = value
-    return values | here
+    return values
+
+
+def sizes(names: list[str], here: Array) -> Array:
+    """What counts as a small step of each known: its own size, for inertia that of the body."""
+    size = np.where(here == 0, 1e-2, np.abs(here))
+    for i, name in enumerate(names):
+        if "inertia." in name:
+            size[i] = here[names.index(f"{name[:-2]}xx")]
+    return size
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "fmi"), [(name, 2 + i % 2) for i, (name, _) in enumerate(ALL)])
+@pytest.mark.parametrize(("name", "fmi"), ALL)
 def test_derivatives_against_central_differences(
     new: Callable[[str, int], Instance], name: str, fmi: int
 ) -> None:
     rng = np.random.default_rng(3)
     names = [v.name for v in knowns(name)]
-    instance = new(name, fmi)
+    instance, worst = new(name, fmi), []
     references = [instance.reference[n] for n in names]
     unknown = [instance.reference[n] for n in instance.output_names]
     set_all = instance.fmu.setReal if fmi == 2 else instance.fmu.setFloat64
-    at = 0.0
-    instance.start(starts(name))
-    errors = []
     for _ in range(STATES):
-        values = scattered(name, {}, rng)
+        instance.fmu.reset()
+        instance.start(starts(name) | in_flight(name, rng))
+        values = scattered(name, rng)
         here = np.array([values[n] for n in names])
         set_all(references, list(here))
-        for _ in range(3):
-            instance.step(at, H)
-            at += H
-        seed = rng.normal(size=len(names)) * np.where(here == 0, 1e-2, np.abs(here))
+        for k in range(3):
+            instance.step(k * H)
+        seed = rng.normal(size=len(names)) * sizes(names, here)
         exact = np.array(instance.fmu.getDirectionalDerivative(unknown, references, list(seed)))
 
         def moved(by: float, here: Array = here, seed: Array = seed) -> Array:
             set_all(references, list(here + by * seed))
             return outputs(instance)
 
+        # Fourth-order differences with a short step: few cross a kink.
         e = 1e-5
         slope = (8 * (moved(e) - moved(-e)) - (moved(2 * e) - moved(-2 * e))) / (12 * e)
-        set_all(references, list(here))
         scale = np.maximum(np.abs(slope), 1e-3 * np.max(np.abs(slope)) + 1e-12)
-        errors.append(float(np.max(np.abs(exact - slope) / scale)))
-    assert max(errors) <= TOLERANCE, sorted(errors)[-5:]
+        worst.append(float(np.max(np.abs(exact - slope) / scale)))
+    assert max(worst) <= TOLERANCE, sorted(worst)[-5:]
+
+
+@pytest.mark.parametrize("name", ["airframe", FUSED])
+def test_derivatives_are_finite_while_standing(
+    new: Callable[[str, int], Instance], name: str
+) -> None:
+    """With the rotors at rest, where a square root of the thrust would have none."""
+    names = [v.name for v in knowns(name)]
+    instance = new(name, 2).start()
+    references = [instance.reference[n] for n in names]
+    unknown = [instance.reference[n] for n in instance.output_names]
+    ones = [1.0] * len(names)
+    assert np.isfinite(instance.fmu.getDirectionalDerivative(unknown, references, ones)).all()

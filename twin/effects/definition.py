@@ -186,6 +186,11 @@ class Blocks:
         """Expression: no effect is switched on."""
         return sum(self.switches, start=ca.SX(0)) == 0
 
+    def idle(self) -> None:
+        """Let the component leave the effects out while all of them are off; said at its end."""
+        if self.switches:
+            self._m.idle_while(self.off(), ca.SX.sym("step"), self.switches)
+
 
 def _blend(enabled: ca.SX, changed: Stage, old: Stage) -> Stage:
     """Field by field the changed value where the effect is on, the old one where it is off."""
