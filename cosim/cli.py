@@ -22,6 +22,7 @@ from twin.errors import TwinError
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 
 if TYPE_CHECKING:
+    from twin.explain.explanation import Explanation
     from twin.flightlog import Flight
     from twin.residuals import FlightGap
 
@@ -161,6 +162,51 @@ def gap(
 
 
 @app.command()
+def explain(
+    flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables, to fit on.")],
+    vehicle: VehicleName,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Flight that takes no part in the fit and shows the gap before and after; may be "
+            "given several times. Default: blocks of time of the flights, which is weaker."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
+    no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
+    out: Out = Path("explain"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
+    from twin.explain.explanation import explain as search
+    from twin.explain.result_json import explain_json
+    from twin.flightlog import read_flight
+    from twin.vehicle_file import load_vehicle
+
+    from .explain import write_explanation
+    from .output import check_folder, results_folder, write_run
+
+    check_folder(out, force)
+    model, held = load_vehicle(vehicle), holdout or []
+    fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
+    with _progress("explaining") as step:
+        found = search(fit, away, model, seed, step)
+    options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus}
+    inputs = [p for p in (*flights, *held, Path(vehicle)) if p.is_file()]
+    with results_folder(out, force) as folder, _progress("building") as step:
+        written = write_explanation(found, vehicle, folder, not no_fmus, step)
+        write_run(folder, "explain", options, inputs, seed)
+    if as_json:
+        _print_json(explain_json(found))
+    else:
+        _print_explanation(found)
+        _stdout.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    if found.verdict != "nothing":
+        raise typer.Exit(Exit.FINDINGS)
+
+
+@app.command()
 def demo(
     seed: Annotated[
         int, typer.Option(min=0, help="Draws the hidden effect and the sensor noise.")
@@ -170,27 +216,30 @@ def demo(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Fly a built-in flight in which an effect is hidden, and show the gap report."""
-    from twin.flightlog.table import write_flight
+    """Hide an effect in built-in flights; find, name and add it, and show that the gap shrinks."""
+    from twin.residuals import rank, summaries
     from twin.vehicle_file import load_vehicle
 
-    from .demo import fly, hide
-    from .gap import flight_gap
-    from .output import check_folder, results_folder, write_json, write_run
+    from .demo_chain import demo_json, run_demo, write_demo
+    from .output import check_folder, results_folder, write_run
+    from .report import claim
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
-    hidden = hide(model, seed)
-    flight = fly(model, hidden.plant, seed)
-    with _progress("comparing") as step:
-        gaps = [flight_gap(flight, model, progress=step)]
-    with results_folder(out, force) as folder:
-        write_flight(flight, folder / "flight.parquet")
-        _write_gap(gaps, folder)
-        write_json(folder / "truth.json", {"effect": hidden.effect, "text": hidden.text})
+    with _progress("flying, comparing, explaining") as step:
+        chain = run_demo(model, seed, step)
+    with results_folder(out, force) as folder, _progress("building") as step:
+        written = write_demo(chain, vehicle, folder, step)
         write_run(folder, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
-    _print_gap(gaps, out, as_json)
-    _stderr.print(f"hidden in this flight: {hidden.text} ({hidden.effect})")
+    if as_json:
+        _print_json(demo_json(chain))
+    else:
+        _stdout.print(claim(rank(summaries([chain.gap]))), style="bold", markup=False)
+        _print_explanation(chain.found)
+        _stdout.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    _stderr.print(chain.ending, markup=False)
+    if not chain.right:
+        raise typer.Exit(Exit.FINDINGS)
 
 
 @app.command()
@@ -419,6 +468,27 @@ def _print_gap(gaps: "list[FlightGap]", out: Path, as_json: bool) -> None:
         for warning in g.warnings:
             _stderr.print(f"{g.flight}: {warning}", style="yellow", markup=False)
     _stdout.print(f"written: {out / 'report.html'}, gap.json, run.json", markup=False)
+
+
+def _print_explanation(found: "Explanation") -> None:
+    from .explain_words import claim
+
+    for warning in found.warnings:
+        _stderr.print(warning, style="yellow", markup=False)
+    _stdout.print(claim(found), style="bold", markup=False)
+    if found.showing is None:
+        return
+    table = Table("channel", "unit", "n", "before", "after", "noise floor", "shrink, 95 %",
+                  box=None)  # fmt: skip
+    for g in found.showing.gaps:
+        interval = (
+            "{:.0%} to {:.0%}".format(*g.shrink_ci95)
+            if g.shrink_ci95[0] == g.shrink_ci95[0]
+            else ""
+        )
+        table.add_row(g.name, g.unit, str(g.n), f"{g.before:.4g}", f"{g.after:.4g}",
+                      f"{g.noise_floor:.4g}", interval)  # fmt: skip
+    _stdout.print(table)
 
 
 def _print_damage(flights: "list[Flight]") -> int:

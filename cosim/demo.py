@@ -25,7 +25,8 @@ IMU_EVERY, POSE_EVERY = 5, 10  # 200 Hz and 100 Hz
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
 
-WAYPOINTS: tuple[tuple[str, float, tuple[float, float, float]], ...] = (
+Waypoints = tuple[tuple[str, float, tuple[float, float, float]], ...]
+WAYPOINTS: Waypoints = (
     ("ground", 1.0, (0.0, 0.0, 0.0)),
     ("takeoff", 3.0, (0.0, 0.0, -1.5)),
     ("hover", 4.0, (0.0, 0.0, -1.5)),
@@ -56,7 +57,13 @@ def hide(vehicle: Vehicle, seed: int) -> Hidden:
     return _HIDERS[effect](vehicle, rng)
 
 
-def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flight:
+def fly(
+    vehicle: Vehicle,
+    plant: Vehicle,
+    seed: int,
+    name: str = "demo",
+    waypoints: Waypoints = WAYPOINTS,
+) -> Flight:
     """Fly the waypoints with the plant under the twin's controller and record the sensors.
 
     Args:
@@ -64,9 +71,10 @@ def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flig
         plant: What really flies.
         seed: Of the sensor noise.
         name: Of the flight.
+        waypoints: Phase, duration and place of each leg.
     """
     body, sensor = airframe(plant, "command"), imu(plant)
-    setpoints, phases = _setpoints(plant)
+    setpoints, phases = _setpoints(plant, waypoints)
     states, inputs = closed_loop.fly(
         body.with_starts(closed_loop.standing(plant)), controller(vehicle), setpoints
     )
@@ -79,12 +87,12 @@ def fly(vehicle: Vehicle, plant: Vehicle, seed: int, name: str = "demo") -> Flig
     )
 
 
-def _setpoints(plant: Vehicle) -> tuple[Array, list[str]]:
-    """Setpoints along the waypoints (minimum-jerk, nose north), shape (n, 11), and phases."""
+def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
+    """Setpoints along waypoints (minimum-jerk, nose north), shape (n, 11), and phases."""
     here = np.array([0.0, 0.0, -plant.leg_height_m])
     rest = here.copy()
     rows, phases = [], []
-    for phase, duration, place in WAYPOINTS:
+    for phase, duration, place in waypoints:
         there = rest + np.array(place)
         s = np.arange(round(duration / STEP_S))[:, None] * STEP_S / duration
         way = 10 * s**3 - 15 * s**4 + 6 * s**5

@@ -89,7 +89,7 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
     horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
     page = render(
         "report.html.j2",
-        {"number": _number, "percent": _percent, "unit": pretty_unit, "words": describe},
+        {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
         claim=claim(places),
         detail=_detail(places),
         places=places[:6],
@@ -114,13 +114,11 @@ def claim(places: Sequence[Ranked]) -> str:
     where = f"{worst.channel} ({describe(worst.channel)})"
     if worst.phase and worst.phase != UNKNOWN_PHASE:
         where += f" during {worst.phase}"
-    size = (
-        f"{_number(worst.score.rms)} {pretty_unit(worst.unit)} rms, {_percent(worst.score.share)}"
-    )
+    size = f"{number(worst.score.rms)} {pretty_unit(worst.unit)} rms, {percent(worst.score.share)}"
     if worst.weight < AGREEMENT:
         return (
             "Twin and flight agree: the slow part of the residual stays below "
-            f"{_percent(AGREEMENT)} of the signal "
+            f"{percent(AGREEMENT)} of the signal "
             f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
         )
     return f"Twin and flight disagree most in {where}: {size} of the signal."
@@ -145,17 +143,17 @@ def _detail(places: Sequence[Ranked]) -> str:
     score = places[0].score
     slow = min(1.0, (score.slow_rms / score.rms) ** 2)
     text = (
-        f"{_percent(slow)} of the power of that residual lies below {SLOW_HZ:g} Hz, where a model "
+        f"{percent(slow)} of the power of that residual lies below {SLOW_HZ:g} Hz, where a model "
         "of the flight can mend it; the rest is vibration and noise. "
     )
     if math.isfinite(score.rms_ci95[0]):
         low, high = score.rms_ci95
-        text += f"95 % interval of the rms: {_number(low)} to {_number(high)}. "
+        text += f"95 % interval of the rms: {number(low)} to {number(high)}. "
     text += f"n = {score.n}."
     later = next((p for p in places if p.horizon_s > 0), None)
     if later and places[0].horizon_s == 0:
         text += (
-            f" Restarted from the measured state, the twin is off by {_number(later.score.rms)} "
+            f" Restarted from the measured state, the twin is off by {number(later.score.rms)} "
             f"{pretty_unit(later.unit)} rms in {describe(later.channel)} "
             f"after {later.horizon_s:g} s."
         )
@@ -229,7 +227,7 @@ def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
     return rows
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """Three significant figures; a dash where there is no number."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
@@ -240,7 +238,8 @@ def _number(value: float) -> str:
     return text.replace("-", "\N{MINUS SIGN}")
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Two significant figures below 10 %; a dash where there is no number."""
     if not math.isfinite(share):
         return "\N{EN DASH}"
     return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"

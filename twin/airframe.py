@@ -388,5 +388,6 @@ def _current(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> ca.SX:
     share = motion.body.mass * motion.gravity / len(rotors.thrust)
     loads = [ca.if_else(t > 0, t, 0.0) / share for t in rotors.thrust]
     # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms.
-    load = sum((x * ca.sqrt(x) for x in loads), start=ca.SX(0))
+    # Bounded below: the root has no derivative at zero, where a rotor at rest is.
+    load = sum((x * ca.sqrt(ca.fmax(x, 1e-30)) for x in loads), start=ca.SX(0))
     return hover * load / len(loads)

@@ -241,7 +241,8 @@ class ComponentBuilder:
 
 def _column(parts: Iterable[ca.SX]) -> ca.SX:
     parts = list(parts)
-    return ca.vertcat(*parts) if parts else ca.SX(0, 1)
+    # Dense: C source would leave out the entries that are constant zero, and pack the others.
+    return ca.densify(ca.vertcat(*parts)) if parts else ca.SX(0, 1)
 
 
 def _rk4(name: str, f: ca.Function, project: ca.Function) -> ca.Function:

@@ -210,7 +210,8 @@ def _spin(
     spins, rates = [], []
     for value, change in zip(level, rate, strict=True):
         load, steepness = slope(value)
-        spin = ca.sqrt(load)
+        # The root has no derivative at zero, where a rotor at rest is.
+        spin = ca.if_else(load > 0, ca.sqrt(ca.fmax(load, 1e-30)), 0.0)
         spins.append(spin)
         rates.append(steepness * change / (2 * ca.fmax(spin, SLOWEST_SPIN)))
     return spins, rates

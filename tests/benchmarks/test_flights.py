@@ -29,7 +29,7 @@ from twin.vehicle_file import parse_vehicle
 
 ALLOWED = ("twin.flightlog.flight", "twin.flightlog.table", "twin.vehicle_file")
 """What the generators may take from the twin: the file formats."""
-SHORT_S = 6.0
+SHORT_S = 5.0
 
 
 def order(aircraft: str, effect: str | None, noise: str) -> Order:
@@ -122,7 +122,7 @@ def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
 
 
 def test_a_flight_is_the_same_in_other_company(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(missions, "DURATION_S", 2.5)
+    monkeypatch.setattr(missions, "DURATION_S", 1.6)
     names = ["vibration", "induced_inflow", "thrust_curve", "battery_sag", "slung_load"]
     together = [order("quad_450", n, "medium") for n in names] + [order("quad_150", None, "high")]
     crowd, alone = fly(together), fly(together[-1:])
@@ -134,7 +134,7 @@ def test_a_flight_is_the_same_in_other_company(monkeypatch: pytest.MonkeyPatch) 
 def test_cases_are_written_once_alike_and_without_their_truth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(missions, "DURATION_S", 2.5)
+    monkeypatch.setattr(missions, "DURATION_S", 1.6)
     chosen = [
         c for c in cases(["own"]) if c.seed == 0 and c.noise == "low" and c.kind != "nothing"
     ][:2]

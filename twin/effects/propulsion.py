@@ -12,11 +12,11 @@ from .stages import Motors, Thrust, Wrench
 
 
 def _hover_momentum(vehicle: Vehicle) -> float:
-    """Spin momentum of one rotor in hover, N m s: by its file, or a guess from its size.
+    """Spin momentum of one rotor in hover, N m s, guessed from thrust and arm.
 
-    The guess is thrust times arm over 400 rad/s^2: within a factor of five for 27 g to 2 kg.
+    The guess is thrust times arm over 40 rad/s^2: 0.07 mN m s for 27 g, 20 mN m s for 1.5 kg.
     """
-    return vehicle.hover_thrust_n * vehicle.arm_m / 400.0
+    return vehicle.hover_thrust_n * vehicle.arm_m / 40.0
 
 
 def _scaled(r: Thrust, factor: list[ca.SX]) -> Thrust:

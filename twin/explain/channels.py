@@ -158,10 +158,11 @@ def on_grid(signal: Signal, t_s: Array) -> Array:
 
 
 def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """Grid points of every uninterrupted piece that is long enough."""
+    """Grid points of every uninterrupted piece that is long enough, without its ends: what is
+    differentiated on the grid is not known there."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
     return [
-        np.arange(first, end)
+        np.arange(first + 2, end - 2)
         for first, end in zip(edges[::2], edges[1::2], strict=True)
         if end - first >= SHORTEST_S * GRID_HZ
     ]

@@ -299,6 +299,11 @@ def _step_mean(values: Array) -> Array:
 
 
 def _shifted(values: Array, later_s: float) -> Array:
-    """Values on the grid later by a while, linearly interpolated, the ends held."""
-    at = np.arange(len(values)) - later_s * GRID_HZ
-    return np.stack([np.interp(at, np.arange(len(values)), v) for v in values.T], axis=-1)
+    """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
+    grid = np.arange(len(values))
+    columns = []
+    for v in values.T:
+        known = np.isfinite(v)
+        filled = np.interp(grid - later_s * GRID_HZ, grid[known], v[known]) if known.any() else v
+        columns.append(filled)
+    return np.stack(columns, axis=-1)

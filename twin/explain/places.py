@@ -15,7 +15,7 @@ from .model import Model
 Array = NDArray[np.float64]
 MOST = 8
 """Places that are listed."""
-ABOVE_FLOOR = 1.1
+ABOVE_FLOOR = 1.2
 """A residual over its noise floor by less is noise."""
 FEWEST = 25
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
@@ -152,7 +152,9 @@ def _quantities(flight: FlightModel) -> dict[str, Array]:
     twin = flight.twin
     t, motion = twin.inputs.t_s, twin.motion
     found = {"time": t}
-    drives = [i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))]
+    drives = [
+        i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
+    ]
     found["throttle"] = twin.inputs.u[:, drives].mean(axis=1)
     if motion.position is not None:
         found["height"] = -motion.position.at(t)[:, 2]

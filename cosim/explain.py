@@ -1,0 +1,72 @@
+"""`uavtwin explain`: what a model lacks, as JSON, page, vehicle file and FMUs."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from twin.effects import EFFECTS
+from twin.explain.explanation import Explanation
+from twin.explain.result_json import explain_json, intervals
+from twin.vehicle_file import vehicle_text
+from twin.vehicle_write import Written, with_effect_sections
+
+from .explain_report import write_explain_report
+from .export import Choice, export_components
+from .output import write_json
+
+
+def write_explanation(
+    found: Explanation,
+    vehicle: str,
+    folder: Path,
+    fmus: bool = True,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[str]:
+    """Write everything that was found.
+
+    Args:
+        found: What was found.
+        vehicle: Vehicle file, or name of a built-in vehicle, that it was found about.
+        folder: To write into.
+        fmus: Whether to build the components on which the named effects act.
+        progress: Called with the share done.
+
+    Returns:
+        Names of the files.
+    """
+    write_json(folder / "explain.json", explain_json(found))
+    write_explain_report(found, folder / "report.html")
+    written = ["report.html", "explain.json"]
+    if found.added is None:
+        return written
+    path = folder / "vehicle.toml"
+    path.write_text(_new_vehicle(found, vehicle), "utf-8")
+    written.append(path.name)
+    if fmus:
+        choice = Choice(vehicle=str(path))
+        rows = export_components(_components(found), choice)(folder, progress)
+        written += [str(row["file"]) for row in rows]
+    return written
+
+
+def _components(found: Explanation) -> list[str]:
+    """Components on which the named effects act."""
+    assert found.shown is not None
+    return sorted({EFFECTS[e].component for e in found.shown.effects})
+
+
+def _new_vehicle(found: Explanation, vehicle: str) -> str:
+    """Text of the vehicle file with the named effects in it."""
+    assert found.shown is not None
+    own, effects = intervals(found.shown), {}
+    for effect in found.shown.effects:
+        numbers = {}
+        for full, value in found.values.items():
+            if full.partition(".")[0] != effect:
+                continue
+            certainty = "no interval"
+            if full in own:
+                certainty = "95 % interval {:.4g} to {:.4g}".format(*own[full])
+            source = f"uavtwin explain, {' and '.join(found.flights)}, {certainty}"
+            numbers[full.partition(".")[2]] = Written(value, source)
+        effects[effect] = numbers
+    return with_effect_sections(vehicle_text(vehicle)[0], found.vehicle, effects)

@@ -1,0 +1,124 @@
+"""What was found about a model, in sentences that a pilot understands."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from twin.effects import EFFECTS
+from twin.explain.explanation import LEAST, Explanation
+from twin.explain.naming import PER_EFFECT
+from twin.explain.refine import Fitted
+from twin.explain.result_json import intervals, listed, nothing_probability
+
+from .figures import pretty_unit
+from .report import number
+
+MOST_NUMBERS = 3
+"""Numbers of an effect that the sentence on top gives."""
+CLEAR, SMALL = 3.0, 0.05
+"""It gives those that differ from no effect by more than so many deviations, and by more than
+this share of the largest number of their unit."""
+
+
+def claim(found: Explanation) -> str:
+    """The answer in one sentence."""
+    naming = found.naming
+    if naming is None or found.verdict == "unusable":
+        return f"These flights cannot be used: {'; '.join(found.reasons)}"
+    if found.verdict == "nothing":
+        sure = certainty(nothing_probability(naming))
+        return f"The model lacks nothing that these flights can show, sure to {sure}."
+    if found.verdict == "named":
+        parts = [f"{title(e)}: {sizes(naming.best, e)}" for e in listed(found)]
+        return f"The model lacks {_joined(parts)}, sure to {certainty(naming.probabilities[0])}."
+    if found.verdict == "unnamed":
+        return "The model lacks something that is not in the library of effects."
+    tied = [f"{title(e)} ({certainty(naming.probability_of(e))})" for e in listed(found)]
+    if nothing_probability(naming) > 0.01:
+        tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
+    return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
+
+
+def title(effect: str) -> str:
+    """Name of an effect in words."""
+    return effect.replace("_", " ")
+
+
+def meaning(effect: str) -> str:
+    """What an effect is, in one line."""
+    return EFFECTS[effect].meaning if effect in EFFECTS else ""
+
+
+def sizes(fitted: Fitted, effect: str) -> str:
+    """The numbers of an effect that stand out, each with unit and meaning."""
+    own = [n for n in fitted.numbers if n.effect == effect]
+    spread = np.sqrt(np.diag(fitted.covariance))
+    deviation = {n.full: float(s) for n, s in zip(fitted.numbers, spread, strict=True)}
+    away = {n.full: abs(fitted.values[n.full] - n.now) for n in own}
+    largest = {u: max(away[n.full] for n in own if n.about.unit == u)
+               for u in {n.about.unit for n in own}}  # fmt: skip
+    clear = [
+        n
+        for n in own
+        if away[n.full] > max(CLEAR * deviation[n.full], SMALL * largest[n.about.unit])
+    ]
+    clear = sorted(clear or own, key=lambda n: -away[n.full] / max(deviation[n.full], 1e-300))
+    texts = []
+    for n in clear[:MOST_NUMBERS]:
+        unit = "" if n.about.unit == "1" else f" {pretty_unit(n.about.unit)}"
+        index = n.name.removeprefix(n.about.name).lstrip("_")
+        which = f" of rotor {index}" if n.about.per_rotor else ""
+        value = number(fitted.values[n.full])
+        texts.append(f"{value}{unit} ({n.about.description}{which})")
+    return _joined(texts)
+
+
+def certainty(probability: float) -> str:
+    """A probability as people say it: never all, never nothing."""
+    if probability > 0.99:
+        return "99 %" if probability < 0.995 else "more than 99 %"
+    return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
+
+
+def interval(fitted: Fitted, full: str) -> str:
+    """95 % interval of a number; a dash where there is none."""
+    low, high = intervals(fitted).get(full, (float("nan"), float("nan")))
+    return f"{number(low)} to {number(high)}" if low == low else "\N{EN DASH}"
+
+
+def why_lost(rival: Mapping[str, Any]) -> str:
+    """Why another explanation, of `rivals`, was not chosen."""
+    if rival["name"] == "nothing":
+        return "leaves the whole gap open"
+    if rival["probability"] >= LEAST:
+        return "explains the flights about as well: they cannot tell the two apart"
+    partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])
+    if rival["behind"] < PER_EFFECT:
+        return f"{partners}explains the flights about as well, but with more effects or numbers"
+    return (
+        f"{partners}takes {100 * rival['share']:.1f} % of the gap of a channel at best, but "
+        f"foretells time that it was not fitted on worse: log likelihood lower by "
+        f"{rival['behind']:.0f}"
+    )
+
+
+def shrinking(found: Explanation) -> str:
+    """What the held-out flights say, in one sentence."""
+    if found.showing is None or not found.values:
+        return ""
+    clear = [g for g in found.showing.gaps if g.shrink_ci95[0] > 0]
+    if not clear:
+        return "On the held-out flights no channel got clearly better."
+    best = max(clear, key=lambda g: g.before / g.noise_floor)
+    floor = number(best.noise_floor)
+    return (
+        f"On the held-out flights the gap in {best.name} falls from {number(best.before)} to "
+        f"{number(best.after)} {pretty_unit(best.unit)} rms; noise is {floor}."
+    )
+
+
+def _joined(parts: list[str], word: str = "and") -> str:
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"

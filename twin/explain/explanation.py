@@ -1,0 +1,184 @@
+"""Find, name, add, show: from flights and a model to what the model lacks, and the proof of it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import LogError
+from ..flightlog import Flight
+from ..vehicle import Vehicle
+from .acting import Acting, acting
+from .flying import Mission, fly_missions
+from .naming import Naming, Verdict, name_effects
+from .numbers import with_effects
+from .places import Place, places
+from .refine import Fitted
+from .showing import Showing, show
+from .split import Span, held_out_spans, hidden
+from .usable import reasons_unusable
+
+LEAST = 0.05
+"""Probability below which an effect is no candidate."""
+DIGITS = 6
+"""Significant ones that a fitted number is given with."""
+WEAKER = (
+    "no flight was held out: every third block of time of the same flights stands in for one, "
+    "which is weaker, because what one flight has in common is in both parts"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """A flight that took no part in the fit.
+
+    Attributes:
+        flight: Its name.
+        spans: Parts of it that took no part; None: the whole flight.
+    """
+
+    flight: str
+    spans: tuple[Span, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """What flights say about a model.
+
+    Attributes:
+        verdict: In a word.
+        vehicle: The model as it stood.
+        flights: Names of those that it was fitted on.
+        reasons: Why nothing can be learnt, for the verdict "unusable".
+        warnings: What to keep in mind, the worst first.
+        naming: Hypotheses and their probabilities; None where nothing could be fitted.
+        shown: Hypothesis whose gap is shown: the named one; the first candidate where the verdict
+            is "cannot_tell"; None: no effect.
+        values: Its numbers, "effect.number" -> value.
+        showing: Held-out flights before and after; None where nothing could be held out.
+        acting: Where each effect of `shown` acts.
+        where: Places of disagreement.
+        holdout: What took no part in the fit.
+        missions: Closed-loop flights of the new model; none where no effect was added.
+        next_manoeuvre: What to fly to learn more.
+    """
+
+    verdict: Verdict
+    vehicle: Vehicle
+    flights: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    naming: Naming | None = None
+    shown: Fitted | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+    showing: Showing | None = None
+    acting: tuple[Acting, ...] = ()
+    where: tuple[Place, ...] = ()
+    holdout: tuple[HeldOut, ...] = ()
+    missions: tuple[Mission, ...] = ()
+    next_manoeuvre: str | None = None
+
+    @property
+    def added(self) -> Vehicle | None:
+        """The model with the named effects; None where none is named."""
+        if self.verdict != "named" or self.shown is None:
+            return None
+        return with_effects(self.vehicle, self.shown.effects, self.values)
+
+
+def explain(
+    flights: Sequence[Flight],
+    holdout: Sequence[Flight],
+    vehicle: Vehicle,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+    missions: Sequence[str] | None = None,
+) -> Explanation:
+    """Say what a model lacks, and prove it.
+
+    Args:
+        flights: To fit on.
+        holdout: To show the gap on; none: blocks of time of the flights are held out.
+        vehicle: The model as it stands.
+        seed: Of every bootstrap.
+        progress: Called with the share done.
+        missions: To fly with the new model; default: all.
+    """
+    names = tuple(f.name for f in flights)
+    fit, reasons = _usable(flights, vehicle)
+    held, left_out = _usable(holdout, vehicle)
+    if not fit:
+        return Explanation("unusable", vehicle, names, tuple(reasons))
+    warnings = [f"left out: {reason}" for reason in reasons + left_out]
+    away = tuple(HeldOut(f.name) for f in held)
+    if not held:
+        spans = [held_out_spans(f) for f in fit]
+        held = [hidden(f, s, inside=False) for f, s in zip(fit, spans, strict=True)]
+        fit = [hidden(f, s, inside=True) for f, s in zip(fit, spans, strict=True)]
+        away = tuple(HeldOut(f.name, tuple(s)) for f, s in zip(fit, spans, strict=True))
+        warnings.append(WEAKER)
+    found = Explanation(
+        "unusable", vehicle, tuple(f.name for f in fit), warnings=tuple(warnings), holdout=away
+    )
+    try:
+        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.7 * done))
+    except LogError as error:
+        return replace(found, reasons=(str(error),))
+    shown = _shown(naming)
+    found = replace(found, verdict=naming.verdict, naming=naming, shown=shown)
+    if shown is not None:
+        values = {k: float(f"{v:.{DIGITS}g}") for k, v in shown.values.items()}
+        found = replace(found, values=values, warnings=(*_at_bounds(shown), *warnings))
+    found = _with_gap(found, held, seed)
+    progress(0.85)
+    if found.added is None:
+        return found
+    flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
+    return replace(found, missions=flown)
+
+
+def _usable(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[list[Flight], list[str]]:
+    """Flights fit for the search, and why the others are not."""
+    found = [(f, reasons_unusable(f, vehicle)) for f in flights]
+    return [f for f, against in found if not against], [r for _, against in found for r in against]
+
+
+def _shown(naming: Naming) -> Fitted | None:
+    """The hypothesis whose gap is shown."""
+    if naming.verdict == "named":
+        return naming.best
+    if naming.verdict == "cannot_tell":
+        likely = zip(naming.fitted, naming.probabilities, strict=True)
+        return next((f for f, p in likely if f.effects and p >= LEAST), None)
+    return None
+
+
+def _at_bounds(fitted: Fitted) -> list[str]:
+    """Numbers that stopped at the edge of what is considered."""
+    return [
+        f"{n.full} = {fitted.values[n.full]:.4g} {n.about.unit} is at the edge of the range that "
+        f"is considered, {n.about.prior[0]:g} to {n.about.prior[1]:g}"
+        for n in fitted.numbers
+        if np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
+        and fitted.values[n.full] != n.about.neutral
+    ]
+
+
+def _with_gap(found: Explanation, held: Sequence[Flight], seed: int) -> Explanation:
+    """The same with the gap of held-out flights, where effects act, and where the gap is."""
+    effects = () if found.shown is None else found.shown.effects
+    assert found.naming is not None
+    try:
+        showing = show(held, found.vehicle, effects, found.values, seed)
+    except LogError as error:
+        problem = f"no gap can be shown on what is held out: {error}"
+        return replace(found, warnings=(*found.warnings, problem))
+    acts = [acting(e, showing.model, found.values, showing.after) for e in effects]
+    where = places(found.naming.ground.model, found.values, showing.floors)
+    return replace(
+        found,
+        showing=showing,
+        acting=tuple(acts),
+        where=tuple(where),
+        warnings=(*showing.warnings, *found.warnings),
+    )
