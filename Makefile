@@ -18,7 +18,7 @@ cross-tools:  ## what runs FMUs of other platforms in the tests; without it thes
 	apt-get update -qq
 	apt-get install -y -qq --no-install-recommends qemu-user libc6-arm64-cross wine wine64
 
-demo: setup  ## fly a built-in flight with a hidden effect and write out/demo/report.html
+demo: setup  ## find the effect hidden in built-in flights and write out/demo/report.html
 	$(BIN)/uavtwin demo --out out/demo --force
 
 test: setup lint  ## the whole suite

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 
 from twin.errors import TwinError
 
@@ -55,7 +55,7 @@ VehicleName = Annotated[
 def main() -> None:
     """Entry point: errors a user can mend become a text and exit code 2."""
     try:
-        app()
+        app(_spread(sys.argv[1:]))
     except TwinError as error:
         _stderr.print(f"error: {error}", style="red", markup=False)
         sys.exit(Exit.WRONG_USE)
@@ -69,6 +69,19 @@ def main() -> None:
             raise  # an interrupt inside CasADi comes out as a SystemError
         _stderr.print("interrupted")
         sys.exit(130)
+
+
+def _spread(arguments: list[str]) -> list[str]:
+    """`--holdout A B` as `--holdout A --holdout B`: it takes all files up to the next option."""
+    found: list[str] = []
+    option = ""
+    for argument in arguments:
+        if argument.startswith("-"):
+            option = argument
+        elif option == "--holdout" and found[-1] != option:
+            found.append(option)
+        found.append(argument)
+    return found
 
 
 def _print_version(wanted: bool) -> None:
@@ -168,8 +181,8 @@ def explain(
     holdout: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Flight that takes no part in the fit and shows the gap before and after; may be "
-            "given several times. Default: blocks of time of the flights, which is weaker."
+            help="Flights that take no part in the fit and show the gap before and after. "
+            "Default: blocks of time of the flights, which is weaker."
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
@@ -179,6 +192,7 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
+    from fmus.platforms import DEFAULT, compilers, select_platforms
     from twin.explain.explanation import explain as search
     from twin.explain.result_json import explain_json
     from twin.flightlog import read_flight
@@ -188,7 +202,12 @@ def explain(
     from .output import check_folder, results_folder, write_run
 
     check_folder(out, force)
+    if not no_fmus:
+        compilers(select_platforms(DEFAULT))  # a missing one is reported before the search
     model, held = load_vehicle(vehicle), holdout or []
+    for path in held:
+        if path.resolve() in {p.resolve() for p in flights}:
+            raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
     fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
     with _progress("explaining") as step:
         found = search(fit, away, model, seed, step)
@@ -202,7 +221,8 @@ def explain(
     else:
         _print_explanation(found)
         _stdout.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
-    if found.verdict != "nothing":
+    damaged = _print_damage([*fit, *away])
+    if damaged or found.verdict != "nothing":
         raise typer.Exit(Exit.FINDINGS)
 
 
@@ -471,23 +491,18 @@ def _print_gap(gaps: "list[FlightGap]", out: Path, as_json: bool) -> None:
 
 
 def _print_explanation(found: "Explanation") -> None:
-    from .explain_words import claim
+    from .explain_words import claim, shrink_words
 
     for warning in found.warnings:
         _stderr.print(warning, style="yellow", markup=False)
     _stdout.print(claim(found), style="bold", markup=False)
     if found.showing is None:
         return
-    table = Table("channel", "unit", "n", "before", "after", "noise floor", "shrink, 95 %",
-                  box=None)  # fmt: skip
+    shrink = Column("shrink, 95 %", no_wrap=True)
+    table = Table("channel", "unit", "n", "before", "after", "noise floor", shrink, box=None)
     for g in found.showing.gaps:
-        interval = (
-            "{:.0%} to {:.0%}".format(*g.shrink_ci95)
-            if g.shrink_ci95[0] == g.shrink_ci95[0]
-            else ""
-        )
         table.add_row(g.name, g.unit, str(g.n), f"{g.before:.4g}", f"{g.after:.4g}",
-                      f"{g.noise_floor:.4g}", interval)  # fmt: skip
+                      f"{g.noise_floor:.4g}", shrink_words(g))  # fmt: skip
     _stdout.print(table)
 
 

@@ -15,6 +15,7 @@ from .explain_words import (
     claim,
     interval,
     meaning,
+    shrink_words,
     shrinking,
     title,
     why_lost,
@@ -36,7 +37,12 @@ def write_explain_report(found: Explanation, path: Path) -> None:
     """
     page = render(
         "explain.html.j2",
-        {"number": number, "percent": percent, "unit": pretty_unit, "words": title},
+        {
+            "number": number,
+            "percent": percent,
+            "unit": pretty_unit,
+            "shrink_words": shrink_words,
+        },
         claim=claim(found),
         found=found,
         shrinking=shrinking(found),

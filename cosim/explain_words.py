@@ -10,12 +10,13 @@ from twin.explain.explanation import LEAST, Explanation
 from twin.explain.naming import PER_EFFECT
 from twin.explain.refine import Fitted
 from twin.explain.result_json import intervals, listed, nothing_probability
+from twin.explain.showing import ChannelGap
 
 from .figures import pretty_unit
-from .report import number
+from .report import number, percent
 
 MOST_NUMBERS = 3
-"""Numbers of an effect that the sentence on top gives."""
+"""Numbers of an effect that the sentence on top gives; of several effects, one each."""
 CLEAR, SMALL = 3.0, 0.05
 """It gives those that differ from no effect by more than so many deviations, and by more than
 this share of the largest number of their unit."""
@@ -30,7 +31,9 @@ def claim(found: Explanation) -> str:
         sure = certainty(nothing_probability(naming))
         return f"The model lacks nothing that these flights can show, sure to {sure}."
     if found.verdict == "named":
-        parts = [f"{title(e)}: {sizes(naming.best, e)}" for e in listed(found)]
+        effects = listed(found)
+        most = MOST_NUMBERS if len(effects) == 1 else 1
+        parts = [f"{title(e)}: {sizes(naming.best, e, most)}" for e in effects]
         return f"The model lacks {_joined(parts)}, sure to {certainty(naming.probabilities[0])}."
     if found.verdict == "unnamed":
         return "The model lacks something that is not in the library of effects."
@@ -50,8 +53,8 @@ def meaning(effect: str) -> str:
     return EFFECTS[effect].meaning if effect in EFFECTS else ""
 
 
-def sizes(fitted: Fitted, effect: str) -> str:
-    """The numbers of an effect that stand out, each with unit and meaning."""
+def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
+    """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
     own = [n for n in fitted.numbers if n.effect == effect]
     spread = np.sqrt(np.diag(fitted.covariance))
     deviation = {n.full: float(s) for n, s in zip(fitted.numbers, spread, strict=True)}
@@ -65,7 +68,7 @@ def sizes(fitted: Fitted, effect: str) -> str:
     ]
     clear = sorted(clear or own, key=lambda n: -away[n.full] / max(deviation[n.full], 1e-300))
     texts = []
-    for n in clear[:MOST_NUMBERS]:
+    for n in clear[:most]:
         unit = "" if n.about.unit == "1" else f" {pretty_unit(n.about.unit)}"
         index = n.name.removeprefix(n.about.name).lstrip("_")
         which = f" of rotor {index}" if n.about.per_rotor else ""
@@ -116,6 +119,14 @@ def shrinking(found: Explanation) -> str:
         f"On the held-out flights the gap in {best.name} falls from {number(best.before)} to "
         f"{number(best.after)} {pretty_unit(best.unit)} rms; noise is {floor}."
     )
+
+
+def shrink_words(gap: ChannelGap) -> str:
+    """Interval by which a gap shrank; a dash where it is not known, nothing where none is."""
+    if gap.before == gap.after:
+        return ""
+    low, high = gap.shrink_ci95
+    return f"{percent(low)} to {percent(high)}" if low == low else "\N{EN DASH}"
 
 
 def _joined(parts: list[str], word: str = "and") -> str:

@@ -169,7 +169,11 @@ def _kernel_source(functions: list[ca.Function]) -> str:
         called = name in names or name.startswith("casadi_")
         return f"static {exported[0]}" if called else ""
 
-    return _EXPORTED.sub(kept, generator.dump())
+    source = _EXPORTED.sub(kept, generator.dump())
+    # A comparison is compiled in line, a call of the library is not; numbers are never NaN here.
+    for name, sign in (("fmax", ">"), ("fmin", "<")):
+        source = source.replace(f"return {name}(x, y);", f"return x {sign} y ? x : y;")
+    return source
 
 
 def _defines(component: Component, functions: list[ca.Function]) -> dict[str, int | str]:

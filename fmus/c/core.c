@@ -126,19 +126,19 @@ static int look_back(Instance* c, Part* p) {
     double* line = p->record;
     s->signals(p, p->signal);
     s->delays(p, p->delayed);
-    for (unsigned i = 0; i < s->n_lines; line += s->lines[i++].capacity) {
-        const unsigned n = s->lines[i].capacity;
+    unsigned n = 0, at = 0; /* capacity of a line, and where its present sample goes */
+    for (unsigned i = 0; i < s->n_lines; line += n, i++) {
+        if (s->lines[i].capacity != n) n = s->lines[i].capacity, at = (unsigned)(k % n);
         double periods = p->delayed[i] / period;
         if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
             return fail(c, "delay %s = %g s must be from 0 to %g s: make it shorter or sample_period longer",
                         s->lines[i].name, p->delayed[i], (n - 1) * period);
         if (periods > n - 1) periods = n - 1;
-        const double whole = floor(periods);
-        const uint64_t back = (uint64_t)whole;
-        line[k % n] = p->signal[i];
-        const double after = line[back < k ? (k - back) % n : 0];
-        const double before = line[back + 1 < k ? (k - back - 1) % n : 0];
-        p->delayed[i] = after + (periods - whole) * (before - after);
+        const unsigned back = (unsigned)periods, further = back + 1;
+        line[at] = p->signal[i];
+        const double after = line[back < k ? (back <= at ? at - back : at + n - back) : 0];
+        const double before = line[further < k ? (further <= at ? at - further : at + n - further) : 0];
+        p->delayed[i] = after + (periods - back) * (before - after);
     }
     return 0;
 }

@@ -125,14 +125,35 @@ def test_demo_needs_a_vehicle_driven_by_commands(
     assert not (tmp_path / "o").exists()
 
 
-def test_demo_shows_the_effect_it_hid(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+@pytest.mark.slow
+def test_demo_names_the_effect_it_hid(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """On shorter flights, and with one mission at the end."""
+    start = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.0)))
+    there, back = (*start, ("forward", 2.0, (3.0, 1.0, -1.0))), ("forward", 2.0, (0.0, 0.0, -1.3))
+    across = (*start, ("forward", 2.0, (-1.0, 2.0, -1.0)), back)
+    monkeypatch.setattr("cosim.demo_chain.FIT", {"fit_1": (*there, back), "fit_2": across})
+    monkeypatch.setattr("cosim.demo_chain.HOLDOUT", {"holdout": across})
+    monkeypatch.setattr("twin.explain.flying.mission_names", lambda: ("takeoff",))
     code, said, told = run(capsys, "demo", "--seed", 4, "--out", tmp_path / "d")
     truth = json.loads((tmp_path / "d" / "truth.json").read_text())
     assert code == 0
     assert truth["effect"] == "rotor_drag"
+    assert truth["named_rightly"] is True
     assert truth["text"] in told
-    assert "acc_x" in said.splitlines()[0]
-    code, _, _ = run(capsys, "check", tmp_path / "d" / "flight.parquet")
+    assert "The name is right." in told
+    gap, name = said.splitlines()[:2]
+    assert "disagree most in acc_x" in gap
+    assert name.startswith("The model lacks rotor drag: ")
+    assert json.loads((tmp_path / "d" / "explain.json").read_text())["verdict"] == "named"
+    files = {str(p.relative_to(tmp_path / "d")) for p in (tmp_path / "d").rglob("*.*")}
+    assert files == {
+        "airframe.fmu", "explain.json", "gap.html", "gap.json", "report.html", "run.json",
+        "truth.json", "vehicle.toml", *(f"flights/{n}.parquet" for n in ("fit_1", "fit_2",
+                                                                         "holdout"))
+    }  # fmt: skip
+    code, _, _ = run(capsys, "check", tmp_path / "d" / "flights" / "fit_1.parquet")
     assert code == 0
 
 

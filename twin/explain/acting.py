@@ -11,7 +11,7 @@ from .model import Model
 
 Array = NDArray[np.float64]
 FELT = 0.1
-"""Share of the power of a channel's residual that an effect takes at least where it acts."""
+"""Share of the power of a channel's residual that an effect explains at least where it acts."""
 STRONG = 0.5
 """Part of its strength in the strongest phase that an effect has where it is said to act."""
 
@@ -54,8 +54,8 @@ def acting(
         lacking, complete = (
             np.concatenate([f[i].residual for f in flights]) for flights in (without, with_all)
         )
-        power, change = float(lacking @ lacking), float(np.sum((lacking - complete) ** 2))
-        taken[channel.name] = change / power if power > 0 else 0.0
+        power, left = float(lacking @ lacking), float(complete @ complete)
+        taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
     channels = tuple(name for name in ranked if taken[name] >= FELT) or tuple(ranked[:1])
     return Acting(effect, channels, _phases(channels[0], model, without, with_all), without)

@@ -42,6 +42,21 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
+class Unnamed:
+    """An equation for what the library lacks.
+
+    Attributes:
+        channel: See `flight_model`.
+        expression: With units.
+        share: Of the power of the channel's residual.
+    """
+
+    channel: str
+    expression: str
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """What flights say about a model.
 
@@ -60,6 +75,7 @@ class Explanation:
         where: Places of disagreement.
         holdout: What took no part in the fit.
         missions: Closed-loop flights of the new model; none where no effect was added.
+        unnamed: What no effect explains: channel, expression, share of its power.
         next_manoeuvre: What to fly to learn more.
     """
 
@@ -76,6 +92,7 @@ class Explanation:
     where: tuple[Place, ...] = ()
     holdout: tuple[HeldOut, ...] = ()
     missions: tuple[Mission, ...] = ()
+    unnamed: tuple[Unnamed, ...] = ()
     next_manoeuvre: str | None = None
 
     @property
@@ -156,8 +173,8 @@ def _shown(naming: Naming) -> Fitted | None:
 def _at_bounds(fitted: Fitted) -> list[str]:
     """Numbers that stopped at the edge of what is considered."""
     return [
-        f"{n.full} = {fitted.values[n.full]:.4g} {n.about.unit} is at the edge of the range that "
-        f"is considered, {n.about.prior[0]:g} to {n.about.prior[1]:g}"
+        f"{n.full} = {fitted.values[n.full]:.4g} is at the edge of the range that is considered, "
+        f"{n.about.prior[0]:g} to {n.about.prior[1]:g}: perhaps another effect is meant"
         for n in fitted.numbers
         if np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
         and fitted.values[n.full] != n.about.neutral

@@ -12,13 +12,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..barometer import barometer
 from ..component import Component
-from ..effects import Effect
+from ..effects import EFFECTS, ComponentName, Effect
 from ..flightlog import Flight
 from ..flightlog.columns import ACC, GYRO
 from ..frames import to_body, to_ned
@@ -58,6 +59,7 @@ class _Part:
         at: Inputs at which its slopes are taken, shape (n, n_u).
         outputs: Which of its outputs.
         late: Sign with which delays of IMU and pose shift the prediction.
+        effects: Effects that reach the prediction.
     """
 
     readings: Measured
@@ -66,6 +68,7 @@ class _Part:
     at: Array
     outputs: slice
     late: Mapping[str, float]
+    effects: frozenset[str]
 
 
 class FlightModel:
@@ -90,6 +93,7 @@ class FlightModel:
         self._now = np.array([n.now for n in numbers])
         self._parts = self._imu_parts() + self._pose_parts() + self._other_parts()
         self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
+        self._resting: dict[int, list[ChannelData]] = {}
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
@@ -102,20 +106,18 @@ class FlightModel:
         """
         change = dict(change or {})
         theta = np.array([change.get(n.full, n.now) for n in self.numbers])
-        states, inputs = self._moved(change)
-        body = self._body.value(theta, states, inputs)
-        slopes = self._body.slopes(columns, theta, states, inputs)
-        for k, i in enumerate(columns):
-            step = _STEPS.get(self.numbers[i].full)
-            if step is not None:
-                more = {**change, self.numbers[i].full: theta[i] + step}
-                moved = self._body.value(theta, *self._moved(more))
-                slopes[:, :, k] = (moved - body) / step
+        touched = {self.numbers[i].effect for i in columns}
+        touched |= {name.partition(".")[0] for name in change}
+        body: tuple[Array, Array] | None = None
         found: list[ChannelData] = []
-        for part in self._parts:
+        for k, part in enumerate(self._parts):
+            if not touched & part.effects:
+                found += self._untouched(k, len(columns))
+                continue
             if part.batch is None:
-                predicted, answer = body[:, part.outputs], slopes[:, part.outputs]
-                at = predicted
+                body = body or self._body_answers(columns, theta, change)
+                at, answer = (a[:, part.outputs] for a in body)
+                predicted = at
                 if part.readings.names[0].startswith("gyro_rate"):
                     predicted, answer = _step_mean(predicted), _step_mean(answer)
             else:
@@ -125,6 +127,35 @@ class FlightModel:
             predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
             found += part.readings.channels(predicted, answer)
         return found
+
+    def _untouched(self, k: int, width: int) -> list[ChannelData]:
+        """Channels of a part that no number in question reaches."""
+        if k not in self._resting:
+            part = self._parts[k]
+            if part.batch is None:
+                value = self._body.value(self._now, self.twin.states, self.twin.inputs.u)
+            else:
+                value = part.batch.value(self._now, part.rows)
+            predicted = value[:, part.outputs]
+            if part.readings.names[0].startswith("gyro_rate"):
+                predicted = _step_mean(predicted)
+            nothing = np.zeros((*predicted.shape, 0))
+            self._resting[k] = part.readings.channels(predicted, nothing)
+        return [replace(c, slopes=np.zeros((len(c.t_s), width))) for c in self._resting[k]]
+
+    def _body_answers(
+        self, columns: Sequence[int], theta: Array, change: Mapping[str, float]
+    ) -> tuple[Array, Array]:
+        """Prediction of airframe and IMU, and its slopes."""
+        states, inputs = self._moved(change)
+        value = self._body.value(theta, states, inputs)
+        slopes = self._body.slopes(columns, theta, states, inputs)
+        for k, i in enumerate(columns):
+            step = _STEPS.get(self.numbers[i].full)
+            if step is not None:
+                more = {**change, self.numbers[i].full: theta[i] + step}
+                slopes[:, :, k] = (self._body.value(theta, *self._moved(more)) - value) / step
+        return value, slopes
 
     # -- answers that are no derivatives of equations ----------------------------------------
 
@@ -207,7 +238,9 @@ class FlightModel:
             readings = measured(names, unit, t, values, known, band, cutoff)
             if readings is not None:
                 nothing = np.zeros((0, 0))
-                found.append(_Part(readings, None, nothing, nothing, outputs, {"imu_delay": 1.0}))
+                reach = _reaching("airframe", "imu")
+                late = {"imu_delay": 1.0}
+                found.append(_Part(readings, None, nothing, nothing, outputs, late, reach))
         return found
 
     def _pose_parts(self) -> list[_Part]:
@@ -247,7 +280,8 @@ class FlightModel:
             names = tuple(f"pose_{c}" for c in columns)
             readings = measured(names, unit, t, values, known, band, cutoff)
             if readings is not None:
-                found.append(_Part(readings, batch, rows, at, outputs, late))
+                reach = _reaching("imu") | {"position_delay", "heading_offset"}
+                found.append(_Part(readings, batch, rows, at, outputs, late, reach))
         return found
 
     def _other_parts(self) -> list[_Part]:
@@ -274,8 +308,14 @@ class FlightModel:
             readings = measured(names, unit, t, signal.at(t), known, band, None)
             if readings is not None:
                 batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
-                found.append(_Part(readings, batch, rows, rows, slice(None), {}))
+                reach = _reaching(cast(ComponentName, sensor.name))
+                found.append(_Part(readings, batch, rows, rows, slice(None), {}, reach))
         return found
+
+
+def _reaching(*components: ComponentName) -> frozenset[str]:
+    """Effects that act on some components."""
+    return frozenset(e.name for e in EFFECTS.values() if e.component in components)
 
 
 def _named(stem: str, values: Array) -> dict[str, Array]:

@@ -23,9 +23,14 @@ PER_NUMBER = 1.5
 """Log prior odds against one more number in an effect."""
 SMALLEST_SHARE = 0.03
 """An effect that takes less than this share of the power of every channel is none to speak of."""
+SMALLEST_SIZE = 0.01
+"""An effect whose numbers all move by less than this share of their prior ranges is none to speak
+of either: a percent of the mass."""
+SMALLEST_DELAY = 0.025
+"""The same for a delay: 5 ms, what the sampling of a log at 200 Hz may feign."""
 SURE = 0.8
 """Probability from which on a name is given."""
-SINGLES, PAIRS, TRIPLES = 6, 5, 3
+SINGLES, PAIRS, TRIPLES = 6, 4, 2
 """Hypotheses of each size that are fitted at their own best."""
 
 
@@ -86,10 +91,9 @@ def name_effects(
         fitted.append(ground.fit(hypothesis.effects))
         progress(0.3 + 0.7 * (i + 1) / len(chosen))
     shares = [share(ground, f) for f in fitted]
+    by_effects = {f.effects: f for f in fitted}
     prior = np.array([-PER_EFFECT * len(f.effects) - PER_NUMBER * len(f.numbers) for f in fitted])
-    prior[
-        [bool(f.effects) and s < SMALLEST_SHARE for f, s in zip(fitted, shares, strict=True)]
-    ] -= 1e6
+    prior[[not _material(ground, f, by_effects) for f in fitted]] -= 1e6
     chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
     order = np.argsort(-chance)
     ranked = tuple(fitted[i] for i in order)
@@ -122,11 +126,31 @@ def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return chosen
 
 
-def share(ground: Ground, fitted: Fitted) -> float:
-    """Largest share of the power of a channel, as the noise model weighs it, that is explained."""
+def _material(ground: Ground, fitted: Fitted, others: dict[tuple[str, ...], Fitted]) -> bool:
+    """Whether each effect of a hypothesis is large enough to speak of, and adds to the others."""
+    for effect, size in fitted.sizes().items():
+        if size < (SMALLEST_DELAY if effect.endswith("_delay") else SMALLEST_SIZE):
+            return False
+        rest = tuple(e for e in fitted.effects if e != effect)
+        if rest not in others:
+            others[rest] = ground.fit(rest)
+        if share(ground, fitted, others[rest]) < SMALLEST_SHARE:
+            return False
+    return True
+
+
+def share(ground: Ground, fitted: Fitted, beyond: Fitted | None = None) -> float:
+    """Largest share of the power of a channel, as the noise model weighs it, that is explained.
+
+    Args:
+        ground: Flights and noise.
+        fitted: What explains.
+        beyond: What has explained some of it already; default: nothing.
+    """
     if not fitted.effects:
         return 0.0
-    before, after = (ground.model.channels([], change) for change in ({}, fitted.values))
+    first = {} if beyond is None else beyond.values
+    before, after = (ground.model.channels([], change) for change in (first, fitted.values))
     shares = []
     for i, noise in enumerate(ground.noise):
         power, left = (

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
 
 from .evidence import Noise, Scores, blocks_of
 from .model import Model
@@ -22,6 +23,8 @@ SETTLED = 0.05
 """A round that moves every number by less than this share of its deviation is the last."""
 GRID = 5
 """Values of a shape that are tried over its prior range."""
+SEARCHES = 8
+"""Values that are tried between the neighbours of the best of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +50,15 @@ class Fitted:
         """Over all blocks."""
         return float(self.gains.sum())
 
+    def sizes(self) -> dict[str, float]:
+        """Of each effect the largest change of one of its numbers over the prior range."""
+        changes: dict[str, float] = {}
+        for n in self.numbers:
+            low, high = n.about.prior
+            change = abs(self.values[n.full] - n.now) / (high - low)
+            changes[n.effect] = max(changes.get(n.effect, 0.0), change)
+        return changes
+
 
 @dataclass(frozen=True, slots=True)
 class Ground:
@@ -71,14 +83,9 @@ class Ground:
         for name in shapes:
             number = next(n for n in own if n.full == name)
             low, high = number.about.prior
-            grid = np.geomspace(max(low, 1e-3 * high), high, GRID)
-            best = self._better(best, shapes, name, grid.tolist())
-            step = float(grid[1] / grid[0]) ** 0.5
-            while step > 1.05:
-                at = best.values[name]
-                tries = [v for v in (at / step, at * step) if low <= v <= high]
-                best = self._better(best, shapes, name, tries)
-                step **= 0.5
+            grid = np.geomspace(max(low, 1e-3 * high), high, GRID).tolist()
+            best = self._better(best, shapes, name, grid)
+            best = self._between(best, shapes, name, grid)
         return best
 
     def _better(
@@ -91,6 +98,24 @@ class Ground:
             trial = self._numbers(best.effects, tried, start.values)
             best = trial if trial.gain > best.gain else best
         return best
+
+    def _between(
+        self, best: Fitted, shapes: Mapping[str, float], name: str, grid: Sequence[float]
+    ) -> Fitted:
+        """The best between the neighbours of the best value of a grid."""
+        at = int(np.argmin(np.abs(np.log(grid) - np.log(best.values[name]))))
+        low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+        trials: list[Fitted] = [best]
+
+        def loss(log_value: float) -> float:
+            """Less is better."""
+            tried = {k: best.values[k] for k in shapes} | {name: float(np.exp(log_value))}
+            trials.append(self._numbers(best.effects, tried, best.values))
+            return -trials[-1].gain
+
+        minimize_scalar(loss, bounds=(np.log(low), np.log(high)), method="bounded",
+                        options={"maxiter": SEARCHES, "xatol": 0.01})  # fmt: skip
+        return max(trials, key=lambda f: f.gain)
 
     def _numbers(
         self, effects: tuple[str, ...], shapes: Mapping[str, float], start: Mapping[str, float]

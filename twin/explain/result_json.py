@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "vehicle": found.vehicle.name,
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
         "effects": [_effect(found, e) for e in listed(found)],
-        "unnamed": [],
+        "unnamed": [asdict(u) for u in found.unnamed],
         "where": [_place(p) for p in found.where],
         "gap": {} if found.showing is None else {g.name: _gap(g) for g in found.showing.gaps},
         "holdout": [

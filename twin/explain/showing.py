@@ -2,7 +2,8 @@
 
 Residuals are those of the search (`flight_model`). The noise floor of a channel is the rms of what
 is left of it when every effect of the library at once, with numbers fitted to these very flights,
-has taken what it can: no model made of this library comes lower.
+has taken what it can; where a model leaves less than that fit of all channels together, what it
+leaves.
 """
 
 import math
@@ -22,7 +23,7 @@ from .numbers import columns_of
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
-BLOCK_S = 2.0
+BLOCK_S = 1.0
 """Length of the blocks of the bootstrap."""
 DRAWS = 1000
 FEWEST_BLOCKS = 5
@@ -38,7 +39,7 @@ class ChannelGap:
         n: Samples.
         before: Rms of the residual with the model as it stood.
         after: Rms with the effects added.
-        noise_floor: Rms that the whole library would leave.
+        noise_floor: Least rms that any model of the library leaves, as far as known.
         shrink_ci95: 95 % interval of `shrink`; NaN where there are too few blocks of time.
     """
 
@@ -147,6 +148,7 @@ def _gap(
         _rms(np.concatenate([c.residual for c in channels])) for channels in (before, after)
     )
     interval = _shrink_interval(np.concatenate(sums), seed)
+    floor = min(floor, rms_before, rms_after)
     name, unit, n = before[0].name, before[0].unit, sum(len(b.t_s) for b in before)
     return ChannelGap(name, unit, n, rms_before, rms_after, floor, interval)
 

@@ -23,6 +23,8 @@ IMPACT_M_S2, IMPACT_HZ = 5 * GRAVITY_M_S2, 20.0
 UPSIDE_DOWN_S = 0.2
 LATEST_S = 0.5
 """Attitude and gyroscope may be apart by so much: a delay is an effect like others."""
+SLOW_HZ, SLOWEST_M_S = 1.0, 0.2
+"""Velocity and position are compared below a frequency, and from a speed on."""
 SAME_MOTION = 0.5
 """Correlation from which on two signals count as the same motion in the same axes."""
 
@@ -102,20 +104,19 @@ def _moving(flight: Flight, twin: Twin) -> Iterator[str]:
     if not flight.has(*POS) or not flight.has(*VEL):
         return
     position, velocity = (Signal(*flight.signal(c)) for c in (POS, VEL))
-    moved = Signal(position.t_s, zero_phase(position, 1.0))
-    t = twin.inputs.t_s[twin.airborne]
-    a = Signal(moved.t_s, differentiate(moved)).at(t)
-    b = Signal(velocity.t_s, zero_phase(velocity, 1.0)).at(t)
+    moved = Signal(position.t_s, zero_phase(position, SLOW_HZ))
+    a = Signal(moved.t_s, differentiate(moved)).at(twin.inputs.t_s)
+    b = Signal(velocity.t_s, zero_phase(velocity, SLOW_HZ)).at(twin.inputs.t_s)
     known = np.all(np.isfinite(a) & np.isfinite(b), axis=1)
-    a, b = a[known], b[known]
-    if not known.any() or np.sqrt(np.mean(b * b)) < 0.2:
-        return
-    same = float(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b) + 1e-30))
-    if same < SAME_MOTION:
-        yield (
-            f"velocity is not the rate of change of position (correlation {same:.2f}): check that "
-            f"both are north-east-down"
-        )
+    for axis, x, y in zip("xyz", a[known].T, b[known].T, strict=True):
+        if len(y) == 0 or np.sqrt(np.mean(y * y)) < SLOWEST_M_S:
+            continue
+        same = float(np.sum(x * y) / np.sqrt(np.sum(x * x) * np.sum(y * y) + 1e-30))
+        if same < SAME_MOTION:
+            yield (
+                f"vel_{axis} is not the rate of change of pos_{axis} (correlation {same:.2f}): "
+                f"check that both are north-east-down"
+            )
 
 
 def _upward(flight: Flight, twin: Twin) -> Iterator[str]:
