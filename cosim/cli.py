@@ -4,27 +4,27 @@ Results go to stdout, progress and warnings to stderr. Heavy modules are importe
 needs them.
 """
 
-import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Column, Table
+from rich.table import Table
 
 from twin.errors import TwinError
 
-Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
+from .printing import (
+    STDERR,
+    STDOUT,
+    print_damage,
+    print_explanation,
+    print_gap,
+    print_json,
+    progress,
+)
 
-if TYPE_CHECKING:
-    from twin.explain.explanation import Explanation
-    from twin.flightlog import Flight
-    from twin.residuals import FlightGap
+Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 
 app = typer.Typer(
     add_completion=False,
@@ -32,8 +32,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Hybrid digital twin of a multirotor, as FMI co-simulation components.",
 )
-_stdout = Console(highlight=False, soft_wrap=True)
-_stderr = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 class Exit(IntEnum):
@@ -57,17 +55,17 @@ def main() -> None:
     try:
         app(_spread(sys.argv[1:]))
     except TwinError as error:
-        _stderr.print(f"error: {error}", style="red", markup=False)
+        STDERR.print(f"error: {error}", style="red", markup=False)
         sys.exit(Exit.WRONG_USE)
     except OSError as error:
-        _stderr.print(
+        STDERR.print(
             f"error: {error.filename or 'output'}: {error.strerror}", style="red", markup=False
         )
         sys.exit(Exit.WRONG_USE)
     except (KeyboardInterrupt, SystemError) as error:
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
             raise  # an interrupt inside CasADi comes out as a SystemError
-        _stderr.print("interrupted")
+        STDERR.print("interrupted")
         sys.exit(130)
 
 
@@ -88,7 +86,7 @@ def _print_version(wanted: bool) -> None:
     from importlib.metadata import version
 
     if wanted:
-        _stdout.print(version("uavtwin"))
+        STDOUT.print(version("uavtwin"))
         raise typer.Exit(Exit.FINE)
 
 
@@ -114,10 +112,10 @@ def check(
 
     reports = [check_file(path) for path in files]
     if as_json:
-        _print_json([r.as_json() for r in reports])
+        print_json([r.as_json() for r in reports])
     else:
         for report in reports:
-            report.print(_stdout)
+            report.print(STDOUT)
     if any(r.problems for r in reports):
         raise typer.Exit(Exit.FINDINGS)
 
@@ -143,16 +141,18 @@ def gap(
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from twin.flightlog import read_flight
+    from twin.residuals import gap_json
     from twin.vehicle_file import load_vehicle
 
     from .gap import flight_gap
-    from .output import check_folder, results_folder, write_run
+    from .output import check_folder, results_folder, write_json, write_run
+    from .report import write_gap_report
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in logs]
     gaps = []
-    with _progress("comparing") as step:
+    with progress("comparing") as step:
         for i, flight in enumerate(flights):
 
             def share(done: float, i: int = i) -> None:
@@ -166,10 +166,14 @@ def gap(
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
     with results_folder(out, force) as folder:
-        _write_gap(gaps, folder)
+        write_json(folder / "gap.json", gap_json(gaps))
+        write_gap_report(gaps, folder / "report.html")
         write_run(folder, "gap", options, inputs)
-    _print_gap(gaps, out, as_json)
-    damaged = _print_damage(flights)
+    if as_json:
+        print_json(gap_json(gaps))
+    else:
+        print_gap(gaps, out)
+    damaged = print_damage(flights)
     if damaged or not any(g.channels for g in gaps):
         raise typer.Exit(Exit.FINDINGS)
 
@@ -209,19 +213,19 @@ def explain(
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
     fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
-    with _progress("explaining") as step:
+    with progress("explaining") as step:
         found = search(fit, away, model, seed, step)
     options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus}
     inputs = [p for p in (*flights, *held, Path(vehicle)) if p.is_file()]
-    with results_folder(out, force) as folder, _progress("building") as step:
+    with results_folder(out, force) as folder, progress("building") as step:
         written = write_explanation(found, vehicle, folder, not no_fmus, step)
         write_run(folder, "explain", options, inputs, seed)
     if as_json:
-        _print_json(explain_json(found))
+        print_json(explain_json(found))
     else:
-        _print_explanation(found)
-        _stdout.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
-    damaged = _print_damage([*fit, *away])
+        print_explanation(found)
+        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    damaged = print_damage([*fit, *away])
     if damaged or found.verdict != "nothing":
         raise typer.Exit(Exit.FINDINGS)
 
@@ -246,18 +250,18 @@ def demo(
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
-    with _progress("flying, comparing, explaining") as step:
+    with progress("flying, comparing, explaining") as step:
         chain = run_demo(model, seed, step)
-    with results_folder(out, force) as folder, _progress("building") as step:
+    with results_folder(out, force) as folder, progress("building") as step:
         written = write_demo(chain, vehicle, folder, step)
         write_run(folder, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
     if as_json:
-        _print_json(demo_json(chain))
+        print_json(demo_json(chain))
     else:
-        _stdout.print(claim(rank(summaries([chain.gap]))), style="bold", markup=False)
-        _print_explanation(chain.found)
-        _stdout.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
-    _stderr.print(chain.ending, markup=False)
+        STDOUT.print(claim(rank(summaries([chain.gap]))), style="bold", markup=False)
+        print_explanation(chain.found)
+        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    STDERR.print(chain.ending, markup=False)
     if not chain.right:
         raise typer.Exit(Exit.FINDINGS)
 
@@ -317,16 +321,16 @@ def export(
                "position": position, "python_slave": python_slave, "platform": platform,
                "start": start or []}  # fmt: skip
     inputs = [p for p in (Path(vehicle), flight) if p is not None and p.is_file()]
-    with results_folder(out, force) as folder, _progress("building") as step:
+    with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
         write_run(folder, "export", options, inputs)
     if as_json:
-        _print_json(written)
+        print_json(written)
         return
     for row in written:
         platforms = ",".join(row["platforms"])
-        _stdout.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
-        _stdout.print(f"  sha256 {row['sha256']}")
+        STDOUT.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
+        STDOUT.print(f"  sha256 {row['sha256']}")
 
 
 @app.command()
@@ -366,9 +370,9 @@ def simulate(
     plan = Scenario(scenario, vehicle, controller, _three(wind, "--wind"), gusts, seed,
                     tuple(effect or ()), tuple(start or ()), fused)  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as build_folder:
-        with _progress("building") as done:
+        with progress("building") as done:
             system = scenario_system(plan, Path(build_folder), done)
-        with _progress("flying") as done:
+        with progress("flying") as done:
             recording = run_scenario(
                 system, stop, step, interval, algorithm, 1.0 if realtime else None, done
             )
@@ -389,12 +393,12 @@ def simulate(
                                 folder / "report.html")  # fmt: skip
         write_run(folder, "simulate", options, inputs, seed)
     if as_json:
-        _print_json(figures)
+        print_json(figures)
         return
-    _stdout.print(claim, style="bold", markup=False)
+    STDOUT.print(claim, style="bold", markup=False)
     if realtime:
-        _stderr.print(f"at most {1e3 * recording.lateness_s:.1f} ms behind the clock")
-    _stdout.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+        STDERR.print(f"at most {1e3 * recording.lateness_s:.1f} ms behind the clock")
+    STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
 
 
 @app.command()
@@ -402,15 +406,15 @@ def bench(as_json: Json = False) -> None:
     """Measure the speed figures of the README, here and now."""
     from .bench import run_bench
 
-    with _progress("measuring") as step:
+    with progress("measuring") as step:
         rows = run_bench(step)
     if as_json:
-        _print_json([row.as_json() for row in rows])
+        print_json([row.as_json() for row in rows])
         return
     table = Table("what", "value", "unit", "goal", box=None)
     for row in rows:
         table.add_row(row.what, f"{row.value:.3g}", row.unit, row.goal)
-    _stdout.print(table)
+    STDOUT.print(table)
 
 
 @app.command("version")
@@ -436,83 +440,3 @@ def _flight_claim(scenario: str, duration_s: float, figures: dict[str, Any]) -> 
         f"{scenario}: {duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms from the "
         f"setpoint, {figures['tracking_worst_m']:.2f} m at worst"
     )
-
-
-# -- printing -------------------------------------------------------------------------------
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr; the function takes the share done, 0..1."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(
-        *columns, console=_stderr, transient=True, disable=not _stderr.is_terminal
-    ) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda done: bar.update(task, completed=done)
-
-
-def _print_json(content: Any) -> None:
-    sys.stdout.write(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def _write_gap(gaps: "list[FlightGap]", out: Path) -> None:
-    from twin.residuals import gap_json
-
-    from .output import write_json
-    from .report import write_gap_report
-
-    write_json(out / "gap.json", gap_json(gaps))
-    write_gap_report(gaps, out / "report.html")
-
-
-def _print_gap(gaps: "list[FlightGap]", out: Path, as_json: bool) -> None:
-    from twin.residuals import gap_json, rank, summaries
-
-    from .report import claim
-
-    if as_json:
-        _print_json(gap_json(gaps))
-        return
-    pooled = summaries(gaps)
-    _stdout.print(claim(rank(pooled)), style="bold", markup=False)
-    table = Table("channel", "unit", "horizon s", "n", "rms", "mean", "share of signal", box=None)
-    for name, s in pooled.items():
-        t = s.total
-        table.add_row(name, s.unit, f"{s.horizon_s:g}", str(t.n), f"{t.rms:.4g}", f"{t.mean:.4g}",
-                      f"{100 * t.share:.0f} %")  # fmt: skip
-    _stdout.print(table)
-    for g in gaps:
-        if "commands_match" in g.facts:
-            _stdout.print(f"{g.flight}: commands {g.facts['commands_match']}", markup=False)
-        for warning in g.warnings:
-            _stderr.print(f"{g.flight}: {warning}", style="yellow", markup=False)
-    _stdout.print(f"written: {out / 'report.html'}, gap.json, run.json", markup=False)
-
-
-def _print_explanation(found: "Explanation") -> None:
-    from .explain_words import claim, shrink_words
-
-    for warning in found.warnings:
-        _stderr.print(warning, style="yellow", markup=False)
-    _stdout.print(claim(found), style="bold", markup=False)
-    if found.showing is None:
-        return
-    shrink = Column("shrink, 95 %", no_wrap=True)
-    table = Table("channel", "unit", "n", "before", "after", "noise floor", shrink, box=None)
-    for g in found.showing.gaps:
-        table.add_row(g.name, g.unit, str(g.n), f"{g.before:.4g}", f"{g.after:.4g}",
-                      f"{g.noise_floor:.4g}", shrink_words(g))  # fmt: skip
-    _stdout.print(table)
-
-
-def _print_damage(flights: "list[Flight]") -> int:
-    """Print what the readers found damaged; how many."""
-    errors = [(f.name, x) for f in flights for x in f.findings if x.severity == "error"]
-    for name, finding in errors:
-        _stderr.print(
-            f"finding: {name}: {finding.where}: {finding.message} ({finding.count})",
-            style="red",
-            markup=False,
-        )
-    return len(errors)

@@ -67,10 +67,12 @@ class _SavedRun(Run):
     """A run that goes to an array and comes back, exact to the bit."""
 
     def saved(self) -> Array:
+        """All of it as one array."""
         return np.concatenate([[self._start_s, self._count], self.x, *self._records])
 
     @classmethod
     def restored(cls, component: Component, p: Array, saved: Array) -> "_SavedRun":
+        """The run that `saved` gave."""
         run = cls.__new__(cls)
         run.component, run.p = component, p
         (start_s, count), run.x, *records = np.split(saved, np.cumsum(_run_sizes(component))[:-1])
@@ -238,6 +240,7 @@ def _outliving_failures(method: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(method)
     def call(slave: ComponentSlave, *arguments: Any) -> Any:
+        """The method, with references kept where it fails."""
         try:
             return method(slave, *arguments)
         except Exception:

@@ -172,6 +172,7 @@ class ComponentBuilder:
         def shortcut(
             i: int, condition: ca.SX, length: ca.SX, switches: Sequence[ca.SX]
         ) -> Shortcut:
+            """The component's functions with some switches at zero."""
             on, off = list(switches), [ca.SX(0.0)] * len(switches)
             dx, cheap_y = ca.substitute([rates, y], on, off)
             cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])

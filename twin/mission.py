@@ -181,6 +181,8 @@ def _forward(size: _Sizes) -> list[_Leg]:
     turn = _straight("hover", [ca.SX(0)] * 3 + [ca.SX(np.pi)], ca.SX(TURN_S))
 
     def cruise(sign: float) -> _Leg:
+        """Out with +1, back with -1."""
+
         def move(t: ca.SX) -> list[ca.SX]:
             return [sign * _ramped(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
 

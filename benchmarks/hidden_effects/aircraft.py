@@ -99,9 +99,11 @@ def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
     lines = [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"', "", "[body]"]
 
     def add(key: str, value: object, unit: str) -> None:
+        """Add a number or a list."""
         lines.append(f'{key} = {{ value = {_text(value)}, unit = "{unit}", source = "made up" }}')
 
     def polynomial(key: str, coefficients: Sequence[float], unit: str, of: str = "") -> None:
+        """Add a map with its coefficients."""
         argument = f'of = "{of}", ' if of else ""
         lines.append(
             f'{key} = {{ coefficients = {_text([*coefficients])}, unit = "{unit}", {argument}'

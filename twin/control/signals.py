@@ -42,6 +42,7 @@ def declare_signals(m: ComponentBuilder) -> Signals:
     """Declare the inputs: `pos_*`, `vel_*`, `q_*`, `omega_*`, `setpoint_*` and `armed`."""
 
     def vector(name: str, unit: str, meaning: str, directions: tuple[str, ...]) -> list[ca.SX]:
+        """One input per axis."""
         return [
             m.input(f"{name}_{a}", unit, f"{meaning} {d}")
             for a, d in zip(AXES, directions, strict=True)
