@@ -146,6 +146,8 @@ def _kernels(component: Component) -> list[ca.Function]:
     sampling = component.sampling
     if sampling is not None:
         functions.append(sampling.update)
+        if sampling.channels:
+            functions.append(sampling.sizes)
         if sampling.lines:
             functions += [sampling.signals, sampling.delays]
     for shortcut in component.shortcuts:

@@ -63,28 +63,6 @@ def _component() -> Component:
     return read_component(Path(__file__).with_name(COMPONENT).read_text())
 
 
-class _SavedRun(Run):
-    """A run that goes to an array and comes back, exact to the bit."""
-
-    def saved(self) -> Array:
-        """All of it as one array."""
-        return np.concatenate([[self._start_s, self._count], self.x, *self._records])
-
-    @classmethod
-    def restored(cls, component: Component, p: Array, saved: Array) -> "_SavedRun":
-        """The run that `saved` gave."""
-        run = cls.__new__(cls)
-        run.component, run.p = component, p
-        (start_s, count), run.x, *records = np.split(saved, np.cumsum(_run_sizes(component))[:-1])
-        run._start_s, run._count, run._records = float(start_s), int(count), tuple(records)
-        return run
-
-
-def _run_sizes(component: Component) -> list[int]:
-    lines = component.sampling.lines if component.sampling else ()
-    return [2, len(component.states), *(line.samples for line in lines)]
-
-
 class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     """One instance."""
 
@@ -100,7 +78,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         self._u = self._v[len(c.parameters) : self._first_output]
         self._y = self._v[self._first_output :]
         self._mode, self._time_s, self._start_s = _INSTANTIATED, 0.0, 0.0
-        self._run: _SavedRun | None = None
+        self._run: Run | None = None
         self._stale = True
 
     # -- life cycle -----------------------------------------------------------------------
@@ -179,8 +157,8 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         variable: Variable = self.vars[vr]
         return variable
 
-    def _begin(self) -> _SavedRun:
-        return _SavedRun(self._component, self._u, self._p, self._start_s)
+    def _begin(self) -> Run:
+        return Run(self._component, self._u, self._p, self._start_s)
 
     def _put_out(self) -> None:
         run = self._run if self._mode >= _STEPPING else self._begin()
@@ -192,7 +170,8 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     # -- saved states ---------------------------------------------------------------------
 
     def _get_fmu_state(self) -> bytes:
-        run = np.zeros(sum(_run_sizes(self._component))) if self._run is None else self._run.saved()
+        size = Run.saved_size(self._component)
+        run = np.zeros(size) if self._run is None else self._run.saved()
         head = [self._mode, self._time_s, self._start_s]
         return _VERSION + np.concatenate([head, self._p, self._u, run]).tobytes()
 
@@ -206,7 +185,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         (mode, time_s, start_s), v, run = np.split(values, [3, 3 + self._first_output])
         self._mode, self._time_s, self._start_s = int(mode), float(time_s), float(start_s)
         self._v[: self._first_output] = v
-        self._run = _SavedRun.restored(self._component, self._p, run)
+        self._run = Run.restored(self._component, self._p, run)
         self._stale = True
 
     @staticmethod

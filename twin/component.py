@@ -106,6 +106,7 @@ class Sampling:
         period: Name of the parameter that holds T, s.
         seed: Name of the parameter that seeds the noise; None without noise.
         channels: Number of standard normal draws per instant.
+        sizes: `p -> sd`, by what each is multiplied; a draw without size is left out, at 0.
         stream: Tells the draws of this component from those of others with the same seed.
         lines: Delay lines.
         signals: `(x, u, p) -> s`, what enters each line.
@@ -116,6 +117,7 @@ class Sampling:
     period: str
     seed: str | None
     channels: int
+    sizes: ca.Function
     stream: int
     lines: tuple[DelayLine, ...]
     signals: ca.Function
@@ -247,6 +249,29 @@ class Run:
         """Present outputs, shape (n_y,)."""
         return np.asarray(self.component.outputs(self.x, u, self.p), dtype=np.float64).ravel()
 
+    def saved(self) -> Array:
+        """All of it as one array, from which `restored` goes on to the last bit."""
+        return np.concatenate([[self._start_s, self._count], self.x, *self._records])
+
+    @classmethod
+    def restored(cls, component: Component, p: Array, saved: Array) -> "Run":
+        """The run of a component with these parameters that was `saved`."""
+        run = cls.__new__(cls)
+        run.component, run.p = component, p
+        (start_s, count), run.x, *records = np.split(saved, np.cumsum(cls._sizes(component))[:-1])
+        run._start_s, run._count, run._records = float(start_s), int(count), tuple(records)
+        return run
+
+    @staticmethod
+    def saved_size(component: Component) -> int:
+        """Length of what `saved` returns."""
+        return sum(Run._sizes(component))
+
+    @staticmethod
+    def _sizes(component: Component) -> list[int]:
+        lines = component.sampling.lines if component.sampling else ()
+        return [2, len(component.states), *(line.samples for line in lines)]
+
     def _sample(self, u: Array) -> None:
         sampling = self.component.sampling
         if sampling is None:
@@ -255,6 +280,7 @@ class Run:
         if sampling.seed is not None:
             seed = int(self._parameter(sampling.seed))
             w = normal(seed, sampling.stream, sampling.channels, self._count, 1)[0]
+            w[np.asarray(sampling.sizes(self.p)).ravel() == 0] = 0.0
         d = self._look_back(sampling, u)
         self.x = np.asarray(sampling.update(self.x, u, self.p, w, d), dtype=np.float64).ravel()
 

@@ -25,7 +25,7 @@ class ComponentBuilder:
         self._idle: list[tuple[ca.SX, ca.SX, Sequence[ca.SX]]] = []
         self._updates: dict[str, ca.SX] = {}
         self._period: str | None = None
-        self._noise: list[ca.SX] = []
+        self._noise: list[tuple[ca.SX, ca.SX]] = []
         self._delayed: list[tuple[DelayLine, ca.SX, ca.SX, ca.SX]] = []
 
     def parameter(
@@ -100,11 +100,15 @@ class ComponentBuilder:
         """Give the value of a memory from each sample instant on."""
         self._updates[name] = ca.SX(expression)
 
-    def noise(self) -> ca.SX:
-        """A standard normal draw, new at each sample instant; for use in updates."""
+    def noise(self, size: ca.SX | float = 1.0) -> ca.SX:
+        """A normal draw, new at each sample instant; for use in updates.
+
+        Args:
+            size: Standard deviation, an expression of parameters; what has none is not drawn.
+        """
         symbol = ca.SX.sym(f"noise_{len(self._noise)}")
-        self._noise.append(symbol)
-        return symbol
+        self._noise.append((symbol, ca.SX(size)))
+        return size * symbol
 
     def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
         """What a signal was a while before each sample instant; for use in updates.
@@ -210,10 +214,12 @@ class ComponentBuilder:
             return None
         signals = _column(signal for _, signal, _, _ in self._delayed)
         delays = _column(delay for _, _, delay, _ in self._delayed)
+        sizes = _column(size for _, size in self._noise)
         return Sampling(
             period=self._period,
             seed="seed" if self._noise else None,
             channels=len(self._noise),
+            sizes=ca.Function("noise_sizes", [p], [ca.cse(sizes)], ["p"], ["sd"]),
             stream=zlib.crc32(self._name.encode()),
             lines=tuple(line for line, *_ in self._delayed),
             signals=ca.Function("signals", [x, u, p], [ca.cse(signals)], ["x", "u", "p"], ["s"]),
@@ -228,7 +234,7 @@ class ComponentBuilder:
         )
 
     def _update(self, name: str, after: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.Function:
-        w = _column(self._noise)
+        w = _column(symbol for symbol, _ in self._noise)
         d = _column(symbol for _, _, _, symbol in self._delayed)
         arguments = [x, u, p, w, d]
         return ca.Function(name, arguments, [ca.cse(after)], ["x", "u", "p", "w", "d"], ["x_next"])

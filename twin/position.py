@@ -189,7 +189,7 @@ def _shaken(m: ComponentBuilder, white: float, q_nb: list[ca.SX]) -> list[ca.SX]
     half = []
     for a in AXES:
         angle = m.memory(f"meas_q.noise_{a}", "rad", f"Noise of the attitude about body {a}")
-        m.update(f"meas_q.noise_{a}", size * m.noise())
+        m.update(f"meas_q.noise_{a}", m.noise(size))
         half.append(angle / 2)
     q = multiply(q_nb, [ca.SX(1), *half])
     length = ca.sqrt(sum((c * c for c in q), start=ca.SX(_SMALLEST)))

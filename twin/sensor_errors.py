@@ -86,8 +86,8 @@ def noise(m: ComponentBuilder, channel: str, unit: str, level: NoiseLevel, perio
     """White noise plus walk of the bias of one channel, drawn anew at each sample instant."""
     drift = m.memory(f"{channel}.drift", unit, f"Walk of the bias of {channel}")
     white = m.memory(f"{channel}.noise", unit, f"Noise of {channel}")
-    m.update(f"{channel}.drift", drift + level.walk * ca.sqrt(period) * m.noise())
-    m.update(f"{channel}.noise", level.white * m.noise())
+    m.update(f"{channel}.drift", drift + ca.sqrt(period) * m.noise(level.walk))
+    m.update(f"{channel}.noise", m.noise(level.white))
     return drift + white
 
 

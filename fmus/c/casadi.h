@@ -72,6 +72,11 @@ static void model_update(const Part* p, const double* noise, const double* delay
 #undef TRY
     CALL(update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);
 }
+#if N_NOISE > 0
+static void model_sizes(const Part* p, double* sizes) { CALL(noise_sizes, sizes, PARAMETERS); }
+#else
+#define model_sizes NULL
+#endif
 #if N_LINES > 0
 static void model_signals(const Part* p, double* now) { CALL(signals, now, p->x, INPUTS, PARAMETERS); }
 static void model_delays(const Part* p, double* seconds) { CALL(delays, seconds, PARAMETERS); }
@@ -83,6 +88,7 @@ static const Sampling sampling = {
     .period = SAMPLE_PERIOD,
     .seed = SEED,
     .n_noise = N_NOISE,
+    .sizes = model_sizes,
     .stream = STREAM,
     .n_lines = N_LINES,
     .lines = lines,

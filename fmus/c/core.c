@@ -146,9 +146,11 @@ static int look_back(Instance* c, Part* p) {
 static int sample(Instance* c, Part* p) {
     const Sampling* s = p->model->sampling;
     if (s->n_lines && look_back(c, p)) return -1;
-    if (s->n_noise)
+    if (s->n_noise) {
+        s->sizes(p, p->noise);
         standard_normal((uint64_t)p->v[s->seed], s->stream, (int)s->n_noise, (uint64_t)*p->samples,
                         p->noise);
+    }
     s->update(p, p->noise, p->delayed, p->next);
     memcpy(p->x, p->next, p->model->n_states * sizeof(double));
     return 0;

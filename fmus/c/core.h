@@ -38,6 +38,7 @@ typedef struct Part Part;
 typedef struct {
     unsigned period, seed;
     unsigned n_noise;
+    void (*sizes)(const Part* p, double* sizes); /* of the draws; one without size is left out */
     uint32_t stream; /* tells parts with one seed apart */
     unsigned n_lines;
     const Line* lines; /* delay lines */

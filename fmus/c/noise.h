@@ -68,11 +68,13 @@ static double quantile(uint64_t bits) {
     return q < 0 ? -value : value;
 }
 
-/* n draws of counter k; `stream` tells sensors with one seed apart. */
+/* Replaces those of the n `draws` that are not 0 by draw i of counter k; `stream` tells sensors with
+ * one seed apart. */
 static void standard_normal(uint64_t seed, uint64_t stream, int n, uint64_t k, double* draws) {
     uint64_t words[4];
-    for (int i = 0; i < n; i++) {
-        if (i % 4 == 0) philox(k + 1, seed, (stream << 32) | (uint64_t)(i / 4), words);
+    for (int i = 0, drawn = -1; i < n; i++) {
+        if (draws[i] == 0.0) continue;
+        if (i / 4 != drawn) philox(k + 1, seed, (stream << 32) | (uint64_t)(drawn = i / 4), words);
         draws[i] = quantile(words[i % 4]);
     }
 }

@@ -149,8 +149,8 @@ class Block:
         self._m.update(f"{self._effect.name}.{name}", value)
 
     def noise(self) -> ca.SX:
-        """A standard normal draw, new at each sample instant; for use in updates."""
-        return self._m.noise()
+        """A standard normal draw, new at each sample instant, 0 while off; for use in updates."""
+        return self._m.noise(self.enabled)
 
     def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
         """What a signal was a while before each sample instant; for use in updates."""
