@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fmus.order import Loop, slave_of
 from twin.errors import FmuError
 
 from .bus import Bus
 from .jacobian import jacobian
-from .order import Loop, slave_of
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-12

@@ -1,72 +1,8 @@
-"""In which order the outputs of connected slaves become right, and which form algebraic loops."""
+"""In which order a master visits and steps its slaves."""
 
 from collections.abc import Iterable, Mapping, Set
-from dataclasses import dataclass
 
-import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
-
-
-@dataclass(frozen=True, slots=True)
-class Loop:
-    """Outputs, as "slave.output", that directly depend on themselves by way of each other."""
-
-    outputs: tuple[str, ...]
-
-
-Visit = str | Loop
-"""A slave whose inputs are to be set and outputs read, or a loop that is to be solved."""
-
-
-def visits(felt: Mapping[str, Set[str]]) -> list[Visit]:
-    """An order of visits after which every output is right.
-
-    A slave comes twice where some of its outputs are needed before its inputs are known: an
-    airframe gives its position to a controller whose command enters its acceleration.
-
-    Args:
-        felt: Output -> the outputs that it directly depends on, through connected inputs. Outputs
-            that are no keys are known beforehand.
-    """
-    order: list[Visit] = []
-    remaining: dict[str, list[str]] = {}
-    for output in felt:
-        remaining.setdefault(slave_of(output), []).append(output)
-    done: set[str] = set().union(*felt.values()) - felt.keys()
-    while remaining:
-        ready = {s: [o for o in outputs if felt[o] <= done] for s, outputs in remaining.items()}
-        whole = [s for s, outputs in ready.items() if len(outputs) == len(remaining[s])]
-        some = whole or [s for s, outputs in ready.items() if outputs]
-        if some:
-            order.append(some[0])
-            done.update(ready[some[0]])
-        else:
-            loop = _first_loop([o for outputs in remaining.values() for o in outputs], felt, done)
-            order.append(loop)
-            done.update(loop.outputs)
-        left = {s: [o for o in outputs if o not in done] for s, outputs in remaining.items()}
-        remaining = {s: outputs for s, outputs in left.items() if outputs}
-    return order
-
-
-def _first_loop(outputs: list[str], felt: Mapping[str, Set[str]], done: Set[str]) -> Loop:
-    """A strongly connected component that waits for nothing but itself."""
-    index = {o: i for i, o in enumerate(outputs)}
-    edges = [(index[source], index[o]) for o in outputs for source in felt[o] - done]
-    ones, (rows, columns) = np.ones(len(edges)), np.transpose(edges)
-    graph = csr_array((ones, (rows, columns)), shape=(len(outputs), len(outputs)))
-    count, label = connected_components(graph, directed=True, connection="strong")
-    for k in range(count):
-        members = tuple(o for o in outputs if label[index[o]] == k)
-        if all(felt[o] <= done | set(members) for o in members):
-            return Loop(members)
-    raise AssertionError("a finite graph has a component without predecessors")
-
-
-def slave_of(name: str) -> str:
-    """Slave of "slave.variable"."""
-    return name.partition(".")[0]
+from fmus.order import Loop, Visit, slave_of
 
 
 def batches(order: Iterable[Visit], felt: Mapping[str, Set[str]]) -> list[tuple[str, ...] | Loop]:

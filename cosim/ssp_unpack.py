@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.archive import MAX_UNPACKED_BYTES, _copy, _member_problems
+from fmus.archive import MAX_UNPACKED_BYTES, copy_member, member_problems
 from twin.errors import FmuError
 
 
@@ -19,7 +19,7 @@ def unpack_ssp(path: Path, folder: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = tuple(archive.infolist())
-            if problems := _member_problems(members):
+            if problems := member_problems(members):
                 raise FmuError(f"{path.name}: refused: {'; '.join(problems[:5])}.")
             for member in members:
                 target = folder / member.filename
@@ -27,7 +27,7 @@ def unpack_ssp(path: Path, folder: Path) -> None:
                     target.mkdir(parents=True, exist_ok=True)
                     continue
                 target.parent.mkdir(parents=True, exist_ok=True)
-                left -= _copy(archive, member, target, left)
+                left -= copy_member(archive, member, target, left)
     except FmuError:
         raise
     except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files

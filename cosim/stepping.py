@@ -20,11 +20,12 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Literal, get_args
 
+from fmus.order import Loop, slave_of, visits
 from twin.errors import FmuError
 
 from .bus import Bus
 from .loops import LoopSolver
-from .order import Loop, batches, slave_of, stepping_order, visits
+from .order import batches, stepping_order
 from .slave import Slave
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]

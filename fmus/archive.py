@@ -60,7 +60,7 @@ def open_archive(path: Path) -> Archive:
     except ValueError as error:  # zipfile on damaged headers
         raise FmuError(f"{path.name}: not a readable FMU archive: {error}.") from error
     root = _parse(path, description)
-    problems = [*_member_problems(members), *_identifier_problems(root)]
+    problems = [*member_problems(members), *_identifier_problems(root)]
     return Archive(path, members, tuple(problems), description, root)
 
 
@@ -83,14 +83,14 @@ def unpack(path: Path, folder: Path) -> None:
                     target.mkdir(parents=True, exist_ok=True)
                     continue
                 target.parent.mkdir(parents=True, exist_ok=True)
-                left -= _copy(source, member, target, left)
+                left -= copy_member(source, member, target, left)
     except (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError) as error:
         raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
     except Exception as error:  # zlib.error, lzma.LZMAError: damaged streams
         raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
 
 
-def _copy(source: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, limit: int) -> int:
+def copy_member(source: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, limit: int) -> int:
     """Write one member, counting what really comes out of the stream."""
     written = 0
     with source.open(member) as stream, target.open("wb") as file:
@@ -132,7 +132,8 @@ def _parse(path: Path, xml: bytes) -> etree._Element:
     return root
 
 
-def _member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
+def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
+    """Why members of an archive must not be unpacked, one sentence each; none: all may be."""
     if len(members) > MAX_MEMBERS:
         return [f"the archive has {len(members)} members, more than {MAX_MEMBERS}"]
     problems = []

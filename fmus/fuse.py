@@ -9,6 +9,7 @@ from twin.component import Component, Sampling, unknown_name
 from twin.errors import FmuError
 
 from .model import FmuModel, Part, component_model
+from .order import visits
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -125,8 +126,7 @@ def _check_noise(owner: str, parts: Iterable[Part]) -> None:
 def _order(owner: str, parts: tuple[Part, ...], source: Mapping[str, str]) -> tuple[int, ...]:
     """Visits of parts after which every output is right, at initialisation and while stepping.
 
-    A part comes twice where some of its outputs are needed before its inputs are known: an
-    airframe gives its position to a controller whose command enters its acceleration.
+    A part comes twice where some of its outputs are needed before its inputs are known.
     """
     felt = {
         output: {source[u] for u in (*direct, *part.initial_dependencies[output]) if u in source}
@@ -140,16 +140,6 @@ def _order(owner: str, parts: tuple[Part, ...], source: Mapping[str, str]) -> tu
             f"{owner}: algebraic loop: {' -> '.join(error.args[1])}, each depending on the one "
             f"before it within an instant. Put a state between two of them."
         ) from None
-    order: list[int] = []
-    done: set[str] = set()
-    remaining = {i: list(part.dependencies) for i, part in enumerate(parts)}
-    while remaining:
-        ready = {i: [o for o in left if felt[o] <= done] for i, left in remaining.items()}
-        whole = [i for i, left in remaining.items() if len(ready[i]) == len(left)]
-        i = whole[0] if whole else next(i for i in remaining if ready[i])
-        order.append(i)
-        done.update(ready[i])
-        remaining[i] = [o for o in remaining[i] if o not in done]
-        if not remaining[i]:
-            del remaining[i]
-    return tuple(order)
+    index = {part.name: i for i, part in enumerate(parts)}
+    mute = (i for i, part in enumerate(parts) if not part.dependencies)
+    return (*(index[v] for v in visits(felt) if isinstance(v, str)), *mute)

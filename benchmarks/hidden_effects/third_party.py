@@ -28,7 +28,7 @@ _FLIP = np.array([1.0, -1.0, -1.0])
 
 @cache
 def _parameters(model: str) -> dict[str, Array]:
-    from drone_models.core import load_params  # type: ignore[import-not-found]
+    from drone_models.core import load_params
 
     return {
         k: np.asarray(v, dtype=np.float64)
@@ -156,7 +156,7 @@ class _ByRow:
 def _function(arm: float) -> Any:
     """Its symbolic dynamics as a function of state, command and parameters."""
     import casadi as ca
-    from drone_models.first_principles import (  # type: ignore[import-not-found]
+    from drone_models.first_principles import (
         symbolic_dynamics,
     )
 

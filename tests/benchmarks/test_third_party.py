@@ -41,7 +41,10 @@ print(json.dumps(rms))
 """
 
 
-@pytest.mark.skipif(not find_spec("drone_models"), reason="drone-models is not installed")
+@pytest.mark.skipif(
+    not find_spec("drone_models") and not os.environ.get("CI"),
+    reason="drone-models is not installed",
+)
 def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
     """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
     run = subprocess.run(

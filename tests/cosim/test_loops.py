@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from cosim.jacobian import jacobian
 from cosim.master import Algorithm, Master
-from cosim.order import Loop, batches, stepping_order, visits
+from cosim.order import batches, stepping_order
 from cosim.slave import Slave
 from cosim.system import Connection, System
 from fmus import build, component_model
+from fmus.order import Loop, visits
 from twin.component import Component
 from twin.component_builder import ComponentBuilder
 from twin.errors import FmuError
