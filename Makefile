@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup cross-tools demo test fast lint bench clean
+.PHONY: setup cross-tools demo test fast lint bench hidden-effects clean
 
 setup: $(STAMP)
 
@@ -34,6 +34,11 @@ lint: setup
 
 bench: setup  ## the speed figures of the README
 	$(BIN)/uavtwin bench
+
+SUBSET ?= 40
+JOBS ?= 2
+hidden-effects: setup  ## does explain name hidden effects? 10 minutes on two cores
+	$(BIN)/python -m benchmarks.hidden_effects --subset $(SUBSET) --magnitude medium --jobs $(JOBS) --out out/hidden_effects
 
 clean:
 	rm -rf $(VENV) out

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
+from twin.explain.numbers import numbers_of
 from twin.explain.result_json import explain_json, intervals
 from twin.vehicle_file import vehicle_text
 from twin.vehicle_write import Written, with_effect_sections
@@ -50,19 +51,20 @@ def write_explanation(
 
 def _components(found: Explanation) -> list[str]:
     """Components on which the named effects act."""
-    assert found.shown is not None
-    return sorted({EFFECTS[e].component for e in found.shown.effects})
+    return sorted({EFFECTS[e].component for e in found.effects})
 
 
 def _new_vehicle(found: Explanation, vehicle: str) -> str:
     """Text of the vehicle file with the named effects in it."""
-    assert found.shown is not None
-    own, effects = intervals(found.shown), {}
-    for effect in found.shown.effects:
+    own = {} if found.shown is None else intervals(found.shown)
+    own |= {full: interval for u in found.unsteady for full, interval in u.intervals.items()}
+    effects = {}
+    for effect in found.effects:
         numbers = {}
-        for full, value in found.values.items():
-            if full.partition(".")[0] != effect:
+        for full in (n.full for n in numbers_of([EFFECTS[effect]], found.vehicle)):
+            if full not in found.values:
                 continue
+            value = found.values[full]
             certainty = "no interval"
             if full in own:
                 certainty = "95 % interval {:.4g} to {:.4g}".format(*own[full])

@@ -6,8 +6,11 @@ from typing import Any
 
 from markupsafe import Markup
 
+from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
-from twin.explain.result_json import best_with, listed, rivals
+from twin.explain.numbers import numbers_of
+from twin.explain.result_json import beside_mean, best_with, listed, rivals
+from twin.explain.unsteady import Unsteady
 
 from .explain_figures import before_after_figure, evidence_figure
 from .explain_words import (
@@ -57,6 +60,9 @@ def write_explain_report(found: Explanation, path: Path) -> None:
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     """One effect as the template reads it."""
     assert found.naming is not None
+    beside = beside_mean(found, effect)
+    if beside is not None:
+        return _unsteady(found, beside)
     fitted = best_with(found.naming, effect)
     acts = next((a for a in found.acting if a.effect == effect), None)
     about = {n.full: n for n in found.naming.ground.model.numbers}
@@ -90,6 +96,31 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
             }
             for r in rivals(found.naming, effect)
         ],
+    }
+
+
+def _unsteady(found: Explanation, effect: Unsteady) -> dict[str, Any]:
+    """An effect that changes no mean, as the template reads it."""
+    about = {n.full: n for n in numbers_of([EFFECTS[effect.effect]], found.vehicle)}
+    return {
+        "name": title(effect.effect),
+        "meaning": meaning(effect.effect),
+        "certainty": certainty(effect.probability),
+        "numbers": [
+            {
+                "name": about[full].name,
+                "description": about[full].about.description,
+                "unit": about[full].about.unit,
+                "value": value,
+                "interval": " to ".join(map(number, effect.intervals[full]))
+                if full in effect.intervals
+                else "\N{EN DASH}",
+            }
+            for full, value in effect.values.items()
+        ],
+        "acts": {"channels": effect.channels, "phases": ()},
+        "figure": None,
+        "rivals": [],
     }
 
 

@@ -1,5 +1,6 @@
 """What was found about a model, in sentences that a pilot understands."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,8 +9,15 @@ import numpy as np
 from twin.effects import EFFECTS
 from twin.explain.explanation import LEAST, Explanation
 from twin.explain.naming import PER_EFFECT
+from twin.explain.numbers import numbers_of
 from twin.explain.refine import Fitted
-from twin.explain.result_json import intervals, listed, nothing_probability
+from twin.explain.result_json import (
+    beside_mean,
+    intervals,
+    listed,
+    nothing_probability,
+    probability_of,
+)
 from twin.explain.showing import ChannelGap
 
 from .figures import pretty_unit
@@ -33,11 +41,16 @@ def claim(found: Explanation) -> str:
     if found.verdict == "named":
         effects = listed(found)
         most = MOST_NUMBERS if len(effects) == 1 else 1
-        parts = [f"{title(e)}: {sizes(naming.best, e, most)}" for e in effects]
-        return f"The model lacks {_joined(parts)}, sure to {certainty(naming.probabilities[0])}."
+        parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
+        chance = naming.probabilities[0] * math.prod(u.probability for u in found.unsteady)
+        return f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
     if found.verdict == "unnamed":
-        return "The model lacks something that is not in the library of effects."
-    tied = [f"{title(e)} ({certainty(naming.probability_of(e))})" for e in listed(found)]
+        first = found.unnamed[0]
+        return (
+            f"The model lacks something that is not in the library of effects: in {first.channel} "
+            f"it is {first.expression}, {100 * first.share:.0f} % of the gap there."
+        )
+    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
     return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
@@ -51,6 +64,21 @@ def title(effect: str) -> str:
 def meaning(effect: str) -> str:
     """What an effect is, in one line."""
     return EFFECTS[effect].meaning if effect in EFFECTS else ""
+
+
+def _sizes(found: Explanation, effect: str, most: int) -> str:
+    """The numbers of an effect, with a colon before them; nothing where it has none."""
+    beside = beside_mean(found, effect)
+    if beside is None:
+        assert found.naming is not None
+        return f": {sizes(found.naming.best, effect, most)}"
+    units = {n.full: n.about.unit for n in numbers_of([EFFECTS[effect]], found.vehicle)}
+    texts = [
+        f"{full.partition('.')[2]} = {number(value)}"
+        + ("" if units[full] == "1" else f" {pretty_unit(units[full])}")
+        for full, value in list(beside.values.items())[:most]
+    ]
+    return f" in {', '.join(beside.channels)}" + (f": {_joined(texts)}" if texts else "")
 
 
 def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
@@ -108,7 +136,7 @@ def why_lost(rival: Mapping[str, Any]) -> str:
 
 def shrinking(found: Explanation) -> str:
     """What the held-out flights say, in one sentence."""
-    if found.showing is None or not found.values:
+    if found.showing is None or found.shown is None:
         return ""
     clear = [g for g in found.showing.gaps if g.shrink_ci95[0] > 0]
     if not clear:

@@ -63,6 +63,8 @@ def print_explanation(found: "Explanation") -> None:
     for warning in found.warnings:
         STDERR.print(warning, style="yellow", markup=False)
     STDOUT.print(claim(found), style="bold", markup=False)
+    if found.next_manoeuvre is not None:
+        STDOUT.print(f"Fly next: {found.next_manoeuvre.description}", markup=False)
     if found.showing is None:
         return
     shrink = Column("shrink, 95 %", no_wrap=True)

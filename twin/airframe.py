@@ -22,7 +22,7 @@ from .effects import Blocks, Effect, effects_of
 from .effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
 from .effects.timing import COMMAND_PERIOD_S
 from .errors import ModelError
-from .frames import cross, quaternion_rate, to_body, to_ned
+from .frames import carried, cross, quaternion_rate, to_body, to_ned
 from .ground import ground_contact
 from .rotors import Drive, first_reaching, hover_level, rotor_equations, rotor_inputs
 from .vehicle import GRAVITY_M_S2, Vehicle
@@ -99,12 +99,13 @@ def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Com
         m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", motion.q_nb[i])
     for i, axis in enumerate(AXES):
         m.output(f"omega_{axis}", "rad/s", f"Body rate about {_FRD[i]}", motion.omega_b[i])
+    felt_b = carried(specific_force_b, motion.body.origin, motion.omega_b, angular_acceleration_b)
     for i, axis in enumerate(AXES):
         m.output(
             f"specific_force_{axis}",
             "m/s2",
-            f"Specific force at the centre of mass, body {_FRD[i]}",
-            specific_force_b[i],
+            f"Specific force at the centre of mass, without cog_offset, body {_FRD[i]}",
+            felt_b[i],
         )
     for i, axis in enumerate(AXES):
         m.output(
@@ -143,7 +144,7 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
     u = ca.SX(component.input_values())
     u[index] = v
     p = component.parameter_values()
-    x = ca.SX(component.initial(component.input_values(), p))
+    x = component.initial(u, p)
     if steady:
         x[steady] = r
     rates = component.derivatives(x, u, p)
@@ -208,7 +209,9 @@ def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.
         voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
     mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
     gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
-    body = blocks.apply(Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle)))
+    body = blocks.apply(
+        Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
+    )
     air = blocks.apply(Air(wind_n))
     initial, pos_n, vel_n, q_nb, omega_b = _motion_states(m)
     reference = m.parameter(

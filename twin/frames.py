@@ -67,6 +67,21 @@ def cross(a: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
+def carried(
+    force: Sequence[Scalar], arm: Sequence[Scalar], omega: Sequence[Scalar], alpha: Sequence[Scalar]
+) -> list[Scalar]:
+    """Specific force at another point of a rigid body, all in body axes.
+
+    Args:
+        force: Specific force where it is known, m/s2.
+        arm: From there to the other point, m.
+        omega: Body rates, rad/s.
+        alpha: Angular acceleration, rad/s2.
+    """
+    tangential, centripetal = cross(alpha, arm), cross(omega, cross(omega, arm))
+    return [f + t + c for f, t, c in zip(force, tangential, centripetal, strict=True)]
+
+
 def rotation_vector(q_a: NDArray[np.float64], q_b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation that takes attitude `b` to attitude `a`, in the body axes of `b`, rad.
 

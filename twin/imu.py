@@ -21,7 +21,7 @@ from .component_builder import ComponentBuilder
 from .effects import Blocks
 from .effects.inertial import IMU_CHANNELS
 from .effects.sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Latency, Mounting
-from .frames import cross
+from .frames import carried
 from .sensor_errors import (
     AXES,
     BODY,
@@ -91,9 +91,7 @@ def _felt(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> Felt:
     meaning = "Accelerometer from the centre of mass"
     arm = vector_parameter(m, "position", vehicle.imu_position_m.tolist(), "m", meaning, BODY)
     arm = blocks.apply(Mounting(arm)).arm_b
-    tangential, centripetal = cross(alpha, arm), cross(omega, cross(omega, arm))
-    at_sensor = [f + t + c for f, t, c in zip(force, tangential, centripetal, strict=True)]
-    return Felt(at_sensor, omega, spin)
+    return Felt(carried(force, arm, omega, alpha), omega, spin)
 
 
 def _low_pass(

@@ -184,6 +184,8 @@ def _is_per_mass(key: str, entry: _Entry) -> bool:
 
 def _factor(key: str, given: str, wanted: str) -> float | None:
     """Factor from one unit to another, None if they are not of one kind."""
+    if given == wanted:
+        return 1.0
     try:
         zero, one = (_registry().Quantity(n, given).to(wanted).magnitude for n in (0.0, 1.0))
         return float(one) if zero == 0 else None  # degrees Celsius take more than a factor

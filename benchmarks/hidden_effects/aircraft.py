@@ -30,6 +30,8 @@ class Aircraft:
         spin_inertia: Of one rotor about its axis, kg m2; it acts only where it is hidden.
         thrust_of_rpm: Ascending coefficients, N, where thrust is not k times speed squared.
         torque_of_rpm: The same of the reaction torque, N m.
+        speed_of_command: Ascending coefficients, rad/s, where the speed is no straight line.
+        known: Effects that the plant has with nothing hidden and that the vehicle file has, too.
     """
 
     name: str
@@ -39,6 +41,8 @@ class Aircraft:
     spin_inertia: float
     thrust_of_rpm: tuple[float, ...] | None = None
     torque_of_rpm: tuple[float, ...] | None = None
+    speed_of_command: tuple[float, ...] | None = None
+    known: tuple[str, ...] = ()
 
     @property
     def arm(self) -> float:
@@ -130,7 +134,7 @@ def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
     else:
         add("thrust_from_speed", k, "N*s^2/rad^2")
         add("torque_from_speed", q, "N*m*s^2/rad^2")
-        polynomial("speed_from_command", [a, b], "rad/s")
+        polynomial("speed_from_command", aircraft.speed_of_command or [a, b], "rad/s")
     add("lag", p.lag, "s")
     lines += ["", "[imu]"]
     add("position", p.imu_arm, "m")
@@ -156,6 +160,10 @@ def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
     add("attitude_noise", noise.attitude, "rad")
     lines += ["", "[site]"]
     add("pressure", GROUND_PRESSURE_PA, "Pa")
+    momentum = p.spin_inertia_yaw * p.hover_speed
+    for effect in aircraft.known:
+        lines += ["", f"[effects.{effect}]"]
+        add("momentum_n_m_s", momentum, "N*m*s")
     return "\n".join(lines) + "\n"
 
 

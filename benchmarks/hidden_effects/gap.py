@@ -2,6 +2,7 @@
 aircraft as the vehicle file has it, in the same true motion and with the same commands."""
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.signal import lfilter
 
 from .aircraft import Aircraft
@@ -29,7 +30,7 @@ def true_gap(
     """Residuals by channel of the i-th flight over its samples in the air, shape (m,)."""
     nominal = aircraft.nominal
     truth = trace.truth[:, :, i].T
-    expected, alpha = _nominal(nominal, truth, trace.command[:, :, i].T, dynamics)
+    expected, alpha = _nominal(aircraft, truth, trace.command[:, :, i].T, dynamics)
     pose = seen_pose(plant, trace, i)
     inverse = truth[6:10] * np.array([1.0, -1, -1, -1])[:, None]
     residual = {
@@ -68,15 +69,16 @@ def gap_json(flights: list[dict[str, Array]]) -> dict[str, dict[str, float | str
 
 
 def _nominal(
-    nominal: Parameters, truth: Array, command: Array, dynamics: Dynamics
+    aircraft: Aircraft, truth: Array, command: Array, dynamics: Dynamics
 ) -> tuple[Array, Array]:
     """Specific force at the accelerometer and angular acceleration of the aircraft of the file."""
+    nominal = aircraft.nominal
     batch, layout = Batch([nominal]), Layout(len(command))
     x = np.zeros((layout.size, truth.shape[1]))
     x[:13] = truth[:13]
     x[layout.rope][2] = 1.0
     x[layout.charge] = 1.0
-    target = nominal.speed_0 + nominal.speed_1 * command
+    target = polyval(command, aircraft.speed_of_command or (nominal.speed_0, nominal.speed_1))
     stay = float(np.exp(-1 / (CONTROL_HZ * nominal.lag)))
     begin = np.full((len(command), 1), nominal.speed_0)
     speed, _ = lfilter([0.0, 1 - stay], [1.0, -stay], target, axis=1, zi=begin)

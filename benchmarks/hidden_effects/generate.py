@@ -7,7 +7,6 @@ Cases that are complete are skipped, so a run that was cut short goes on where i
 """
 
 import argparse
-import json
 import os
 import sys
 import time
@@ -23,6 +22,7 @@ from twin.flightlog.table import write_flight
 from twin.vehicle_file import parse_vehicle
 
 from .cases import MAGNITUDES, NOISE_LEVELS, Case, cases, subset
+from .files import write_json
 from .plants import PLANTS, may_fly_together
 from .produce import FLIGHTS, Produced, produce
 
@@ -32,32 +32,53 @@ CASES_AT_ONCE = 100
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line."""
-    options = _options(arguments)
-    plants = options.plant or installed_plants()
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    add_options(parser)
+    options = parser.parse_args(arguments)
+    generate(options.out, chosen(options), options.jobs)
+    return 0
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options that choose cases."""
+    parser.add_argument("--subset", type=int, help="so many cases, spread evenly")
+    parser.add_argument("--plant", action="append", choices=tuple(PLANTS))
+    parser.add_argument("--effect", action="append", help='with this effect, or "nothing"')
+    parser.add_argument("--kind", action="append", choices=("single", "pair", "outside", "nothing"))
+    parser.add_argument("--magnitude", action="append", choices=MAGNITUDES)
+    parser.add_argument("--noise", action="append", choices=NOISE_LEVELS)
+
+
+def chosen(options: argparse.Namespace) -> list[Case]:
+    """The cases that the options ask for."""
     wanted = [
         c
-        for c in cases(plants)
+        for c in cases(options.plant or installed_plants())
         if (not options.effect or set(options.effect) & ({*c.effects} or {"nothing"}))
         and (not options.kind or c.kind in options.kind)
         and (not options.magnitude or c.magnitude in (*options.magnitude, "none"))
         and (not options.noise or c.noise in options.noise)
     ]
-    if options.subset:
-        wanted = subset(wanted, options.subset)
-    missing = [c for c in wanted if not is_complete(options.out, c)]
-    print(f"{len(wanted)} cases, {len(wanted) - len(missing)} there already", file=sys.stderr)
+    return subset(wanted, options.subset) if options.subset else wanted
+
+
+def generate(out: Path, wanted: list[Case], jobs: int) -> None:
+    """Write the cases that are not there yet."""
+    missing = [c for c in wanted if not is_complete(out, c)]
+    print(f"{len(wanted)} cases, {len(wanted) - len(missing)} flown already", file=sys.stderr)
     start, done = time.perf_counter(), 0
     os.environ["SCIPY_ARRAY_API"] = "1"  # for drone-models, see third_party
-    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
-        for count in pool.map(write_batch, repeat(options.out), batches(missing)):
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        for count in pool.map(write_batch, repeat(out), batches(missing)):
             done += count
             spent = time.perf_counter() - start
-            each = spent / (done * len(FLIGHTS))
             print(
-                f"{done}/{len(missing)} cases, {spent:.0f} s, {each:.2f} s per flight",
+                f"{done}/{len(missing)} cases flown, {spent:.0f} s, "
+                f"{spent / (done * len(FLIGHTS)):.2f} s per flight",
                 file=sys.stderr,
             )
-    return 0
 
 
 def installed_plants() -> list[str]:
@@ -96,14 +117,10 @@ def write_case(out: Path, produced: Produced) -> None:
     parse_vehicle(produced.vehicle, "vehicle.toml")
     folder, truth = flights_folder(out, produced.case), truth_file(out, produced.case)
     folder.mkdir(parents=True, exist_ok=True)
-    truth.parent.mkdir(parents=True, exist_ok=True)
     for name, table in produced.flights.items():
         write_flight(Flight(name, table), folder / f"{name}.parquet")
     (folder / "vehicle.toml").write_text(produced.vehicle, "utf-8")
-    text = json.dumps(produced.truth, indent=1, sort_keys=True)
-    partial = truth.with_suffix(".partial")
-    partial.write_text(text + "\n", "utf-8")
-    partial.replace(truth)
+    write_json(truth, produced.truth)
 
 
 def is_complete(out: Path, case: Case) -> bool:
@@ -121,19 +138,6 @@ def flights_folder(out: Path, case: Case) -> Path:
 def truth_file(out: Path, case: Case) -> Path:
     """Where the truth of a case lies."""
     return out / "truth" / f"{case.id}.json"
-
-
-def _options(arguments: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
-    parser.add_argument("--subset", type=int, help="so many cases, spread evenly")
-    parser.add_argument("--jobs", type=int, default=1, help="processes")
-    parser.add_argument("--plant", action="append", choices=tuple(PLANTS))
-    parser.add_argument("--effect", action="append", help='with this effect, or "nothing"')
-    parser.add_argument("--kind", action="append", choices=("single", "pair", "outside", "nothing"))
-    parser.add_argument("--magnitude", action="append", choices=MAGNITUDES)
-    parser.add_argument("--noise", action="append", choices=NOISE_LEVELS)
-    return parser.parse_args(arguments)
 
 
 if __name__ == "__main__":

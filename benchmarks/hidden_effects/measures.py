@@ -14,62 +14,65 @@ class ParameterError:
     """One number.
 
     Attributes:
+        name: "effect.number".
         relative: Error over the size of the hidden vector, measured from where nothing is hidden.
-        covered: Whether the 95 % interval holds the truth; None without an interval.
+        covered: Whether the 95 % interval holds the truth.
         exact: Whether plant and library share the law, so that the same number is meant.
     """
 
+    name: str
     relative: float
-    covered: bool | None
+    covered: bool
     exact: bool
 
 
 def parameter_errors(
     truth: dict[str, Any], said: dict[str, Any], named: Collection[str]
 ) -> Iterator[ParameterError]:
-    """Errors of every number whose effect was rightly named and whose name and unit match."""
+    """Errors of the numbers of effects rightly named: same name, same unit, with an interval.
+
+    Numbers without an interval are shapes, such as a reference or a height: no magnitude.
+    """
     given = {e["name"]: e["parameters"] for e in said["effects"] if e["name"] in named}
     for effect in truth["effects"]:
         for name, number in effect["parameters"].items():
             found = given.get(effect["name"], {}).get(name)
             if found is None or _plain(found["unit"]) != _plain(number["unit"]):
                 continue
-            size = _size(effect["parameters"], number["unit"])
-            if size > 0:
+            interval, size = found.get("ci95"), _size(effect["parameters"], number["unit"])
+            if size > 0 and interval is not None and None not in interval:
                 yield ParameterError(
+                    f"{effect['name']}.{name}",
                     abs(found["value"] - number["value"]) / size,
-                    _covers(found.get("ci95"), number["value"]),
+                    bool(interval[0] <= number["value"] <= interval[1]),
                     number["exact"],
                 )
 
 
-def closed_gaps(said: dict[str, Any]) -> Iterator[float]:
-    """Share of what stood above the noise floor that is gone, for every channel with a gap."""
-    for channel in said.get("gap", {}).values():
-        before, after, floor = (channel.get(k) for k in ("before", "after", "noise_floor"))
-        if before and after is not None and floor is not None and before > CLEAR * floor:
-            yield (before - after) / (before - floor)
+def share_closed(said: dict[str, Any]) -> float:
+    """Share of what stood above the noise floor that is gone: mean of the channels with a gap."""
+    shares = [(b - a) / (b - floor) for b, a, floor in _gaps(said)]
+    return sum(shares) / len(shares) if shares else math.nan
 
 
-def over_floor(said: dict[str, Any]) -> Iterator[float]:
-    """Gap afterwards over the noise floor, for every channel that had a gap."""
+def after_over_floor(said: dict[str, Any]) -> float:
+    """Gap afterwards over the noise floor: root mean square of the channels that had a gap."""
+    squares = [(a / floor) ** 2 for _, a, floor in _gaps(said)]
+    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+
+
+def _gaps(said: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
+    """Before, after, floor of every channel with a gap."""
     for channel in said.get("gap", {}).values():
         before, after, floor = (channel.get(k) for k in ("before", "after", "noise_floor"))
         if before and after is not None and floor and before > CLEAR * floor:
-            yield after / floor
+            yield before, after, floor
 
 
 def _size(parameters: dict[str, Any], unit: str) -> float:
     """Length of the vector of all numbers of one unit, from their neutral values."""
     same = [p["value"] - p["neutral"] for p in parameters.values() if p["unit"] == unit]
     return math.sqrt(sum(v * v for v in same))
-
-
-def _covers(interval: Any, value: float) -> bool | None:
-    if interval is None or any(v is None for v in interval):
-        return None
-    low, high = interval
-    return bool(low <= value <= high)
 
 
 def _plain(unit: str) -> str:

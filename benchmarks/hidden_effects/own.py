@@ -14,7 +14,7 @@ from .control import Controller, Setpoint
 from .missions import CONTROL_HZ
 from .orders import Draws, Order, between, draw
 from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch
-from .physics import Dynamics, Layout, Motion, motion, own_dynamics
+from .physics import Dynamics, Layout, Motion, Simulator, motion, own_dynamics
 from .vectors import cross, rotation, to_ned, turned
 
 STEPS = round(1 / (CONTROL_HZ * STEP_S))
@@ -55,11 +55,15 @@ def fly(orders: list[Order], dynamics: Dynamics = own_dynamics) -> Trace:
     batch = Batch([o.plant for o in orders])
     layout = Layout(batch.rotors)
     draws = draw(orders)
+    simulator = dynamics if isinstance(dynamics, Simulator) else None
+    about_hover = own_dynamics if simulator else dynamics
     controller = Controller(
-        Batch([o.aircraft.nominal for o in orders]), -_hover_error(batch, layout, dynamics)
+        Batch([o.aircraft.nominal for o in orders]), -_hover_error(batch, layout, about_hover)
     )
     want = _setpoints(orders)
     x = _start(batch, layout)
+    if simulator:
+        simulator.begin(batch, x[layout.pos].copy())
     applied = np.zeros((batch.rotors, batch.n))
     at = motion(batch, layout, x, applied, draws.gust[0], 0.0, dynamics)
     k_max = len(draws.gust)
@@ -98,6 +102,14 @@ def fly(orders: list[Order], dynamics: Dynamics = own_dynamics) -> Trace:
             for name, now in _readings(layout, x, at).items():
                 records[name][rows, :, flights] = now[:, flights].T
         x, before = advance(batch, layout, x, at, before)
+        if simulator:
+            simulator.step(layout, x, applied, wind)
+    if not np.all(np.isfinite(records["truth"])):
+        k, _, i = np.argwhere(~np.isfinite(records["truth"]))[0]
+        raise FloatingPointError(
+            f"flight {i} of {orders[i].aircraft.name}, seed {orders[i].seed}, is not finite "
+            f"from {k / CONTROL_HZ} s on"
+        )
     return Trace(**records, draws=draws)
 
 

@@ -9,6 +9,7 @@ comes out the same to the last bit in whatever company it is computed.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -66,6 +67,20 @@ class Instant:
 
 Dynamics = Callable[[Batch, Instant], tuple[Array, Array]]
 """Force without weight, N, and angular acceleration, rad/s2, both in body axes."""
+
+
+@runtime_checkable
+class Simulator(Protocol):
+    """Dynamics with a state of their own, which they integrate themselves."""
+
+    def begin(self, batch: Batch, start: Array) -> None:
+        """Be ready for a batch, at rest at these positions, NED, m."""
+
+    def __call__(self, batch: Batch, now: Instant) -> tuple[Array, Array]:
+        """Force without weight and angular acceleration at the state of the simulator."""
+
+    def step(self, layout: Layout, x: Array, command: Array, wind: Array) -> None:
+        """Go on by one step and write position, velocity, attitude, rates and rotors to `x`."""
 
 
 @dataclass(frozen=True)

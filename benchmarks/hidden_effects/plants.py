@@ -8,6 +8,7 @@ from .aircraft import AIRCRAFT, Aircraft
 from .hidden import Hidden
 from .hidden_forces import FORCES, OUTSIDE
 from .hidden_readings import READINGS
+from .jsbsim_plant import f450, f450_dynamics
 from .physics import Dynamics, own_dynamics
 from .third_party import CRAZYFLIES, crazyflie, crazyflie_dynamics
 
@@ -44,6 +45,11 @@ _ONLY_OWN = {
     "gyroscopic_torque", "thrust_tilt",
 }  # fmt: skip
 """What the dynamics of drone-models have no place for."""
+_NOT_JSBSIM = {
+    "translational_lift", "battery_sag", "motor_lag", "slung_load",
+    "rotor_inertia_torque", "gyroscopic_torque",
+}  # fmt: skip
+"""What the F450 of JSBSim has no place for, or has with nothing hidden."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,15 @@ PLANTS = {
             10,
             lambda n: (crazyflie(n), crazyflie_dynamics(n)),
             package="drone-models",
+        ),
+        Plant(
+            "jsbsim",
+            ("F450",),
+            tuple(n for n in EFFECTS if n not in _NOT_JSBSIM),
+            2,
+            10,
+            lambda n: (f450(), f450_dynamics()),
+            package="jsbsim",
         ),
     )
 }

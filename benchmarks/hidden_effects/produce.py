@@ -16,6 +16,7 @@ from .noise import NOISE
 from .orders import Order
 from .own import fly
 from .parameters import Parameters
+from .physics import Simulator, own_dynamics
 from .plants import EFFECTS, PLANTS
 from .sensing import flight_table
 
@@ -86,6 +87,7 @@ def produce(batch: list[Case]) -> Iterator[Produced]:
     wanted = [orders(case, plant) for case, (plant, _) in zip(batch, hidden, strict=True)]
     flat = [order for flights in wanted for order in flights.values()]
     trace = fly(flat, dynamics)
+    pure = own_dynamics if isinstance(dynamics, Simulator) else dynamics
     first = 0
     for case, (plant, truth), flights in zip(batch, hidden, wanted, strict=True):
         rows = range(first, first + len(flights))
@@ -101,7 +103,7 @@ def produce(batch: list[Case]) -> Iterator[Produced]:
             {
                 **truth_json(case, truth),
                 "aircraft": aircraft.name,
-                "gap": gap_json([true_gap(aircraft, plant, trace, i, dynamics) for i in rows]),
+                "gap": gap_json([true_gap(aircraft, plant, trace, i, pure) for i in rows]),
             },
         )
 

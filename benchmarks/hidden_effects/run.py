@@ -1,57 +1,137 @@
-"""Let `uavtwin explain` look at every case: `python -m benchmarks.hidden_effects.run DIR`.
+"""Let `twin.explain` look at every case: `python -m benchmarks.hidden_effects.run DIR`.
 
-It is given the folder of one case and writes to DIR/results/ID; the truth lies elsewhere. Cases
-with a result are skipped, so a run that was cut short goes on where it stopped.
+    DIR/flights/ID/       what it is given
+    DIR/results/ID.json   what it says, with the time it took
+
+The truth lies elsewhere and is not read. Cases with a result are skipped, so a run that was cut
+short goes on where it stopped; a case that fails is recorded as such.
 """
 
 import argparse
-import subprocess
+import json
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Collection
 from pathlib import Path
+from queue import Empty, SimpleQueue
+from threading import Lock, Thread
+from typing import Any
 
-LONGEST_S = 900
+from .explaining import VEHICLE, Worker, twin_state
+from .files import write_json
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; exit code 1 when a case gave no result."""
+    """Command line; exit code 1 when a case failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("dir", type=Path)
-    parser.add_argument("--jobs", type=int, default=1, help="cases at the same time")
+    parser.add_argument("dir", type=Path, help="as written by generate")
+    add_options(parser)
     options = parser.parse_args(arguments)
-    results = options.dir.resolve() / "results"
-    folders = sorted(p for p in (options.dir / "flights").iterdir() if p.is_dir())
-    missing = [f for f in folders if not (results / f.name / "explain.json").is_file()]
+    return run(options.dir, options.results, options.jobs, again=options.again)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Options that are the same where everything is done by one command."""
+    parser.add_argument("--results", default="results", help="name of the folder in DIR")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument(
+        "--again",
+        choices=("errors", "changed", "all"),
+        help="repeat cases that failed, those by another state of twin/, or all",
+    )
+
+
+def run(
+    out: Path,
+    results: str = "results",
+    jobs: int = 1,
+    ids: Collection[str] | None = None,
+    again: str | None = None,
+    worker: Callable[[], Worker] = Worker,
+) -> int:
+    """Explain the cases of a folder.
+
+    Args:
+        out: As written by generate.
+        results: Name of the folder in it to write to.
+        jobs: Cases at the same time, a process each.
+        ids: Of the cases; default: all.
+        again: Which cases with a result to repeat: errors, changed, all.
+        worker: Makes a process.
+
+    Returns:
+        1 when a case failed.
+    """
+    there = {f.parent.name: f.parent for f in (out / "flights").glob(f"*/{VEHICLE}")}
+    folders = {i: f for i, f in sorted(there.items()) if ids is None or i in ids}
+    state = twin_state()
+    files = {i: out / results / f"{i}.json" for i in folders}
+    missing = [i for i, file in files.items() if not _is_done(file, again, state)]
     print(f"{len(folders)} cases, {len(folders) - len(missing)} there already", file=sys.stderr)
-    start, failed = time.perf_counter(), 0
-    with ThreadPoolExecutor(options.jobs) as pool:
-        jobs = pool.map(lambda folder: explain(folder, results / folder.name), missing)
-        for done, problem in enumerate(jobs, start=1):
-            failed += bool(problem)
-            spent = time.perf_counter() - start
-            print(f"{done}/{len(missing)} {spent:.0f} s {problem}".rstrip(), file=sys.stderr)
-    return 1 if failed else 0
+    queue: SimpleQueue[str] = SimpleQueue()
+    for i in missing:
+        queue.put(i)
+    progress = _Progress(len(missing))
+
+    def serve() -> None:
+        explain = worker()
+        try:
+            while True:
+                i = queue.get_nowait()
+                said = {"case": i, "twin": state, **explain(folders[i])}
+                write_json(files[i], said)
+                progress.done(said)
+        except Empty:
+            return
+        finally:
+            explain.close()
+
+    threads = [Thread(target=serve, daemon=True) for _ in range(min(jobs, len(missing)))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return 1 if any(_read(f).get("verdict") == "error" for f in files.values()) else 0
 
 
-def explain(folder: Path, out: Path) -> str:
-    """Explain one case; returns what went wrong, "" when nothing did."""
-    command = [
-        *(sys.executable, "-c", "from cosim.cli import main; main()"),
-        *("explain", "fit_1.parquet", "fit_2.parquet"),
-        *("--holdout", "holdout_1.parquet", "--vehicle", "vehicle.toml"),
-        *("--out", str(out), "--force"),
-    ]
-    try:
-        run = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, timeout=LONGEST_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return f"{folder.name}: longer than {LONGEST_S} s"
-    if (out / "explain.json").is_file():
-        return ""
-    lines = run.stderr.strip().splitlines() or ["no message"]
-    return f"{folder.name}: exit code {run.returncode}: {lines[-1]}"
+class _Progress:
+    """A line per case on stderr, with the time left."""
+
+    def __init__(self, total: int) -> None:
+        self._total, self._done, self._start = total, 0, time.perf_counter()
+        self._lock = Lock()
+
+    def done(self, said: dict[str, Any]) -> None:
+        """One more."""
+        with self._lock:
+            self._done += 1
+            spent = time.perf_counter() - self._start
+            left = spent / self._done * (self._total - self._done)
+            what = said.get("error") or f"{said['verdict']}, {said['seconds']:.0f} s"
+            print(
+                f"{self._done}/{self._total} {said['case']} {what}; {_minutes(left)} left",
+                file=sys.stderr,
+                flush=True,
+            )
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+
+
+def _is_done(file: Path, again: str | None, state: str) -> bool:
+    """Whether a result is there and need not be repeated."""
+    if not file.is_file() or again == "all":
+        return False
+    if again is None:
+        return True
+    said = _read(file)
+    return bool(said["verdict"] != "error" and (again == "errors" or said["twin"] == state))
+
+
+def _read(file: Path) -> dict[str, Any]:
+    content: dict[str, Any] = json.loads(file.read_text("utf-8")) if file.is_file() else {}
+    return content
 
 
 if __name__ == "__main__":

@@ -1,228 +1,204 @@
-"""How well a program named what was hidden: `python -m benchmarks.hidden_effects.score RESULTS`.
+"""How well a program named what was hidden: `python -m benchmarks.hidden_effects.score DIR`.
 
-    RESULTS/ID/explain.json   what the program said about each case
-    --truth DIR/truth         what was hidden
-    --out FILE                the figures as JSON
+    DIR/results/ID.json   what the program said about each case
+    DIR/truth/ID.json     what was hidden
+    DIR/results.score.json   the figures that are printed
 
-Verdicts are those of `explain.json` (named, nothing, unnamed, cannot_tell, unusable).
+Verdicts are those of `explain.json` (named, nothing, unnamed, cannot_tell, unusable), and "error"
+for a case that failed; such a case counts as wrong.
 """
 
 import argparse
-import json
-import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Sequence
 from pathlib import Path
-from statistics import median
 from typing import Any
 
-from .measures import closed_gaps, over_floor, parameter_errors
+from .files import write_json
+from .measures import after_over_floor, parameter_errors, share_closed
+from .outcomes import Outcome, read_outcomes
+from .rates import middle, rate, share
+from .table import table
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """One case: the truth and what was said about it."""
-
-    truth: dict[str, Any]
-    said: dict[str, Any]
-
-    @property
-    def hidden(self) -> set[str]:
-        """Names of what was hidden."""
-        return {e["name"] for e in self.truth["effects"]}
-
-    @property
-    def verdict(self) -> str:
-        """What the program decided."""
-        return str(self.said["verdict"])
-
-    @property
-    def named(self) -> list[str]:
-        """Effects that the program added, the surest first; none unless the verdict is "named"."""
-        if self.verdict != "named":
-            return []
-        effects = sorted(self.said["effects"], key=lambda e: -e["probability"])
-        return [str(e["name"]) for e in effects]
-
-    @property
-    def right(self) -> bool:
-        """The first name of a single effect, both of a pair, or the right other verdict."""
-        match self.truth["kind"]:
-            case "nothing":
-                return self.verdict == "nothing"
-            case "outside":
-                return self.verdict == "unnamed"
-            case "pair":
-                return self.hidden <= set(self.named)
-            case _:
-                return self.named[:1] == [*self.hidden]
-
-
-def read_outcomes(results: Path, truth: Path) -> tuple[list[Outcome], list[str]]:
-    """Every case with a result, and the identifiers of those without one."""
-    outcomes, missing = [], []
-    for file in sorted(truth.glob("*.json")):
-        said = results / file.stem / "explain.json"
-        if said.is_file():
-            outcomes.append(Outcome(json.loads(file.read_text()), json.loads(said.read_text())))
-        else:
-            missing.append(file.stem)
-    return outcomes, missing
-
-
-def score(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """All figures; a rate is null where no case counts for it."""
-    kinds = {
-        kind: [o for o in outcomes if o.truth["kind"] == kind]
-        for kind in ("single", "pair", "nothing", "outside")
-    }
-    quiet, outside = kinds["nothing"], kinds["outside"]
-    with_effects = kinds["single"] + kinds["pair"]
-    return {
-        "cases": len(outcomes),
-        "right": {kind: _rate(found, lambda o: o.right) for kind, found in kinds.items()},
-        "right_single": {
-            by: _grouped(kinds["single"], by) for by in ("magnitude", "noise", "plant")
-        },
-        "false_alarms": _rate(quiet, lambda o: o.verdict in ("named", "unnamed")),
-        "cannot_tell": _rate(outcomes, lambda o: o.verdict == "cannot_tell"),
-        "cannot_tell_holds_truth": _rate(
-            [o for o in with_effects if o.verdict == "cannot_tell"], _among_rivals
-        ),
-        "unusable": _rate(outcomes, lambda o: o.verdict == "unusable"),
-        "outside_called_a_library_effect": _rate(outside, lambda o: o.verdict == "named"),
-        "outside_share_explained": _median(
-            sum(u["share"] for u in o.said.get("unnamed", []))
-            for o in outside
-            if o.verdict == "unnamed"
-        ),
-        "effects": _per_effect(outcomes),
-        "parameters": _parameters(with_effects),
-        "gap": {
-            "share_closed": _median(g for o in with_effects for g in closed_gaps(o.said)),
-            "after_over_floor": _median(g for o in with_effects for g in over_floor(o.said)),
-        },
-    }
-
-
-def table(figures: dict[str, Any]) -> str:
-    """The figures as text."""
-    lines = [f"{figures['cases']} cases", ""]
-    rows: list[tuple[str, Any]] = [
-        ("right name first, single effect", figures["right"]["single"]),
-        *(
-            (f"  {by} {value}", rate)
-            for by, rates in figures["right_single"].items()
-            for value, rate in rates.items()
-        ),
-        ("both names, pairs", figures["right"]["pair"]),
-        ("nothing, when nothing is hidden", figures["right"]["nothing"]),
-        ("false alarms on quiet flights", figures["false_alarms"]),
-        ("cannot tell", figures["cannot_tell"]),
-        ("  with the truth among the rivals", figures["cannot_tell_holds_truth"]),
-        ("unusable", figures["unusable"]),
-        ("outside the library: unnamed", figures["right"]["outside"]),
-        ("outside the library: wrongly named", figures["outside_called_a_library_effect"]),
-        ("outside the library: share explained", figures["outside_share_explained"]),
-        *((f"parameters: {k}", v) for k, v in figures["parameters"].items()),
-        ("gap closed, share (median)", figures["gap"]["share_closed"]),
-        ("gap after over noise floor (median)", figures["gap"]["after_over_floor"]),
-    ]
-    lines += [f"{what:<42} {_shown(value):>8}" for what, value in rows]
-    lines += ["", f"{'effect':<26} {'n':>5} {'recall':>8} {'precision':>10}  taken for"]
-    lines += [
-        f"{name:<26} {e['n']:>5} {_shown(e['recall']):>8} {_shown(e['precision']):>10}  "
-        + ", ".join(f"{k} {n}" for k, n in e["taken_for"].items())
-        for name, e in figures["effects"].items()
-    ]
-    return "\n".join(lines)
+_LEVELS = ("none", "low", "small", "medium", "high", "large")
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; exit code 1 when results are missing."""
+    """Command line; exit code 1 when results are missing or failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("results", type=Path)
-    parser.add_argument("--truth", type=Path, required=True)
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("dir", type=Path)
+    parser.add_argument("--results", default="results", help="name of the folder in DIR")
     options = parser.parse_args(arguments)
-    outcomes, missing = read_outcomes(options.results, options.truth)
-    figures = score(outcomes)
-    figures["missing"] = missing
+    return write_score(options.dir, options.results)
+
+
+def write_score(out: Path, results: str = "results", ids: Collection[str] | None = None) -> int:
+    """Print the table and write it as JSON beside the results; 1 when results are missing."""
+    outcomes, missing = read_outcomes(out / results, out / "truth", ids)
+    figures = score(outcomes, missing)
+    write_json(out / f"{results}.score.json", figures)
     print(table(figures))
-    if missing:
-        print(f"\n{len(missing)} cases have no result, {missing[0]} first")
-    if options.out:
-        options.out.write_text(json.dumps(figures, indent=1) + "\n", "utf-8")
-    return 1 if missing else 0
+    return 1 if missing or figures["errors"] else 0
+
+
+def score(outcomes: Sequence[Outcome], missing: Sequence[str] = ()) -> dict[str, Any]:
+    """All figures; a value is null where no case counts for it."""
+    return {
+        "cases": len(outcomes),
+        "missing": list(missing),
+        "errors": [
+            {"case": o.said.get("case"), "error": o.said.get("error")}
+            for o in outcomes
+            if o.verdict == "error"
+        ],
+        "twin": dict(Counter(str(o.said.get("twin")) for o in outcomes)),
+        "goals": _goals(outcomes),
+        "more": _more(outcomes),
+        "by": {by: _by(outcomes, by) for by in ("magnitude", "noise", "plant")},
+        "effects": _per_effect(outcomes),
+        "parameters": _parameters(outcomes),
+        "confusions": _confusions(outcomes),
+    }
+
+
+def _goals(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """What the issue sets goals for."""
+    single = [o for o in _of(outcomes, "single") if o.truth["magnitude"] == "medium"]
+    outside = _of(outcomes, "outside")
+    named = [o for o in _hidden(outcomes) if o.verdict == "named"]
+    errors = [e for o in single for e in parameter_errors(o.truth, o.said, o.named) if e.exact]
+    rows: list[tuple[str, dict[str, Any], str]] = [
+        ("single medium effect: right name first", rate(single, _is_right), ""),
+        ("pairs: both named", rate(_of(outcomes, "pair"), _is_right), ""),
+        ("quiet flights: nothing", rate(_of(outcomes, "nothing"), _is_right), ""),
+        ("numbers inside their 95 % interval", rate(errors, lambda e: bool(e.covered)), "95 %"),
+        ("median error of a number", middle(e.relative for e in errors), ""),
+        (
+            "gap with the effect added over noise floor, median",
+            middle(after_over_floor(o.said) for o in named),
+            "",
+        ),
+        (
+            "outside the library, given another name",
+            rate(outside, lambda o: bool(o.verdict == "named")),
+            "< 5 %",
+        ),
+        (
+            "seconds per case, median",
+            middle(o.said["seconds"] for o in outcomes if "seconds" in o.said),
+            "",
+        ),
+    ]
+    return [{"what": what, "goal": goal, **value} for what, value, goal in rows]
+
+
+def _more(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Other figures of the whole."""
+    hidden = _hidden(outcomes)
+    tied = [o for o in hidden if o.verdict == "cannot_tell"]
+    outside = _of(outcomes, "outside")
+    unnamed = [o for o in outside if o.verdict == "unnamed"]
+    rows = [
+        ("single effect, all magnitudes", rate(_of(outcomes, "single"), _is_right)),
+        (
+            "quiet flights: false alarms",
+            rate(
+                _of(outcomes, "nothing"), lambda o: bool(o.verdict in ("named", "unnamed", "error"))
+            ),
+        ),
+        ("cannot tell", rate(outcomes, lambda o: bool(o.verdict == "cannot_tell"))),
+        ("  with the truth among the candidates", rate(tied, lambda o: bool(o.among_candidates))),
+        ("unusable", rate(outcomes, lambda o: bool(o.verdict == "unusable"))),
+        ("failed", rate(outcomes, lambda o: bool(o.verdict == "error"))),
+        ("outside the library: unnamed", rate(outside, _is_right)),
+        (
+            "outside the library: share explained, median",
+            middle(sum(u["share"] for u in o.said.get("unnamed", [])) for o in unnamed),
+        ),
+        ("share of the gap closed, median", middle(share_closed(o.said) for o in hidden)),
+        (
+            "processor seconds per case, median",
+            middle(o.said["cpu_seconds"] for o in outcomes if "cpu_seconds" in o.said),
+        ),
+    ]
+    return [{"what": what, **value} for what, value in rows]
+
+
+def _by(outcomes: Sequence[Outcome], by: str) -> dict[str, dict[str, Any]]:
+    """Right answers by kind, for each value of a property of the cases."""
+    groups: dict[str, list[Outcome]] = {}
+    for o in sorted(outcomes, key=lambda o: _place(str(o.truth[by]))):
+        groups.setdefault(str(o.truth[by]), []).append(o)
+    return {
+        value: {
+            **{k: rate(_of(group, k), _is_right) for k in ("single", "pair", "nothing", "outside")},
+            "cannot_tell": rate(group, lambda o: bool(o.verdict == "cannot_tell")),
+        }
+        for value, group in groups.items()
+    }
 
 
 def _per_effect(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
-    names = sorted({n for o in outcomes for n in (*o.hidden, *o.named)})
+    """Every effect of the library that was hidden or named, alone and in pairs."""
+    outside = {n for o in _of(outcomes, "outside") for n in o.hidden}
+    names = sorted({n for o in outcomes for n in (*o.hidden, *o.named)} - outside)
     result = {}
     for name in names:
         there = [o for o in outcomes if name in o.hidden]
         said = [o for o in outcomes if name in o.named]
-        taken: dict[str, int] = {}
-        for o in there:
-            if name not in o.named:
-                for other in o.named or [o.verdict]:
-                    if other not in o.hidden:
-                        taken[other] = taken.get(other, 0) + 1
+        both = len([o for o in there if name in o.named])
         result[name] = {
             "n": len(there),
-            "recall": _share(len([o for o in there if name in o.named]), len(there)),
-            "precision": _share(len([o for o in said if name in o.hidden]), len(said)),
-            "taken_for": dict(sorted(taken.items(), key=lambda item: (-item[1], item[0]))),
+            "recall": share(both, len(there)),
+            "precision": share(both, len(said)),
+            "cannot_tell": rate(there, lambda o: bool(o.verdict == "cannot_tell")),
         }
     return result
 
 
-def _parameters(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Errors and coverage where the right effect was named and the name of a number matches."""
-    errors = [e for o in outcomes for e in parameter_errors(o.truth, o.said, o.named)]
-    exact = [e for e in errors if e.exact]
+def _parameters(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    """Every number that could be compared: the effect rightly named, name and unit the same."""
+    found: dict[str, list[Any]] = {}
+    for o in _hidden(outcomes):
+        for e in parameter_errors(o.truth, o.said, o.named):
+            found.setdefault(e.name, []).append(e)
     return {
-        "compared": len(errors),
-        "median error": _median(e.relative for e in errors),
-        "median error, same law": _median(e.relative for e in exact),
-        "coverage": _rate([e for e in errors if e.covered is not None], lambda e: bool(e.covered)),
-        "coverage, same law": _rate(
-            [e for e in exact if e.covered is not None], lambda e: bool(e.covered)
-        ),
+        name: {
+            "same_law": errors[0].exact,
+            "error": middle(e.relative for e in errors),
+            "coverage": rate(errors, lambda e: bool(e.covered)),
+        }
+        for name, errors in sorted(found.items())
     }
 
 
-def _among_rivals(o: Outcome) -> bool:
-    candidates = {e["name"] for e in o.said["effects"]} | {
-        r["name"] for e in o.said["effects"] for r in e.get("rivals", [])
-    }
-    return o.hidden <= candidates
+def _confusions(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """What was said where it was wrong, the most frequent first."""
+    found = Counter(
+        ("+".join(sorted(o.hidden)) or "nothing", "+".join(o.named) or o.verdict)
+        for o in outcomes
+        if not o.right
+    )
+    ranked = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+    return [{"hidden": hidden, "said": said, "n": n} for (hidden, said), n in ranked]
 
 
-def _grouped(outcomes: Sequence[Outcome], by: str) -> dict[str, float | None]:
-    values = sorted({str(o.truth[by]) for o in outcomes})
-    return {
-        v: _rate([o for o in outcomes if str(o.truth[by]) == v], lambda o: o.right) for v in values
-    }
+def _of(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
+    return [o for o in outcomes if o.kind == kind]
 
 
-def _rate(items: Sequence[Any], good: Callable[[Any], bool]) -> float | None:
-    return _share(sum(map(good, items)), len(items))
+def _hidden(outcomes: Sequence[Outcome]) -> list[Outcome]:
+    """Those with effects of the library."""
+    return _of(outcomes, "single") + _of(outcomes, "pair")
 
 
-def _share(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
+def _place(value: str) -> tuple[int, str]:
+    """Levels by size, names by the alphabet."""
+    return (_LEVELS.index(value) if value in _LEVELS else len(_LEVELS)), value
 
 
-def _median(values: Iterable[float]) -> float | None:
-    finite = [v for v in values if math.isfinite(v)]
-    return median(finite) if finite else None
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "-"
-    return str(value) if isinstance(value, int) else f"{value:.3f}"
+def _is_right(o: Outcome) -> bool:
+    return o.right
 
 
 if __name__ == "__main__":

@@ -4,10 +4,17 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from benchmarks.hidden_effects.jsbsim_plant import JsbsimFlights
+from benchmarks.hidden_effects.parameters import GRAVITY_M_S2, Batch, Parameters
+from benchmarks.hidden_effects.physics import Layout
+from benchmarks.hidden_effects.plants import EFFECTS, PLANTS
 
 CHECK = """
 import json, sys
@@ -26,8 +33,8 @@ from twin.teacher_forced import predicted_readings, teacher_forced_channels
 from twin.vehicle_file import parse_vehicle
 
 rms = {}
-for name in PLANTS["drone_models"].aircraft:
-    a, dynamics = PLANTS["drone_models"].load(name)
+for name in PLANTS[sys.argv[1]].aircraft:
+    a, dynamics = PLANTS[sys.argv[1]].load(name)
     tour = missions.mission("tour", a.nominal.leg, a.pace, np.random.default_rng(5))
     order = Order(a, a.nominal, tour, NOISE["none"], (7,))
     flight = Flight(name, flight_table(order, fly([order], dynamics), 0))
@@ -41,14 +48,12 @@ print(json.dumps(rms))
 """
 
 
-@pytest.mark.skipif(
-    not find_spec("drone_models") and not os.environ.get("CI"),
-    reason="drone-models is not installed",
-)
-def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
-    """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
+def residual_rms(plant: str) -> dict[str, float]:
+    """Teacher-forced residuals of the twin over a noise-free flight of each aircraft of a plant."""
+    if not find_spec(plant) and not os.environ.get("CI"):
+        pytest.skip(f"{PLANTS[plant].package} is not installed")
     run = subprocess.run(
-        [sys.executable, "-c", CHECK],
+        [sys.executable, "-c", CHECK, plant],
         cwd=Path(__file__).parents[2],
         env={**os.environ, "SCIPY_ARRAY_API": "1"},
         capture_output=True,
@@ -56,7 +61,49 @@ def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
         check=False,
     )
     assert run.returncode == 0, run.stderr
-    rms = json.loads(run.stdout)
-    assert len(rms) == 12
+    rms: dict[str, float] = json.loads(run.stdout)
+    assert len(rms) == 6 * len(PLANTS[plant].aircraft)
+    return rms
+
+
+def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
+    """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
+    rms = residual_rms("drone_models")
     assert max(v for k, v in rms.items() if " acc_" in k) < 0.004  # low noise is 0.02
     assert max(v for k, v in rms.items() if " angacc_" in k) < 0.004  # low noise is 0.05
+
+
+def test_twin_matches_a_quiet_flight_of_jsbsim() -> None:
+    """Motors of JSBSim follow no first-order lag: a residual stays, but below low noise."""
+    rms = residual_rms("jsbsim")
+    assert max(v for k, v in rms.items() if " acc_" in k) < 0.01  # low noise is 0.02
+    assert max(v for k, v in rms.items() if " angacc_" in k) < 0.025  # low noise is 0.05
+
+
+@pytest.mark.skipif(
+    not find_spec("jsbsim") and not os.environ.get("CI"), reason="jsbsim is not installed"
+)
+def test_propeller_of_jsbsim_loses_thrust_in_a_climb_as_the_truth_says() -> None:
+    aircraft, _ = PLANTS["jsbsim"].load("F450")
+    hidden, truth = EFFECTS["induced_inflow"].hide(
+        aircraft.nominal, aircraft, 0.7, np.random.default_rng(1)
+    )
+    thrust = [thrust_in_hover(hidden, climb_m_s) for climb_m_s in (0.0, 1.0, -1.0)]
+    slope = (thrust[2] - thrust[1]) / (2 * thrust[0])
+    assert slope == pytest.approx(truth["k_s_m"].value, rel=0.2)  # its table is a curve
+    assert thrust[0] == pytest.approx(aircraft.nominal.mass * GRAVITY_M_S2 / 4, rel=0.01)
+
+
+def thrust_in_hover(p: Parameters, climb_m_s: float) -> float:
+    """Of one rotor at the speed of hover, at rest in air that sinks, N."""
+    flights = JsbsimFlights()
+    batch, layout = Batch([replace(p, mass=1e6, inertia=1e6 * p.inertia)]), Layout(4)
+    x = np.zeros((layout.size, 1))
+    x[layout.q][0] = 1.0
+    x[layout.rotor] = p.hover_speed
+    flights.begin(batch, np.zeros((3, 1)))
+    flights.hold(np.array([[0.0], [0.0], [-1e6 * GRAVITY_M_S2]]))
+    command = np.full((4, 1), (p.hover_speed - p.speed_0) / p.speed_1)
+    for _ in range(1000):
+        flights.step(layout, x, command, np.array([[0.0], [0.0], [climb_m_s]]))
+    return float(flights.thrust()[0, 0] * (p.hover_speed / x[layout.rotor][0, 0]) ** 2)

@@ -15,7 +15,14 @@ NEAREST_GROUND = 0.25
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
     m, air = w.motion.body.mass * w.motion.density, w.motion.air_b
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
-    return replace(w, force=[f - m * c * v for f, c, v in zip(w.force, k, air, strict=True)])
+    drag = [-m * c * v for c, v in zip(k, air, strict=True)]
+    hubs = w.motion.body.hubs
+    middle = [sum(places, start=ca.SX(0)) / len(hubs) for places in zip(*hubs, strict=True)]
+    return replace(
+        w,
+        force=[f + d for f, d in zip(w.force, drag, strict=True)],
+        moment=[a + b for a, b in zip(w.moment, cross(middle, drag), strict=True)],
+    )
 
 
 def _parasitic_drag(w: Wrench, p: Block) -> Wrench:
@@ -64,7 +71,8 @@ def _ground_effect(r: Thrust, p: Block) -> Thrust:
 
 ROTOR_DRAG = Effect(
     "rotor_drag",
-    "drag of the turning rotors, proportional to the speed through the air",
+    "drag of the turning rotors, at the middle of their hubs, proportional to the speed through "
+    "the air",
     "airframe",
     Wrench,
     (

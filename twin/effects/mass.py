@@ -23,7 +23,8 @@ def _mass_offset(b: Body, p: Block) -> Body:
 
 def _cog_offset(b: Body, p: Block) -> Body:
     shift = [p["x_m"], p["y_m"], ca.SX(0)]
-    return replace(b, hubs=[[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs])
+    hubs = [[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs]
+    return replace(b, hubs=hubs, origin=[o - s for o, s in zip(b.origin, shift, strict=True)])
 
 
 def _inertia_error(b: Body, p: Block) -> Body:

@@ -16,11 +16,13 @@ class Body:
         mass: kg.
         inertia: Inertia matrix, kg m2, 3 rows of 3.
         hubs: Places of the rotor hubs, m, one [x, y, z] per rotor.
+        origin: Where the numbers of the vehicle have the centre of mass, m.
     """
 
     mass: ca.SX
     inertia: list[list[ca.SX]]
     hubs: list[list[ca.SX]]
+    origin: list[ca.SX]
 
 
 @dataclass(frozen=True, slots=True)

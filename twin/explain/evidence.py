@@ -8,8 +8,9 @@ but one, and gains what it explains of that one beyond `nothing`.
 Source: prediction-error method with a noise model, Ljung, System Identification, ch. 7.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,45 +110,113 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
     return out
 
 
-def blocks_of(flights: Flights, noise: Sequence[Noise]) -> dict[Key, Block]:
-    """Sums over blocks of time, all channels together.
+@dataclass(frozen=True)
+class White:
+    """Samples of all channels of all flights, white and in units of their noise.
+
+    They are sorted by cells: by block of time, and by channel within it.
+
+    Attributes:
+        residual: Shape (n,).
+        slopes: Shape (n, k).
+        channel: Number of the channel, shape (n,).
+        block: Number of the block of time, shape (n,).
+        keys: Of the blocks.
+        n_channels: How many channels there are.
+    """
+
+    residual: Array
+    slopes: Array
+    channel: NDArray[np.intp]
+    block: NDArray[np.intp]
+    keys: tuple[Key, ...]
+    n_channels: int
+
+    def per_cell(self, values: Array) -> Array:
+        """Sums over each channel in each block, shape (blocks, channels, ...)."""
+        first, cell = self._cells
+        sums = np.zeros((len(self.keys) * self.n_channels, *values.shape[1:]))
+        sums[cell] = np.add.reduceat(values, first, axis=0)
+        return sums.reshape(len(self.keys), self.n_channels, *values.shape[1:])
+
+    def grams(self) -> Array:
+        """Slopes against slopes, of each cell, shape (blocks, channels, k, k)."""
+        first, cell = self._cells
+        k = self.slopes.shape[1]
+        grams = np.zeros((len(self.keys) * self.n_channels, k, k))
+        for c, i, j in zip(cell, first, [*first[1:], len(self.residual)], strict=True):
+            grams[c] = self.slopes[i:j].T @ self.slopes[i:j]
+        return grams.reshape(len(self.keys), self.n_channels, k, k)
+
+    def blocks(self) -> dict[Key, Block]:
+        """Sums over blocks of time."""
+        pulls = self.per_cell(self.slopes * self.residual[:, None]).sum(axis=1)
+        powers = self.per_cell(self.residual**2).sum(axis=1)
+        rows = zip(self.keys, self.grams().sum(axis=1), pulls, powers, strict=True)
+        return {key: Block(gram, pull, float(power)) for key, gram, pull, power in rows}
+
+    @cached_property
+    def _cells(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """First row of each cell that has any, and its number."""
+        number = self.block * self.n_channels + self.channel
+        cell, first = np.unique(number, return_index=True)
+        return first, cell
+
+
+_FAR = 1 << 32
+"""More blocks of time than any flight has."""
+
+
+def white(flights: Flights, noise: Sequence[Noise]) -> White:
+    """Channels through the inverse of their noise.
 
     Args:
         flights: Channels of each flight.
         noise: Of each channel.
     """
-    blocks: dict[Key, Block] = {}
-    for f, channels in enumerate(flights):
-        for c, n in zip(channels, noise, strict=True):
+    residuals, slopes, channels, keys = [], [], [], []
+    for f, row in enumerate(flights):
+        for i, (c, n) in enumerate(zip(row, noise, strict=True)):
             weight = n.weights[f] / n.size
-            r = _whitened(c, c.residual, n.inverse) * weight
-            j = _whitened(c, c.slopes, n.inverse) * weight[:, None]
-            number = np.floor(c.t_s / BLOCK_S).astype(int)
-            for k in np.unique(number):
-                rr, jj = r[number == k], j[number == k]
-                new = Block(jj.T @ jj, jj.T @ rr, float(rr @ rr))
-                key = (f, int(k))
-                blocks[key] = new + blocks[key] if key in blocks else new
-    return blocks
+            residuals.append(_whitened(c, c.residual, n.inverse) * weight)
+            slopes.append(_whitened(c, c.slopes, n.inverse) * weight[:, None])
+            channels.append(np.full(len(c.t_s), i, dtype=np.intp))
+            keys.append(f * _FAR + np.floor(c.t_s / BLOCK_S).astype(np.intp))
+    known, block = np.unique(np.concatenate(keys), return_inverse=True)
+    channel = np.concatenate(channels)
+    order = np.lexsort((channel, block))
+    return White(
+        residual=np.concatenate(residuals)[order],
+        slopes=np.concatenate(slopes)[order],
+        channel=channel[order],
+        block=block[order],
+        keys=tuple(divmod(int(k), _FAR) for k in known),
+        n_channels=len(noise),
+    )
+
+
+def blocks_of(flights: Flights, noise: Sequence[Noise]) -> dict[Key, Block]:
+    """Sums over blocks of time, all channels together."""
+    return white(flights, noise).blocks()
 
 
 class Scores:
-    """Hypotheses over the same blocks: a set of columns may change, the others do not."""
+    """Hypotheses over the same samples: a set of columns may change, the others do not."""
 
-    def __init__(self, blocks: Mapping[Key, Block], sd: Array, away: Array | None = None) -> None:
-        """Take the sums.
+    def __init__(self, rows: White, sd: Array, away: Array | None = None) -> None:
+        """Sum over each channel in each block of time.
 
         Args:
-            blocks: Over all channels.
+            rows: Samples.
             sd: Standard deviation of the prior of each column, shape (k,).
             away: Present value of each column minus the mean of its prior; default: zero.
         """
-        self._grams = np.stack([b.gram for b in blocks.values()])
-        self._pulls = np.stack([b.pull for b in blocks.values()])
-        self.powers = np.array([b.power for b in blocks.values()])
+        self._pulls = rows.per_cell(rows.slopes * rows.residual[:, None])
+        self._grams = rows.grams()
         self._precision = 1.0 / sd**2
         prior_pull = -self._precision * (np.zeros_like(sd) if away is None else away)
-        self._gram, self._pull = self._grams.sum(axis=0), self._pulls.sum(axis=0) + prior_pull
+        self._gram = self._grams.sum(axis=(0, 1))
+        self._pull = self._pulls.sum(axis=(0, 1)) + prior_pull
 
     def fit(self, columns: Sequence[int]) -> tuple[Array, Array]:
         """Change of the numbers and its covariance, shapes (k,) and (k, k)."""
@@ -162,30 +231,35 @@ class Scores:
         """
         c = np.asarray(columns, dtype=np.intp)
         change, inverse = self.fit(c.tolist())
-        pulls = self._pulls[:, c] - np.einsum(
-            "bij,j->bi", self._grams[:, c[:, None], c[None, :]], change
-        )
+        grams, pulls = self._of(c)
+        pulls = (pulls - grams @ change).sum(axis=1)
         n = len(pulls)
         return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * n / max(1, n - len(c)))
 
     def gains(self, columns: Sequence[int], low: Array, high: Array) -> Array:
-        """Log likelihood over that of no change, per block left out of the fit, shape (n,).
+        """Log likelihood over that of no change, each block left out of its fit.
 
         Args:
             columns: Numbers that may change.
             low: Smallest change of each, shape (len(columns),).
             high: Largest change of each.
+
+        Returns:
+            Shape (blocks, channels).
         """
         if not len(columns):
-            return np.zeros(len(self._grams))
+            return np.zeros(self._pulls.shape[:2])
         c = np.asarray(columns, dtype=np.intp)
-        g, b = self._grams[:, c[:, None], c[None, :]], self._pulls[:, c]
-        rest = self._gram[np.ix_(c, c)] - g + np.diag(self._precision[c])
-        theta = np.linalg.solve(rest, (self._pull[c] - b)[:, :, None])[:, :, 0]
+        grams, pulls = self._of(c)
+        rest = self._gram[np.ix_(c, c)] - grams.sum(axis=1) + np.diag(self._precision[c])
+        theta = np.linalg.solve(rest, (self._pull[c] - pulls.sum(axis=1))[:, :, None])[:, :, 0]
         theta = np.clip(theta, low, high)
-        return np.asarray(
-            np.einsum("bi,bi->b", b, theta) - 0.5 * np.einsum("bi,bij,bj->b", theta, g, theta)
-        )
+        bent = np.einsum("bckl,bl->bck", grams, theta)
+        return np.asarray(np.einsum("bck,bk->bc", pulls - 0.5 * bent, theta))
+
+    def _of(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Sums of some columns."""
+        return self._grams[:, :, columns[:, None], columns], self._pulls[:, :, columns]
 
 
 def noise_of_all(flights: Flights, sd: Array, rounds: int = 3) -> list[Noise]:
@@ -203,7 +277,7 @@ def noise_of_all(flights: Flights, sd: Array, rounds: int = 3) -> list[Noise]:
     order = 0
     for _ in range(rounds + 1):
         noise = [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]
-        change, _ = Scores(blocks_of(flights, noise), sd).fit(range(len(sd)))
+        change, _ = Scores(white(flights, noise), sd).fit(range(len(sd)))
         unexplained = [[c.residual - c.slopes @ change for c in ch] for ch in by_channel]
         order = AR_ORDER
     return [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]

@@ -9,6 +9,7 @@ from ..errors import LogError
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 from .acting import Acting, acting
+from .designer import Suggestion, next_manoeuvre
 from .flying import Mission, fly_missions
 from .naming import Naming, Verdict, name_effects
 from .numbers import with_effects
@@ -16,6 +17,9 @@ from .places import Place, places
 from .refine import Fitted
 from .showing import Showing, show
 from .split import Span, held_out_spans, hidden
+from .stuck import Stuck, stuck_channels, without_stuck
+from .unnamed import Equation, better_unnamed, unnamed
+from .unsteady import Unsteady, stuck_effect, unsteady
 from .usable import reasons_unusable
 
 LEAST = 0.05
@@ -42,21 +46,6 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
-class Unnamed:
-    """An equation for what the library lacks.
-
-    Attributes:
-        channel: See `flight_model`.
-        expression: With units.
-        share: Of the power of the channel's residual.
-    """
-
-    channel: str
-    expression: str
-    share: float
-
-
-@dataclass(frozen=True, slots=True)
 class Explanation:
     """What flights say about a model.
 
@@ -68,14 +57,15 @@ class Explanation:
         warnings: What to keep in mind, the worst first.
         naming: Hypotheses and their probabilities; None where nothing could be fitted.
         shown: Hypothesis whose gap is shown: the named one; the first candidate where the verdict
-            is "cannot_tell"; None: no effect.
-        values: Its numbers, "effect.number" -> value.
+            is "cannot_tell"; None: no effect that changes a mean.
+        unsteady: Effects that change no mean, found beside it.
+        values: Numbers of all these, "effect.number" -> value.
         showing: Held-out flights before and after; None where nothing could be held out.
         acting: Where each effect of `shown` acts.
         where: Places of disagreement.
         holdout: What took no part in the fit.
         missions: Closed-loop flights of the new model; none where no effect was added.
-        unnamed: What no effect explains: channel, expression, share of its power.
+        unnamed: Equations for what no effect explains.
         next_manoeuvre: What to fly to learn more.
     """
 
@@ -86,21 +76,28 @@ class Explanation:
     warnings: tuple[str, ...] = ()
     naming: Naming | None = None
     shown: Fitted | None = None
+    unsteady: tuple[Unsteady, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
     showing: Showing | None = None
     acting: tuple[Acting, ...] = ()
     where: tuple[Place, ...] = ()
     holdout: tuple[HeldOut, ...] = ()
     missions: tuple[Mission, ...] = ()
-    unnamed: tuple[Unnamed, ...] = ()
-    next_manoeuvre: str | None = None
+    unnamed: tuple[Equation, ...] = ()
+    next_manoeuvre: Suggestion | None = None
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """All effects that `values` are of."""
+        steady = () if self.shown is None else self.shown.effects
+        return (*steady, *(u.effect for u in self.unsteady))
 
     @property
     def added(self) -> Vehicle | None:
         """The model with the named effects; None where none is named."""
-        if self.verdict != "named" or self.shown is None:
+        if self.verdict != "named":
             return None
-        return with_effects(self.vehicle, self.shown.effects, self.values)
+        return with_effects(self.vehicle, self.effects, self.values)
 
 
 def explain(
@@ -122,8 +119,9 @@ def explain(
         missions: To fly with the new model; default: all.
     """
     names = tuple(f.name for f in flights)
-    fit, reasons = _usable(flights, vehicle)
-    held, left_out = _usable(holdout, vehicle)
+    stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f)]
+    fit, reasons = _usable([without_stuck(f, stuck) for f in flights], vehicle)
+    held, left_out = _usable([without_stuck(f, stuck) for f in holdout], vehicle)
     if not fit:
         return Explanation("unusable", vehicle, names, tuple(reasons))
     warnings = [f"left out: {reason}" for reason in reasons + left_out]
@@ -138,16 +136,17 @@ def explain(
         "unusable", vehicle, tuple(f.name for f in fit), warnings=tuple(warnings), holdout=away
     )
     try:
-        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.7 * done))
+        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.5 * done))
     except LogError as error:
         return replace(found, reasons=(str(error),))
-    shown = _shown(naming)
-    found = replace(found, verdict=naming.verdict, naming=naming, shown=shown)
-    if shown is not None:
-        values = {k: float(f"{v:.{DIGITS}g}") for k, v in shown.values.items()}
-        found = replace(found, values=values, warnings=(*_at_bounds(shown), *warnings))
+    found = _named(found, naming, [s for s in stuck if s.flight in names])
+    progress(0.6)
+    found = _with_equations(found, seed)
+    progress(0.7)
     found = _with_gap(found, held, seed)
     progress(0.85)
+    if found.verdict == "cannot_tell":
+        found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
     if found.added is None:
         return found
     flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
@@ -158,6 +157,42 @@ def _usable(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[list[Flight], 
     """Flights fit for the search, and why the others are not."""
     found = [(f, reasons_unusable(f, vehicle)) for f in flights]
     return [f for f, against in found if not against], [r for _, against in found for r in against]
+
+
+def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
+    """The same with the effects that were found, and their numbers."""
+    shown = _shown(naming)
+    model, steady = naming.ground.model, {} if shown is None else shown.values
+    beside = tuple(u for u in (*stuck_effect(stuck), *unsteady(model, steady)) if u.log_odds > 0)
+    verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
+    exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
+    values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
+    bounds = () if shown is None else _at_bounds(shown)
+    return replace(
+        found,
+        verdict=verdict,
+        naming=naming,
+        shown=shown,
+        unsteady=beside,
+        values=values,
+        warnings=(*bounds, *found.warnings),
+    )
+
+
+def _with_equations(found: Explanation, seed: int) -> Explanation:
+    """The same with equations, where they say more than any effect of the library."""
+    naming = found.naming
+    assert naming is not None
+    if any(u.effect == "gust" for u in found.unsteady):
+        return found  # a random force has no equation
+    ground = naming.ground
+    alone = unnamed(ground, ground.nothing(), seed)
+    likely = [f for f, p in zip(naming.fitted, naming.probabilities, strict=True) if p >= LEAST]
+    if alone is None or not better_unnamed(ground, likely, alone):
+        return found
+    return replace(
+        found, verdict="unnamed", shown=None, unsteady=(), values={}, unnamed=alone.equations
+    )
 
 
 def _shown(naming: Naming) -> Fitted | None:
@@ -185,13 +220,14 @@ def _with_gap(found: Explanation, held: Sequence[Flight], seed: int) -> Explanat
     """The same with the gap of held-out flights, where effects act, and where the gap is."""
     effects = () if found.shown is None else found.shown.effects
     assert found.naming is not None
+    steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
-        showing = show(held, found.vehicle, effects, found.values, seed)
+        showing = show(held, found.vehicle, effects, steady, seed)
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"
         return replace(found, warnings=(*found.warnings, problem))
-    acts = [acting(e, showing.model, found.values, showing.after) for e in effects]
-    where = places(found.naming.ground.model, found.values, showing.floors)
+    acts = [acting(e, showing.model, steady, showing.after) for e in effects]
+    where = places(found.naming.ground.model, steady, showing.floors)
     return replace(
         found,
         showing=showing,

@@ -10,7 +10,7 @@
 | baro_pa | barometer | measured height and velocity, and barometer |
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -27,8 +27,10 @@ from ..imu import imu
 from ..magnetometer import magnetometer
 from ..measured import Signal, rates_of
 from ..prepared import Twin, prepare
+from ..teacher_forced import airframe_inputs, measured_states
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, ChannelData, Measured, measured, on_grid
+from .load import hung, swing
 from .numbers import Number, with_effects
 from .prediction import Batch, sensing
 
@@ -36,11 +38,16 @@ Array = NDArray[np.float64]
 MAG = ("mag_x", "mag_y", "mag_z")
 
 
-_STEPS = {"command_delay.delay_s": 0.01, "motor_lag.tau_s": 0.01}
+TURN = "heading_offset.pose_rad"
+POSITION_AGE, ATTITUDE_AGE = "position_delay.delay_s", "position_delay.attitude_s"
+IMU_AGE = "imu_delay.delay_s"
+LOAD, ROPE = "slung_load.mass_kg", "slung_load.length_m"
+_STEPS = dict.fromkeys(
+    ("command_delay.delay_s", "motor_lag.tau_s", POSITION_AGE, ATTITUDE_AGE), 0.01
+)
 """Numbers whose answers are differences of two predictions, and their steps, s."""
-_INTEGRATED = ("motor_lag.tau_s", "slung_load.length_m")
-"""Numbers that change states which nobody measures: rotors, a load on its rope. The motion of the
-load along that of the vehicle does not depend on its mass."""
+_INTEGRATED = ("motor_lag.tau_s",)
+"""Numbers that change states which nobody measures; of the load on its rope see `load`."""
 
 
 def in_equations(effect: Effect) -> bool:
@@ -58,8 +65,10 @@ class _Part:
         rows: Its inputs, shape (n, n_u).
         at: Inputs at which its slopes are taken, shape (n, n_u).
         outputs: Which of its outputs.
-        late: Sign with which delays of IMU and pose shift the prediction.
+        late: Sign with which delays, "effect.number", shift the prediction.
         effects: Effects that reach the prediction.
+        turning: Body rates, shape (n, 3), where position and attitude both make the prediction.
+        older: Rows with position and attitude from so many seconds later, where they do.
     """
 
     readings: Measured
@@ -69,6 +78,8 @@ class _Part:
     outputs: slice
     late: Mapping[str, float]
     effects: frozenset[str]
+    turning: Array | None = None
+    older: Callable[[float, float], Array] | None = None
 
 
 class FlightModel:
@@ -89,8 +100,12 @@ class FlightModel:
         """
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
         self._body, self._effects = body, list(effects)
-        self.twin = self._prepared({})
+        moving = sorted({name.partition(".")[0] for name in _INTEGRATED} & set(effects))
+        self.twin = prepare(flight, with_effects(vehicle, moving, {}), 1 / GRID_HZ, effects)
         self._now = np.array([n.now for n in numbers])
+        self._force_n = self._forces() if "slung_load" in effects else None
+        self._swings: dict[float, tuple[Array, Array]] = {}
+        self.twin = replace(self.twin, states=self._with_load(self.twin.states, {}))
         self._parts = self._imu_parts() + self._pose_parts() + self._other_parts()
         self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
         self._resting: dict[int, list[ChannelData]] = {}
@@ -121,7 +136,7 @@ class FlightModel:
                 if part.readings.names[0].startswith("gyro_rate"):
                     predicted, answer = _step_mean(predicted), _step_mean(answer)
             else:
-                predicted = part.batch.value(theta, part.rows)[:, part.outputs]
+                predicted = part.batch.value(theta, self._rows_of(part, change))[:, part.outputs]
                 at = part.batch.value(theta, part.at)[:, part.outputs]
                 answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
             predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
@@ -165,19 +180,25 @@ class FlightModel:
     ) -> tuple[Array, Array]:  # fmt: skip
         """Delays and a turned heading, which shift or turn what is predicted."""
         rate = np.gradient(at, 1 / GRID_HZ, axis=0)
-        turned = self._turned(at) if part.readings.names[0] == "pose_acc_x" else 0 * at
+        slopes = {name: -sign * rate for name, sign in part.late.items()}
+        if part.turning is not None:
+            swept = np.cross(part.turning, at)
+            turned = self._turned(at)
+            slopes |= {POSITION_AGE: rate + swept, ATTITUDE_AGE: -swept, TURN: turned}
         for i, n in enumerate(self.numbers):
-            if n.effect in part.late and theta[i]:
-                predicted = _shifted(predicted, part.late[n.effect] * theta[i])
-            if n.effect == "heading_offset" and theta[i]:
+            if n.full in part.late and theta[i]:
+                predicted = _shifted(predicted, part.late[n.full] * theta[i])
+            if n.full == TURN and theta[i] and part.turning is not None:
                 predicted = predicted + theta[i] * turned
         for k, i in enumerate(columns):
-            name = self.numbers[i].effect
-            if name in part.late:
-                answer[:, :, k] = -part.late[name] * rate
-            if name == "heading_offset" and part.readings.names[0] == "pose_acc_x":
-                answer[:, :, k] = turned
+            if self.numbers[i].full in slopes:
+                answer[:, :, k] = slopes[self.numbers[i].full]
         return predicted, answer
+
+    def _rows_of(self, part: _Part, change: Mapping[str, float]) -> Array:
+        """Rows of a part with the delays of the pose taken out."""
+        ages = change.get(POSITION_AGE, 0.0), change.get(ATTITUDE_AGE, 0.0)
+        return part.rows if part.older is None or not any(ages) else part.older(*ages)
 
     def _turned(self, force_b: Array) -> Array:
         """Change of a force in body axes per angle by which the measured heading is off."""
@@ -195,15 +216,62 @@ class FlightModel:
             if key not in self._states:
                 self._states[key] = self._prepared(own)
             twin = self._states[key]
-        states, inputs = twin.states, twin.inputs.u
+        states, inputs = self._in_step(twin.states, change), twin.inputs.u
+        states = self._with_load(states, change)
         delay = change.get("command_delay.delay_s", 0.0)
         return self._late_commands(states, inputs, delay) if delay else (states, inputs)
+
+    def _in_step(self, states: Array, change: Mapping[str, float]) -> Array:
+        """States with the delays of the pose taken out."""
+        for name, stems in ((POSITION_AGE, ("pos_", "vel_")), (ATTITUDE_AGE, ("q_",))):
+            if age := change.get(name, 0.0):
+                own = [i for i, s in enumerate(self.twin.airframe.states)
+                       if s.name.startswith(stems)]  # fmt: skip
+                states = states.copy()
+                states[:, own] = _shifted(states[:, own], -age)
+        return states
 
     def _prepared(self, values: Mapping[str, float]) -> Twin:
         """The flight on its grid, unmeasured states integrated with effects that move them."""
         moving = {name.partition(".")[0] for name in _INTEGRATED} & set(self._effects)
-        varied = with_effects(self.vehicle, sorted(moving), values)
-        return prepare(self.flight, varied, 1 / GRID_HZ, self._effects)
+        starts = {n.full: n.now for n in self.numbers if n.effect in moving} | dict(values)
+        body = self.twin.airframe.with_starts(starts)
+        inputs = airframe_inputs(self.flight, self.vehicle, body, self.twin.inputs.t_s)
+        states = measured_states(body, self.twin.motion, inputs)
+        return replace(self.twin, airframe=body, inputs=inputs, states=states)
+
+    def _forces(self) -> tuple[Array, Array]:
+        """Specific force without a load on a rope, and what is felt beyond it, NED, (n, 3) each.
+
+        Where the former is unknown, or on the ground, the vehicle counts as held.
+        """
+        twin = self.twin
+        bare = np.where([n.full == LOAD for n in self.numbers], 0.0, self._now)
+        force = self._body.value(bare, twin.states, twin.inputs.u)[:, :3]
+        felt = np.zeros_like(force)
+        if self.flight.has(*ACC):
+            felt = on_grid(Signal(*self.flight.signal(ACC)), twin.inputs.t_s) - force
+        assert twin.motion.attitude is not None
+        q = list(twin.motion.attitude.at(twin.inputs.t_s).T)
+        force_n, felt_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, felt))
+        known = twin.airborne & np.all(np.isfinite(force_n), axis=1)
+        there = known & np.all(np.isfinite(felt_n), axis=1)
+        return (
+            np.where(known[:, None], force_n, [0.0, 0.0, -GRAVITY_M_S2]),
+            np.where(there[:, None], felt_n, 0.0),
+        )
+
+    def _with_load(self, states: Array, change: Mapping[str, float]) -> Array:
+        """States with the load on its rope where it swings."""
+        if self._force_n is None:
+            return states
+        now = {n.full: n.now for n in self.numbers} | dict(change)
+        length = now[ROPE]
+        if length not in self._swings:
+            self._swings[length] = swing(*self._force_n, length, 1 / GRID_HZ)
+        names = [s.name for s in self.twin.airframe.states]
+        share = now[LOAD] / self.vehicle.mass_kg
+        return hung(states, names, self._swings[length], self._force_n[0], length, share)
 
     def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
         """Commands, and the rotors that follow them, later by a while."""
@@ -238,8 +306,8 @@ class FlightModel:
             readings = measured(names, unit, t, values, known, band, cutoff)
             if readings is not None:
                 nothing = np.zeros((0, 0))
-                reach = _reaching("airframe", "imu")
-                late = {"imu_delay": 1.0}
+                reach = _reaching("airframe", "imu") | {"position_delay"}
+                late = {IMU_AGE: 1.0}
                 found.append(_Part(readings, None, nothing, nothing, outputs, late, reach))
         return found
 
@@ -258,20 +326,27 @@ class FlightModel:
         batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
         implied = _named("omega", rates_of(motion.attitude).at(t))
         read = _named("omega", gyro)
-        late = {"imu_delay": 1.0, "position_delay": -1.0}
         band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
         groups = []
+        pull = None
         if motion.velocity is not None and flight.has(*ACC):
             acc = on_grid(Signal(*flight.signal(ACC)), t)
-            q = list(motion.attitude.at(t).T)
             pull = np.gradient(motion.velocity.at(t), t, axis=0)
             pull[:, 2] -= GRAVITY_M_S2
             force = self._body.value(self._now, self.twin.states, self.twin.inputs.u)[:, :3]
             alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
-            implied |= alpha | _named("specific_force", np.stack(to_body(q, list(pull.T)), axis=-1))
+            implied |= alpha | _named("specific_force", _pulled(motion.attitude.at(t), pull))
             read |= alpha | _named("specific_force", force)
             groups.append((ACC, "m/s²", acc, v.accel_cutoff_hz, slice(0, 3)))
         groups.append((GYRO, "rad/s", gyro, v.gyro_cutoff_hz, slice(3, 6)))
+
+        def older(position_s: float, attitude_s: float) -> Array:
+            """Rows with position and attitude from so many seconds later."""
+            assert motion.attitude is not None and pull is not None
+            q = _shifted(motion.attitude.at(t), -attitude_s)
+            pulled = _pulled(q, _shifted(pull, -position_s))
+            return _rows(sensor, implied | _named("specific_force", pulled), len(t))
+
         rows, at = _rows(sensor, implied, len(t)), _rows(sensor, read, len(t))
         known = self.twin.airborne & np.all(np.isfinite(rows), axis=1)
         known &= np.all(np.isfinite(at), axis=1)
@@ -279,9 +354,16 @@ class FlightModel:
         for columns, unit, values, cutoff, outputs in groups:
             names = tuple(f"pose_{c}" for c in columns)
             readings = measured(names, unit, t, values, known, band, cutoff)
-            if readings is not None:
-                reach = _reaching("imu") | {"position_delay", "heading_offset"}
-                found.append(_Part(readings, batch, rows, at, outputs, late, reach))
+            if readings is None:
+                continue
+            reach = _reaching("imu") | {"position_delay", "heading_offset"}
+            if columns == ACC:
+                late = {IMU_AGE: 1.0}
+                part = _Part(readings, batch, rows, at, outputs, late, reach, gyro, older)
+            else:
+                late = {IMU_AGE: 1.0, ATTITUDE_AGE: -1.0}
+                part = _Part(readings, batch, rows, at, outputs, late, reach)
+            found.append(part)
         return found
 
     def _other_parts(self) -> list[_Part]:
@@ -308,8 +390,9 @@ class FlightModel:
             readings = measured(names, unit, t, signal.at(t), known, band, None)
             if readings is not None:
                 batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
-                reach = _reaching(cast(ComponentName, sensor.name))
-                found.append(_Part(readings, batch, rows, rows, slice(None), {}, reach))
+                reach = _reaching(cast(ComponentName, sensor.name)) | {"position_delay"}
+                late = {POSITION_AGE if names == ("baro_pa",) else ATTITUDE_AGE: -1.0}
+                found.append(_Part(readings, batch, rows, rows, slice(None), late, reach))
         return found
 
 
@@ -329,6 +412,12 @@ def _rows(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
         if name in inputs:
             rows[:, i] = inputs[name]
     return rows
+
+
+def _pulled(q_nb: Array, pull_n: Array) -> Array:
+    """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
+    q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
+    return np.stack(to_body(list(q.T), list(pull_n.T)), axis=-1)
 
 
 def _step_mean(values: Array) -> Array:

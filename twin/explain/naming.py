@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..flightlog import Flight
 from ..vehicle import Vehicle
-from .evidence import Scores, blocks_of, noise_of_all
+from .evidence import Scores, noise_of_all, white
 from .model import candidates, model_of
 from .numbers import columns_of
 from .refine import Fitted, Ground
@@ -28,9 +28,13 @@ SMALLEST_SIZE = 0.01
 of either: a percent of the mass."""
 SMALLEST_DELAY = 0.025
 """The same for a delay: 5 ms, what the sampling of a log at 200 Hz may feign."""
+EXACT = 100.0
+"""Log likelihood in a channel from which on the law of an effect shows that it is not exact: two
+percent more of it are worth two, as if the law were right to about a seventh."""
+IMPOSSIBLE = 1e6
 SURE = 0.8
 """Probability from which on a name is given."""
-SINGLES, PAIRS, TRIPLES = 6, 4, 2
+SINGLES, PAIRS, TRIPLES = 8, 6, 3
 """Hypotheses of each size that are fitted at their own best."""
 
 
@@ -83,17 +87,19 @@ def name_effects(
     sd = np.array([n.sd for n in numbers])
     rows = model.channels(linear)
     noise = noise_of_all(rows, sd)
-    scores = Scores(blocks_of(rows, noise), sd)
+    rest = white(rows, noise)
+    scores = Scores(rest, sd)
     chosen = _shortlist(search(scores, numbers))
-    ground = Ground(model, noise, scores.powers)
+    ground = Ground(model, noise, tuple(linear), rest)
     fitted = []
     for i, hypothesis in enumerate(chosen):
         fitted.append(ground.fit(hypothesis.effects))
         progress(0.3 + 0.7 * (i + 1) / len(chosen))
-    shares = [share(ground, f) for f in fitted]
+    shares = [share(f, ground.nothing()) for f in fitted]
     by_effects = {f.effects: f for f in fitted}
-    prior = np.array([-PER_EFFECT * len(f.effects) - PER_NUMBER * len(f.numbers) for f in fitted])
-    prior[[not _material(ground, f, by_effects) for f in fitted]] -= 1e6
+    prior = np.array([-_price(f) for f in fitted])
+    prior[[not _material(ground, f, by_effects) for f in fitted]] -= IMPOSSIBLE
+    prior[[_needless(f, fitted) for f in fitted]] -= IMPOSSIBLE
     chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
     order = np.argsort(-chance)
     ranked = tuple(fitted[i] for i in order)
@@ -126,6 +132,29 @@ def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return chosen
 
 
+def _price(fitted: Fitted) -> float:
+    """Log prior odds against a hypothesis."""
+    return PER_EFFECT * len(fitted.effects) + PER_NUMBER * len(fitted.numbers)
+
+
+def _needless(fitted: Fitted, others: Sequence[Fitted]) -> bool:
+    """Whether fewer effects do as well, given that no law is exact.
+
+    What a law gets wrong grows with what it explains. Channel by channel, the log likelihood that
+    a hypothesis gains counts in full up to `EXACT`, and by its ratio above.
+    """
+    return any(
+        _inexact(fitted) - _inexact(f) < _price(fitted) - _price(f)
+        for f in others
+        if len(f.effects) < len(fitted.effects)
+    )
+
+
+def _inexact(fitted: Fitted) -> float:
+    gains = fitted.gains.sum(axis=0)
+    return float(np.sum(np.where(gains > 0, EXACT * np.log1p(np.maximum(gains, 0) / EXACT), gains)))
+
+
 def _material(ground: Ground, fitted: Fitted, others: dict[tuple[str, ...], Fitted]) -> bool:
     """Whether each effect of a hypothesis is large enough to speak of, and adds to the others."""
     for effect, size in fitted.sizes().items():
@@ -134,31 +163,19 @@ def _material(ground: Ground, fitted: Fitted, others: dict[tuple[str, ...], Fitt
         rest = tuple(e for e in fitted.effects if e != effect)
         if rest not in others:
             others[rest] = ground.fit(rest)
-        if share(ground, fitted, others[rest]) < SMALLEST_SHARE:
+        if share(fitted, others[rest]) < SMALLEST_SHARE:
             return False
     return True
 
 
-def share(ground: Ground, fitted: Fitted, beyond: Fitted | None = None) -> float:
+def share(fitted: Fitted, beyond: Fitted) -> float:
     """Largest share of the power of a channel, as the noise model weighs it, that is explained.
 
     Args:
-        ground: Flights and noise.
         fitted: What explains.
-        beyond: What has explained some of it already; default: nothing.
+        beyond: What has explained some of it already.
     """
-    if not fitted.effects:
-        return 0.0
-    first = {} if beyond is None else beyond.values
-    before, after = (ground.model.channels([], change) for change in (first, fitted.values))
-    shares = []
-    for i, noise in enumerate(ground.noise):
-        power, left = (
-            sum(b.power for b in blocks_of([[f[i]] for f in flights], [noise]).values())
-            for flights in (before, after)
-        )
-        shares.append(1 - left / power if power > 0 else 0.0)
-    return max(shares)
+    return float(np.max(1 - fitted.left / np.maximum(beyond.left, 1e-300)))
 
 
 def _verdict(ranked: Sequence[Fitted], probabilities: Sequence[float]) -> Verdict:

@@ -77,6 +77,25 @@ def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
     return sorted(found, key=lambda n: n.shape)
 
 
+IN_LOGS = {
+    "heading_offset": EffectParameter(
+        "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
+    ),
+    "position_delay": EffectParameter("attitude_s", "s", "age of the attitude", 0.1, (0, 0.5)),
+}
+"""Numbers that effects have in a log alone, and in no component: a compass that is off may have
+misled the estimate of the attitude or not; attitude may come from where position does, or not."""
+
+
+def numbers_of_logs(effects: Iterable[Effect]) -> list[Number]:
+    """Numbers that effects have in a log alone."""
+    return [
+        Number(e.name, IN_LOGS[e.name].name, IN_LOGS[e.name], 0.0)
+        for e in effects
+        if e.name in IN_LOGS
+    ]
+
+
 def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
     """Whether every flight has the signals without which the effect cannot be seen."""
     return all(flight.has(STEMS[need]) for flight in flights for need in effect.needs)

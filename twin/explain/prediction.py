@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..airframe import airframe
 from ..component import Component
 from ..imu import imu
+from ..over_rows import OverRows
 from ..rotors import Drive
 from ..vehicle import Vehicle
 
@@ -28,12 +29,13 @@ class Batch:
     def __init__(self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX) -> None:
         """Take the expressions."""
         self._rows, self._theta, self._readings = list(rows), theta, readings
-        self._value = ca.Function("value", [*rows, theta], [ca.cse(readings)])
-        self._slopes: dict[tuple[int, ...], ca.Function] = {}
+        value = ca.Function("value", [*rows, theta], [ca.cse(ca.densify(readings))])
+        self._value = OverRows(value, len(rows))
+        self._slopes: dict[tuple[int, ...], OverRows] = {}
 
     def value(self, theta: Array, *rows: Array) -> Array:
         """Predicted readings, shape (n, c), of rows of shape (n, ...)."""
-        return np.asarray(self._value(*[r.T for r in rows], theta), dtype=np.float64).T
+        return self._value(*rows, theta)
 
     def slopes(self, columns: Sequence[int], theta: Array, *rows: Array) -> Array:
         """Derivatives of the readings by some numbers, shape (n, c, len(columns))."""
@@ -44,9 +46,9 @@ class Batch:
         if key not in self._slopes:
             slopes = ca.jacobian(self._readings, self._theta)[:, list(columns)]
             expression = ca.cse(ca.vec(ca.densify(slopes)))
-            self._slopes[key] = ca.Function("slopes", [*self._rows, self._theta], [expression])
-        answers = self._slopes[key](*[r.T for r in rows], theta)
-        flat: Array = np.asarray(answers, dtype=np.float64).T
+            function = ca.Function("slopes", [*self._rows, self._theta], [expression])
+            self._slopes[key] = OverRows(function, len(self._rows))
+        flat = self._slopes[key](*rows, theta)
         return flat.reshape(len(flat), *shape).transpose(0, 2, 1)
 
 

@@ -1,18 +1,19 @@
 """A hypothesis at its own best numbers: fitted again where its equations are not linear.
 
-Gauss-Newton on the whitened residuals: the model is differentiated anew at the present numbers.
+Gauss-Newton on the whitened residuals: the model is evaluated at the present numbers, and
+differentiated anew where it has turned out not to be linear.
 Shapes of effects (a height, a time constant of something else), in which nothing vanishes and so
 nothing is linear, are searched on a grid first and then between its best neighbours.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from .evidence import Noise, Scores, blocks_of
+from .evidence import Noise, Scores, White, white
 from .model import Model
 from .numbers import Number, columns_of
 
@@ -21,6 +22,8 @@ ROUNDS = 4
 """Of Gauss-Newton at most."""
 SETTLED = 0.05
 """A round that moves every number by less than this share of its deviation is the last."""
+STRAIGHT = 0.01
+"""Share of the power of a step that the model may deviate from a straight line on it."""
 GRID = 5
 """Values of a shape that are tried over its prior range."""
 SEARCHES = 8
@@ -36,7 +39,8 @@ class Fitted:
         values: Numbers and shapes, "effect.number" -> value.
         numbers: Those with an interval.
         covariance: Of `numbers`, shape (k, k).
-        gains: Log likelihood over that of nothing, per block, out of sample, shape (n,).
+        gains: Log likelihood over that of nothing, out of sample, shape (blocks, channels).
+        left: Power that is left of each channel, white and in units of its noise, shape (c,).
     """
 
     effects: tuple[str, ...]
@@ -44,6 +48,7 @@ class Fitted:
     numbers: tuple[Number, ...]
     covariance: Array
     gains: Array
+    left: Array
 
     @property
     def gain(self) -> float:
@@ -67,12 +72,19 @@ class Ground:
     Attributes:
         model: Flights.
         noise: Of each channel.
-        powers: Of the residuals without any effect, per block.
+        columns: Numbers that `rest` has slopes by.
+        rest: Without any effect.
     """
 
     model: Model
     noise: Sequence[Noise]
-    powers: Array
+    columns: tuple[int, ...]
+    rest: White
+
+    def nothing(self) -> Fitted:
+        """The hypothesis that nothing is missing."""
+        powers = self.rest.per_cell(self.rest.residual**2)
+        return Fitted((), {}, (), np.zeros((0, 0)), 0.0 * powers, powers.sum(axis=0))
 
     def fit(self, effects: Sequence[str]) -> Fitted:
         """Fit the numbers and shapes of some effects."""
@@ -124,24 +136,49 @@ class Ground:
         columns = columns_of(self.model.numbers, effects)
         numbers = [self.model.numbers[i] for i in columns]
         if not numbers:
-            return Fitted((), {}, (), np.zeros((0, 0)), np.zeros(len(self.powers)))
-        sd = np.array([n.sd for n in numbers])
-        home = np.array([n.now for n in numbers])
-        values = {n.full: start.get(n.full, n.now) for n in numbers} | dict(shapes)
-        for _ in range(ROUNDS):
-            now = np.array([values[n.full] for n in numbers])
-            flights = self.model.channels(columns, values)
-            scores = Scores(blocks_of(flights, self.noise), sd, now - home)
+            return self.nothing()
+        home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
+        low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
+        now = np.array([start.get(n.full, n.now) for n in numbers])
+        names = [n.full for n in numbers]
+        rows = self._rows(columns, dict(zip(names, now, strict=True)) | dict(shapes))
+        for round_ in range(ROUNDS + 1):
+            scores = Scores(rows, sd, now - home)
             change, covariance = scores.fit(range(len(now)))
-            small = np.abs(change) < SETTLED * np.sqrt(np.diag(covariance))
-            if np.all(small):
+            then = np.clip(now + change, low, high)
+            settled = np.abs(then - now) <= SETTLED * np.sqrt(np.diag(covariance))
+            if np.all(settled) or round_ == ROUNDS:
                 break
-            step = zip(numbers, now + change, strict=True)
-            values |= {n.full: n.inside(v) for n, v in step}
-            if all(values[n.full] == v for n, v in zip(numbers, now, strict=True)):
-                break
-        low = np.array([n.about.prior[0] for n in numbers]) - now
-        high = np.array([n.about.prior[1] for n in numbers]) - now
-        gains = 0.5 * (self.powers - scores.powers) + scores.gains(range(len(now)), low, high)
-        covariance = covariance + scores.sandwich(range(len(now)))
-        return Fitted(effects, values, tuple(numbers), covariance, gains)
+            values = dict(zip(names, then, strict=True)) | dict(shapes)
+            step = rows.slopes @ (then - now)
+            after = white(self.model.channels([], values), self.noise).residual
+            bend = after - (rows.residual - step)
+            now = then
+            rows = replace(rows, residual=after)
+            if bend @ bend > max(1.0, STRAIGHT * float(step @ step)):
+                rows = self._rows(columns, values)
+        gained = rows.per_cell(0.5 * (self.rest.residual**2 - rows.residual**2))
+        return Fitted(
+            effects,
+            dict(zip(names, now.tolist(), strict=True)) | dict(shapes),
+            tuple(numbers),
+            covariance + scores.sandwich(range(len(now))),
+            gained + scores.gains(range(len(now)), low - now, high - now),
+            rows.per_cell(rows.residual**2).sum(axis=0),
+        )
+
+    def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> White:
+        """Residuals and slopes at some values."""
+        at_rest = {n.full: n.now for n in self.model.numbers}
+        if all(at_rest[name] == value for name, value in values.items()):
+            known = [self.columns.index(i) for i in columns]
+            return replace(self.rest, slopes=self.rest.slopes[:, known])
+        return white(self.model.channels(columns, values), self.noise)
+
+
+def _now(number: Number) -> float:
+    return number.now
+
+
+def _sd(number: Number) -> float:
+    return number.sd

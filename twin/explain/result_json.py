@@ -7,12 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from ..effects import EFFECTS
 from .explanation import LEAST, Explanation
 from .flying import Mission
 from .naming import Naming
+from .numbers import numbers_of
 from .places import Place
 from .refine import Fitted
 from .showing import ChannelGap
+from .unnamed import Equation
+from .unsteady import Unsteady
 
 Z95 = 1.959964
 MOST_RIVALS = 5
@@ -28,7 +32,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "vehicle": found.vehicle.name,
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
         "effects": [_effect(found, e) for e in listed(found)],
-        "unnamed": [asdict(u) for u in found.unnamed],
+        "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],
         "gap": {} if found.showing is None else {g.name: _gap(g) for g in found.showing.gaps},
         "holdout": [
@@ -36,7 +40,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
             for h in found.holdout
         ],
         "closed_loop": _missions(found.missions) if found.missions else None,
-        "next_manoeuvre": found.next_manoeuvre,
+        "next_manoeuvre": None if found.next_manoeuvre is None else asdict(found.next_manoeuvre),
     }
     strict = _strict(content)
     assert isinstance(strict, dict)
@@ -48,12 +52,27 @@ def listed(found: Explanation) -> list[str]:
     naming = found.naming
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
-    if found.verdict == "named":
-        effects = set(naming.best.effects)
-    else:
+    if naming.verdict == "cannot_tell":
         every = {e for f in naming.fitted for e in f.effects}
         effects = {e for e in every if naming.probability_of(e) >= LEAST}
-    return sorted(effects, key=lambda e: (-naming.probability_of(e), e))
+    else:
+        effects = set(naming.best.effects)
+    effects |= {u.effect for u in found.unsteady}
+    return sorted(effects, key=lambda e: (-probability_of(found, e), e))
+
+
+def probability_of(found: Explanation, effect: str) -> float:
+    """That an effect is missing, alone or with others."""
+    beside = beside_mean(found, effect)
+    if beside is not None:
+        return beside.probability
+    assert found.naming is not None
+    return found.naming.probability_of(effect)
+
+
+def beside_mean(found: Explanation, effect: str) -> Unsteady | None:
+    """An effect that changes no mean; None where it changes one."""
+    return next((u for u in found.unsteady if u.effect == effect), None)
 
 
 def nothing_probability(naming: Naming) -> float:
@@ -102,6 +121,9 @@ def rivals(naming: Naming, effect: str) -> list[dict[str, Any]]:
 
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     assert found.naming is not None
+    beside = beside_mean(found, effect)
+    if beside is not None:
+        return _unsteady(found, beside)
     fitted = best_with(found.naming, effect)
     own = intervals(fitted)
     about = {n.full: n for n in found.naming.ground.model.numbers}
@@ -121,6 +143,38 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
         "channels": [] if acts is None else list(acts.channels),
         "phases": [] if acts is None else list(acts.phases),
         "rivals": rivals(found.naming, effect),
+    }
+
+
+def _unsteady(found: Explanation, effect: Unsteady) -> dict[str, Any]:
+    units = {n.name: n.about.unit for n in numbers_of([EFFECTS[effect.effect]], found.vehicle)}
+    return {
+        "name": effect.effect,
+        "probability": effect.probability,
+        "parameters": {
+            full.partition(".")[2]: {
+                "value": value,
+                "unit": units[full.partition(".")[2]],
+                "ci95": effect.intervals.get(full),
+            }
+            for full, value in effect.values.items()
+        },
+        "channels": list(effect.channels),
+        "phases": [],
+        "rivals": [{"name": "nothing", "probability": 1 - effect.probability}],
+    }
+
+
+def _equation(equation: Equation) -> dict[str, Any]:
+    return {
+        "channel": equation.channel,
+        "unit": equation.unit,
+        "expression": equation.expression,
+        "share": equation.share,
+        "terms": [
+            {"product": product, "coefficient": value, "unit": unit}
+            for product, value, unit in equation.terms
+        ],
     }
 
 

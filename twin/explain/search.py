@@ -21,7 +21,7 @@ class Hypothesis:
 
     Attributes:
         effects: Identifiers, sorted; none: nothing is missing.
-        gains: Log likelihood over that of nothing, per block of time, out of sample, shape (n,).
+        gains: Log likelihood over that of nothing, out of sample, shape (blocks, channels).
     """
 
     effects: tuple[str, ...]
@@ -75,7 +75,7 @@ def weights(hypotheses: Sequence[Hypothesis], prior: Array, seed: int = 0) -> Ar
         prior: Log of the prior weight of each, shape (k,).
         seed: Of the draws.
     """
-    gains = np.stack([h.gains for h in hypotheses])
+    gains = np.stack([h.gains.sum(axis=1) for h in hypotheses])
     rng = np.random.default_rng(seed)
     draws = rng.dirichlet(np.ones(gains.shape[1]), DRAWS) * gains.shape[1]
     total = draws @ gains.T + prior

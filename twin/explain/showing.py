@@ -17,7 +17,7 @@ from ..effects import EFFECTS
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 from .channels import ChannelData
-from .evidence import Scores, blocks_of, noise_of_all
+from .evidence import Scores, noise_of_all, white
 from .model import Model, candidates, model_of
 from .numbers import columns_of
 
@@ -135,7 +135,7 @@ def show(
 def _floors(rows: Flights, sd: Array) -> list[float]:
     """Rms of each channel that the fit of all numbers at once leaves."""
     noise = noise_of_all(rows, sd)
-    change, _ = Scores(blocks_of(rows, noise), sd).fit(range(len(sd)))
+    change, _ = Scores(white(rows, noise), sd).fit(range(len(sd)))
     left = [[c.residual - c.slopes @ change for c in flight] for flight in rows]
     return [_rms(np.concatenate(parts)) for parts in zip(*left, strict=True)]
 

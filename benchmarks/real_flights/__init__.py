@@ -1,0 +1,1 @@
+"""What `twin.explain` says about recorded flights: `python docs/real_flights.py`."""

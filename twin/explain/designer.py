@@ -1,0 +1,335 @@
+"""What to fly next: the manoeuvre in which two explanations, alike so far, part the most.
+
+Each of the two is taken for the truth in turn: the twin with its effects flies every manoeuvre in
+closed loop. The other one, with its numbers free to move as far as the flights so far allow, then
+predicts the same readings. What is left between the predictions, in the whitened metric of the
+search, is the log likelihood by which the truth will lead on average; noise adds nothing to that,
+so none is drawn. Both predictions are those of `flight_model`, so what the grid costs in accuracy
+cancels.
+
+Source: discrimination between rival models, Hunter & Reiner, Technometrics 7 (1965); Atkinson &
+Fedorov, Biometrika 62 (1975).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from ..airframe import airframe
+from ..barometer import barometer
+from ..closed_loop import STEP_S, fly, standing
+from ..component import Component
+from ..controller import controller
+from ..effects import EFFECTS
+from ..errors import TwinError
+from ..flightlog import Flight
+from ..flightlog.columns import MAX_MOTORS, POS, QUAT, VEL, motor_columns
+from ..imu import imu
+from ..magnetometer import magnetometer
+from ..sampled import noiseless_outputs
+from ..vehicle import Vehicle
+from .channels import GRID_HZ, ChannelData
+from .evidence import BLOCK_S, Block, blocks_of
+from .flying import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
+from .manoeuvres import Manoeuvre, Plan, manoeuvres, plan
+from .model import Model, model_of
+from .naming import Naming
+from .numbers import Number, columns_of, with_effects
+from .refine import Fitted
+
+Array = NDArray[np.float64]
+ENOUGH = 5.0
+"""Expected log likelihood below which a manoeuvre separates nothing."""
+SHAPE_STEP = 0.03
+"""Relative step by which a shape is moved for its slope."""
+EVERY = round(1 / (GRID_HZ * STEP_S))
+"""Steps of the simulation per row of a record."""
+_LATE = {
+    "command_delay": {
+        *motor_columns("cmd", MAX_MOTORS),
+        *motor_columns("rotor", MAX_MOTORS),
+    },
+    "position_delay": {*POS, *VEL, *QUAT},
+}
+"""Effects that shift a record, and the columns that they shift."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A manoeuvre that separates two sets of effects.
+
+    Attributes:
+        manoeuvre: Identifier.
+        description: One sentence that a pilot can follow.
+        separates: The two sets, the more probable first; an empty one: nothing is missing.
+        separation: Log likelihood by which the true one is expected to lead, mean over both.
+        present: The same in the flights so far.
+    """
+
+    manoeuvre: str
+    description: str
+    separates: tuple[tuple[str, ...], tuple[str, ...]]
+    separation: float
+    present: float
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What holds the numbers of an explanation near their values.
+
+    Attributes:
+        precision: Of flights so far and priors, shape (k, k).
+        low: Largest steps down, shape (k,).
+        high: Largest steps up, shape (k,).
+    """
+
+    precision: Array
+    low: Array
+    high: Array
+
+
+def next_manoeuvre(
+    naming: Naming,
+    vehicle: Vehicle,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Suggestion | None:
+    """The manoeuvre that separates the two leading explanations best.
+
+    Args:
+        naming: What the flights so far say.
+        vehicle: The model as it stands.
+        seed: Not used: nothing is drawn.
+        progress: Called with the share done.
+
+    Returns:
+        None where the name is sure, or where no manoeuvre of the list would help.
+    """
+    if naming.verdict != "cannot_tell":
+        return None
+    best = suggestions(naming, vehicle, progress=progress)[0]
+    return best if best.separation >= ENOUGH else None
+
+
+def suggestions(
+    naming: Naming,
+    vehicle: Vehicle,
+    among: Sequence[str] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> list[Suggestion]:
+    """What each manoeuvre separates of the two leading explanations, the best first.
+
+    Args:
+        naming: What the flights so far say.
+        vehicle: The model as it stands.
+        among: Names of manoeuvres that can be flown there; default: all.
+        progress: Called with the share done.
+    """
+    rivals, flights = naming.fitted[:2], _flights(naming)
+    listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
+    leads = {m.name: 0.0 for m in listed}
+    held = [_held(naming, f) for f in rivals]
+    rounds = [(i, v) for i in (0, 1) for v in sorted({m.voltage for m in listed})]
+    for n, (i, voltage) in enumerate(rounds):
+        progress((n + 0.3) / (len(rounds) + 0.3))
+        flown = plan(vehicle, [m for m in listed if m.voltage == voltage])
+        plant = with_effects(vehicle, rivals[i].effects, rivals[i].values)
+        try:
+            flight = rehearse(flown, vehicle, plant, flights, voltage)
+            blocks = _parting(naming, flight, vehicle, rivals[i], rivals[1 - i])
+        except TwinError:  # numbers with which nothing flies: nobody can fly it either
+            continue
+        for name, (first, last) in flown.spans.items():
+            if last <= flight.table["time"].iloc[-1]:
+                inside = [b for (_, k), b in blocks.items() if first <= k * BLOCK_S < last]
+                leads[name] += lead(inside, held[1 - i]) / 2
+    pair, present = (rivals[0].effects, rivals[1].effects), _present(naming, *rivals)
+    found = [Suggestion(m.name, m.description, pair, leads[m.name], present) for m in listed]
+    return sorted(found, key=lambda s: -s.separation)
+
+
+def rehearse(
+    flown: Plan, vehicle: Vehicle, plant: Vehicle, like: Sequence[Flight], voltage: float = 1.0
+) -> Flight:
+    """Fly a plan in closed loop and record it without noise.
+
+    The controller reads the true motion. A late command is recorded early and a late pose late;
+    neither reaches the controller. The record ends where the vehicle is lost.
+
+    Args:
+        flown: Setpoints.
+        vehicle: What the controller is designed for.
+        plant: What really flies, with its effects.
+        like: Flights whose columns are recorded, at their rates, as far as the twin has them.
+        voltage: Of the battery, over that of these flights.
+    """
+    punctual = _punctual(plant)
+    body = airframe(punctual).with_starts(standing(punctual))
+    volts = _volts(like, vehicle) * voltage
+    held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
+    states, inputs = fly(body, controller(_punctual(vehicle)), flown.setpoints, held)
+    end = _lost(flown, body, states, plant)
+    states, inputs, phases = states[:end:EVERY], inputs[:end:EVERY], flown.phases[:end:EVERY]
+    p = np.tile(body.parameter_values()[:, None], len(states))
+    truth = np.asarray(body.outputs(states.T, inputs.T, p), dtype=np.float64).T
+    known = dict(zip(body.output_names, truth.T, strict=True))
+    known |= dict(zip(body.input_names, inputs.T, strict=True))
+    known["vbat_v"] = np.full(len(states), volts)
+    late_s = {e: plant.effects[e]["delay_s"] for e in _LATE if e in plant.effects}
+    for effect, delay in late_s.items():
+        for column in known.keys() & _LATE[effect]:
+            known[column] = _later(known[column], delay if effect == "position_delay" else -delay)
+    for sensor in (imu(punctual), magnetometer(punctual), barometer(punctual)):
+        if not any(f.has(*sensor.output_names[:1]) for f in like):
+            continue
+        read = np.tile(sensor.input_values(), (len(states), 1))
+        for i, name in enumerate(sensor.input_names):
+            read[:, i] = known.get(name, read[:, i])
+        shown = noiseless_outputs(sensor, read, 1 / GRID_HZ)
+        known |= dict(zip(sensor.output_names, shown.T, strict=True))
+    table = pd.DataFrame({"time": np.arange(len(states)) / GRID_HZ})
+    for column, values in known.items():
+        periods = [_period(f, column) for f in like if f.has(column)]
+        if periods:
+            recorded = np.arange(len(states)) % max(1, round(min(periods) * GRID_HZ)) == 0
+            table[column] = np.where(recorded, values, np.nan)
+    table["phase"] = phases
+    return Flight("next", table)
+
+
+def _lost(flown: Plan, body: Component, states: Array, plant: Vehicle) -> int:
+    """Number of rows until the vehicle tumbles or strays from its setpoints."""
+    column = [s.name for s in body.states].index
+    off = states[:, [column(f"pos_{a}") for a in "xyz"]] - flown.setpoints[:, :3]
+    tilt = 2 * np.arcsin(np.hypot(states[:, column("q_x")], states[:, column("q_y")]).clip(0, 1))
+    far = max(FARTHEST_M, FARTHEST_ARMS * plant.arm_m)
+    near = (np.linalg.norm(off, axis=1) < far) & (tilt < STEEPEST_RAD)
+    near |= np.array([phase == "ground" for phase in flown.phases])
+    return len(near) if near.all() else int(np.argmin(near))
+
+
+# -- what is left between two explanations --------------------------------------------------
+
+
+def _parting(
+    naming: Naming, flight: Flight, vehicle: Vehicle, truth: Fitted, other: Fitted
+) -> dict[tuple[int, int], Block]:
+    """What one explanation predicts for a flight beyond another, by blocks of time."""
+    union = {*truth.effects, *other.effects}
+    model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
+    noise = dict(zip(_names(naming.ground.model), naming.ground.noise, strict=True))
+    true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
+    rows = [replace(c, residual=c.residual - true[c.name])
+            for c in _answers(model, other)[0] if c.name in noise]  # fmt: skip
+    even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
+    return blocks_of([rows], even) if rows else {}
+
+
+def lead(blocks: Sequence[Block], held: Held) -> float:
+    """Log likelihood by which an explanation falls behind, its numbers moved to their best.
+
+    Args:
+        blocks: Slopes of the explanation, and what is predicted beyond it.
+        held: What its numbers cost to move.
+    """
+    if not blocks:
+        return 0.0
+    total = sum(blocks[1:], blocks[0])
+    if not total.pull.size:
+        return 0.5 * total.power
+    gram = total.gram + held.precision
+    unit = 1 / np.sqrt(np.diag(gram))
+    root = np.linalg.cholesky(gram * np.outer(unit, unit))
+    best = lsq_linear(root.T, np.linalg.solve(root, total.pull * unit),
+                      (held.low / unit, held.high / unit), method="bvls").x * unit  # fmt: skip
+    return float(0.5 * (total.power - 2 * total.pull @ best + best @ gram @ best))
+
+
+def _held(naming: Naming, fitted: Fitted) -> Held:
+    """How far the flights so far, and the priors, let the numbers of an explanation move."""
+    ground = naming.ground
+    blocks = blocks_of(_answers(ground.model, fitted), ground.noise).values()
+    numbers, at = _numbers(ground.model, fitted), dict(fitted.values)
+    prior = np.diag([1 / n.sd**2 for n in numbers])
+    return Held(
+        np.sum([b.gram for b in blocks], axis=0) + prior,
+        np.array([n.about.prior[0] - at[n.full] for n in numbers]),
+        np.array([n.about.prior[1] - at[n.full] for n in numbers]),
+    )
+
+
+def _present(naming: Naming, a: Fitted, b: Fitted) -> float:
+    """Log likelihood by which the truth leads in the flights so far: both are at their best."""
+    model, noise = naming.ground.model, naming.ground.noise
+    ours, theirs = model.channels([], a.values), model.channels([], b.values)
+    rows = [[replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
+            for f, g in zip(ours, theirs, strict=True)]  # fmt: skip
+    return 0.5 * sum(block.power for block in blocks_of(rows, noise).values())
+
+
+def _answers(model: Model, fitted: Fitted) -> list[list[ChannelData]]:
+    """Channels of an explanation at its values, with slopes by its numbers and its shapes."""
+    at = dict(fitted.values)
+    flights = model.channels(columns_of(model.numbers, fitted.effects), at)
+    for shape in (n.full for n in _numbers(model, fitted) if n.shape):
+        step = SHAPE_STEP * at[shape]
+        moved = model.channels([], {**at, shape: at[shape] + step})
+        flights = [
+            [replace(c, slopes=np.column_stack([c.slopes, (c.residual - d.residual) / step]))
+             for c, d in zip(now, then, strict=True)]
+            for now, then in zip(flights, moved, strict=True)
+        ]  # fmt: skip
+    return flights
+
+
+def _numbers(model: Model, fitted: Fitted) -> list[Number]:
+    """Numbers of an explanation in the order of the model, then its shapes."""
+    own = [n for n in model.numbers if n.effect in fitted.effects]
+    return sorted(own, key=lambda n: n.shape)
+
+
+def _names(model: Model) -> list[str]:
+    return [c.name for c in model.channels([])[0]]
+
+
+# -- flying ---------------------------------------------------------------------------------
+
+
+def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
+    """Manoeuvres that can be told from another: the battery only where its voltage counts."""
+    flights = _flights(naming)
+    listed = manoeuvres(vehicle, charged=_volts(flights, vehicle) >= vehicle.voltage_v)
+    effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
+    felt = vehicle.rotors.reference_voltage_v is not None or "battery_sag" in effects
+    if felt and all(f.has("vbat_v") for f in flights):
+        return list(listed)
+    return [m for m in listed if m.voltage == 1]
+
+
+def _flights(naming: Naming) -> list[Flight]:
+    return [m.flight for m in naming.ground.model.flights]
+
+
+def _volts(flights: Sequence[Flight], vehicle: Vehicle) -> float:
+    """Median battery voltage of flights, that of the vehicle where none says it."""
+    read = [f.signal(["vbat_v"])[1] for f in flights if f.has("vbat_v")]
+    return float(np.median(np.concatenate(read))) if read else vehicle.voltage_v
+
+
+def _punctual(vehicle: Vehicle) -> Vehicle:
+    """The same without the delays that a record shows and a flight does not."""
+    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if k not in _LATE})
+
+
+def _later(values: Array, delay_s: float) -> Array:
+    t = np.arange(len(values)) / GRID_HZ
+    return np.interp(t - delay_s, t, values)
+
+
+def _period(flight: Flight, column: str) -> float:
+    """Median time between two samples, s."""
+    return float(np.median(np.diff(flight.signal([column])[0])))
