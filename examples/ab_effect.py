@@ -28,7 +28,7 @@ def main(stop_s: float = 15.0) -> None:
                 lean_deg = 2 * np.degrees(np.arcsin(recording[LEAN][-1]))
                 off_m = np.abs(recording["twin.airframe.pos_x"]).max()
                 print(
-                    f"rotor_drag.enabled = {enabled!s:5}: nose {lean_deg:.2f} degrees up, "
+                    f"rotor_drag.enabled = {enabled!s:5}: nose {lean_deg:z.2f} degrees up, "
                     f"blown off by {off_m:.3f} m at most"
                 )
 

@@ -17,8 +17,10 @@ from cosim import explain as explain_files
 from cosim.demo import Waypoints, fly
 from cosim.explain_report import write_explain_report
 from cosim.explain_words import certainty, claim
-from twin.explain.explanation import Explanation, Unnamed
+from twin.explain.designer import Suggestion
+from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
+from twin.explain.unnamed import Equation
 from twin.flightlog import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -208,7 +210,9 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
         named.found,
         verdict="cannot_tell",
         naming=replace(naming, verdict="cannot_tell", probabilities=chances),
-        next_manoeuvre="Fly fast and straight.",
+        next_manoeuvre=Suggestion(
+            "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
+        ),
     )
     content = explain_json(tied)
     assert content["effects"][0]["name"] == "rotor_drag"
@@ -273,12 +277,15 @@ def test_a_flight_cannot_be_its_own_holdout(folder: Path, dragged: list[Path]) -
 
 def test_what_the_library_lacks_has_a_place(named: Run, tmp_path: Path) -> None:
     assert named.found is not None
-    equation = Unnamed("acc_x", "0.3 m/s² * sin(yaw)", 0.85)
+    terms = (("sin(yaw)", 0.3, "m/s²"),)
+    equation = Equation("acc_x", "m/s²", terms, "0.3 m/s² * sin(yaw)", 0.85, 18.0, 0.2, 400.0)
     unnamed = replace(named.found, verdict="unnamed", shown=None, unnamed=(equation,))
     content = explain_json(unnamed)
-    assert content["unnamed"] == [
-        {"channel": "acc_x", "expression": "0.3 m/s² * sin(yaw)", "share": 0.85}
-    ]
+    (told,) = content["unnamed"]
+    assert told["channel"] == "acc_x"
+    assert told["expression"] == "0.3 m/s² * sin(yaw)"
+    assert told["share"] == 0.85
+    assert told["terms"] == [{"product": "sin(yaw)", "coefficient": 0.3, "unit": "m/s²"}]
     assert content["effects"] == []
     write_explain_report(unnamed, tmp_path / "report.html")
     assert "0.3 m/s² * sin(yaw)" in (tmp_path / "report.html").read_text()

@@ -60,8 +60,8 @@ def test_settles_no_later_than_the_cascade(predictive: Nmpc) -> None:
     )
     assert ours <= cascade
     assert np.linalg.norm(rig.vector(states[-1], "pos")) < 0.01
-    assert commands.min() >= 0.0
-    assert commands.max() <= 1.0
+    assert commands.min() >= -1e-9  # bounds hold to the tolerance of the solver
+    assert commands.max() <= 1.0 + 1e-9
     assert np.median(times) < 1.0
 
 

@@ -13,7 +13,8 @@ NEAREST_GROUND = 0.25
 
 
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
-    m, air = w.motion.body.mass * w.motion.density, w.motion.air_b
+    spin = sum(w.rotors.spin, start=ca.SX(0)) / len(w.rotors.spin)
+    m, air = w.motion.body.mass * w.motion.density * spin, w.motion.air_b
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
     drag = [-m * c * v for c, v in zip(k, air, strict=True)]
     hubs = w.motion.body.hubs
@@ -71,16 +72,21 @@ def _ground_effect(r: Thrust, p: Block) -> Thrust:
 
 ROTOR_DRAG = Effect(
     "rotor_drag",
-    "drag of the turning rotors, at the middle of their hubs, proportional to the speed through "
-    "the air",
+    "drag of the turning rotors, at the middle of their hubs, proportional to their speed and to "
+    "that through the air",
     "airframe",
     Wrench,
     (
-        EffectParameter("k_xy_1_s", "1/s", "drag over mass and speed, body x and y", 0.3, (0, 1.5)),
-        EffectParameter("k_z_1_s", "1/s", "drag over mass and speed, body z", 0.0, (0, 1.5)),
+        EffectParameter(
+            "k_xy_1_s", "1/s", "drag over mass and speed in hover, body x and y", 0.3, (0, 1.5)
+        ),
+        EffectParameter(
+            "k_z_1_s", "1/s", "drag over mass and speed in hover, body z", 0.0, (0, 1.5)
+        ),
     ),
     ("acc", "vel", "q"),
-    "Faessler, Franchi & Scaramuzza, RA-L 3 (2018), eq. 7; 0.38 1/s measured on a Crazyflie",
+    "Faessler, Franchi & Scaramuzza, RA-L 3 (2018), eq. 7, with rotor speed as in Foerster, System "
+    "Identification of the Crazyflie 2.0, ETH Zurich (2015); 0.38 1/s measured on a Crazyflie",
     _rotor_drag,
 )
 

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from ..effects.mass import ROPE_HZ
 
 Array = NDArray[np.float64]
-DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 4.0, 4.0
-"""K and L. Chosen on benchmark flights: with a quarter of them swings beyond 60 degrees stay lost;
-a gain shows over a wide range of lengths with these, and what is no pendulum still fits worse than
-its own effect."""
+DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 8.0, 16.0
+"""K and L. Chosen on benchmark flights: with half of them a load that swings beyond 60 degrees is
+lost for seconds, and its mass comes out too small. What is no pendulum is not followed so fast that
+it would pass as one: its own effect still fits far better."""
 FAINT_M_S2 = 0.3
 """d0: force of a load of 3 % of the vehicle at rest; of a fainter one the direction is noise."""
 PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")

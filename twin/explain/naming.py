@@ -134,7 +134,7 @@ def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 def _price(fitted: Fitted) -> float:
     """Log prior odds against a hypothesis."""
-    return PER_EFFECT * len(fitted.effects) + PER_NUMBER * len(fitted.numbers)
+    return PER_EFFECT * len(fitted.effects) + PER_NUMBER * len(fitted.values)
 
 
 def _needless(fitted: Fitted, others: Sequence[Fitted]) -> bool:
