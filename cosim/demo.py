@@ -78,13 +78,10 @@ def fly(
     states, inputs = closed_loop.fly(
         body.with_starts(closed_loop.standing(plant)), controller(vehicle), setpoints
     )
-    p = np.tile(body.parameter_values()[:, None], len(states))
-    truth = np.asarray(body.outputs(states.T, inputs.T, p), dtype=np.float64)
-    sensed = truth[[body.output_names.index(n) for n in sensor.input_names]]
-    readings = sensor_readings(sensor, sensed.T)
-    return _record(
-        name, body.output_names, truth.T, readings, inputs, phases, body.input_names, seed
-    )
+    truth = body.outputs_along(states, inputs)
+    sensed = truth[:, [body.output_names.index(n) for n in sensor.input_names]]
+    readings = sensor_readings(sensor, sensed)
+    return _record(name, body.output_names, truth, readings, inputs, phases, body.input_names, seed)
 
 
 def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:

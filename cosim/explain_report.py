@@ -10,7 +10,7 @@ from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
 from twin.explain.numbers import numbers_of
 from twin.explain.result_json import beside_mean, best_with, listed, rivals
-from twin.explain.unsteady import Unsteady
+from twin.explain.unsteady_effect import Unsteady
 
 from .explain_figures import before_after_figure, evidence_figure
 from .explain_words import (

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.archive import MAX_UNPACKED_BYTES, copy_member, member_problems
+from fmus.archive import copy_members, member_problems
 from twin.errors import FmuError
 
 
@@ -15,19 +15,12 @@ def unpack_ssp(path: Path, folder: Path) -> None:
     Raises:
         FmuError: Unsafe or damaged.
     """
-    left = MAX_UNPACKED_BYTES
     try:
         with zipfile.ZipFile(path) as archive:
             members = tuple(archive.infolist())
             if problems := member_problems(members):
                 raise FmuError(f"{path.name}: refused: {'; '.join(problems[:5])}.")
-            for member in members:
-                target = folder / member.filename
-                if member.is_dir():
-                    target.mkdir(parents=True, exist_ok=True)
-                    continue
-                target.parent.mkdir(parents=True, exist_ok=True)
-                left -= copy_member(archive, member, target, left)
+            copy_members(archive, members, folder)
     except FmuError:
         raise
     except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files

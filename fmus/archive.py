@@ -7,6 +7,7 @@ judged, and never more than `MAX_UNPACKED_BYTES`.
 import re
 import stat
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -74,23 +75,28 @@ def unpack(path: Path, folder: Path) -> None:
     if archive.problems:
         shown = "; ".join(archive.problems[:5])
         raise FmuError(f"{path.name}: refused: {shown}.")
-    left = MAX_UNPACKED_BYTES
     try:
         with zipfile.ZipFile(path) as source:
-            for member in archive.members:
-                target = folder / member.filename
-                if member.is_dir():
-                    target.mkdir(parents=True, exist_ok=True)
-                    continue
-                target.parent.mkdir(parents=True, exist_ok=True)
-                left -= copy_member(source, member, target, left)
+            copy_members(source, archive.members, folder)
     except (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError) as error:
         raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
     except Exception as error:  # zlib.error, lzma.LZMAError: damaged streams
         raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
 
 
-def copy_member(source: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, limit: int) -> int:
+def copy_members(source: zipfile.ZipFile, members: Iterable[zipfile.ZipInfo], folder: Path) -> None:
+    """Write members that have been judged, never more than `MAX_UNPACKED_BYTES` in all."""
+    left = MAX_UNPACKED_BYTES
+    for member in members:
+        target = folder / member.filename
+        if member.is_dir():
+            target.mkdir(parents=True, exist_ok=True)
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        left -= _copy_member(source, member, target, left)
+
+
+def _copy_member(source: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, limit: int) -> int:
     """Write one member, counting what really comes out of the stream."""
     written = 0
     with source.open(member) as stream, target.open("wb") as file:

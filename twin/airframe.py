@@ -104,7 +104,7 @@ def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Com
         m.output(
             f"specific_force_{axis}",
             "m/s2",
-            f"Specific force at the centre of mass, without cog_offset, body {_FRD[i]}",
+            f"Specific force where the vehicle file has the centre of mass, body {_FRD[i]}",
             felt_b[i],
         )
     for i, axis in enumerate(AXES):

@@ -113,8 +113,7 @@ def closed_loop(
     """
     plan, plant = mission(vehicle, name), plant or vehicle
     t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
-    p = np.tile(plan.parameter_values()[:, None], len(t_s))
-    rows = np.asarray(plan.outputs(t_s[None, :], np.zeros((0, len(t_s))), p), dtype=np.float64).T
+    rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
     setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
     phase = rows[:, plan.output_names.index("phase")]
     body = airframe(plant).with_starts(standing(plant))

@@ -182,6 +182,19 @@ class Component:
         """Start values of the inputs, some of them changed; shape (n_u,)."""
         return _values(self.name, self.inputs, changes or {})
 
+    def outputs_along(
+        self, states: Array, inputs: Array, changes: Mapping[str, float] | None = None
+    ) -> Array:
+        """Outputs at each of n rows, shape (n, n_y).
+
+        Args:
+            states: Shape (n, n_x).
+            inputs: Shape (n, n_u).
+            changes: Parameters that differ from their start values.
+        """
+        p = np.tile(self.parameter_values(changes)[:, None], len(states))
+        return np.asarray(self.outputs(states.T, inputs.T, p), dtype=np.float64).T
+
     def with_starts(self, starts: Mapping[str, float]) -> "Component":
         """The same equations with other start values of parameters or inputs.
 

@@ -35,6 +35,15 @@ class Twin:
     airborne: NDArray[np.bool_]
     notes: tuple[str, ...]
 
+    def predicted(self, *stems: str) -> tuple[Array, ...]:
+        """Outputs of the airframe at every grid point, for each stem those that begin with it.
+
+        Shape (n, k) each.
+        """
+        y = self.airframe.outputs_along(self.states, self.inputs.u)
+        names = self.airframe.output_names
+        return tuple(y[:, [i for i, n in enumerate(names) if n.startswith(s)]] for s in stems)
+
 
 def prepare(
     flight: Flight, vehicle: Vehicle, grid_s: float = GRID_S, effects: Iterable[str] = ()
@@ -129,8 +138,8 @@ def _airborne(
     )
     rotors = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
     x[:, rotors] = inputs.rotor_states
-    y = np.asarray(body.outputs(x.T, inputs.u.T, np.tile(p[:, None], len(x))), dtype=np.float64)
-    thrust = sum(y[body.output_names.index(f"thrust_{i}")] for i in range(1, n + 1))
+    y = body.outputs_along(x, inputs.u)
+    thrust = y[:, [body.output_names.index(f"thrust_{i}") for i in range(1, n + 1)]].sum(axis=1)
     carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
     airborne = carried & (phases != "ground")
     starts_in_air = (

@@ -194,8 +194,7 @@ def predicted_readings(
     Returns:
         Values, shape (n, k), and their names: IMU outputs, then airframe outputs.
     """
-    p = airframe.parameter_values({"ground.enabled": 0.0})
-    y = np.asarray(airframe.outputs(x.T, u.T, np.tile(p[:, None], len(x))), dtype=np.float64).T
+    y = airframe.outputs_along(x, u, {"ground.enabled": 0.0})
     sensed = y[:, [airframe.output_names.index(n) for n in imu.input_names]]
     readings = sensor_readings(imu, sensed)
     return np.hstack([readings, y]), imu.output_names + airframe.output_names

@@ -121,6 +121,11 @@ class Vehicle:
         return float(np.linalg.norm(self.rotors.position_m[:, :2], axis=1).max())
 
     @property
+    def states_voltage(self) -> bool:
+        """Whether the numbers say anything about a voltage."""
+        return self.rotors.reference_voltage_v is not None or self.battery is not None
+
+    @property
     def voltage_v(self) -> float:
         """Voltage at which the maps hold; without one that of the battery, or of one cell."""
         if self.rotors.reference_voltage_v is not None:

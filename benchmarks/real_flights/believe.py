@@ -122,7 +122,9 @@ def _against_numbers(effect: str, by: Sequence[Case]) -> Iterator[str]:
         own = [(c, n[full]) for c, n in zip(by, each, strict=True) if full in n]
         edges = [c["holdout"] for c, n in own if n.edge is not None]
         if edges:
-            yield f"`{full}` at the edge of its range with {_and(edges)} held out"
+            always = len(edges) == len(by) > 1
+            where = "every time" if always else f"with {_and(edges)} held out"
+            yield f"`{full}` at the edge of its range {where}"
         if agreement([n for _, n in own]) == "no":
             values = " and ".join(f"{n.value:.3g}" for _, n in own)
             yield f"`{full}` differs between rotations, beyond the intervals: {values}"

@@ -148,6 +148,12 @@ def test_each_fact_against_an_effect_is_told(
     assert re.fullmatch(f".*{said}.*", against(cases)["motor_lag"])
 
 
+def test_a_number_that_is_always_at_its_edge_is_told_once() -> None:
+    edge = GOOD | {"edge": [0.0, 0.05]}
+    said = against([case(f, {"motor_lag": edge}) for f in "abc"])["motor_lag"]
+    assert said == "`motor_lag.n` at the edge of its range every time"
+
+
 def test_an_effect_of_one_rotation_is_told_with_those_that_miss_it() -> None:
     cases = [case("a", {"gust": GOOD, "motor_lag": GOOD}), *(case(f, {"motor_lag": GOOD})
              for f in "bc")]  # fmt: skip

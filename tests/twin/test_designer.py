@@ -19,11 +19,12 @@ from cosim.demo import (
 from twin.closed_loop import STEP_S
 from twin.effects import EFFECTS
 from twin.explain import naming as search
-from twin.explain.designer import Held, Suggestion, lead, next_manoeuvre, rehearse, suggestions
+from twin.explain.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
 from twin.explain.evidence import BLOCK_S, Block
 from twin.explain.manoeuvres import hover_height_m, manoeuvres, plan
 from twin.explain.naming import Naming, name_effects
 from twin.explain.numbers import with_effects
+from twin.explain.rehearsal import rehearse
 from twin.flightlog import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle_file import builtin_vehicles, load_vehicle

@@ -61,8 +61,8 @@ def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Showing) -> No
     for name in ("acc_x", "acc_y"):
         gap = gaps[name]
         assert gap.before > 10 * gap.noise_floor
-        assert gap.after == pytest.approx(gap.noise_floor, rel=0.05)
-        assert gap.closed == pytest.approx(1.0, abs=0.01)
+        assert gap.after < 1.5 * gap.noise_floor  # drag of the body, not of turning rotors
+        assert gap.closed > 0.98
         assert 0.5 < gap.shrink_ci95[0] < gap.shrink < gap.shrink_ci95[1] < 1
     assert gaps["pose_gyro_z"].shrink == 0.0  # drag is not felt there
     assert np.isnan(gaps["pose_gyro_z"].closed)

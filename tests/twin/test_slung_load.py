@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from cosim.demo import Waypoints, fly
 from twin.effects import EFFECTS
-from twin.explain.evidence import noise_of_all, white
 from twin.explain.load import PLACE, SPEED, hung, swing
 from twin.explain.model import model_of
-from twin.explain.numbers import columns_of, with_effects
+from twin.explain.numbers import with_effects
 from twin.explain.refine import Ground
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle
@@ -82,11 +81,7 @@ def test_the_rope_is_stretched_by_its_tension() -> None:
 def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Ground:
     """Some effects against a flight of a plant."""
     flights = [fly(vehicle, plant, 1, waypoints=WAYPOINTS)]
-    model = model_of(flights, vehicle, [EFFECTS[n] for n in names])
-    columns = columns_of(model.numbers, names)
-    rows = model.channels(columns)
-    noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]))
-    return Ground(model, noise, tuple(columns), white(rows, noise))
+    return Ground.of(model_of(flights, vehicle, [EFFECTS[n] for n in names]))
 
 
 def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from cosim.demo import Waypoints, fly
 from twin.effects import EFFECTS
-from twin.explain.evidence import Block, noise_of_all, white
+from twin.explain.evidence import Block
 from twin.explain.model import model_of
-from twin.explain.numbers import columns_of
 from twin.explain.refine import Ground
 from twin.explain.unnamed import _band, _spectrum, better_unnamed, covered, unnamed
 from twin.explain.unnamed_fit import fold_of, sparse
@@ -37,12 +36,7 @@ TONE_HZ = 1.37
 def ground_of(flight: Flight) -> Ground:
     """The flight against the model with a small library."""
     library = [EFFECTS[e] for e in ("rotor_drag", "accel_bias", "thrust_scale")]
-    model = model_of([flight], COPTER, library)
-    columns = columns_of(model.numbers, model.effects)
-    sd = np.array([model.numbers[i].sd for i in columns])
-    rows = model.channels(columns)
-    noise = noise_of_all(rows, sd)
-    return Ground(model, noise, tuple(columns), white(rows, noise))
+    return Ground.of(model_of([flight], COPTER, library))
 
 
 def planted(flight: Flight, force: Callable[[Array, Array], Array]) -> Flight:

@@ -15,10 +15,13 @@ from scipy.signal import lfilter
 from twin.effects import EFFECTS
 from twin.explain.flight_model import FlightModel
 from twin.explain.model import Model
+from twin.explain.noise_level import noise_level
 from twin.explain.numbers import numbers_of
 from twin.explain.prediction import Batch, physics
 from twin.explain.stuck import stuck_channels, stuck_numbers, without_stuck
-from twin.explain.unsteady import Unsteady, noise_level, unsteady, vibration
+from twin.explain.unsteady import unsteady
+from twin.explain.unsteady_effect import Unsteady
+from twin.explain.vibration import vibration
 from twin.flightlog import Flight
 from twin.flightlog.columns import ACC, GYRO, MAG
 from twin.rotors import hover_level

@@ -87,7 +87,8 @@ COG_OFFSET = Effect(
                         scale=lambda v: v.arm_m),
     ),
     ("gyro",),
-    "definition: rotor hubs move the other way",
+    "definition: rotor hubs move the other way; the airframe gives the specific force where the "
+    "vehicle file has the centre of mass, so the IMU keeps its place",
     _cog_offset,
 )  # fmt: skip
 

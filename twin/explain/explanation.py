@@ -19,7 +19,8 @@ from .showing import Showing, show
 from .split import Span, held_out_spans, hidden
 from .stuck import Stuck, stuck_channels, without_stuck
 from .unnamed import Equation, better_unnamed, unnamed
-from .unsteady import Unsteady, stuck_effect, unsteady
+from .unsteady import stuck_effect, unsteady
+from .unsteady_effect import Unsteady
 from .usable import reasons_unusable
 
 LEAST = 0.05

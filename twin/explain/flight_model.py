@@ -168,8 +168,9 @@ class FlightModel:
         for k, i in enumerate(columns):
             step = _STEPS.get(self.numbers[i].full)
             if step is not None:
-                more = {**change, self.numbers[i].full: theta[i] + step}
-                slopes[:, :, k] = (self._body.value(theta, *self._moved(more)) - value) / step
+                more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
+                ahead[i] += step
+                slopes[:, :, k] = (self._body.value(ahead, *self._moved(more)) - value) / step
         return value, slopes
 
     # -- answers that are no derivatives of equations ----------------------------------------
@@ -429,10 +430,9 @@ def _step_mean(values: Array) -> Array:
 
 def _shifted(values: Array, later_s: float) -> Array:
     """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
-    grid = np.arange(len(values))
-    columns = []
-    for v in values.T:
+    grid, moved = np.arange(len(values)), np.array(values)
+    for column, v in zip(moved.T, values.T, strict=True):
         known = np.isfinite(v)
-        filled = np.interp(grid - later_s * GRID_HZ, grid[known], v[known]) if known.any() else v
-        columns.append(filled)
-    return np.stack(columns, axis=-1)
+        if known.any():
+            column[:] = np.interp(grid - later_s * GRID_HZ, grid[known], v[known])
+    return moved

@@ -14,7 +14,7 @@ from ..teacher_forced import choose_drive
 from ..vehicle import Vehicle
 from .channels import ChannelData
 from .flight_model import FlightModel, in_equations
-from .numbers import Number, numbers_of, numbers_of_logs, visible
+from .numbers import Number, at_voltage, numbers_of, numbers_of_logs, visible
 from .prediction import Batch, physics
 
 Array = NDArray[np.float64]
@@ -74,7 +74,8 @@ def model_of(
     Raises:
         LogError: A flight cannot be compared with this vehicle, or no flight is long enough.
     """
-    numbers = (*numbers_of_logs(effects), *numbers_of(effects, vehicle))
+    own = (at_voltage(n, flights, vehicle) for n in numbers_of(effects, vehicle))
+    numbers = (*numbers_of_logs(effects), *own)
     names = [n.full for n in numbers]
     standing = [e.name for e in effects if in_equations(e)]
     bodies: dict[Drive, Batch] = {}

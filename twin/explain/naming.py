@@ -1,6 +1,6 @@
 """Name what a model lacks: one effect, some, none, or a tie that the flights cannot break."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..flightlog import Flight
 from ..vehicle import Vehicle
-from .evidence import Scores, noise_of_all, white
+from .evidence import Scores
 from .model import candidates, model_of
 from .numbers import columns_of
 from .refine import Fitted, Ground
@@ -34,6 +34,10 @@ percent more of it are worth two, as if the law were right to about a seventh.""
 IMPOSSIBLE = 1e6
 SURE = 0.8
 """Probability from which on a name is given."""
+SPOILT = 1.5
+"""Times the power that a channel has without any effect."""
+MOST, GROWN = 3, 3
+"""Effects together; sets of one more that are tried after each of the best."""
 SINGLES, PAIRS, TRIPLES = 8, 6, 3
 """Hypotheses of each size that are fitted at their own best."""
 
@@ -82,23 +86,22 @@ def name_effects(
         progress: Called with the share done.
     """
     model = model_of(flights, vehicle, candidates(flights), lambda done: progress(0.2 * done))
-    linear = columns_of(model.numbers, model.effects)
-    numbers = [model.numbers[i] for i in linear]
-    sd = np.array([n.sd for n in numbers])
-    rows = model.channels(linear)
-    noise = noise_of_all(rows, sd)
-    rest = white(rows, noise)
-    scores = Scores(rest, sd)
-    chosen = _shortlist(search(scores, numbers))
-    ground = Ground(model, noise, tuple(linear), rest)
+    ground = Ground.of(model)
+    numbers = [model.numbers[i] for i in ground.columns]
+    scores = Scores(ground.rest, np.array([n.sd for n in numbers]))
+    chosen = _shortlist(search(scores, numbers, most=MOST))
     fitted = []
     for i, hypothesis in enumerate(chosen):
         fitted.append(ground.fit(hypothesis.effects))
-        progress(0.3 + 0.7 * (i + 1) / len(chosen))
+        progress(0.3 + 0.5 * (i + 1) / len(chosen))
+    for size in range(1, MOST):
+        fitted += _grown(ground, fitted, size)
+        progress(0.8 + 0.2 * size / (MOST - 1))
     shares = [share(f, ground.nothing()) for f in fitted]
     by_effects = {f.effects: f for f in fitted}
     prior = np.array([-_price(f) for f in fitted])
     prior[[not _material(ground, f, by_effects) for f in fitted]] -= IMPOSSIBLE
+    prior[[_spoils(f, ground) for f in fitted]] -= IMPOSSIBLE
     prior[[_needless(f, fitted) for f in fitted]] -= IMPOSSIBLE
     chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
     order = np.argsort(-chance)
@@ -130,6 +133,46 @@ def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
             if taken == count:
                 break
     return chosen
+
+
+def _grown(ground: Ground, fitted: Sequence[Fitted], size: int) -> list[Fitted]:
+    """The best hypothesis of a size with one more effect, those that its own surroundings ask for.
+
+    The first search is linear about the model as it stands. About a hypothesis at its best, what
+    one more effect would gain looks different.
+    """
+    best = max((f for f in fitted if len(f.effects) == size), key=_worth, default=None)
+    if best is None or best.gain < PER_EFFECT:
+        return []
+    scores, model = ground.around(best), ground.model
+    numbers = [model.numbers[i] for i in ground.columns]
+    low, high = (
+        np.array([n.about.prior[i] - best.values.get(n.full, n.now) for n in numbers])
+        for i in (0, 1)
+    )
+
+    def gain(effects: Iterable[str]) -> float:
+        """Of numbers near the fit."""
+        columns = columns_of(numbers, effects)
+        return float(scores.gains(columns, low[columns], high[columns]).sum())
+
+    known = {f.effects for f in fitted}
+    sets = [tuple(sorted((*best.effects, e))) for e in model.effects if e not in best.effects]
+    gains = {s: gain(s) for s in sets if s not in known}
+    wanted = sorted((s for s in gains if gains[s] > PER_EFFECT), key=lambda s: -gains[s])
+    return [ground.fit(s) for s in wanted[:GROWN]]
+
+
+def _worth(fitted: Fitted) -> float:
+    return fitted.gain - _price(fitted)
+
+
+def _spoils(fitted: Fitted, ground: Ground) -> bool:
+    """Whether a channel is left clearly worse than without any effect.
+
+    White noise hardly counts what is slow: an offset that a hypothesis brings in.
+    """
+    return bool(np.any(fitted.raw > SPOILT * ground.raw))
 
 
 def _price(fitted: Fitted) -> float:

@@ -1,7 +1,7 @@
 """The numbers that a search may change: those of every effect that flights can show."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +94,17 @@ def numbers_of_logs(effects: Iterable[Effect]) -> list[Number]:
         for e in effects
         if e.name in IN_LOGS
     ]
+
+
+def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> Number:
+    """A voltage that the vehicle says nothing about, taken from the flights; others as they are."""
+    if number.about.unit != "V" or vehicle.states_voltage:
+        return number
+    usual = float(np.median(np.concatenate([f.signal(["vbat_v"])[1].ravel() for f in flights])))
+    ratio = usual / number.about.start
+    low, high = number.about.prior
+    about = replace(number.about, start=usual, prior=(low * ratio, high * ratio))
+    return replace(number, about=about, now=usual)
 
 
 def visible(effect: Effect, flights: Iterable[Flight]) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from .evidence import Noise, Scores, White, white
+from .evidence import Flights, Noise, Scores, White, noise_of_all, white
 from .model import Model
 from .numbers import Number, columns_of
 
@@ -41,6 +41,7 @@ class Fitted:
         covariance: Of `numbers`, shape (k, k).
         gains: Log likelihood over that of nothing, out of sample, shape (blocks, channels).
         left: Power that is left of each channel, white and in units of its noise, shape (c,).
+        raw: The same as it is, in the square of the channel's unit.
     """
 
     effects: tuple[str, ...]
@@ -49,6 +50,7 @@ class Fitted:
     covariance: Array
     gains: Array
     left: Array
+    raw: Array
 
     @property
     def gain(self) -> float:
@@ -74,17 +76,27 @@ class Ground:
         noise: Of each channel.
         columns: Numbers that `rest` has slopes by.
         rest: Without any effect.
+        raw: Power of each channel without any effect.
     """
 
     model: Model
     noise: Sequence[Noise]
     columns: tuple[int, ...]
     rest: White
+    raw: Array
+
+    @classmethod
+    def of(cls, model: Model) -> "Ground":
+        """Flights with every number of their model, and the noise that it leaves."""
+        columns = columns_of(model.numbers, model.effects)
+        rows = model.channels(columns)
+        noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]))
+        return cls(model, noise, tuple(columns), white(rows, noise), raw_powers(rows))
 
     def nothing(self) -> Fitted:
         """The hypothesis that nothing is missing."""
         powers = self.rest.per_cell(self.rest.residual**2)
-        return Fitted((), {}, (), np.zeros((0, 0)), 0.0 * powers, powers.sum(axis=0))
+        return Fitted((), {}, (), np.zeros((0, 0)), 0.0 * powers, powers.sum(axis=0), self.raw)
 
     def fit(self, effects: Sequence[str]) -> Fitted:
         """Fit the numbers and shapes of some effects."""
@@ -141,7 +153,7 @@ class Ground:
         low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
         now = np.array([start.get(n.full, n.now) for n in numbers])
         names = [n.full for n in numbers]
-        rows = self._rows(columns, dict(zip(names, now, strict=True)) | dict(shapes))
+        rows, raw = self._rows(columns, dict(zip(names, now, strict=True)) | dict(shapes))
         for round_ in range(ROUNDS + 1):
             scores = Scores(rows, sd, now - home)
             change, covariance = scores.fit(range(len(now)))
@@ -151,12 +163,13 @@ class Ground:
                 break
             values = dict(zip(names, then, strict=True)) | dict(shapes)
             step = rows.slopes @ (then - now)
-            after = white(self.model.channels([], values), self.noise).residual
+            flights = self.model.channels([], values)
+            after, raw = white(flights, self.noise).residual, raw_powers(flights)
             bend = after - (rows.residual - step)
             now = then
             rows = replace(rows, residual=after)
             if bend @ bend > max(1.0, STRAIGHT * float(step @ step)):
-                rows = self._rows(columns, values)
+                rows, _ = self._rows(columns, values)
         gained = rows.per_cell(0.5 * (self.rest.residual**2 - rows.residual**2))
         return Fitted(
             effects,
@@ -165,15 +178,32 @@ class Ground:
             covariance + scores.sandwich(range(len(now))),
             gained + scores.gains(range(len(now)), low - now, high - now),
             rows.per_cell(rows.residual**2).sum(axis=0),
+            raw,
         )
 
-    def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> White:
-        """Residuals and slopes at some values."""
+    def around(self, fitted: Fitted) -> Scores:
+        """Hypotheses about numbers near those of a fit, in the columns of `rest`."""
+        numbers = [self.model.numbers[i] for i in self.columns]
+        home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
+        now = np.array([fitted.values.get(n.full, n.now) for n in numbers])
+        rows = white(self.model.channels(self.columns, fitted.values), self.noise)
+        return Scores(rows, sd, now - home)
+
+    def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> tuple[White, Array]:
+        """Residuals and slopes at some values, and raw powers."""
         at_rest = {n.full: n.now for n in self.model.numbers}
         if all(at_rest[name] == value for name, value in values.items()):
             known = [self.columns.index(i) for i in columns]
-            return replace(self.rest, slopes=self.rest.slopes[:, known])
-        return white(self.model.channels(columns, values), self.noise)
+            return replace(self.rest, slopes=self.rest.slopes[:, known]), self.raw
+        flights = self.model.channels(columns, values)
+        return white(flights, self.noise), raw_powers(flights)
+
+
+def raw_powers(flights: Flights) -> Array:
+    """Sum of squares of each channel's residual, all flights together, shape (c,)."""
+    return np.array(
+        [sum(float(c.residual @ c.residual) for c in ch) for ch in zip(*flights, strict=True)]
+    )
 
 
 def _now(number: Number) -> float:

@@ -16,7 +16,7 @@ from .places import Place
 from .refine import Fitted
 from .showing import ChannelGap
 from .unnamed import Equation
-from .unsteady import Unsteady
+from .unsteady_effect import Unsteady
 
 Z95 = 1.959964
 MOST_RIVALS = 5

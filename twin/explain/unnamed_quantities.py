@@ -76,8 +76,7 @@ def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
     twin, vehicle = flight.twin, flight.vehicle
     body, u = twin.airframe, twin.inputs.u
     rotors = vehicle.rotors
-    p = np.tile(body.parameter_values({"ground.enabled": 0.0})[:, None], len(u))
-    y = np.asarray(body.outputs(twin.states.T, u.T, p), dtype=np.float64)
+    y = body.outputs_along(twin.states, u, {"ground.enabled": 0.0}).T
     names = [f"thrust_{i + 1}" for i in range(rotors.count)]
     weight = vehicle.mass_kg * GRAVITY_M_S2
     thrust = y[[body.output_names.index(n) for n in names]] / weight
