@@ -11,6 +11,7 @@ from ..vehicle import Vehicle
 from .acting import Acting, acting
 from .designer import Suggestion, next_manoeuvre
 from .flying import Mission, fly_missions
+from .model import Model
 from .naming import Naming, Verdict, name_effects
 from .numbers import with_effects
 from .places import Place, places
@@ -168,7 +169,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
     exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
-    bounds = () if shown is None else _at_bounds(shown)
+    bounds = () if shown is None else _at_bounds(model, shown)
     return replace(
         found,
         verdict=verdict,
@@ -206,13 +207,14 @@ def _shown(naming: Naming) -> Fitted | None:
     return None
 
 
-def _at_bounds(fitted: Fitted) -> list[str]:
+def _at_bounds(model: Model, fitted: Fitted) -> list[str]:
     """Numbers that stopped at the edge of what is considered."""
     return [
         f"{n.full} = {fitted.values[n.full]:.4g} is at the edge of the range that is considered, "
         f"{n.about.prior[0]:g} to {n.about.prior[1]:g}: perhaps another effect is meant"
-        for n in fitted.numbers
-        if np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
+        for n in model.numbers
+        if n.full in fitted.values
+        and np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
         and fitted.values[n.full] != n.about.neutral
     ]
 
