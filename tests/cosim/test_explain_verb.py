@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -131,12 +132,11 @@ def test_the_hidden_effect_is_named_and_its_number_lies_in_its_interval(named: R
     assert number["value"] == pytest.approx(DRAG_1_S, rel=0.02)
     low, high = number["ci95"]  # given the law, and that of the plant does not know rotor speed
     assert low < number["value"] < high
-    assert low < number["value"] < high
     assert {"acc_x", "acc_y"} <= set(effect["channels"])
     assert effect["phases"][0] == "forward"
     assert "nothing" not in [r["name"] for r in effect["rivals"][:1]]
     assert all(r["probability"] < 0.05 for r in effect["rivals"])
-    assert "The model lacks rotor drag: 0.5" in named.stdout.splitlines()[0]
+    assert re.match(r"The model lacks rotor drag: 0\.(49|50)", named.stdout.splitlines()[0])
 
 
 def test_the_gap_shrinks_to_the_noise_on_the_held_out_flight(named: Run) -> None:

@@ -190,10 +190,11 @@ def test_wind_and_tilted_rotors_part_when_the_nose_turns() -> None:
 
 @pytest.mark.slow
 def test_weak_rotors_and_a_weak_battery_part_at_another_voltage() -> None:
-    flight = hovering(COPTER, PLANTS["thrust_scale"])
+    vehicle = replace(COPTER, battery=load_vehicle("crazyflie").battery)
+    flight = hovering(vehicle, PLANTS["thrust_scale"])
     flight = replace(flight, table=flight.table.assign(vbat_v=3.4))
-    naming = tie(flight, COPTER, ["thrust_scale", "battery_sag"])
-    ranked = suggestions(naming, COPTER, ["hover", "vertical_steps", "other_voltage"])
+    naming = tie(flight, vehicle, ["thrust_scale", "battery_sag"])
+    ranked = suggestions(naming, vehicle, ["hover", "vertical_steps", "other_voltage"])
     assert ranked[0].manoeuvre == "other_voltage"
     assert ranked[0].separation > 10 * ranked[1].separation
 
