@@ -136,8 +136,11 @@ class FlightModel:
                 if part.readings.names[0].startswith("gyro_rate"):
                     predicted, answer = _step_mean(predicted), _step_mean(answer)
             else:
-                predicted = part.batch.value(theta, self._rows_of(part, change))[:, part.outputs]
-                at = part.batch.value(theta, part.at)[:, part.outputs]
+                # Numbers change what is clean: a scale below one would damp the noise of the pose.
+                predicted = part.batch.value(self._now, self._rows_of(part, change))
+                at = part.batch.value(theta, part.at)
+                predicted = predicted + at - part.batch.value(self._now, part.at)
+                predicted, at = predicted[:, part.outputs], at[:, part.outputs]
                 answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
             predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
             found += part.readings.channels(predicted, answer)
