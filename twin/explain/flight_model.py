@@ -139,7 +139,7 @@ class FlightModel:
                 # Numbers change what is clean: a scale below one would damp the noise of the pose.
                 predicted = part.batch.value(self._now, self._rows_of(part, change))
                 at = part.batch.value(theta, part.at)
-                predicted = predicted + at - part.batch.value(self._now, part.at)
+                predicted = predicted + (at - part.batch.value(self._now, part.at))
                 predicted, at = predicted[:, part.outputs], at[:, part.outputs]
                 answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
             predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
