@@ -5,8 +5,8 @@ from pathlib import Path
 
 from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
-from twin.explain.numbers import numbers_of
-from twin.explain.result_json import explain_json, intervals
+from twin.explain.result_json import explain_json
+from twin.explain.telling import told
 from twin.vehicle_file import vehicle_text
 from twin.vehicle_write import Written, with_effect_sections
 
@@ -56,19 +56,17 @@ def _components(found: Explanation) -> list[str]:
 
 def _new_vehicle(found: Explanation, vehicle: str) -> str:
     """Text of the vehicle file with the named effects in it."""
-    own = {} if found.shown is None else intervals(found.shown)
-    own |= {full: interval for u in found.unsteady for full, interval in u.intervals.items()}
+    assert found.added is not None
+    flights = " and ".join(found.flights)
     effects = {}
     for effect in found.effects:
-        numbers = {}
-        for full in (n.full for n in numbers_of([EFFECTS[effect]], found.vehicle)):
-            if full not in found.values:
-                continue
-            value = found.values[full]
-            certainty = "no interval"
-            if full in own:
-                certainty = "95 % interval {:.4g} to {:.4g}".format(*own[full])
-            source = f"uavtwin explain, {' and '.join(found.flights)}, {certainty}"
-            numbers[full.partition(".")[2]] = Written(value, source)
-        effects[effect] = numbers
+        certainties = {t.number.name: t.ci95 for t in told(found, effect)}
+        effects[effect] = {
+            name: Written(value, f"uavtwin explain, {flights}, {_certainty(certainties.get(name))}")
+            for name, value in found.added.effects[effect].items()
+        }
     return with_effect_sections(vehicle_text(vehicle)[0], found.vehicle, effects)
+
+
+def _certainty(ci95: tuple[float, float] | None) -> str:
+    return "no interval" if ci95 is None else "95 % interval {:.4g} to {:.4g}".format(*ci95)

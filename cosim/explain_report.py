@@ -6,11 +6,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
-from twin.explain.numbers import numbers_of
-from twin.explain.result_json import beside_mean, best_with, listed, rivals
-from twin.explain.unsteady_effect import Unsteady
+from twin.explain.telling import felt, listed, probability_of, rivals, told
 
 from .explain_figures import before_after_figure, evidence_figure
 from .explain_words import (
@@ -59,13 +56,8 @@ def write_explain_report(found: Explanation, path: Path) -> None:
 
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     """One effect as the template reads it."""
-    assert found.naming is not None
-    beside = beside_mean(found, effect)
-    if beside is not None:
-        return _unsteady(found, beside)
-    fitted = best_with(found.naming, effect)
+    channels, phases = felt(found, effect)
     acts = next((a for a in found.acting if a.effect == effect), None)
-    about = {n.full: n for n in found.naming.ground.model.numbers}
     figure: Mapping[str, Any] | None = None
     if acts is not None and found.showing is not None:
         drawn = evidence_figure(acts, found.showing.after)
@@ -73,19 +65,19 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     return {
         "name": title(effect),
         "meaning": meaning(effect),
-        "certainty": certainty(found.naming.probability_of(effect)),
+        "certainty": certainty(probability_of(found, effect)),
         "numbers": [
             {
-                "name": about[full].name,
-                "description": about[full].about.description,
-                "unit": about[full].about.unit,
-                "value": value,
-                "interval": interval(fitted, full),
+                "name": t.number.name,
+                "description": t.number.about.description,
+                "unit": t.number.about.unit,
+                "value": t.value,
+                "interval": interval(t.ci95),
             }
-            for full, value in fitted.values.items()
-            if about[full].effect == effect
+            for t in told(found, effect)
         ],
-        "acts": acts,
+        "channels": channels,
+        "phases": phases,
         "figure": figure,
         "rivals": [
             {
@@ -94,33 +86,8 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
                 "certainty": certainty(r["probability"]),
                 "why": why_lost(r),
             }
-            for r in rivals(found.naming, effect)
+            for r in rivals(found, effect)
         ],
-    }
-
-
-def _unsteady(found: Explanation, effect: Unsteady) -> dict[str, Any]:
-    """An effect that changes no mean, as the template reads it."""
-    about = {n.full: n for n in numbers_of([EFFECTS[effect.effect]], found.vehicle)}
-    return {
-        "name": title(effect.effect),
-        "meaning": meaning(effect.effect),
-        "certainty": certainty(effect.probability),
-        "numbers": [
-            {
-                "name": about[full].name,
-                "description": about[full].about.description,
-                "unit": about[full].about.unit,
-                "value": value,
-                "interval": " to ".join(map(number, effect.intervals[full]))
-                if full in effect.intervals
-                else "\N{EN DASH}",
-            }
-            for full, value in effect.values.items()
-        ],
-        "acts": {"channels": effect.channels, "phases": ()},
-        "figure": None,
-        "rivals": [],
     }
 
 

@@ -9,16 +9,10 @@ import numpy as np
 from twin.effects import EFFECTS
 from twin.explain.explanation import LEAST, Explanation
 from twin.explain.naming import PER_EFFECT
-from twin.explain.numbers import numbers_of
+from twin.explain.numbers import Number
 from twin.explain.refine import Fitted
-from twin.explain.result_json import (
-    beside_mean,
-    intervals,
-    listed,
-    nothing_probability,
-    probability_of,
-)
 from twin.explain.showing import ChannelGap
+from twin.explain.telling import beside_mean, listed, nothing_probability, probability_of, told
 
 from .figures import pretty_unit
 from .report import number, percent
@@ -72,13 +66,13 @@ def _sizes(found: Explanation, effect: str, most: int) -> str:
     if beside is None:
         assert found.naming is not None
         return f": {sizes(found.naming.best, effect, most)}"
-    units = {n.full: n.about.unit for n in numbers_of([EFFECTS[effect]], found.vehicle)}
-    texts = [
-        f"{full.partition('.')[2]} = {number(value)}"
-        + ("" if units[full] == "1" else f" {pretty_unit(units[full])}")
-        for full, value in list(beside.values.items())[:most]
-    ]
-    return f" in {', '.join(beside.channels)}" + (f": {_joined(texts)}" if texts else "")
+    texts = [f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in told(found, effect)]
+    return f" in {', '.join(beside.channels)}" + (f": {_joined(texts[:most])}" if texts else "")
+
+
+def _unit(of: Number) -> str:
+    """Unit behind a value."""
+    return "" if of.about.unit == "1" else f" {pretty_unit(of.about.unit)}"
 
 
 def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
@@ -97,11 +91,10 @@ def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
     clear = sorted(clear or own, key=lambda n: -away[n.full] / max(deviation[n.full], 1e-300))
     texts = []
     for n in clear[:most]:
-        unit = "" if n.about.unit == "1" else f" {pretty_unit(n.about.unit)}"
         index = n.name.removeprefix(n.about.name).lstrip("_")
         which = f" of rotor {index}" if n.about.per_rotor else ""
         value = number(fitted.values[n.full])
-        texts.append(f"{value}{unit} ({n.about.description}{which})")
+        texts.append(f"{value}{_unit(n)} ({n.about.description}{which})")
     return _joined(texts)
 
 
@@ -112,16 +105,15 @@ def certainty(probability: float) -> str:
     return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
 
 
-def interval(fitted: Fitted, full: str) -> str:
+def interval(ci95: tuple[float, float] | None) -> str:
     """95 % interval of a number; a dash where there is none."""
-    low, high = intervals(fitted).get(full, (float("nan"), float("nan")))
-    return f"{number(low)} to {number(high)}" if low == low else "\N{EN DASH}"
+    return "\N{EN DASH}" if ci95 is None else " to ".join(map(number, ci95))
 
 
 def why_lost(rival: Mapping[str, Any]) -> str:
     """Why another explanation, of `rivals`, was not chosen."""
     if rival["name"] == "nothing":
-        return "leaves the whole gap open"
+        return "leaves the whole gap open" if "behind" in rival else "does not look like this"
     if rival["probability"] >= LEAST:
         return "explains the flights about as well: they cannot tell the two apart"
     partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])

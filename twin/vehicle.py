@@ -127,10 +127,12 @@ class Vehicle:
 
     @property
     def voltage_v(self) -> float:
-        """Voltage at which the maps hold; without one that of the battery, or of one cell."""
+        """Voltage at which the maps hold; else of the battery, of battery_sag, or of one cell."""
         if self.rotors.reference_voltage_v is not None:
             return self.rotors.reference_voltage_v
-        return NOMINAL_CELL_V if self.battery is None else self.battery.mean_voltage_v
+        if self.battery is not None:
+            return self.battery.mean_voltage_v
+        return self.effects.get("battery_sag", {}).get("reference_v", NOMINAL_CELL_V)
 
     def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Vehicle":
         """The same vehicle with these effects, each with all its parameters, and no others."""

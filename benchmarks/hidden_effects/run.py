@@ -74,6 +74,7 @@ def run(
     progress = _Progress(len(missing))
 
     def serve() -> None:
+        """Take cases until none is left."""
         explain = worker()
         try:
             while True:

@@ -28,8 +28,9 @@ def sensor() -> Component:
     draws = [m.noise() for _ in range(6)]
     walk = m.memory("walk", "m", "Random walk")
     m.update("walk", walk + 0.1 * draws[0])
+    silence = m.parameter("silence", 0.0, "m", "Standard deviation of a noise that is not drawn")
     held = m.memory("held", "m", "Reading")
-    m.update("held", signal + size * draws[5])
+    m.update("held", signal + m.noise(silence) + size * draws[5])
     lagged = m.state("lagged", "m", "Reading behind a lag", 0.0)
     m.derivative("lagged", (held - lagged) / 0.02)
     m.output("held", "m", "Reading", held)
@@ -54,6 +55,18 @@ def in_python(sensor: Component, seed: int) -> Array:
         run.step(k * STEP_S, STEP_S, u)
         rows.append(run.outputs(u))
     return np.array(rows)
+
+
+def test_noise_of_no_size_is_not_drawn_and_leaves_the_others_alone(sensor: Component) -> None:
+    assert sensor.sampling is not None
+    sizes = np.asarray(sensor.sampling.sizes(sensor.parameter_values())).ravel()
+    assert sizes.tolist() == [1.0] * 6 + [0.0]
+    u, p = sensor.input_values(), sensor.parameter_values({"seed": 3})
+    loud = sensor.parameter_values({"seed": 3, "silence": 1.0})
+    first = normal(3, sensor.sampling.stream, 7, 0, 1)[0]
+    held = sensor.output_names.index("held")
+    assert Run(sensor, u, p).outputs(u)[held] == 1.0 + 2.0 * first[5]
+    assert Run(sensor, u, loud).outputs(u)[held] == 1.0 + first[6] + 2.0 * first[5]
 
 
 def in_fmu(fmu: Path, seed: int, step_s: float = STEP_S) -> Array:

@@ -59,11 +59,6 @@ class Number:
         low, high = self.about.prior
         return (high - low) / 4
 
-    def inside(self, value: float) -> float:
-        """The value, held inside the prior range."""
-        low, high = self.about.prior
-        return float(min(max(value, low), high))
-
 
 def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
     """Every number of some effects, shapes behind all others."""
@@ -101,6 +96,8 @@ def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> N
     if number.about.unit != "V" or vehicle.states_voltage:
         return number
     usual = float(np.median(np.concatenate([f.signal(["vbat_v"])[1].ravel() for f in flights])))
+    if usual <= 0:
+        return number
     ratio = usual / number.about.start
     low, high = number.about.prior
     about = replace(number.about, start=usual, prior=(low * ratio, high * ratio))

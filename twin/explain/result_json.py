@@ -5,21 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
-from ..effects import EFFECTS
-from .explanation import LEAST, Explanation
+from .explanation import Explanation
 from .flying import Mission
-from .naming import Naming
-from .numbers import numbers_of
 from .places import Place
-from .refine import Fitted
 from .showing import ChannelGap
+from .telling import felt, listed, nothing_probability, probability_of, rivals, told
 from .unnamed import Equation
-from .unsteady_effect import Unsteady
-
-Z95 = 1.959964
-MOST_RIVALS = 5
 
 
 def explain_json(found: Explanation) -> dict[str, Any]:
@@ -47,121 +38,18 @@ def explain_json(found: Explanation) -> dict[str, Any]:
     return strict
 
 
-def listed(found: Explanation) -> list[str]:
-    """Effects that are told about, the most probable first."""
-    naming = found.naming
-    if naming is None or found.verdict not in ("named", "cannot_tell"):
-        return []
-    if naming.verdict == "cannot_tell":
-        every = {e for f in naming.fitted for e in f.effects}
-        effects = {e for e in every if naming.probability_of(e) >= LEAST}
-    else:
-        effects = set(naming.best.effects)
-    effects |= {u.effect for u in found.unsteady}
-    return sorted(effects, key=lambda e: (-probability_of(found, e), e))
-
-
-def probability_of(found: Explanation, effect: str) -> float:
-    """That an effect is missing, alone or with others."""
-    beside = beside_mean(found, effect)
-    if beside is not None:
-        return beside.probability
-    assert found.naming is not None
-    return found.naming.probability_of(effect)
-
-
-def beside_mean(found: Explanation, effect: str) -> Unsteady | None:
-    """An effect that changes no mean; None where it changes one."""
-    return next((u for u in found.unsteady if u.effect == effect), None)
-
-
-def nothing_probability(naming: Naming) -> float:
-    """That no effect is missing."""
-    return float(
-        sum(p for f, p in zip(naming.fitted, naming.probabilities, strict=True) if not f.effects)
-    )
-
-
-def best_with(naming: Naming, effect: str) -> Fitted:
-    """The most probable hypothesis that an effect is part of."""
-    return next(f for f in naming.fitted if effect in f.effects)
-
-
-def intervals(fitted: Fitted) -> dict[str, tuple[float, float]]:
-    """95 % intervals, "effect.number" -> low, high; shapes have none."""
-    deviation = np.sqrt(np.diag(fitted.covariance))
-    return {
-        n.full: (fitted.values[n.full] - Z95 * float(s), fitted.values[n.full] + Z95 * float(s))
-        for n, s in zip(fitted.numbers, deviation, strict=True)
-    }
-
-
-def rivals(naming: Naming, effect: str) -> list[dict[str, Any]]:
-    """Other explanations than an effect, the most probable first, and how far they fell behind.
-
-    `behind`: log likelihood, out of sample, below the best hypothesis with the effect; `share`: of
-    the power of a channel that it takes, at its best together with the effects `with`.
-    """
-    fitted = best_with(naming, effect)
-    found: dict[str, dict[str, Any]] = {}
-    for f, p, share in zip(naming.fitted, naming.probabilities, naming.shares, strict=True):
-        if effect in f.effects:
-            continue
-        for name in f.effects or ("nothing",):
-            if name in fitted.effects:
-                continue
-            entry = found.setdefault(name, {"name": name, "probability": 0.0, "behind": math.inf})
-            entry["probability"] += p
-            if fitted.gain - f.gain < entry["behind"]:
-                partners = [e for e in f.effects if e != name]
-                entry |= {"behind": fitted.gain - f.gain, "share": share, "with": partners}
-    ranked = sorted(found.values(), key=lambda r: (-r["probability"], r["behind"]))
-    return ranked[:MOST_RIVALS]
-
-
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
-    assert found.naming is not None
-    beside = beside_mean(found, effect)
-    if beside is not None:
-        return _unsteady(found, beside)
-    fitted = best_with(found.naming, effect)
-    own = intervals(fitted)
-    about = {n.full: n for n in found.naming.ground.model.numbers}
-    acts = next((a for a in found.acting if a.effect == effect), None)
+    channels, phases = felt(found, effect)
     return {
         "name": effect,
-        "probability": found.naming.probability_of(effect),
+        "probability": probability_of(found, effect),
         "parameters": {
-            about[full].name: {
-                "value": value,
-                "unit": about[full].about.unit,
-                "ci95": own.get(full),
-            }
-            for full, value in fitted.values.items()
-            if about[full].effect == effect
+            t.number.name: {"value": t.value, "unit": t.number.about.unit, "ci95": t.ci95}
+            for t in told(found, effect)
         },
-        "channels": [] if acts is None else list(acts.channels),
-        "phases": [] if acts is None else list(acts.phases),
-        "rivals": rivals(found.naming, effect),
-    }
-
-
-def _unsteady(found: Explanation, effect: Unsteady) -> dict[str, Any]:
-    units = {n.name: n.about.unit for n in numbers_of([EFFECTS[effect.effect]], found.vehicle)}
-    return {
-        "name": effect.effect,
-        "probability": effect.probability,
-        "parameters": {
-            full.partition(".")[2]: {
-                "value": value,
-                "unit": units[full.partition(".")[2]],
-                "ci95": effect.intervals.get(full),
-            }
-            for full, value in effect.values.items()
-        },
-        "channels": list(effect.channels),
-        "phases": [],
-        "rivals": [{"name": "nothing", "probability": 1 - effect.probability}],
+        "channels": channels,
+        "phases": phases,
+        "rivals": rivals(found, effect),
     }
 
 
