@@ -1,7 +1,5 @@
 """The master: what each algorithm computes, rates, recordings, refusals, what it leaves behind."""
 
-# ruff: noqa: PD011  (values of a Recording is an array)
-
 import os
 import tempfile
 import zipfile
