@@ -5,7 +5,6 @@ needs them.
 """
 
 import sys
-from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,6 +13,8 @@ from rich.table import Table
 
 from twin.errors import TwinError
 
+from .learning_verbs import evaluate, train
+from .options import Exit, Force, Json, Out, VehicleName
 from .printing import (
     STDERR,
     STDOUT,
@@ -32,22 +33,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Hybrid digital twin of a multirotor, as FMI co-simulation components.",
 )
-
-
-class Exit(IntEnum):
-    """Exit codes."""
-
-    FINE = 0
-    FINDINGS = 1
-    WRONG_USE = 2
-
-
-Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what the folder holds.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-VehicleName = Annotated[
-    str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a built-in vehicle.")
-]
 
 
 def main() -> None:
@@ -272,11 +257,21 @@ def export(
         list[str],
         typer.Argument(
             help="airframe, imu, magnetometer, barometer, position, battery, environment, "
-            "mission, controller, controller_px4, replay; or corrected-twin: all of them fused "
-            "into one FMU, and as .ssp."
+            "mission, controller, controller_px4, replay, compensator; or corrected-twin: all of "
+            "them fused into one FMU, and as .ssp."
         ),
     ],
-    vehicle: VehicleName = "copter_default",
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
+            "--model, else copter_default."
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="Folder of a trained compensator, for compensator and corrected-twin."),
+    ] = None,
     fmi: Annotated[str, typer.Option(help="FMI versions: 2, 3 or 2,3.")] = "2",
     flight: Annotated[Path | None, typer.Option(help="Flight for the replay component.")] = None,
     linear: Annotated[
@@ -309,18 +304,22 @@ def export(
     as_json: Json = False,
 ) -> None:  # fmt: skip
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
-    from .export import Choice, export_components
+    from fmus.compensator import FILE
+
+    from .export import Choice, default_vehicle, export_components
     from .output import check_folder, results_folder, write_run
 
     check_folder(out, force)
+    vehicle = vehicle or default_vehicle(model)
     choice = Choice(vehicle, fmi, platform, drive, start or [], flight, linear, mission,
-                    controller, position, python_slave)  # fmt: skip
+                    controller, model, position, python_slave)  # fmt: skip
     plan = export_components(components, choice)
     options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
                "linear": linear, "mission": mission, "controller": controller,
                "position": position, "python_slave": python_slave, "platform": platform,
                "start": start or []}  # fmt: skip
-    inputs = [p for p in (Path(vehicle), flight) if p is not None and p.is_file()]
+    trained = None if model is None else model / FILE
+    inputs = [p for p in (Path(vehicle), flight, trained) if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
         write_run(folder, "export", options, inputs)
@@ -331,6 +330,9 @@ def export(
         platforms = ",".join(row["platforms"])
         STDOUT.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
         STDOUT.print(f"  sha256 {row['sha256']}")
+    for row in written:
+        if "note" in row:
+            STDERR.print(f"{row['file']}: {row['note']}", markup=False)
 
 
 @app.command()
@@ -399,6 +401,10 @@ def simulate(
     if realtime:
         STDERR.print(f"at most {1e3 * recording.lateness_s:.1f} ms behind the clock")
     STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+
+
+app.command()(train)
+app.command()(evaluate)
 
 
 @app.command()

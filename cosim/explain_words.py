@@ -4,11 +4,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-
 from twin.effects import EFFECTS
-from twin.explain.explanation import LEAST, Explanation
-from twin.explain.naming import PER_EFFECT
+from twin.explain.explanation import Explanation
+from twin.explain.naming import LEAST, PER_EFFECT
 from twin.explain.numbers import Number
 from twin.explain.refine import Fitted
 from twin.explain.showing import ChannelGap
@@ -19,9 +17,9 @@ from .report import number, percent
 
 MOST_NUMBERS = 3
 """Numbers of an effect that the sentence on top gives; of several effects, one each."""
-CLEAR, SMALL = 3.0, 0.05
-"""It gives those that differ from no effect by more than so many deviations, and by more than
-this share of the largest number of their unit."""
+CLEAR, SMALL = 1.5, 0.05
+"""It gives those that differ from no effect by more than so many half widths of their intervals,
+and by more than this share of the largest number of their unit."""
 
 
 def claim(found: Explanation) -> str:
@@ -36,7 +34,8 @@ def claim(found: Explanation) -> str:
         effects = listed(found)
         most = MOST_NUMBERS if len(effects) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
-        chance = naming.probabilities[0] * math.prod(u.probability for u in found.unsteady)
+        chance = naming.probabilities[0] * (1 - naming.outside)
+        chance *= math.prod(u.probability for u in found.unsteady)
         return f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
     if found.verdict == "unnamed":
         first = found.unnamed[0]
@@ -47,6 +46,8 @@ def claim(found: Explanation) -> str:
     tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
+    if naming.outside > LEAST:
+        tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
 
 
@@ -78,17 +79,14 @@ def _unit(of: Number) -> str:
 def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
     """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
     own = [n for n in fitted.numbers if n.effect == effect]
-    spread = np.sqrt(np.diag(fitted.covariance))
-    deviation = {n.full: float(s) for n, s in zip(fitted.numbers, spread, strict=True)}
+    width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
     away = {n.full: abs(fitted.values[n.full] - n.now) for n in own}
     largest = {u: max(away[n.full] for n in own if n.about.unit == u)
                for u in {n.about.unit for n in own}}  # fmt: skip
     clear = [
-        n
-        for n in own
-        if away[n.full] > max(CLEAR * deviation[n.full], SMALL * largest[n.about.unit])
+        n for n in own if away[n.full] > max(CLEAR * width[n.full], SMALL * largest[n.about.unit])
     ]
-    clear = sorted(clear or own, key=lambda n: -away[n.full] / max(deviation[n.full], 1e-300))
+    clear = sorted(clear or own, key=lambda n: -away[n.full] / max(width[n.full], 1e-300))
     texts = []
     for n in clear[:most]:
         index = n.name.removeprefix(n.about.name).lstrip("_")

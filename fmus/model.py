@@ -2,12 +2,20 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 
-from twin.component import Causality, Component, Sampling, Variable
+from twin.component import (
+    Causality,
+    Component,
+    Sampling,
+    Variable,
+    check_range,
+    unknown_name,
+)
+from twin.errors import ModelError
 
 _EXPORTED = re.compile(
     r"^(?:const )?\w+\*? (?P<name>\w+)\([^)]*\) ?\{(?:[^\n]*\}|.*?\n\})\n+"
@@ -84,6 +92,35 @@ class FmuModel:
         return tuple(
             v for kind in kinds for p in self.parts for v in p.of(kind) if v.name not in connected
         )
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(v.name for v in self.variables if v.causality == "input")
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(v.name for v in self.variables if v.causality == "output")
+
+    def with_starts(self, starts: Mapping[str, float]) -> "FmuModel":
+        """The same with other start values of parameters or inputs.
+
+        Raises:
+            ModelError: A name is neither, or a value is outside its range.
+        """
+        known = {v.name: v for v in self.variables if v.causality != "output"}
+        for name, value in starts.items():
+            if name not in known:
+                raise ModelError(unknown_name(self.name, "parameter or input", name, known))
+            check_range(self.name, known[name], value)
+
+        def changed(part: Part) -> Part:
+            """The part, outputs as they were."""
+            table = (replace(v, start=starts.get(v.name, v.start)) for v in part.variables)
+            return replace(part, variables=tuple(table))
+
+        return replace(self, parts=tuple(map(changed, self.parts)))
 
     @property
     def dependencies(self) -> dict[str, tuple[str, ...]]:

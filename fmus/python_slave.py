@@ -11,7 +11,7 @@ import hashlib
 import json
 import re
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib import metadata, resources
 from pathlib import Path
@@ -24,13 +24,15 @@ from twin.component import Component
 from twin.errors import FmuError
 
 from .builder import NAMESPACE, write_archive
+from .compensator import NetworkFile, interface_model
 from .description import model_description
 from .model import FmuModel, component_model
 
 _ENTRY = '''\
 """pythonfmu reads this file anew for each instance, and looks for the slave's class."""
 
-from twin.slave import ComponentSlave, keep
+from twin.{module} import {name}
+from twin.slave_script import keep
 
 keep(globals())  # pythonfmu gives back a reference to them that it does not own
 '''
@@ -51,21 +53,60 @@ def build_python_slave(component: Component, path: Path) -> Path:
     Raises:
         FmuError: pythonfmu is not installed.
     """
+    needs = f"numpy and casadi {ca.CasadiMeta.version()}"
+    own = {"component.json": component_text(component).encode()}
+    return _build(component_model(component), needs, "ComponentSlave", ("slave_script",), own, path)
+
+
+def build_network_slave(network: NetworkFile, path: Path) -> Path:
+    """Build the same of a compensator: the ONNX file itself, run by onnxruntime.
+
+    Raises:
+        FmuError: pythonfmu is not installed.
+    """
+    model = interface_model(network)
+    needs, scripts = "numpy, casadi and onnxruntime", ("network_slave", "slave_script")
+    own = {
+        "network.json": _network_text(network, model).encode(),
+        "model.onnx": network.content,
+    }
+    return _build(model, needs, "NetworkSlave", scripts, own, path)
+
+
+def _build(
+    model: FmuModel,
+    needs: str,
+    slave: str,
+    scripts: tuple[str, ...],
+    own: Mapping[str, bytes],
+    path: Path,
+) -> Path:
+    """The archive of a model that Python evaluates.
+
+    Args:
+        model: Its interface.
+        needs: What the host must have.
+        slave: Class of the first script that pythonfmu is to make instances of.
+        scripts: Modules of this package that run in the FMU.
+        own: Files that they read.
+        path: File to write.
+    """
     try:
         libraries = resources.files("pythonfmu") / "resources" / "binaries"
     except ModuleNotFoundError as error:
         raise FmuError(
-            f"{component.name}: a Python slave needs pythonfmu: pip install uavtwin[python-slave]."
+            f"{model.name}: a Python slave needs pythonfmu: pip install uavtwin[python-slave]."
         ) from error
-    model = _model(component)
+    text = f"{model.description}. Prototype: needs a Python host with {needs}"
+    model = replace(model, description=text.lstrip(". "))
     binaries = {
-        f"binaries/{platform}/{component.name}{suffix}": (libraries / platform / file).read_bytes()
+        f"binaries/{platform}/{model.name}{suffix}": (libraries / platform / file).read_bytes()
         for platform, file, suffix in (
             ("linux64", "libpythonfmu-export.so", ".so"),
             ("win64", "pythonfmu-export.dll", ".dll"),
         )
     }
-    files = _files(component)
+    files = _files(_ENTRY.format(module=scripts[0], name=slave), scripts, own)
     digest = _digest({"": _description(model, "")} | binaries | files)
     members = {
         "modelDescription.xml": _description(model, str(uuid.uuid5(NAMESPACE, digest))),
@@ -91,12 +132,19 @@ def _function(value: Any) -> dict[str, str]:
     raise TypeError(f"{value!r} does not travel in a Python slave.")
 
 
-def _model(component: Component) -> FmuModel:
-    """The native FMU's model, and what the host must have."""
-    needs = f"Prototype: needs a Python host with numpy and casadi {ca.CasadiMeta.version()}"
-    return replace(
-        component_model(component), description=f"{component.description}. {needs}".lstrip(". ")
-    )
+def _network_text(network: NetworkFile, model: FmuModel) -> str:
+    """What `network_slave` must know beside the ONNX file."""
+    (part,) = model.parts
+    content = {
+        "name": model.name,
+        "variables": [asdict(v) for v in part.variables],
+        "states": part.state_names,
+        "state_size": network.state_size,
+        "n_commands": len(network.commands),
+        "sensors": network.group_of_channel if network.sees_measurements else None,
+        "uncorrected_rms": network.uncorrected_rms,
+    }
+    return json.dumps(content, allow_nan=False, indent=1)
 
 
 def _description(model: FmuModel, token: str) -> bytes:
@@ -113,19 +161,19 @@ def _description(model: FmuModel, token: str) -> bytes:
     return text
 
 
-def _files(component: Component) -> dict[str, bytes]:
+def _files(entry: str, scripts: Iterable[str], own: Mapping[str, bytes]) -> dict[str, bytes]:
     """What goes into the resources folder, under names that are still the same in every FMU."""
     licence = metadata.distribution("pythonfmu").read_text("licenses/LICENSE") or ""
-    script = (resources.files(__package__) / "slave_script.py").read_text()
+    ours = resources.files(__package__)
     texts = {
-        "slave.py": _ENTRY,
-        "twin/slave.py": script,
-        "twin/component.json": component_text(component),
+        "slave.py": entry,
+        **{f"twin/{name}.py": (ours / f"{name}.py").read_text() for name in scripts},
         "pythonfmu/LICENSE": licence,
         **_modules("twin", "component"),
         **_modules("pythonfmu", "fmi2slave"),
     }
-    return {name: text.encode() for name, text in texts.items()}
+    files = {name: text.encode() for name, text in texts.items()}
+    return files | {f"twin/{name}": content for name, content in own.items()}
 
 
 def _modules(package: str, module: str) -> dict[str, str]:
@@ -147,10 +195,12 @@ def _digest(contents: Mapping[str, bytes]) -> str:
 
 def _staged(files: Mapping[str, bytes], tag: str) -> dict[str, bytes]:
     """Archive members: each module under a name of its own."""
-    staged = {
-        re.sub(r"^\w+", rf"resources/\g<0>_{tag}", name): _OURS.sub(
-            rf"\1 \2_{tag}", content.decode()
-        ).encode()
-        for name, content in files.items()
-    }
+
+    def content(name: str) -> bytes:
+        """The file; a module imports the others by their new names."""
+        if not name.endswith(".py"):
+            return files[name]
+        return _OURS.sub(rf"\1 \2_{tag}", files[name].decode()).encode()
+
+    staged = {re.sub(r"^\w+", rf"resources/\g<0>_{tag}", name): content(name) for name in files}
     return {"resources/slavemodule.txt": f"slave_{tag}".encode(), **staged}

@@ -66,11 +66,14 @@ def _component() -> Component:
 class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     """One instance."""
 
+    run_type = Run
+    """What steps it."""
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         with contextlib.suppress(ValueError):  # of no use any more, and a trap once it is deleted
             sys.path.remove(self.resources)
-        self._component = c = _component()
+        self._component = c = self.described()
         self.vars = dict(enumerate(c.variables, start=1))
         self._v = np.array([v.start for v in c.variables], dtype=np.float64)
         self._first_output = len(c.parameters) + len(c.inputs)
@@ -80,6 +83,11 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         self._mode, self._time_s, self._start_s = _INSTANTIATED, 0.0, 0.0
         self._run: Run | None = None
         self._stale = True
+
+    @staticmethod
+    def described() -> Component:
+        """What runs here."""
+        return _component()
 
     # -- life cycle -----------------------------------------------------------------------
 
@@ -158,7 +166,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         return variable
 
     def _begin(self) -> Run:
-        return Run(self._component, self._u, self._p, self._start_s)
+        return self.run_type(self._component, self._u, self._p, self._start_s)
 
     def _put_out(self) -> None:
         run = self._run if self._mode >= _STEPPING else self._begin()
@@ -170,7 +178,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     # -- saved states ---------------------------------------------------------------------
 
     def _get_fmu_state(self) -> bytes:
-        size = Run.saved_size(self._component)
+        size = self.run_type.saved_size(self._component)
         run = np.zeros(size) if self._run is None else self._run.saved()
         head = [self._mode, self._time_s, self._start_s]
         return _VERSION + np.concatenate([head, self._p, self._u, run]).tobytes()
@@ -185,7 +193,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         (mode, time_s, start_s), v, run = np.split(values, [3, 3 + self._first_output])
         self._mode, self._time_s, self._start_s = int(mode), float(time_s), float(start_s)
         self._v[: self._first_output] = v
-        self._run = Run.restored(self._component, self._p, run)
+        self._run = self.run_type.restored(self._component, self._p, run)
         self._stale = True
 
     @staticmethod

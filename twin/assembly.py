@@ -5,6 +5,7 @@ One definition serves the fused FMU, the `.ssp` with one FMU per part, and the s
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 from .airframe import airframe
 from .barometer import barometer
@@ -110,7 +111,19 @@ def flying_twin(
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
 
 
-def connected_by_name(parts: Mapping[str, Component]) -> tuple[tuple[str, str], ...]:
+class Ports(Protocol):
+    """What has inputs and outputs with names: a component, the model of an FMU."""
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+
+
+def connected_by_name(parts: Mapping[str, Ports]) -> tuple[tuple[str, str], ...]:
     """Each input fed by the one other part that has an output of its name, if there is one.
 
     Raises:

@@ -11,8 +11,8 @@ from .plants import EFFECTS, PLANTS, Plant
 
 MAGNITUDES = ("small", "medium", "large")
 NOISE_LEVELS = ("low", "medium", "high")
-_SHARES = {"single": 0.5, "nothing": 0.2, "pair": 0.2, "outside": 0.1}
-"""Of a subset."""
+_SHARES = {"single": 0.5, "nothing": 0.2, "pair": 0.2, "outside": 0.1, "triple": 0.1}
+"""Of a subset, where it is to hold all kinds but triples; what is missing is shared out."""
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Case:
 
     Attributes:
         plant: Name of the plant.
-        kind: single, pair, outside or nothing.
+        kind: single, pair, triple, outside or nothing.
         effects: Names of the hidden effects.
         magnitude: small, medium or large; "none" when nothing is hidden.
         noise: Level of the sensors.
@@ -73,6 +73,9 @@ def _cases(plant: Plant) -> Iterator[Case]:
         for pair in plant.pairs:
             for seed in range(plant.seeds):
                 yield Case(plant.name, "pair", pair, "medium", noise, seed)
+        for triple in plant.triples:
+            for seed in range(plant.seeds):
+                yield Case(plant.name, "triple", triple, "medium", noise, seed)
         for seed in range(plant.quiet_seeds):
             yield Case(plant.name, "nothing", (), "none", noise, seed)
 

@@ -26,6 +26,7 @@ from .files import write_json
 from .plants import PLANTS, may_fly_together
 from .produce import FLIGHTS, Produced, produce
 
+KINDS = ("single", "pair", "outside", "nothing", "triple")
 CASES_AT_ONCE = 100
 """In one simulation: beyond, memory grows and time per flight hardly falls."""
 
@@ -46,7 +47,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--subset", type=int, help="so many cases, spread evenly")
     parser.add_argument("--plant", action="append", choices=tuple(PLANTS))
     parser.add_argument("--effect", action="append", help='with this effect, or "nothing"')
-    parser.add_argument("--kind", action="append", choices=("single", "pair", "outside", "nothing"))
+    parser.add_argument("--kind", action="append", choices=KINDS, help="default: all but triple")
     parser.add_argument("--magnitude", action="append", choices=MAGNITUDES)
     parser.add_argument("--noise", action="append", choices=NOISE_LEVELS)
 
@@ -57,7 +58,7 @@ def chosen(options: argparse.Namespace) -> list[Case]:
         c
         for c in cases(options.plant or installed_plants())
         if (not options.effect or set(options.effect) & ({*c.effects} or {"nothing"}))
-        and (not options.kind or c.kind in options.kind)
+        and c.kind in (options.kind or KINDS[:-1])
         and (not options.magnitude or c.magnitude in (*options.magnitude, "none"))
         and (not options.noise or c.noise in options.noise)
     ]

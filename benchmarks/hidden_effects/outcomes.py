@@ -16,7 +16,7 @@ class Outcome:
 
     @property
     def kind(self) -> str:
-        """single, pair, outside or nothing."""
+        """single, pair, triple, outside or nothing."""
         return str(self.truth["kind"])
 
     @property
@@ -39,13 +39,13 @@ class Outcome:
 
     @property
     def right(self) -> bool:
-        """The first name of a single effect, both of a pair, or the right other verdict."""
+        """The first name of a single effect, all of several, or the right other verdict."""
         match self.kind:
             case "nothing":
                 return self.verdict == "nothing"
             case "outside":
                 return self.verdict == "unnamed"
-            case "pair":
+            case "pair" | "triple":
                 return self.hidden <= set(self.named)
             case _:
                 return self.named[:1] == [*self.hidden]

@@ -40,6 +40,15 @@ _PAIRS = (
     ("thrust_scale", "mag_current_coupling"),
 )
 """Look-alikes, and neighbours that often come together."""
+_TRIPLES = (
+    ("mass_offset", "motor_lag", "accel_bias"),
+    ("thrust_scale", "inertia_error", "mag_hard_iron"),
+    ("rotor_drag", "cog_offset", "baro_bias"),
+    ("mass_offset", "yaw_torque_scale", "imu_lever_arm"),
+    ("thrust_scale", "motor_lag", "heading_offset"),
+    ("rotor_drag", "rotor_efficiency_loss", "accel_misalignment"),
+)
+"""Three that may well come together: another build, a change of hardware, a bad calibration."""
 _ONLY_OWN = {
     "induced_inflow", "translational_lift", "blade_flapping", "ground_effect", "thrust_curve",
     "gyroscopic_torque", "thrust_tilt",
@@ -78,6 +87,11 @@ class Plant:
     def pairs(self) -> list[tuple[str, str]]:
         """Pairs of effects that it can hide."""
         return [pair for pair in _PAIRS if {*pair} <= {*self.effects}]
+
+    @property
+    def triples(self) -> list[tuple[str, ...]]:
+        """Three effects at once that it can hide."""
+        return [triple for triple in _TRIPLES if {*triple} <= {*self.effects}]
 
 
 PLANTS = {

@@ -98,7 +98,10 @@ def _more(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     tied = [o for o in hidden if o.verdict == "cannot_tell"]
     outside = _of(outcomes, "outside")
     unnamed = [o for o in outside if o.verdict == "unnamed"]
+    triples = _of(outcomes, "triple")
     rows = [
+        ("triples: all three named", rate(triples, _is_right)),
+        ("  of the effects hidden in them", share(*_found(triples))),
         ("single effect, all magnitudes", rate(_of(outcomes, "single"), _is_right)),
         (
             "quiet flights: false alarms",
@@ -189,7 +192,12 @@ def _of(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
 
 def _hidden(outcomes: Sequence[Outcome]) -> list[Outcome]:
     """Those with effects of the library."""
-    return _of(outcomes, "single") + _of(outcomes, "pair")
+    return [o for kind in ("single", "pair", "triple") for o in _of(outcomes, kind)]
+
+
+def _found(outcomes: Sequence[Outcome]) -> tuple[int, int]:
+    """Hidden effects that were named, and hidden effects."""
+    return sum(len(o.hidden & {*o.named}) for o in outcomes), sum(len(o.hidden) for o in outcomes)
 
 
 def _place(value: str) -> tuple[int, str]:

@@ -156,11 +156,12 @@ static int sample(Instance* c, Part* p) {
     return 0;
 }
 
-/* States at the start, the first sample instant included. */
+/* States at the start, a sample instant there included. */
 static int begin(Instance* c, Part* p) {
+    const Sampling* s = p->model->sampling;
     p->model->initial(p, p->x);
     *p->samples = 0;
-    return p->model->sampling ? sample(c, p) : 0;
+    return s && s->first == 0 ? sample(c, p) : 0;
 }
 
 /* Integrate over a time without sample instants, in equal parts of at most max_step. */
@@ -169,7 +170,7 @@ static void integrate(Part* p, double h) {
     double n = ceil(h / m->max_step - 1e-6);
     if (n < 1) n = 1;
     double dt = h / n;
-    for (long k = 0; m->n_states > 0 && k < (long)n; k++) {
+    for (long k = 0; m->step && m->n_states > 0 && k < (long)n; k++) {
         m->step(p, dt, p->next);
         memcpy(p->x, p->next, m->n_states * sizeof(double));
     }

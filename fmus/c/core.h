@@ -34,9 +34,11 @@ typedef struct {
 
 typedef struct Part Part;
 
-/* What happens at the sample instants start + k period. References are those of the part. */
+/* What happens at the sample instants start + k period, k = first, first + 1, ... References are those
+ * of the part. */
 typedef struct {
     unsigned period, seed;
+    unsigned first; /* 0, or 1: nothing is sampled at the start */
     unsigned n_noise;
     void (*sizes)(const Part* p, double* sizes); /* of the draws; one without size is left out */
     uint32_t stream; /* tells parts with one seed apart */
@@ -59,7 +61,7 @@ typedef struct {
     int (*open)(const char* resources, void** data, char* message, size_t size);
     void (*close)(void* data);
     void (*initial)(const Part* p, double* x);
-    void (*step)(const Part* p, double h, double* x_next);
+    void (*step)(const Part* p, double h, double* x_next); /* NULL: states change at instants alone */
     void (*outputs)(Part* p);
     /* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
      * variable; those of parameters and inputs are read, those of outputs written. At the start the

@@ -1,5 +1,6 @@
 """Flights of our own plant: what the twin makes of them, same bytes again, no truth in sight."""
 
+import argparse
 import ast
 import json
 import re
@@ -168,9 +169,21 @@ def test_cases_are_distinct_opaque_and_drawn_by_their_seed() -> None:
     assert not np.array_equal(hide(case)[0].tilt, hide(other)[0].tilt)
 
 
+def test_triples_are_flown_only_where_they_are_asked_for() -> None:
+    parser = argparse.ArgumentParser()
+    generate.add_options(parser)
+    usual, triples = (
+        generate.chosen(parser.parse_args(["--plant", "own", *more]))
+        for more in ([], ["--kind", "triple", "--subset", "6"])
+    )
+    assert {c.kind for c in usual} == {"single", "pair", "outside", "nothing"}
+    assert [len(c.effects) for c in triples] == 6 * [3]
+
+
 def test_subset_is_stratified_and_stable() -> None:
-    chosen = subset(cases(["own"]), 120)
-    assert chosen == subset(cases(["own"]), 120)
+    every = [c for c in cases(["own"]) if c.kind != "triple"]
+    chosen = subset(every, 120)
+    assert chosen == subset(every, 120)
     assert abs(len(chosen) - 120) <= 2
     kinds = {k: sum(c.kind == k for c in chosen) for k in ("single", "pair", "nothing", "outside")}
     assert kinds["single"] >= 55

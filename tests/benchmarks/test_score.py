@@ -46,6 +46,14 @@ def row(figures: dict[str, Any], start: str) -> Any:
     return rows[0]["value"]
 
 
+def test_all_names_count_for_three_effects() -> None:
+    three = truth("triple", drag={}, lag={}, mass={})
+    answers = [("drag", "lag", "mass"), ("drag", "mass"), ("lag", "bias", "mass")]
+    figures = score([Outcome(three, said("named", *names)) for names in answers])
+    assert row(figures, "triples") == pytest.approx(1 / 3)
+    assert row(figures, "of the effects hidden") == pytest.approx(7 / 9)
+
+
 def test_first_name_counts_for_one_effect_and_both_for_a_pair() -> None:
     one, two = truth("single", drag={}), truth("pair", drag={}, lag={})
     figures = score(

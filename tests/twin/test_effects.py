@@ -104,6 +104,20 @@ def test_prior_ranges_hold_the_start_value_and_the_neutral_one() -> None:
                 assert p.prior[0] <= p.neutral <= p.prior[1], (effect.name, p.name)
 
 
+def test_a_vehicle_as_it_stands_keeps_the_limits_of_every_effect() -> None:
+    for vehicle in map(load_vehicle, BUILTIN):
+        for effect in EFFECTS.values():
+            neutral = {n: p.neutral for p in effect.parameters for n in p.names(vehicle)}
+            for limit in effect.limits(vehicle):
+                assert sum(w * neutral[k] for k, w in limit.weights.items()) >= 0, effect.name
+
+
+def test_ranges_hold_what_real_flights_have_shown() -> None:
+    """2,140 Pa off in RflySimDT's logs: the pressure of the day; 86 uT indoors, by its motors."""
+    assert EFFECTS["baro_bias"].parameters[0].prior[0] < -2140
+    assert all(p.prior[1] > 1.5 * 86e-6 for p in EFFECTS["mag_hard_iron"].parameters)
+
+
 # -- exact answers --------------------------------------------------------------------------
 
 

@@ -9,12 +9,21 @@ import pytest
 from cosim.demo import Waypoints, fly
 from twin.airframe import airframe
 from twin.effects import EFFECTS
+from twin.explain import naming as search
+from twin.explain.channels import CHANNEL_HZ, ChannelData
+from twin.explain.evidence import EXACT, Scores, White, believed
+from twin.explain.explanation import _at_bounds
+from twin.explain.misfit import LAW, coherent, credible
 from twin.explain.model import model_of
 from twin.explain.naming import _needless, _spoils, name_effects
 from twin.explain.numbers import at_voltage, numbers_of
 from twin.explain.refine import Fitted, Ground
+from twin.explain.room import Room
+from twin.explain.spread import half_widths
 from twin.flightlog import Flight
+from twin.magnetometer import magnetometer
 from twin.over_rows import OverRows
+from twin.sampled import noiseless_outputs
 from twin.vehicle_file import load_vehicle
 
 COPTER, CRAZYFLIE = load_vehicle("copter_default"), load_vehicle("crazyflie")
@@ -25,6 +34,8 @@ ROUND: Waypoints = (
     ("tour", 2.0, (1.5, 1.5, -2.0)),
     ("tour", 2.0, (0.0, 0.0, -1.5)),
 )
+
+HOVER: Waypoints = (*ROUND[:2], ("hover", 8.0, (0.0, 0.0, -1.5)))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +60,7 @@ def late(flight: Flight, columns: list[str], rows: int) -> Flight:
 def hypothesis(effects: tuple[str, ...], gains: list[float], raw: list[float]) -> Fitted:
     """With one number per effect and these gains and powers per channel."""
     values = {f"{e}.number": 1.0 for e in effects}
-    return Fitted(effects, values, (), np.zeros((0, 0)), np.array([gains]), np.array(raw),
+    return Fitted(effects, values, (), np.zeros(0), np.array([gains]), len(values), np.array(raw),
                   np.array(raw))  # fmt: skip
 
 
@@ -97,9 +108,8 @@ def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
         table[f"vel_{a}"] += noise
     ground = ground_of(replace(quiet, table=table), "accel_scale")
     fitted = ground.fit(["accel_scale"])
-    spread = np.sqrt(np.diag(fitted.covariance))
-    for n, s in zip(fitted.numbers, spread, strict=True):
-        assert abs(fitted.values[n.full] - 1.0) < max(4.0 * s, 0.01), n.full
+    for n, width in zip(fitted.numbers, fitted.half_widths, strict=True):
+        assert abs(fitted.values[n.full] - 1.0) < max(2.0 * width, 0.01), n.full
 
 
 def test_nothing_hidden_is_nothing(quiet: Flight) -> None:
@@ -155,3 +165,161 @@ def test_rows_one_by_one_and_all_at_once_are_the_same() -> None:
     for row, a, u in zip(whole, xs, us, strict=True):
         np.testing.assert_array_equal(row, np.asarray(body.outputs(a, u, p)).ravel())
     assert OverRows(body.outputs, rows=2)(xs[:0], us[:0], p).shape == (0, whole.shape[1])
+
+
+# -- what no law being exact means -------------------------------------------------------------
+
+
+def test_log_likelihood_counts_in_full_at_first_and_by_its_ratio_later() -> None:
+    assert believed(np.array([-3.0, 0.0, 1e-3])) == pytest.approx([-3.0, 0.0, 1e-3], rel=1e-3)
+    small, large = believed(np.array([1e6, 1e8]))
+    twice = believed(np.array([2e6, 2e8])) - [small, large]
+    assert twice == pytest.approx(EXACT * np.log(2), rel=1e-3)
+
+
+def samples(slopes: np.ndarray) -> White:
+    """Rows of one channel in one block, with these slopes."""
+    n = len(slopes)
+    none = np.zeros(n, dtype=np.intp)
+    return White(np.zeros(n), slopes, none, none, ((0, 0),), 1)
+
+
+def test_only_numbers_that_change_what_is_explained_are_told() -> None:
+    """Prior deviation 1: the first number moves the residual by 30, the second by 1."""
+    scores = Scores(samples(np.array([[30.0, 0.0], [0.0, 1.0]])), np.ones(2))
+    assert scores.told([0], np.zeros(1)) == pytest.approx(900 / 901)
+    assert scores.told([0, 1], np.zeros(1)) == pytest.approx(900 / 901 + 1 / 2)
+    assert scores.told([0, 1], np.array([100 * EXACT])) == pytest.approx(0.899 + 0.0098, abs=1e-3)
+
+
+def turned(heading_steps: int) -> Flight:
+    """Hard iron on a flight in hover, with the nose north or turning."""
+    rng = np.random.default_rng(3)
+    flight = fly(COPTER, COPTER, seed=4, name="hover", waypoints=HOVER)
+    table = flight.table.copy()
+    yaw = heading_steps * np.pi / 2 * np.clip((table["time"] - 3) / 6, 0, 1).to_numpy()
+    q = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
+    sensor = magnetometer(COPTER)
+    rows = np.tile(sensor.input_values(), (len(q), 1))
+    for i, a in enumerate("wxyz"):
+        rows[:, sensor.input_names.index(f"q_{a}")] = q[:, i]
+        table[f"q_{a}"] = q[:, i]
+    field = noiseless_outputs(sensor, rows, 0.005) + 2e-7 * rng.standard_normal((len(q), 3))
+    table[["mag_x", "mag_y", "mag_z"]] = field + np.array([6e-6, -4e-6, 3e-6])
+    return replace(flight, table=table[[c for c in table if not c.startswith(("acc", "gyro"))]])
+
+
+@pytest.fixture
+def compass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search knows two faults of a compass alone."""
+    known = [EFFECTS["mag_hard_iron"], EFFECTS["mag_soft_iron"]]
+    monkeypatch.setattr(search, "candidates", lambda _: known)
+
+
+def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) -> None:
+    naming = name_effects([turned(0)], COPTER)
+    assert naming.verdict == "cannot_tell"
+    assert naming.probability_of("mag_hard_iron") > 0.2 < naming.probability_of("mag_soft_iron")
+
+
+def test_hard_iron_is_told_from_soft_iron_once_the_nose_turns(compass: None) -> None:
+    naming = name_effects([turned(4)], COPTER)
+    assert naming.verdict == "named"
+    assert naming.best.effects == ("mag_hard_iron",)
+
+
+# -- what is left by a name --------------------------------------------------------------------
+
+
+def channel(residual: np.ndarray) -> ChannelData:
+    n = len(residual)
+    t = np.arange(n) / CHANNEL_HZ
+    none = np.zeros(n, dtype=np.intp)
+    return ChannelData("acc_x", "m/s²", t, residual, residual, np.zeros((n, 0)), none)
+
+
+def test_what_is_not_forgotten_is_told_from_noise() -> None:
+    """A sine of amplitude 1 has the power 1/2, white noise is forgotten."""
+    rng, t = np.random.default_rng(0), np.arange(5000) / CHANNEL_HZ
+    slow = np.sin(2 * np.pi * 0.2 * t)
+    assert coherent([channel(slow)])[0] == pytest.approx(0.5, rel=0.02)
+    noisy, _ = coherent([channel(slow + rng.standard_normal(5000))])
+    assert noisy == pytest.approx(0.5, rel=0.1)
+    none, chance = coherent([channel(rng.standard_normal(5000))])
+    assert none < 2 * chance < 0.1
+
+
+def test_a_name_is_believed_less_the_more_it_leaves() -> None:
+    beliefs = [credible(x * LAW) for x in (0, 1, 2, 3, 7)]
+    assert beliefs == sorted(beliefs, reverse=True)
+    assert beliefs[0] > 0.95 > 0.9 > beliefs[2] > 0.5 > beliefs[3]
+    assert beliefs[-1] < 1e-6
+
+
+def test_a_name_whose_cause_is_likely_another_is_not_given() -> None:
+    one = hypothesis(("a",), [1e4], [1.0])
+    assert search._verdict([one], [0.99], {"a": 0.9}) == "named"
+    assert search._verdict([one], [0.99], {"a": 0.3}) == "cannot_tell"
+
+
+# -- where numbers may lie ---------------------------------------------------------------------
+
+
+def test_moments_of_inertia_obey_the_triangle_inequality() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"]], COPTER)
+    room = Room.of(numbers, COPTER)
+    moments = np.diag(COPTER.inertia_kg_m2)
+    now = np.array([n.now for n in numbers])
+    assert room.inside(now, np.eye(3)) == pytest.approx(now)  # a body that there is
+    x, y, z = room.inside(np.array([1.0, 1.0, 2.0]), np.diag([1e-9, 1e-9, 1.0])) * moments
+    assert z == pytest.approx(x + y, rel=1e-6)
+    assert (x, y) == pytest.approx(tuple(moments[:2]), rel=1e-6)  # what is known best stays
+    many = room.inside(np.array([[3.0, 1.0, 0.3], [1.0, 1.0, 1.0]]), np.stack(2 * [np.eye(3)]))
+    assert np.all(many @ room.rows.T >= -1e-9)
+    assert many[1] == pytest.approx(1.0)
+
+
+def test_a_limit_holds_where_all_its_numbers_are_asked_for_and_elsewhere_the_ranges() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"], EFFECTS["mass_offset"]], COPTER)
+    room = Room.of(numbers, COPTER)
+    assert len(room.rows) == 3
+    mass = [i for i, n in enumerate(numbers) if n.effect == "mass_offset"]
+    alone = room.part(mass)
+    assert len(alone.rows) == 0
+    assert alone.inside(np.array([1e3]), np.eye(1)) == numbers[mass[0]].about.prior[1]
+
+
+def test_a_fit_at_the_limit_of_a_rigid_body_is_warned_of(quiet: Flight) -> None:
+    model = model_of([quiet], COPTER, [EFFECTS["inertia_error"]])
+    x, y, z = np.diag(COPTER.inertia_kg_m2)
+    values = {f"inertia_error.scale_{a}": 1.0 for a in "xyz"}
+    flat = replace(hypothesis(("inertia_error",), [1.0], [1.0]), values=values)
+    assert _at_bounds(model, flat) == []
+    flat = replace(flat, values=values | {"inertia_error.scale_z": (x + y) / z})
+    (warning,) = _at_bounds(model, flat)
+    assert "moment of inertia about z" in warning
+
+
+# -- intervals ---------------------------------------------------------------------------------
+
+
+def test_blocks_and_channels_that_agree_leave_the_interval_of_the_noise() -> None:
+    grams = np.ones((50, 4, 1, 1))
+    width = half_widths(np.array([[1 / 200]]), grams, np.zeros((50, 4, 1)))
+    assert width == pytest.approx([1.96 / np.sqrt(200)], rel=1e-3)
+
+
+def test_intervals_cover_where_channels_ask_for_different_numbers() -> None:
+    """Truth 0, noise 1; each channel has its own offset of deviation 1, as with a law that is off.
+
+    By the noise alone, the interval would hold the truth in a seventh of the draws.
+    """
+    rng, inside, draws = np.random.default_rng(5), 0, 400
+    blocks, channels = 25, 4
+    inverse = np.array([[1 / (blocks * channels)]])
+    for _ in range(draws):
+        said = rng.standard_normal(channels) + rng.standard_normal((blocks, channels))
+        scores = (said - said.mean())[:, :, None]
+        width = half_widths(inverse, np.ones((blocks, channels, 1, 1)), scores)
+        inside += abs(said.mean()) <= width[0]
+    assert 0.90 < inside / draws < 0.99

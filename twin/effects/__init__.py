@@ -1,7 +1,7 @@
 """The effect library: every named physical cause that a model may lack, each defined once."""
 
 from . import air, gust, inertial, mass, propulsion, sensors, timing
-from .definition import Block, Blocks, ComponentName, Effect, EffectParameter
+from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit
 
 _MODULES = (air, gust, propulsion, mass, inertial, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
@@ -20,5 +20,6 @@ __all__ = [
     "ComponentName",
     "Effect",
     "EffectParameter",
+    "Limit",
     "effects_of",
 ]

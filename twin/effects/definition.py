@@ -6,7 +6,7 @@ tunable parameters, `<effect>.enabled` first, off by default. What is off is lef
 the quantities are those of the component without the effect, to the last bit.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, TypeVar
 
@@ -17,6 +17,9 @@ from ..vehicle import Vehicle
 
 ComponentName = Literal["airframe", "imu", "magnetometer", "barometer", "position", "environment"]
 Stage = TypeVar("Stage")
+TRIFLE = 0.01
+"""Share of its prior range by which a number moves at least where an effect is one to speak of:
+a percent of the mass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,7 @@ class EffectParameter:
             of something else).
         scale: Vehicle quantity that start, prior and neutral are multiples of; None: absolute.
         per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
+        trifle: Smallest change worth a name, in the unit of `prior`; None: `TRIFLE` of that range.
     """
 
     name: str
@@ -43,6 +47,13 @@ class EffectParameter:
     neutral: float | None = 0.0
     scale: Callable[[Vehicle], float] | None = None
     per_rotor: bool = False
+    trifle: float | None = None
+
+    @property
+    def smallest(self) -> float:
+        """Smallest change worth a name."""
+        low, high = self.prior
+        return TRIFLE * (high - low) if self.trifle is None else self.trifle
 
     def names(self, vehicle: Vehicle) -> list[str]:
         """Names of its numbers: one, or one per rotor."""
@@ -56,10 +67,28 @@ class EffectParameter:
             return self
         k = self.scale(vehicle)
         low, high = self.prior
-        neutral = None if self.neutral is None else k * self.neutral
+        neutral, trifle = (None if v is None else k * v for v in (self.neutral, self.trifle))
         return replace(
-            self, start=k * self.start, prior=(k * low, k * high), neutral=neutral, scale=None
-        )
+            self, start=k * self.start, prior=(k * low, k * high), neutral=neutral,
+            trifle=trifle, scale=None,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What nature allows of an effect's numbers: a weighted sum of them that is not negative.
+
+    Attributes:
+        weights: By number.
+        meaning: Why, to be read after "is at the edge of what is possible: ".
+    """
+
+    weights: Mapping[str, float]
+    meaning: str
+
+
+def _no_limits(_: Vehicle) -> tuple[Limit, ...]:
+    return ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +105,7 @@ class Effect:
             "acc" for acc_x..acc_z, and so on.
         source: Paper and equation, or the measurement.
         term: `(stage, block) -> stage`, pure.
+        limits: What its numbers together can be, for a vehicle.
     """
 
     name: str
@@ -86,6 +116,7 @@ class Effect:
     needs: tuple[str, ...]
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
+    limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""

@@ -6,7 +6,8 @@ import casadi as ca
 import numpy as np
 
 from ..frames import to_body
-from .definition import Block, Effect, EffectParameter
+from ..vehicle import Vehicle
+from .definition import Block, Effect, EffectParameter, Limit
 from .stages import Body, Wrench
 
 ROPE_HZ = 5.0
@@ -33,6 +34,18 @@ def _inertia_error(b: Body, p: Block) -> Body:
     for i, k in enumerate(factor):
         inertia[i][i] = k * inertia[i][i]
     return replace(b, inertia=inertia)
+
+
+def _rigid(vehicle: Vehicle) -> tuple[Limit, ...]:
+    """Moments of inertia are sums of squares: I_y + I_z - I_x = 2 * integral of x^2 dm."""
+    moments = dict(zip("xyz", np.diag(vehicle.inertia_kg_m2), strict=True))
+    return tuple(
+        Limit(
+            {f"scale_{b}": float(-m if b == a else m) for b, m in moments.items()},
+            f"no body's moment of inertia about {a} is larger than the other two together",
+        )
+        for a in moments
+    )
 
 
 def _slung_load(w: Wrench, p: Block) -> Wrench:
@@ -103,8 +116,10 @@ INERTIA_ERROR = Effect(
         for a in "xyz"
     ),
     ("gyro",),
-    "definition: factors on the diagonal of the inertia matrix",
+    "definition: factors on the diagonal of the inertia matrix, which obeys the triangle "
+    "inequality: Goldstein, Classical Mechanics, ch. 5",
     _inertia_error,
+    _rigid,
 )  # fmt: skip
 
 SLUNG_LOAD = Effect(

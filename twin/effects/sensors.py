@@ -80,11 +80,14 @@ MAG_HARD_IRON = Effect(
     "magnetometer",
     MagReading,
     tuple(
-        EffectParameter(f"{a}_t", "T", f"field of the aircraft, {d}", s, (-8e-5, 8e-5))
+        EffectParameter(
+            f"{a}_t", "T", f"field of the aircraft, {d}", s, (-2.5e-4, 2.5e-4), trifle=1.6e-6
+        )
         for (a, d), s in zip(_AXES, (6e-6, -4e-6, 4e-6), strict=True)
     ),
     ("mag", "q"),
-    "Gebre-Egziabher et al., J. Aerospace Engineering 19 (2006)",
+    "Gebre-Egziabher et al., J. Aerospace Engineering 19 (2006); range: five times the earth's "
+    "field, beside motors, batteries and steel in floors",
     _mag_hard_iron,
 )
 
@@ -108,9 +111,10 @@ BARO_BIAS = Effect(
     "the barometer reads too high or too low by a constant pressure",
     "barometer",
     BaroReading,
-    (EffectParameter("pa", "Pa", "reading minus pressure", 60.0, (-1000, 1000)),),
+    (EffectParameter("pa", "Pa", "reading minus pressure", 60.0, (-6000, 6000), trifle=20.0),),
     ("baro", "pos"),
-    "definition",
+    "definition; 870 to 1084 hPa at sea level on record (WMO archive of extremes), and a file that "
+    "knows no reference pressure of the day shows their distance from its own",
     _baro_bias,
 )
 

@@ -10,6 +10,10 @@ from .stages import Motors
 
 COMMAND_PERIOD_S = 1e-3
 """How often the motor commands are taken for their delay."""
+SAMPLING_S = 0.005
+"""A smaller delay is none to speak of: the sampling of a log at 200 Hz may feign it."""
+POSE_SAMPLING_S = 0.0125
+"""The same for a pose at 80 Hz."""
 COMMAND_SAMPLES = 251
 """Commands remembered: a quarter of a second."""
 
@@ -35,7 +39,7 @@ IMU_DELAY = Effect(
     "readings of the IMU are older than their time stamps say",
     "imu",
     Latency,
-    (EffectParameter("delay_s", "s", "age of a reading", 0.02, (0, 0.2)),),
+    (EffectParameter("delay_s", "s", "age of a reading", 0.02, (0, 0.2), trifle=SAMPLING_S),),
     ("acc", "gyro"),
     "definition; samples between two instants on a straight line",
     _later,
@@ -46,7 +50,11 @@ POSITION_DELAY = Effect(
     "position and velocity are older than the model has them",
     "position",
     Latency,
-    (EffectParameter("delay_s", "s", "age on top of the model's", 0.1, (0, 0.5)),),
+    (
+        EffectParameter(
+            "delay_s", "s", "age on top of the model's", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
+        ),
+    ),
     ("pos", "acc"),
     "definition; 0.11 s is PX4's assumption for a GNSS receiver (EKF2_GPS_DELAY)",
     _later,
@@ -57,7 +65,11 @@ COMMAND_DELAY = Effect(
     "motors get their commands later than the log says",
     "airframe",
     Motors,
-    (EffectParameter("delay_s", "s", "age of a command when it arrives", 0.02, (0, 0.2)),),
+    (
+        EffectParameter(
+            "delay_s", "s", "age of a command when it arrives", 0.02, (0, 0.2), trifle=SAMPLING_S
+        ),
+    ),
     ("acc", "gyro", "cmd"),
     "definition; at least 1 ms, the sample period, once it is on",
     _commands_later,

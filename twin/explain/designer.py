@@ -28,6 +28,7 @@ from .manoeuvres import Manoeuvre, manoeuvres, plan
 from .model import Model, model_of
 from .naming import Naming
 from .numbers import Number, columns_of, with_effects
+from .payload import carrying
 from .refine import Fitted
 from .rehearsal import rehearse, volts_of
 
@@ -44,7 +45,7 @@ class Suggestion:
 
     Attributes:
         manoeuvre: Identifier.
-        description: One sentence that a pilot can follow.
+        description: What a pilot can follow.
         separates: The two sets, the more probable first; an empty one: nothing is missing.
         separation: Log likelihood by which the true one is expected to lead, mean over both.
         present: The same in the flights so far.
@@ -113,14 +114,16 @@ def suggestions(
     listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
-    rounds = [(i, v) for i in (0, 1) for v in sorted({m.voltage for m in listed})]
-    for n, (i, voltage) in enumerate(rounds):
+    rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
+    for n, (i, voltage, payload_kg) in enumerate(rounds):
         progress((n + 0.3) / (len(rounds) + 0.3))
-        flown = plan(vehicle, [m for m in listed if m.voltage == voltage])
-        plant = with_effects(vehicle, rivals[i].effects, rivals[i].values)
+        loaded = carrying(vehicle, payload_kg)
+        chosen = [m for m in listed if (m.voltage, m.payload_kg) == (voltage, payload_kg)]
+        flown = plan(loaded, chosen)
+        plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
-            flight = rehearse(flown, vehicle, plant, flights, voltage)
-            blocks = _parting(naming, flight, vehicle, rivals[i], rivals[1 - i])
+            flight = rehearse(flown, loaded, plant, flights, voltage)
+            blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
         except TwinError:  # numbers with which nothing flies: nobody can fly it either
             continue
         for name, (first, last) in flown.spans.items():

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from .channels import ChannelData
+from .room import Room
+from .spread import half_widths
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -29,6 +31,9 @@ HUBER = 4.0
 ROUGHNESS = 1e-3
 """White noise added to every channel, as a share of its unexplained power: no model is exact, and
 without it a smooth residual would count as known to many more digits than it is."""
+EXACT = 100.0
+"""Log likelihood in a channel from which on the law of an effect shows that it is not exact: two
+percent more of it are worth two, as if the law were right to about a seventh."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +205,16 @@ def blocks_of(flights: Flights, noise: Sequence[Noise]) -> dict[Key, Block]:
     return white(flights, noise).blocks()
 
 
+def believed(gains: Array) -> Array:
+    """Log likelihood of each channel, given that no law is exact.
+
+    What a law gets wrong grows with what it explains: a gain counts in full up to `EXACT`, and by
+    its ratio above, as in a posterior that asks for closeness to the data and not for the data:
+    Miller & Dunson, J. American Statistical Association 114 (2019).
+    """
+    return np.where(gains > 0, EXACT * np.log1p(np.maximum(gains, 0) / EXACT), gains)
+
+
 class Scores:
     """Hypotheses over the same samples: a set of columns may change, the others do not."""
 
@@ -224,25 +239,34 @@ class Scores:
         inverse = np.linalg.inv(self._gram[np.ix_(c, c)] + np.diag(self._precision[c]))
         return inverse @ self._pull[c], inverse
 
-    def sandwich(self, columns: Sequence[int]) -> Array:
-        """Covariance of the fitted change that the blocks themselves show, shape (k, k).
-
-        Unlike that of `fit` it does not believe the noise model: White, Econometrica 48 (1980).
-        """
+    def half_widths(self, columns: Sequence[int]) -> Array:
+        """Half of the 95 % interval of each fitted change, shape (k,)."""
         c = np.asarray(columns, dtype=np.intp)
         change, inverse = self.fit(c.tolist())
         grams, pulls = self._of(c)
-        pulls = (pulls - grams @ change).sum(axis=1)
-        n = len(pulls)
-        return np.asarray(inverse @ (pulls.T @ pulls) @ inverse * n / max(1, n - len(c)))
+        return half_widths(inverse, grams, pulls - grams @ change)
 
-    def gains(self, columns: Sequence[int], low: Array, high: Array) -> Array:
+    def told(self, columns: Sequence[int], gains: Array) -> float:
+        """How many of some numbers the channels tell, with a law that is not exact.
+
+        A direction in which they may move without changing much of what is explained is free.
+        MacKay, Neural Computation 4 (1992): number of well-determined parameters.
+
+        Args:
+            columns: The numbers.
+            gains: Log likelihood that each channel gains by them, shape (channels,).
+        """
+        c = np.asarray(columns, dtype=np.intp)
+        grams, _ = self._of(c)
+        gram = np.einsum("bckl,c->kl", grams, 1 / (1 + np.maximum(gains, 0) / EXACT))
+        return float(np.trace(np.linalg.solve(gram + np.diag(self._precision[c]), gram)))
+
+    def gains(self, columns: Sequence[int], room: Room) -> Array:
         """Log likelihood over that of no change, each block left out of its fit.
 
         Args:
             columns: Numbers that may change.
-            low: Smallest change of each, shape (len(columns),).
-            high: Largest change of each.
+            room: Of their changes.
 
         Returns:
             Shape (blocks, channels).
@@ -252,8 +276,9 @@ class Scores:
         c = np.asarray(columns, dtype=np.intp)
         grams, pulls = self._of(c)
         rest = self._gram[np.ix_(c, c)] - grams.sum(axis=1) + np.diag(self._precision[c])
-        theta = np.linalg.solve(rest, (self._pull[c] - pulls.sum(axis=1))[:, :, None])[:, :, 0]
-        theta = np.clip(theta, low, high)
+        inverse = np.linalg.inv(rest)
+        theta = np.einsum("bkl,bl->bk", inverse, self._pull[c] - pulls.sum(axis=1))
+        theta = room.inside(theta, inverse)
         bent = np.einsum("bckl,bl->bck", grams, theta)
         return np.asarray(np.einsum("bck,bk->bc", pulls - 0.5 * bent, theta))
 

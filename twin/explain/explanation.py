@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..effects import EFFECTS, Limit
 from ..errors import LogError
 from ..flightlog import Flight
 from ..vehicle import Vehicle
@@ -12,8 +13,9 @@ from .acting import Acting, acting
 from .designer import Suggestion, next_manoeuvre
 from .flying import Mission, fly_missions
 from .model import Model
-from .naming import Naming, Verdict, name_effects
+from .naming import LEAST, Naming, Verdict, name_effects
 from .numbers import with_effects
+from .payload import Payloads
 from .places import Place, places
 from .refine import Fitted
 from .showing import Showing, show
@@ -24,8 +26,8 @@ from .unsteady import stuck_effect, unsteady
 from .unsteady_effect import Unsteady
 from .usable import reasons_unusable
 
-LEAST = 0.05
-"""Probability below which an effect is no candidate."""
+EDGE = 1e-6
+"""Share of a limit's terms that a fit at the limit may be away from it."""
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
 WEAKER = (
@@ -109,6 +111,7 @@ def explain(
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
     missions: Sequence[str] | None = None,
+    payloads: Payloads | None = None,
 ) -> Explanation:
     """Say what a model lacks, and prove it.
 
@@ -119,6 +122,7 @@ def explain(
         seed: Of every bootstrap.
         progress: Called with the share done.
         missions: To fly with the new model; default: all.
+        payloads: Known masses aboard, of flights of either kind.
     """
     names = tuple(f.name for f in flights)
     stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f)]
@@ -138,14 +142,14 @@ def explain(
         "unusable", vehicle, tuple(f.name for f in fit), warnings=tuple(warnings), holdout=away
     )
     try:
-        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.5 * done))
+        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.5 * done), payloads)
     except LogError as error:
         return replace(found, reasons=(str(error),))
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     progress(0.6)
     found = _with_equations(found, seed)
     progress(0.7)
-    found = _with_gap(found, held, seed)
+    found = _with_gap(found, held, seed, payloads)
     progress(0.85)
     if found.verdict == "cannot_tell":
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
@@ -216,16 +220,29 @@ def _at_bounds(model: Model, fitted: Fitted) -> list[str]:
         if n.full in fitted.values
         and np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
         and fitted.values[n.full] != n.about.neutral
+    ] + [
+        f"{effect} is at the edge of what is possible: {limit.meaning}; another effect may be meant"
+        for effect in fitted.effects
+        for limit in EFFECTS[effect].limits(model.vehicle)
+        if _on_edge(effect, limit, fitted)
     ]
 
 
-def _with_gap(found: Explanation, held: Sequence[Flight], seed: int) -> Explanation:
+def _on_edge(effect: str, limit: Limit, fitted: Fitted) -> bool:
+    """Whether numbers use up what a limit leaves them."""
+    parts = [w * fitted.values[f"{effect}.{k}"] for k, w in limit.weights.items()]
+    return sum(parts) <= EDGE * sum(map(abs, parts))
+
+
+def _with_gap(
+    found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
+) -> Explanation:
     """The same with the gap of held-out flights, where effects act, and where the gap is."""
     effects = () if found.shown is None else found.shown.effects
     assert found.naming is not None
     steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
-        showing = show(held, found.vehicle, effects, steady, seed)
+        showing = show(held, found.vehicle, effects, steady, seed, payloads)
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"
         return replace(found, warnings=(*found.warnings, problem))

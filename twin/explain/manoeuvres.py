@@ -34,6 +34,9 @@ CLEARANCE_M, CLEARANCE_ARMS = 0.15, 0.7
 """Between legs and ground, the larger of both: who reads the log must see that it flies."""
 OTHER_VOLTAGE = 0.1
 """What lies between a charged and a nearly empty battery, as a share of the voltage."""
+PAYLOAD, LIGHTEST_PAYLOAD = 0.2, 0.02
+"""Known mass to be strapped on, as a share of the vehicle's: the largest, where thrust allows it,
+and the smallest that is worth it. Made up."""
 PAUSE_S = 1.0
 """Shortest hover after a manoeuvre."""
 SETTLE_S = 6.0
@@ -51,6 +54,7 @@ class Manoeuvre:
         duration_s: How long it takes.
         move: Where it goes.
         voltage: Battery voltage over that of the flights so far.
+        payload_kg: Known mass aboard, on top of the vehicle's.
     """
 
     name: str
@@ -58,6 +62,7 @@ class Manoeuvre:
     duration_s: float
     move: Move
     voltage: float = 1.0
+    payload_kg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +93,12 @@ def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
     climb = min(PUSH * (lift - 1) * GRAVITY_M_S2, FASTEST_M_S2)
     push = min(PUSH * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, FASTEST_M_S2)
     climb, push = max(climb, 0.3), max(push, 0.3)
-    return (*_on_the_spot(charged), *_vertical(vehicle, k, climb), *_sideways(k, push))
+    return (
+        *_on_the_spot(charged),
+        _payload_swap(vehicle, lift),
+        *_vertical(vehicle, k, climb),
+        *_sideways(k, push),
+    )
 
 
 def hover_height_m(vehicle: Vehicle) -> float:
@@ -151,6 +161,20 @@ def _on_the_spot(charged: bool) -> list[Manoeuvre]:
             [(s, 0, 0, 0, i * np.pi / 2) for i in range(1, 5) for s in (1.5, 2.0)],
         ),
     ]
+
+
+def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
+    """Hover with a mass that is known: what scales a force acts on it, what adds one does not."""
+    share = max(min(PAYLOAD, PUSH * (lift - 1)), LIGHTEST_PAYLOAD)
+    payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
+    return Manoeuvre(
+        "payload_swap",
+        f"Strap a weight of {payload_kg:g} kg to the aircraft, as close to its centre of mass as "
+        f"can be, and hover for 7 s; tell explain the weight of that flight.",
+        7.0,
+        _path(),
+        payload_kg=payload_kg,
+    )
 
 
 def _vertical(vehicle: Vehicle, k: float, climb: float) -> list[Manoeuvre]:

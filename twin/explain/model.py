@@ -15,6 +15,7 @@ from ..vehicle import Vehicle
 from .channels import ChannelData
 from .flight_model import FlightModel, in_equations
 from .numbers import Number, at_voltage, numbers_of, numbers_of_logs, visible
+from .payload import Payloads, carrying
 from .prediction import Batch, physics
 
 Array = NDArray[np.float64]
@@ -62,6 +63,7 @@ def model_of(
     vehicle: Vehicle,
     effects: Sequence[Effect],
     progress: Callable[[float], None] = lambda _: None,
+    payloads: Payloads | None = None,
 ) -> Model:
     """Put flights on their grids and differentiate the model.
 
@@ -70,6 +72,7 @@ def model_of(
         vehicle: The model as it stands.
         effects: Effects whose numbers may change.
         progress: Called with the share done.
+        payloads: Known masses aboard.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle, or no flight is long enough.
@@ -78,13 +81,15 @@ def model_of(
     numbers = (*numbers_of_logs(effects), *own)
     names = [n.full for n in numbers]
     standing = [e.name for e in effects if in_equations(e)]
-    bodies: dict[Drive, Batch] = {}
+    bodies: dict[tuple[Drive, float], Batch] = {}
     made = []
     for i, flight in enumerate(flights):
-        drive = choose_drive(flight, vehicle)
-        if drive not in bodies:
-            _, bodies[drive] = physics(vehicle, drive, standing, names)
-        made.append(FlightModel(flight, vehicle, bodies[drive], standing, numbers))
+        payload_kg = (payloads or {}).get(flight.name, 0.0)
+        flown = carrying(vehicle, payload_kg)
+        kind = choose_drive(flight, flown), payload_kg
+        if kind not in bodies:
+            _, bodies[kind] = physics(flown, kind[0], standing, names)
+        made.append(FlightModel(flight, flown, bodies[kind], standing, numbers))
         progress((i + 1) / len(flights))
     model = Model(vehicle, tuple(e.name for e in effects), numbers, tuple(made))
     if not model.channels([])[0]:

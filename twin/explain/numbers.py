@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS, Effect, EffectParameter
+from ..effects.timing import POSE_SAMPLING_S
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 
@@ -76,7 +77,9 @@ IN_LOGS = {
     "heading_offset": EffectParameter(
         "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
     ),
-    "position_delay": EffectParameter("attitude_s", "s", "age of the attitude", 0.1, (0, 0.5)),
+    "position_delay": EffectParameter(
+        "attitude_s", "s", "age of the attitude", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
+    ),
 }
 """Numbers that effects have in a log alone, and in no component: a compass that is off may have
 misled the estimate of the attitude or not; attitude may come from where position does, or not."""

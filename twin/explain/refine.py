@@ -16,6 +16,7 @@ from scipy.optimize import minimize_scalar
 from .evidence import Flights, Noise, Scores, White, noise_of_all, white
 from .model import Model
 from .numbers import Number, columns_of
+from .room import Room
 
 Array = NDArray[np.float64]
 ROUNDS = 4
@@ -38,8 +39,9 @@ class Fitted:
         effects: Identifiers, sorted.
         values: Numbers and shapes, "effect.number" -> value.
         numbers: Those with an interval.
-        covariance: Of `numbers`, shape (k, k).
+        half_widths: Of the 95 % intervals of `numbers`, shape (k,).
         gains: Log likelihood over that of nothing, out of sample, shape (blocks, channels).
+        told: How many numbers the flights tell, see `Scores.told`.
         left: Power that is left of each channel, white and in units of its noise, shape (c,).
         raw: The same as it is, in the square of the channel's unit.
     """
@@ -47,8 +49,9 @@ class Fitted:
     effects: tuple[str, ...]
     values: Mapping[str, float]
     numbers: tuple[Number, ...]
-    covariance: Array
+    half_widths: Array
     gains: Array
+    told: float
     left: Array
     raw: Array
 
@@ -58,11 +61,10 @@ class Fitted:
         return float(self.gains.sum())
 
     def sizes(self) -> dict[str, float]:
-        """Of each effect the largest change of one of its numbers over the prior range."""
+        """Of each effect the largest change of one of its numbers, over one worth a name."""
         changes: dict[str, float] = {}
         for n in self.numbers:
-            low, high = n.about.prior
-            change = abs(self.values[n.full] - n.now) / (high - low)
+            change = abs(self.values[n.full] - n.now) / n.about.smallest
             changes[n.effect] = max(changes.get(n.effect, 0.0), change)
         return changes
 
@@ -96,7 +98,7 @@ class Ground:
     def nothing(self) -> Fitted:
         """The hypothesis that nothing is missing."""
         powers = self.rest.per_cell(self.rest.residual**2)
-        return Fitted((), {}, (), np.zeros((0, 0)), 0.0 * powers, powers.sum(axis=0), self.raw)
+        return Fitted((), {}, (), np.zeros(0), 0.0 * powers, 0.0, powers.sum(axis=0), self.raw)
 
     def fit(self, effects: Sequence[str]) -> Fitted:
         """Fit the numbers and shapes of some effects."""
@@ -150,14 +152,14 @@ class Ground:
         if not numbers:
             return self.nothing()
         home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
-        low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
+        room = Room.of(numbers, self.model.vehicle)
         now = np.array([start.get(n.full, n.now) for n in numbers])
         names = [n.full for n in numbers]
         rows, raw = self._rows(columns, dict(zip(names, now, strict=True)) | dict(shapes))
         for round_ in range(ROUNDS + 1):
             scores = Scores(rows, sd, now - home)
             change, covariance = scores.fit(range(len(now)))
-            then = np.clip(now + change, low, high)
+            then = room.inside(now + change, covariance)
             settled = np.abs(then - now) <= SETTLED * np.sqrt(np.diag(covariance))
             if np.all(settled) or round_ == ROUNDS:
                 break
@@ -171,12 +173,14 @@ class Ground:
             if bend @ bend > max(1.0, STRAIGHT * float(step @ step)):
                 rows, _ = self._rows(columns, values)
         gained = rows.per_cell(0.5 * (self.rest.residual**2 - rows.residual**2))
+        gains = gained + scores.gains(range(len(now)), room.around(now))
         return Fitted(
             effects,
             dict(zip(names, now.tolist(), strict=True)) | dict(shapes),
             tuple(numbers),
-            covariance + scores.sandwich(range(len(now))),
-            gained + scores.gains(range(len(now)), low - now, high - now),
+            scores.half_widths(range(len(now))),
+            gains,
+            scores.told(range(len(now)), gains.sum(axis=0)) + len(shapes),
             rows.per_cell(rows.residual**2).sum(axis=0),
             raw,
         )

@@ -22,6 +22,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "flights": list(found.flights),
         "vehicle": found.vehicle.name,
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
+        "outside_probability": None if found.naming is None else found.naming.outside,
         "effects": [_effect(found, e) for e in listed(found)],
         "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],

@@ -20,6 +20,7 @@ from .channels import ChannelData
 from .evidence import Scores, noise_of_all, white
 from .model import Model, candidates, model_of
 from .numbers import columns_of
+from .payload import Payloads
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -105,6 +106,7 @@ def show(
     effects: Sequence[str],
     values: Mapping[str, float],
     seed: int = 0,
+    payloads: Payloads | None = None,
 ) -> Showing:
     """Compare held-out flights with a model before and after effects are added.
 
@@ -114,12 +116,14 @@ def show(
         effects: Added.
         values: Their numbers, "effect.number" -> value.
         seed: Of the bootstrap.
+        payloads: Known masses aboard.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
     """
     seen = {e.name: e for e in candidates(flights)} | {e: EFFECTS[e] for e in effects}
-    model = model_of(flights, vehicle, [e for e in EFFECTS.values() if e.name in seen])
+    known = [e for e in EFFECTS.values() if e.name in seen]
+    model = model_of(flights, vehicle, known, payloads=payloads)
     before = model.channels([])
     linear = columns_of(model.numbers, model.effects)
     rows = model.channels(linear, values)

@@ -5,16 +5,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from ..effects import EFFECTS
-from .explanation import LEAST, Explanation
-from .naming import Naming
+from .explanation import Explanation
+from .naming import LEAST, Naming
 from .numbers import Number, numbers_of
 from .refine import Fitted
 from .unsteady_effect import Unsteady
 
-Z95 = 1.959964
 MOST_RIVALS = 5
 
 
@@ -75,10 +72,9 @@ def best_with(naming: Naming, effect: str) -> Fitted:
 
 def intervals(fitted: Fitted) -> dict[str, tuple[float, float]]:
     """95 % intervals, "effect.number" -> low, high; shapes have none."""
-    deviation = np.sqrt(np.diag(fitted.covariance))
     return {
-        n.full: (fitted.values[n.full] - Z95 * float(s), fitted.values[n.full] + Z95 * float(s))
-        for n, s in zip(fitted.numbers, deviation, strict=True)
+        n.full: (fitted.values[n.full] - float(w), fitted.values[n.full] + float(w))
+        for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)
     }
 
 

@@ -1,0 +1,1 @@
+"""Flights with hidden effects at scale, for statistics on what a compensator learns."""

@@ -1,0 +1,89 @@
+"""Residual flights of the simulated aircraft, kept on disk beside the flights.
+
+    DIR/residuals/NAME/FLIGHT-KEY.parquet
+
+KEY is a hash of flight, vehicle file, rate, horizon and the sources that make residuals, those of
+`twin` but for `twin.explain` among them: when one changes, the file is made anew, and the old one
+removed.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+
+import twin
+from learning import channels, flights, restarts
+from learning.flights import DEFAULT_HORIZON_S, DEFAULT_RATE_HZ, ResidualFlight, residual_flight
+from learning.residual_table import read_residuals, write_residuals
+from twin.flightlog import read_flight
+from twin.vehicle_file import load_vehicle
+
+from .simulated import VEHICLE, Individual
+
+
+def residuals(
+    out: Path,
+    wanted: Sequence[Individual],
+    use: str,
+    jobs: int = 1,
+    rate_hz: float = DEFAULT_RATE_HZ,
+    horizon_s: float = DEFAULT_HORIZON_S,
+) -> dict[str, list[ResidualFlight]]:
+    """Residual flights of aircraft that have been produced, by the name of the aircraft.
+
+    Args:
+        out: Folder of `simulated.produce`.
+        wanted: Aircraft.
+        use: "train" or "test".
+        jobs: Processes.
+        rate_hz: Of the grid.
+        horizon_s: From the restart to the reading.
+    """
+    files = [(i.name, f, i.folder(out) / VEHICLE) for i in wanted for f in i.files(out, use)]
+    caches = [out / "residuals" / name for name, _, _ in files]
+    arguments = (
+        [f for _, f, _ in files],
+        [v for _, _, v in files],
+        caches,
+        repeat(rate_hz),
+        repeat(horizon_s),
+        repeat(_state()),
+    )
+    if jobs == 1:
+        made = list(map(_residual, *arguments))
+    else:
+        with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+            made = list(pool.map(_residual, *arguments))
+    found: dict[str, list[ResidualFlight]] = {i.name: [] for i in wanted}
+    for (name, _, _), flight in zip(files, made, strict=True):
+        found[name].append(flight)
+    return found
+
+
+def _residual(
+    path: Path, vehicle: Path, cache: Path, rate_hz: float, horizon_s: float, state: str
+) -> ResidualFlight:
+    digest = hashlib.sha256(f"{state} {rate_hz:.17g} {horizon_s:.17g}".encode())
+    for file in (path, vehicle):
+        digest.update(file.read_bytes())
+    kept = cache / f"{path.stem}-{digest.hexdigest()[:16]}.parquet"
+    if not kept.is_file():
+        flight = residual_flight(read_flight(path), load_vehicle(str(vehicle)), rate_hz, horizon_s)
+        cache.mkdir(parents=True, exist_ok=True)
+        for old in cache.glob(f"{path.stem}-*"):
+            old.unlink()
+        partial = kept.with_suffix(".partial")
+        write_residuals([flight], partial)
+        partial.replace(kept)
+    return read_residuals(kept)[0]
+
+
+def _state() -> str:
+    """Hash of the sources that make residuals."""
+    root = Path(next(iter(twin.__path__)))
+    files = [f for f in sorted(root.rglob("*.py")) if "explain" not in f.relative_to(root).parts]
+    files += [Path(str(m.__file__)) for m in (channels, flights, restarts)]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()

@@ -1,0 +1,109 @@
+"""Figures of the compensator's pages."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from .figures import pretty_unit
+
+Array = NDArray[np.float64]
+MAX_POINTS = 4000
+"""Samples of one trace above which the plot, never the numbers, is thinned."""
+_LINES = {  # colour, dash, width: the same in every report
+    "measured": ("#000000", "solid", 1.2),
+    "twin": ("#1f5fd0", "dash", 1.5),
+    "explained twin": ("#2f8f5b", "dash", 1.5),
+    "corrected twin": ("#e07b1a", "solid", 1.5),
+}
+_GREY = "#8a8f98"
+_LOSSES = {"reconstruction": "#1f5fd0", "quantiser": "#8a4fbf", "distribution": "#b58900",
+           "validation": "#000000"}  # fmt: skip
+
+
+def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> go.Figure:
+    """Parts of the loss and the validation error over the epochs.
+
+    Args:
+        curve: One entry per epoch.
+        best_epoch: The one whose weights were kept.
+    """
+    figure = go.Figure()
+    for name, colour in _LOSSES.items():
+        points = [(e["epoch"], e[name]) for e in curve if e.get(name)]
+        if not points:
+            continue
+        x, y = zip(*points, strict=True)
+        mode = "lines+markers" if name == "validation" else "lines"
+        figure.add_scatter(x=x, y=y, name=name, mode=mode, line={"color": colour, "width": 1.5})
+    figure.add_vline(x=best_epoch, line={"color": _GREY, "dash": "dot"}, annotation_text="kept")
+    figure.update_xaxes(title_text="epoch")
+    figure.update_yaxes(title_text="loss, standardised units", type="log")
+    return _styled(figure, 380)
+
+
+def correction_figure(
+    name: str, unit: str, t_s: Array, lines: Mapping[str, Array], spread: Array
+) -> go.Figure:
+    """Measured, twin, explained twin and corrected twin over time, and what is left below.
+
+    Args:
+        name: Of the channel.
+        unit: Of the channel.
+        t_s: Times of the samples, shape (n,).
+        lines: Some of `_LINES`, shape (n,) each; "measured" and "corrected twin" among them.
+        spread: Predicted standard deviation of what is left, shape (n,).
+    """
+    every = max(1, -(-len(t_s) // MAX_POINTS))
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.62, 0.38],
+                           vertical_spacing=0.06)  # fmt: skip
+    t = _thin(t_s, every)
+    for line, values in lines.items():
+        colour, dash, width = _LINES[line]
+        figure.add_scatter(x=t, y=_thin(values, every), name=line, mode="lines",
+                           line={"color": colour, "dash": dash, "width": width},
+                           row=1, col=1)  # fmt: skip
+    for line in ("twin", "corrected twin"):
+        left = lines["measured"] - lines[line]
+        figure.add_scatter(x=t, y=_thin(left, every), name=f"measured - {line}", mode="lines",
+                           line={"color": _LINES[line][0], "width": 1}, row=2, col=1)  # fmt: skip
+    edge = _thin(2 * spread, every)
+    for sign, fill in ((1, None), (-1, "tonexty")):
+        figure.add_scatter(x=t, y=[sign * e for e in edge], name="two predicted spreads",
+                           mode="lines", line={"width": 0}, fill=fill,
+                           fillcolor="rgba(138,143,152,.22)", showlegend=sign < 0,
+                           hoverinfo="skip", row=2, col=1)  # fmt: skip
+    shown = escape(pretty_unit(unit))
+    figure.update_yaxes(title_text=f"{escape(name)}, {shown}", row=1, col=1)
+    figure.update_yaxes(title_text=f"left, {shown}", row=2, col=1)
+    figure.update_xaxes(title_text="time, s", row=2, col=1)
+    return _styled(figure, 420)
+
+
+def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
+    """Anomaly score over time, with the level that one training sample in 100 exceeds."""
+    every = max(1, -(-len(t_s) // MAX_POINTS))
+    figure = go.Figure()
+    figure.add_scatter(x=_thin(t_s, every), y=_thin(anomaly, every), mode="lines",
+                       line={"color": "#c23b66", "width": 1.2}, name="anomaly score")  # fmt: skip
+    figure.add_hline(y=1, line={"color": _GREY, "dash": "dot"}, annotation_text="1 in 100")
+    figure.update_xaxes(title_text="time, s")
+    figure.update_yaxes(title_text="anomaly score", rangemode="tozero")
+    return _styled(figure, 260)
+
+
+def _thin(values: Array, every: int) -> list[float]:
+    return [float(f"{v:.6g}") for v in np.asarray(values, dtype=np.float64)[::every]]
+
+
+def _styled(figure: go.Figure, height: int) -> go.Figure:
+    figure.update_layout(
+        template="plotly_white", height=height, margin={"l": 76, "r": 20, "t": 24, "b": 44},
+        font={"family": "system-ui, 'Segoe UI', sans-serif", "size": 12},
+        legend={"orientation": "h", "y": 1.04, "yanchor": "bottom"},
+    )  # fmt: skip
+    return figure

@@ -1,0 +1,128 @@
+/* A learned compensator as a model: a network that runs at the sample instants.
+ *
+ * Included at the end of part_NAME.c, which holds the tables and `network`, the C that emx-onnx-cgen
+ * makes of an ONNX file. Inputs: virtual signals, commands, phase and, with N_GROUPS > 0, measured signals
+ * and a truth value per sensor. Outputs: correction, corrected signals, spread, anomaly, inside.
+ *
+ * States are those of the network, then what it put out, held until the next instant. The first instant is
+ * a period after the start; until then the correction is zero. So an output never depends on an input
+ * within an instant, apart from a corrected signal on its own: corrected = input + correction.
+ */
+#define SPREAD (N_NETWORK + N_CHANNELS) /* in the states, after the correction */
+#define ANOMALY (SPREAD + N_CHANNELS)
+#define INSIDE (ANOMALY + 1)
+
+/* The functions of the C library differ from platform to platform in the last bits, and are not compiled in
+ * line. These are of float accuracy. exp: 2^n times a polynomial; Cephes, expf.c. */
+static inline float network_exp(float x) {
+    x = x > 88.0f ? 88.0f : x;
+    x = x < -87.0f ? -87.0f : x;
+    const float shift = 12582912.0f; /* 1.5 * 2^23: leaves no place for a fraction */
+    const float n = (x * 1.44269504f + shift) - shift;
+    const float r = (x - n * 0.693359375f) + n * 2.12194440e-4f;
+    float y = 1.9875691500e-4f;
+    y = y * r + 1.3981999507e-3f;
+    y = y * r + 8.3334519073e-3f;
+    y = y * r + 4.1665795894e-2f;
+    y = y * r + 1.6666665459e-1f;
+    y = y * r + 5.0000001201e-1f;
+    y = (y * r) * r + r + 1.0f;
+    const int32_t bits = ((int32_t)n + 127) * (1 << 23);
+    float power;
+    memcpy(&power, &bits, sizeof power);
+    return y * power;
+}
+
+/* A quotient of polynomials; Eigen, GenericPacketMathFunctions.h, ptanh_float. */
+static inline float network_tanh(float x) {
+    x = x > 7.9f ? 7.9f : x;
+    x = x < -7.9f ? -7.9f : x;
+    const float s = x * x;
+    float p = -2.76076847742355e-16f, q = 1.19825839466702e-06f;
+    p = p * s + 2.00018790482477e-13f;
+    p = p * s + -8.60467152213735e-11f;
+    p = p * s + 5.12229709037114e-08f;
+    p = p * s + 1.48572235717979e-05f;
+    p = p * s + 6.37261928875436e-04f;
+    p = p * s + 4.89352455891786e-03f;
+    q = q * s + 1.18534705686654e-04f;
+    q = q * s + 2.26843463243900e-03f;
+    q = q * s + 4.89352518554385e-03f;
+    return (p * x) / q;
+}
+
+static inline float network_max(float a, float b) { return a > b ? a : b; }
+
+static void model_initial(const Part* p, double* x) {
+    static const double spread[N_CHANNELS] = INITIAL_SPREAD;
+    (void)p;
+    memset(x, 0, N_STATES * sizeof *x);
+    memcpy(x + SPREAD, spread, sizeof spread);
+}
+
+static void narrowed(const double* from, float* to, int n) {
+    for (int i = 0; i < n; i++) to[i] = (float)from[i];
+}
+
+static void widened(const float* from, double* to, int n) {
+    for (int i = 0; i < n; i++) to[i] = from[i];
+}
+
+static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
+    static const unsigned char group[N_CHANNELS] = GROUP_OF_CHANNEL;
+    const double* u = p->v + FIRST_INPUT;
+    float signals[1][N_CHANNELS], command[1][N_COMMANDS], phase[1][1], measured[1][N_CHANNELS] = {{0}},
+        valid[1][N_CHANNELS] = {{0}}, before[1][N_NETWORK], after[1][N_NETWORK], correction[1][N_CHANNELS],
+        spread[1][N_CHANNELS], anomaly[1][1], inside[1][1];
+    (void)noise, (void)delayed;
+    narrowed(u, signals[0], N_CHANNELS);
+    narrowed(u += N_CHANNELS, command[0], N_COMMANDS);
+    narrowed(u += N_COMMANDS, phase[0], 1);
+    if (N_GROUPS) {
+        narrowed(u += 1, measured[0], N_CHANNELS);
+        u += N_CHANNELS;
+        for (int i = 0; i < N_CHANNELS; i++) valid[0][i] = (float)u[group[i]];
+    }
+    narrowed(p->x, before[0], N_NETWORK);
+    network(signals, command, phase, measured, valid, before, correction, spread, anomaly, inside, after);
+    widened(after[0], x_next, N_NETWORK);
+    widened(correction[0], x_next + N_NETWORK, N_CHANNELS);
+    widened(spread[0], x_next + SPREAD, N_CHANNELS);
+    widened(anomaly[0], x_next + ANOMALY, 1);
+    widened(inside[0], x_next + INSIDE, 1);
+}
+
+static void model_outputs(Part* p) {
+    const double *u = p->v + FIRST_INPUT, *correction = p->x + N_NETWORK;
+    double* y = p->v + FIRST_OUTPUT;
+    for (int i = 0; i < N_CHANNELS; i++) {
+        y[i] = correction[i];
+        y[N_CHANNELS + i] = u[i] + correction[i];
+        y[2 * N_CHANNELS + i] = p->x[SPREAD + i];
+    }
+    y[3 * N_CHANNELS] = p->x[ANOMALY];
+    y[3 * N_CHANNELS + 1] = p->x[INSIDE];
+}
+
+/* What is held does not change with the inputs, at the start neither. */
+static void model_tangent(const Part* p, int starting, const double* noise, double* change) {
+    (void)p, (void)starting, (void)noise;
+    memset(change + FIRST_OUTPUT, 0, (N_VARIABLES - FIRST_OUTPUT) * sizeof *change);
+    memcpy(change + FIRST_OUTPUT + N_CHANNELS, change + FIRST_INPUT, N_CHANNELS * sizeof *change);
+}
+
+static const Sampling sampling = {.period = SAMPLE_PERIOD, .first = 1, .update = model_update};
+
+const Model MODEL = {
+    .n_variables = N_VARIABLES,
+    .first_input = FIRST_INPUT,
+    .first_output = FIRST_OUTPUT,
+    .variables = variables,
+    .n_states = N_STATES,
+    .state_names = state_names,
+    .max_step = MAX_STEP,
+    .sampling = &sampling,
+    .initial = model_initial,
+    .outputs = model_outputs,
+    .tangent = model_tangent,
+};

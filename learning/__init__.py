@@ -1,0 +1,1 @@
+"""Compensator: what no named effect explains, learned from residuals (needs the extra `learn`)."""

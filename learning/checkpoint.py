@@ -1,0 +1,90 @@
+"""Where a training stands, so that it can go on after a kill: one safetensors file."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from twin.errors import ModelError
+
+CHECKPOINT = "checkpoint.safetensors"
+
+
+@dataclass(slots=True)
+class Standing:
+    """Where a training stands, besides its tensors.
+
+    Attributes:
+        training: Hash of all that decides the weights.
+        epoch: Epochs done.
+        best_epoch: Epoch with the smallest validation error; its weights are kept.
+        best_error: That error; None before the first look.
+        curve: One entry per epoch.
+    """
+
+    training: str
+    epoch: int = 0
+    best_epoch: int = 0
+    best_error: float | None = None
+    curve: list[dict[str, Any]] = field(default_factory=list)
+
+
+def save_checkpoint(
+    folder: Path,
+    standing: Standing,
+    weights: Mapping[str, Tensor],
+    best: Mapping[str, Tensor],
+    optimiser: torch.optim.Optimizer,
+) -> None:
+    """Write everything in one go; a kill meanwhile leaves the checkpoint before."""
+    tensors = {f"weights.{k}": v for k, v in weights.items()}
+    tensors |= {f"best.{k}": v for k, v in best.items()}
+    for number, state in optimiser.state_dict()["state"].items():
+        tensors |= {f"optimiser.{number}.{k}": v for k, v in state.items()}
+    part = folder / f"{CHECKPOINT}.part"
+    copies = {k: v.detach().clone().contiguous() for k, v in tensors.items()}
+    save_file(copies, part, metadata={"standing": json.dumps(asdict(standing))})
+    os.replace(part, folder / CHECKPOINT)
+
+
+def load_checkpoint(
+    folder: Path, training: str, optimiser: torch.optim.Optimizer
+) -> tuple[Standing, dict[str, Tensor], dict[str, Tensor]] | None:
+    """Standing, weights and best weights; the optimiser takes up its state. None without one.
+
+    Raises:
+        ModelError: The checkpoint is of another training, or not readable.
+    """
+    path = folder / CHECKPOINT
+    if not path.is_file():
+        return None
+    try:
+        with safe_open(path, framework="pt") as file:
+            standing = Standing(**json.loads(file.metadata()["standing"]))
+            tensors = {k: file.get_tensor(k) for k in file.keys()}  # noqa: SIM118 - no mapping
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise ModelError(f"{path}: not readable ({error}); delete it to train anew") from error
+    if standing.training != training:
+        raise ModelError(
+            f"{path}: of another training (other flights, preset, protocol, horizon or seed); "
+            "delete it, or train into another folder"
+        )
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, tensor in tensors.items():
+        if name.startswith("optimiser."):
+            _, number, key = name.split(".")
+            state.setdefault(int(number), {})[key] = tensor
+    groups = optimiser.state_dict()["param_groups"]
+    optimiser.load_state_dict({"state": state, "param_groups": groups})
+    return standing, _under(tensors, "weights."), _under(tensors, "best.")
+
+
+def _under(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}

@@ -1,0 +1,115 @@
+"""A small builder of ONNX graphs: operators as calls, numbers as arrays, always the same bytes."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import onnx
+from numpy.typing import ArrayLike, NDArray
+from onnx import TensorProto, helper, numpy_helper
+
+OPSET = 17
+"""Operators as of ONNX 1.12, 2022; onnxruntime 1.12 and later run them."""
+IR_VERSION = 8
+"""Of the file, as of ONNX 1.12."""
+
+
+class Graph:
+    """A graph of float32 tensors that grows by one operator per call.
+
+    Args:
+        name: Of the graph.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self._nodes: list[onnx.NodeProto] = []
+        self._constants: dict[tuple[bytes, str, tuple[int, ...]], str] = {}
+        self._initializers: list[onnx.TensorProto] = []
+        self._inputs: list[onnx.ValueInfoProto] = []
+        self._outputs: list[onnx.ValueInfoProto] = []
+
+    def input(self, name: str, width: int) -> str:
+        """An input of shape (1, width)."""
+        self._inputs.append(_row(name, width))
+        return name
+
+    def output(self, name: str, width: int, kind: str, *inputs: str, **attributes: Any) -> None:
+        """An operator whose one output, of shape (1, width), leaves the graph under a name."""
+        node = helper.make_node(kind, inputs, [name], name=name, **attributes)
+        self._nodes.append(node)
+        self._outputs.append(_row(name, width))
+
+    def floats(self, values: ArrayLike) -> str:
+        """A constant of float32."""
+        return self._constant(np.asarray(values, dtype=np.float32))
+
+    def integers(self, *values: int) -> str:
+        """A constant vector of int64: sizes, places, axes."""
+        return self._constant(np.asarray(values, dtype=np.int64))
+
+    def op(self, kind: str, *inputs: str, **attributes: Any) -> str:
+        """An operator with one output."""
+        return self._node(kind, inputs, 1, attributes)[0]
+
+    def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
+        """Parts of a tensor along an axis; those of size 0 are left out, as ""."""
+        kept = [n for n in sizes if n]
+        if len(kept) == 1:
+            parts = iter([value])
+        else:
+            names = self._node("Split", (value, self.integers(*kept)), len(kept), {"axis": axis})
+            parts = iter(names)
+        return [next(parts) if n else "" for n in sizes]
+
+    def concat(self, *values: str, axis: int) -> str:
+        """Tensors side by side; empty names are left out."""
+        kept = [v for v in values if v]
+        return kept[0] if len(kept) == 1 else self.op("Concat", *kept, axis=axis)
+
+    def columns(self, value: str, first: int, last: int) -> str:
+        """Columns first to last - 1 of a matrix."""
+        return self.op("Slice", value, self.integers(first), self.integers(last), self.integers(1))
+
+    def reshape(self, value: str, *shape: int) -> str:
+        """The same numbers in another shape."""
+        return self.op("Reshape", value, self.integers(*shape))
+
+    def model(self, description: str) -> onnx.ModelProto:
+        """The finished model, checked.
+
+        Raises:
+            onnx.checker.ValidationError: An operator does not fit its inputs.
+        """
+        graph = helper.make_graph(
+            self._nodes, self.name, self._inputs, self._outputs, self._initializers
+        )
+        model = helper.make_model(
+            graph,
+            opset_imports=[helper.make_opsetid("", OPSET)],
+            ir_version=IR_VERSION,
+            producer_name="uavtwin",
+            doc_string=description,
+        )
+        onnx.checker.check_model(model, full_check=True)
+        return model
+
+    def _constant(self, values: NDArray[Any]) -> str:
+        key = (values.tobytes(), values.dtype.name, values.shape)
+        if key not in self._constants:
+            self._constants[key] = name = f"constant_{len(self._constants)}"
+            self._initializers.append(numpy_helper.from_array(values, name))
+        return self._constants[key]
+
+    def _node(
+        self, kind: str, inputs: tuple[str, ...], outputs: int, attributes: Mapping[str, Any]
+    ) -> list[str]:
+        number = len(self._nodes)
+        names = [f"{kind.lower()}_{number}_{i}" for i in range(outputs)]
+        node = helper.make_node(kind, inputs, names, name=f"{kind}_{number}", **attributes)
+        self._nodes.append(node)
+        return names
+
+
+def _row(name: str, width: int) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])

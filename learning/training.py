@@ -1,0 +1,379 @@
+"""Training: flights in, compensator out; the same seed gives the same bytes.
+
+A training that was cut off goes on from its last checkpoint and ends with the bytes that it would
+have had uninterrupted. One torch thread: small matrices gain nothing from two, and lose a lot when
+the machine is shared.
+"""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from twin.errors import ModelError
+
+from .base import choose_ridges, fit_base, gates, predict_base, time_blocks
+from .channels import CHANNELS, N_PHASES
+from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from .clustering import clusters_of
+from .compensator import Compensator, ModelInfo
+from .flights import ResidualFlight
+from .losses import Losses, losses
+from .model_folder import CURVE, MODEL, load, save, write_json
+from .network import ClusterNetwork, NetworkOut, SvqNetwork
+from .preset import Preset, Protocol, preset_json
+from .scaling import fit_scaling, in_spans
+from .sequences import check_protocol, sequences
+from .windows import TrainingSamples, validation_rows
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Progress = Callable[[float, float | None], None]
+"""Called with the share done, 0..1, and the seconds left, None while not known."""
+
+ANOMALY_QUANTILE = 0.99
+SLOWEST_RATE = 0.01
+"""Share of the learning rate at the end of its schedule."""
+
+
+def train(
+    flights: Sequence[ResidualFlight],
+    preset: Preset,
+    protocol: Protocol,
+    horizon: int,
+    seed: int,
+    folder: Path,
+    progress: Progress | None = None,
+    resume: bool = True,
+    vehicle: str = "",
+    vehicle_sha256: str = "",
+    checkpoint_s: float = 15.0,
+) -> Compensator:
+    """Train on all flights and write the model's folder: weights, description, learning curve.
+
+    Args:
+        flights: At one rate and with one number of commands.
+        preset: Hyper-parameters.
+        protocol: What the model sees.
+        horizon: Samples, in `track`; else 0.
+        seed: Of everything that is drawn.
+        folder: Made if it does not exist.
+        progress: Called after each epoch.
+        resume: Go on from the folder's checkpoint, or take its model if it is this training's.
+        vehicle: Name of the twin's vehicle, to be written down.
+        vehicle_sha256: Of its file.
+        checkpoint_s: Seconds between two checkpoints.
+
+    Raises:
+        ModelError: The flights do not fit together, or the folder belongs to another training.
+    """
+    _check_flights(flights)
+    check_protocol(protocol, horizon)
+    about = [_flight_about(f) for f in flights]
+    training = _hash([preset_json(preset), protocol, horizon, seed, about])
+    folder.mkdir(parents=True, exist_ok=True)
+    if resume and (folder / MODEL).is_file():
+        done = load(folder)
+        if done.info.training == training:
+            return done
+    if not resume:
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    with _one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        task = _Task(flights, preset, protocol, horizon, seed)
+        standing = _fit(task, training, folder, progress or (lambda *_: None), checkpoint_s)
+        task.calibrate()
+    compensator = task.compensator
+    compensator.info = replace(
+        compensator.info,
+        vehicle=vehicle,
+        vehicle_sha256=vehicle_sha256,
+        flights=tuple(about),
+        training=training,
+        metrics=task.metrics(standing),
+    )
+    write_json(folder / CURVE, standing.curve)
+    save(compensator, folder)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    return compensator.eval()
+
+
+class _Task:
+    """Everything that training one model needs, besides the optimiser."""
+
+    def __init__(
+        self,
+        flights: Sequence[ResidualFlight],
+        preset: Preset,
+        protocol: Protocol,
+        horizon: int,
+        seed: int,
+    ) -> None:
+        self.preset, self.seed = preset, seed
+        held_back = validation_rows(flights, preset.validation_share, seed)
+        usable = [in_spans(f) for f in flights]
+        clusters = clusters_of(preset, flights, usable, seed)
+        rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]
+        self.compensator = Compensator(
+            ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
+        )
+        scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
+        self.compensator.set_scaling(scaling)
+        self.spans = sequences(flights, self.compensator.scaling(), protocol, horizon)
+        held = [held_back[s.flight][s.rows, None] for s in self.spans]
+        self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
+        self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
+        self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
+        self.ridges = choose_ridges(self.spans, self.train, self.validate, protocol, rate_hz)
+        base = fit_base(self.spans, self.train, protocol, self.ridges)
+        predicted = [predict_base(s, base, protocol) for s in self.spans]
+        self.left = [s.d - p for s, p in zip(self.spans, predicted, strict=True)]
+        self.leftover = np.ones(len(CHANNELS))
+        if protocol != "reconstruct":
+            square = _mean_square(self.left, self.train)
+            self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
+        self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
+        passed = 1 - base.sum(1) if protocol == "track" else np.ones(len(CHANNELS))
+        if protocol == "free":  # the residual is no input: it cannot be drawn anew
+            self.preset = replace(preset, augment=0.0)
+        self.samples = TrainingSamples(
+            self.spans, [e / self.leftover for e in self.left], self.train, passed / self.leftover
+        )
+
+    @property
+    def network(self) -> SvqNetwork:
+        """That which is trained."""
+        return self.compensator.network
+
+    def validation_error(self) -> float:
+        """Mean over the channels of the mean square error on validation time, standardised."""
+        errors = [
+            left / self.leftover - out.y.double().numpy()
+            for left, out in zip(self.left, self.compensator.outputs(self.spans), strict=True)
+        ]
+        square = _mean_square(errors, self.validate)
+        known = np.any([m.any(0) for m in self.validate], axis=0)
+        return float(square[known].mean()) if known.any() else math.nan
+
+    def calibrate(self) -> None:
+        """Gates, spreads and the anomaly's scale, from the validation time.
+
+        The linear prediction at last is fitted to all samples, with the ridges chosen before.
+        """
+        model = self.compensator
+        everything = [s.fresh for s in self.spans]
+        base = fit_base(self.spans, everything, model.info.protocol, self.ridges)
+        model.base.copy_(torch.from_numpy(base))
+        phases = np.concatenate([s.phase for s in self.spans])
+        self.network.fill_unseen([bool(np.any(phases == p)) for p in range(N_PHASES)])
+        outs = model.outputs(self.spans)
+        y = np.concatenate([self.leftover * o.y.double().numpy() for o in outs])
+        left, validate = np.concatenate(self.left), np.concatenate(self.validate)
+        gate = self.measured.astype(np.float64)
+        if model.info.protocol != "reconstruct":
+            gate *= gates(y, left, validate, time_blocks(self.spans, model.info.rate_hz))
+        model.gate.copy_(torch.from_numpy(gate))
+        self.error_without = _mean_square([left], [validate])
+        self.error_with = _mean_square([left - gate * y], [validate])
+        scored = np.where(validate.any(0), validate, np.concatenate(self.train))
+        model.spread_factor.copy_(
+            torch.from_numpy(_spread_factor(left - gate * y, outs, scored, phases))
+        )
+        distance = torch.cat([o.distance for o in outs])
+        quantile = torch.quantile(distance[_some(len(distance))], ANOMALY_QUANTILE, dim=0)
+        model.anomaly_scale.copy_(quantile.clamp(min=1e-12))
+
+    def metrics(self, standing: Standing) -> dict[str, Any]:
+        """What is written down about the training."""
+        rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
+        return {
+            "epochs": standing.epoch,
+            "best_epoch": standing.best_epoch,
+            "validation_mse": {
+                name: {"linear": float(a), "with_network": float(b)} for name, a, b in rows
+            },
+        }
+
+
+def _fit(
+    task: _Task, training: str, folder: Path, progress: Progress, checkpoint_s: float
+) -> Standing:
+    """Run the epochs that are left; the network ends with its best weights."""
+    preset, network = task.preset, task.network
+    optimiser = _optimiser(network, preset)
+    standing, best = Standing(training), _copy(network)
+    found = load_checkpoint(folder, training, optimiser)
+    if found is not None:
+        standing, weights, best = found
+        network.load_state_dict(weights)
+    began, done_before = time.monotonic(), standing.epoch
+    saved = began
+    while standing.epoch < preset.epochs and not _tired(standing, preset):
+        entry = _epoch(task, optimiser, standing.epoch)
+        standing.epoch += 1
+        if standing.epoch % preset.validate_every == 0 or standing.epoch == preset.epochs:
+            error = task.validation_error()
+            entry["validation"] = error if math.isfinite(error) else None
+            better = standing.best_error is None or error < standing.best_error
+            if better or not math.isfinite(error):
+                standing.best_error, standing.best_epoch = entry["validation"], standing.epoch
+                best = _copy(network)
+        standing.curve.append(entry)
+        now = time.monotonic()
+        if now - saved >= checkpoint_s:
+            save_checkpoint(folder, standing, network.state_dict(), best, optimiser)
+            saved = time.monotonic()
+        per_epoch = (now - began) / (standing.epoch - done_before)
+        progress(standing.epoch / preset.epochs, per_epoch * (preset.epochs - standing.epoch))
+    network.load_state_dict(best)
+    progress(1.0, 0.0)
+    return standing
+
+
+def _epoch(task: _Task, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
+    """One pass over the training windows; mean losses."""
+    preset, network = task.preset, task.network
+    rate = preset.learning_rate * _schedule(preset, epoch)
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    quantisers = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
+    state = torch.zeros(0)
+    sums, steps = np.zeros(4), 0
+    for window in task.samples.windows(preset, task.seed, epoch):
+        if window.begins:
+            state = torch.zeros(len(window.known), network.state_size)
+        out, state = network(window.known, window.features, window.phase, state.detach())
+        if not bool(window.scored.any()):
+            continue
+        parts = losses(out, window.target, window.scored, network.clusters, quantisers, preset)
+        optimiser.zero_grad(set_to_none=True)
+        parts.total.backward()  # type: ignore[no-untyped-call]
+        if preset.clip is not None:
+            torch.nn.utils.clip_grad_norm_(network.parameters(), preset.clip)
+        optimiser.step()
+        sums += _numbers(parts)
+        steps += 1
+    means = sums / max(steps, 1)
+    if not np.all(np.isfinite(means)):
+        raise ModelError(
+            f"training: the loss is not finite in epoch {epoch + 1}; lower the preset's "
+            f"learning_rate ({preset.learning_rate:g})"
+        )
+    names = ("reconstruction", "quantiser", "distribution", "spread")
+    entry = dict(zip(names, (float(m) for m in means), strict=True))
+    return {"epoch": epoch + 1, "learning_rate": rate, **entry, "validation": None}
+
+
+def _numbers(parts: Losses) -> Array:
+    values = (parts.reconstruction, parts.quantiser, parts.distribution, parts.spread)
+    return np.array([float(v.detach()) for v in values])
+
+
+def _schedule(preset: Preset, epoch: int) -> float:
+    if preset.schedule == "constant":
+        return 1.0
+    share = (1 + math.cos(math.pi * epoch / preset.epochs)) / 2
+    return SLOWEST_RATE + (1 - SLOWEST_RATE) * share
+
+
+def _tired(standing: Standing, preset: Preset) -> bool:
+    if preset.patience is None or standing.best_error is None:
+        return False
+    return standing.epoch - standing.best_epoch >= preset.patience
+
+
+def _optimiser(network: SvqNetwork, preset: Preset) -> torch.optim.Optimizer:
+    rate, parameters = preset.learning_rate, list(network.parameters())
+    if preset.optimiser == "adamw":
+        return torch.optim.AdamW(parameters, lr=rate, weight_decay=preset.weight_decay, fused=True)
+    return torch.optim.Adam(parameters, lr=rate, fused=True)
+
+
+def _copy(network: SvqNetwork) -> dict[str, Tensor]:
+    return {k: v.detach().clone() for k, v in network.state_dict().items()}
+
+
+def _spread_factor(
+    error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: NDArray[np.intp]
+) -> Array:
+    """Rms of error over predicted spread per phase and channel, shape (phases, 15).
+
+    A phase without enough samples of a channel gets that of all phases, a channel without any 0.
+    """
+    log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
+    square = np.where(scored, (error * np.exp(-log_spread)) ** 2, 0.0)
+    count = scored.sum(0)
+    factor = np.tile(np.sqrt(square.sum(0) / np.maximum(count, 1)), (N_PHASES, 1))
+    for p in range(N_PHASES):
+        here = phases == p
+        count = scored[here].sum(0)
+        enough = count >= ENOUGH
+        factor[p, enough] = np.sqrt(square[here].sum(0) / np.maximum(count, 1))[enough]
+    return factor
+
+
+ENOUGH = 20
+"""Samples of a channel in a phase from which a spread is told."""
+
+
+def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
+    """Per channel over all spans, 0 without samples, shape (15,)."""
+    error, count = np.concatenate(errors), np.concatenate(scored)
+    return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))
+
+
+def _some(n: int, most: int = 100_000) -> slice:
+    """Every k-th sample, so that at most so many are sorted."""
+    return slice(0, n, -(-n // most))
+
+
+def _check_flights(flights: Sequence[ResidualFlight]) -> None:
+    if not flights:
+        raise ModelError("training needs at least one flight")
+    kinds = {(f.rate_hz, f.commands.shape[1]) for f in flights}
+    if len(kinds) > 1:
+        said = ", ".join(f"{r:g} Hz with {m} motor commands" for r, m in sorted(kinds))
+        raise ModelError(f"training flights differ: {said}; train on flights of one kind")
+    for flight in flights:
+        if not flight.spans or not flight.fresh[in_spans(flight)].any():
+            raise ModelError(
+                f"{flight.name}: no span with a measured residual; leave this flight out"
+            )
+
+
+def _flight_about(flight: ResidualFlight) -> dict[str, Any]:
+    digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
+    arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
+    for array in (*arrays, flight.fresh, flight.phase.astype(np.int64)):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    samples = int(in_spans(flight).sum())
+    return {
+        "name": flight.name,
+        "sha256": digest.hexdigest(),
+        "samples": samples,
+        "seconds": samples / flight.rate_hz,
+    }
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+@contextmanager
+def _one_thread() -> Any:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,184 @@
+"""Compensator: sample by sample as in one go, causal, zero where it must be, refuses what it must.
+
+`step` works in float32 on measured and virtual signals, `run` on residuals in float64: they agree
+to some 1e-6 of each channel's size.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from residual_rig import UNITS, made_up, tiny
+
+from learning.channels import CHANNELS
+from learning.clustering import clusters_of
+from learning.compensator import Compensator, ModelInfo
+from learning.corrected import Corrected
+from learning.flights import ResidualFlight
+from learning.preset import Preset
+from learning.scaling import UNLIMITED, fit_scaling, in_spans
+from twin.errors import ModelError
+
+PROTOCOLS = [("reconstruct", 0), ("track", 1), ("track", 7), ("free", 0)]
+FLIGHT = made_up(0, every=3)
+
+
+def untrained(protocol: str, horizon: int, preset: Preset, seed: int = 0) -> Compensator:
+    """A compensator whose every weight and buffer is something, as after training."""
+    torch.manual_seed(seed)
+    chosen = [in_spans(FLIGHT)]
+    clusters = clusters_of(preset, [FLIGHT], chosen, seed)
+    commands = FLIGHT.commands.shape[1]
+    info = ModelInfo(preset, protocol, horizon, FLIGHT.rate_hz, commands, clusters)  # type: ignore[arg-type]
+    model = Compensator(info)
+    model.set_scaling(fit_scaling([FLIGHT], chosen, preset.normalise, 0.0))
+    model.base.normal_(std=0.1)
+    model.gate.uniform_()
+    model.leftover.uniform_()
+    model.spread_factor.uniform_()
+    model.anomaly_scale.uniform_(0.5, 2.0)
+    for parameter in model.parameters():
+        parameter.data += 0.05 * torch.randn_like(parameter)
+    return model
+
+
+@torch.no_grad()
+def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
+    """As a tool would call it: one sample after the other, NaN where nothing was measured."""
+    n = len(flight.t_s)
+    correction, spread = np.zeros((n, 15)), np.tile(model.rms.numpy(), (n, 1))
+    anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    measured = np.where(flight.fresh, flight.virtual + flight.residual, np.nan)
+    for a, b in flight.spans:
+        state = torch.zeros(1, model.state_size)
+        for t in range(a, b):
+            rows = (flight.virtual, flight.commands, flight.phase[:, None], measured, flight.fresh)
+            row = [torch.from_numpy(r[t].astype(np.float32)[None]) for r in rows]
+            found = model.step(*row, state)
+            correction[t], spread[t] = found[0].numpy(), found[1].numpy()
+            anomaly[t], inside[t], state = found[2].item(), found[3].item() > 0.5, found[4]
+    return Corrected(correction, spread, anomaly, inside)
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
+@pytest.mark.parametrize(
+    "changes",
+    [{}, {"skip": False, "spread_head": False, "normalise": "range", "features": False}],
+)
+def test_streaming_is_sequence(protocol: str, horizon: int, changes: dict[str, object]) -> None:
+    model = untrained(protocol, horizon, tiny(**changes))
+    model.low[0] = -0.1  # some samples are outside
+    one, other = streamed(model, FLIGHT), model.run(FLIGHT)
+    np.testing.assert_array_equal(one.inside, other.inside)
+    np.testing.assert_allclose(one.correction / UNITS, other.correction / UNITS, atol=5e-6)
+    np.testing.assert_allclose(one.spread / UNITS, other.spread / UNITS, atol=5e-6)
+    np.testing.assert_allclose(one.anomaly, other.anomaly, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
+@given(row=st.integers(10, 90), channel=st.integers(0, 14))
+@settings(max_examples=8)
+def test_nothing_newer_than_the_horizon_is_used(
+    protocol: str, horizon: int, row: int, channel: int
+) -> None:
+    """A jump of the measurement shows a horizon later, never before; in `free` never at all."""
+    model = untrained(protocol, horizon, tiny())
+    residual = FLIGHT.residual.copy()
+    residual[row, channel] += 10 * UNITS[channel]
+    fresh = FLIGHT.fresh.copy()
+    fresh[row, channel] = True
+    before = replace(FLIGHT, fresh=fresh)
+    change = model.run(replace(before, residual=residual)).correction - model.run(before).correction
+    a, b = FLIGHT.spans[0]
+    seen = np.flatnonzero(np.any(change[a:b] != 0, axis=1))
+    if protocol == "free" or row + horizon >= b:
+        assert not len(seen)
+    else:
+        assert seen[0] == row + horizon
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
+@given(cut=st.integers(2, 99))
+@settings(max_examples=5)
+def test_a_flight_cut_short_is_the_same_up_to_there(protocol: str, horizon: int, cut: int) -> None:
+    model = untrained(protocol, horizon, tiny())
+    arrays = ("t_s", "virtual", "residual", "fresh", "commands", "phase")
+    parts = {name: getattr(FLIGHT, name)[:cut] for name in arrays}
+    short = replace(FLIGHT, spans=((0, cut),), **parts)
+    whole = model.run(FLIGHT).correction[:cut] / UNITS
+    np.testing.assert_allclose(model.run(short).correction / UNITS, whole, atol=1e-5)
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
+def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> None:
+    """Each feature by itself; `reconstruct` only repeats what it is given and knows no envelope."""
+    model = untrained(protocol, horizon, tiny())
+    for number in range(len(model.features)):
+        virtual, commands = FLIGHT.virtual.copy(), FLIGHT.commands.copy()
+        values = virtual if number < 13 else commands
+        column = [c for c in range(15) if CHANNELS[c] not in ("pos_x", "pos_y")][number] \
+            if number < 13 else number - 13  # fmt: skip
+        values[20, column] += 100 * np.ptp(values[:, column])
+        values[21, column] = np.nan
+        found = model.run(replace(FLIGHT, virtual=virtual, commands=commands))
+        outside = [20, 21]
+        if protocol == "reconstruct":
+            assert found.inside[:50].all()
+        else:
+            assert not found.inside[outside].any() and found.inside[:20].all()
+            assert not found.correction[outside].any()
+            np.testing.assert_allclose(found.spread[20], model.rms.numpy())
+
+
+def test_envelope_of_the_training_data_holds_them() -> None:
+    model = untrained("free", 0, tiny())
+    found = model.run(FLIGHT)
+    np.testing.assert_array_equal(found.inside, in_spans(FLIGHT))
+    assert not found.correction[~in_spans(FLIGHT)].any()
+
+
+def test_a_feature_never_seen_limits_nothing() -> None:
+    blind = replace(FLIGHT, virtual=FLIGHT.virtual * np.where(np.arange(15) == 6, np.nan, 1.0))
+    scaling = fit_scaling([blind], [in_spans(blind)], "phase", 0.0)
+    assert scaling.high[6] == UNLIMITED
+    model = untrained("free", 0, tiny())
+    model.set_scaling(scaling)
+    seeing, blinded = model.run(FLIGHT), model.run(blind)
+    assert seeing.inside.any()
+    np.testing.assert_allclose(seeing.correction, blinded.correction, rtol=1e-6)
+
+
+@torch.no_grad()
+def test_state_zero_is_the_mean() -> None:
+    """Before the first measurement the residual is taken to be the phase's mean."""
+    model = untrained("reconstruct", 0, tiny())
+    state = torch.zeros(1, model.state_size)
+    nothing, commands = torch.zeros(1, 15), torch.zeros(1, 2)
+    for phase in (1, 2, 4):
+        code = torch.full((1, 1), float(phase))
+        mean = model.mean[phase][None]
+        unknown = model.step(nothing, commands, code, nothing, nothing, state)[0]
+        at_mean = model.step(nothing, commands, code, mean, torch.ones(1, 15), state)[0]
+        torch.testing.assert_close(unknown, at_mean)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"rate_hz": 50.0}, "50 Hz.*100 Hz"),
+        ({"commands": np.zeros((300, 4))}, "4 motor commands.*with 2"),
+    ],
+)
+def test_other_flights_are_refused(change: dict[str, object], said: str) -> None:
+    model = untrained("free", 0, tiny())
+    with pytest.raises(ModelError, match=said):
+        model.run(replace(FLIGHT, **change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), [("track", 0), ("free", 3), ("reconstruct", 1)])
+def test_horizon_goes_with_the_protocol(protocol: str, horizon: int) -> None:
+    with pytest.raises(ModelError, match=f"{protocol}: horizon {horizon}"):
+        untrained(protocol, horizon, tiny())

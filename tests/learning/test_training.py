@@ -1,0 +1,270 @@
+"""Training: repeatable to the byte, resumable, never worse than without the network."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from residual_rig import made_up, tiny
+from scipy.signal import lfilter
+
+from learning.base import choose_ridges, fit_base, gates, predict_base
+from learning.channels import CHANNELS
+from learning.checkpoint import CHECKPOINT
+from learning.compensator import Compensator
+from learning.flights import ResidualFlight
+from learning.model_folder import CURVE, MODEL, WEIGHTS, load
+from learning.preset import PRESETS, Preset, preset_from_json, preset_json, preset_named
+from learning.scaling import fit_scaling, in_spans
+from learning.sequences import sequences
+from learning.training import train
+from learning.windows import validation_rows
+from twin.errors import ModelError
+
+FLIGHTS = [made_up(0), made_up(1)]
+AWAY = made_up(2)
+FILES = (WEIGHTS, MODEL, CURVE)
+
+
+class KilledError(Exception):
+    pass
+
+
+def kill_after(epochs: int, preset: Preset) -> Callable[[float, float | None], None]:
+    def progress(done: float, left: float | None) -> None:
+        if done >= epochs / preset.epochs - 1e-9:
+            raise KilledError
+
+    return progress
+
+
+def left(model: Compensator, flight: ResidualFlight) -> np.ndarray:
+    """Mean square of what is left, over the spread of the channel, shape (15,)."""
+    error = np.where(flight.fresh, flight.residual - model.run(flight).correction, np.nan)
+    inside = in_spans(flight)
+    found = np.nanmean(error[inside] ** 2, axis=0) / np.nanvar(flight.residual[inside], axis=0)
+    return np.asarray(found)
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), [("reconstruct", 0), ("track", 2), ("free", 0)])
+@pytest.mark.parametrize("optimiser", ["adam", "adamw"])
+def test_killed_and_resumed_is_uninterrupted(
+    protocol: str, horizon: int, optimiser: str, tmp_path: Path
+) -> None:
+    preset = tiny(optimiser=optimiser)
+    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "whole")  # type: ignore[arg-type]
+    for epochs in (1, 3):
+        with pytest.raises(KilledError):
+            train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut",  # type: ignore[arg-type]
+                  progress=kill_after(epochs, preset), checkpoint_s=0)  # fmt: skip
+        assert (tmp_path / "cut" / CHECKPOINT).is_file()
+    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut")  # type: ignore[arg-type]
+    for name in FILES:
+        whole, cut = (tmp_path / folder / name for folder in ("whole", "cut"))
+        assert whole.read_bytes() == cut.read_bytes(), name
+    assert not (tmp_path / "cut" / CHECKPOINT).exists()
+
+
+def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
+    """Whatever was drawn before, and however many threads there are; neither is touched."""
+    threads = torch.get_num_threads()
+    torch.manual_seed(11)
+    train(FLIGHTS, tiny(), "track", 1, 0, tmp_path / "a")
+    torch.set_num_threads(2)
+    torch.manual_seed(12)
+    before = torch.random.get_rng_state()
+    train(FLIGHTS, tiny(), "track", 1, 0, tmp_path / "b")
+    assert torch.equal(before, torch.random.get_rng_state()) and torch.get_num_threads() == 2
+    torch.set_num_threads(threads)
+    train(FLIGHTS, tiny(), "track", 1, 1, tmp_path / "c")
+    a, b, c = (tmp_path / folder for folder in "abc")
+    assert all((a / name).read_bytes() == (b / name).read_bytes() for name in FILES)
+    assert (a / WEIGHTS).read_bytes() != (c / WEIGHTS).read_bytes()
+
+
+def test_training_again_takes_the_finished_model(tmp_path: Path) -> None:
+    seen: list[float] = []
+
+    def progress(done: float, left_s: float | None) -> None:
+        seen.append(done)
+
+    train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress)
+    assert seen == [0.25, 0.5, 0.75, 1.0, 1.0]
+    train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress)
+    assert len(seen) == 5
+    train(FLIGHTS, tiny(), "free", 0, 0, tmp_path, progress, resume=False)
+    assert len(seen) == 10
+
+
+def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
+    preset = tiny()
+    with pytest.raises(KilledError):
+        train(FLIGHTS, preset, "free", 0, 0, tmp_path, kill_after(1, preset), checkpoint_s=0)
+    with pytest.raises(ModelError, match=r"another training.*delete it"):
+        train(FLIGHTS, preset, "free", 0, 1, tmp_path)
+    (tmp_path / CHECKPOINT).write_bytes(b"\x08\0\0\0\0\0\0\0garbage!")
+    with pytest.raises(ModelError, match="not readable"):
+        train(FLIGHTS, preset, "free", 0, 0, tmp_path)
+    train(FLIGHTS, preset, "free", 0, 1, tmp_path, resume=False)
+    assert load(tmp_path).info.seed == 1
+
+
+def test_reconstruction_learns(tmp_path: Path) -> None:
+    """Twenty epochs on two short flights bring a held-out one below a tenth in variance."""
+    preset = tiny(epochs=20, clustering="sensors", n_codes=64, code_size=8)
+    model = train(FLIGHTS, preset, "reconstruct", 0, 0, tmp_path)
+    assert left(model, AWAY).mean() < 0.1
+    curve = json.loads((tmp_path / CURVE).read_text())
+    assert len(curve) == 20
+    assert curve[-1]["reconstruction"] < curve[0]["reconstruction"] / 2
+
+
+def test_free_finds_what_the_features_tell(tmp_path: Path) -> None:
+    """The made-up residual follows the speed of the next channel, besides a drift of its own."""
+    flights = [made_up(seed, n=900, gain=1.5) for seed in range(3)]
+    model = train(flights, tiny(), "free", 0, 0, tmp_path / "free")
+    away = made_up(9, n=900, gain=1.5)
+    inside = model.run(away).inside.mean()
+    assert inside > 0.8
+    told = left(model, away)
+    assert np.median(told) < 0.6, told
+    silent = train([made_up(s, gain=0.0) for s in range(2)], tiny(), "free", 0, 0, tmp_path / "0")
+    assert np.median(left(silent, made_up(9, gain=0.0))) < 1.15
+
+
+def test_a_channel_without_measurements_stays_uncorrected(tmp_path: Path) -> None:
+    blind = made_up(5)
+    blind.fresh[:, 6:9] = False
+    blind.residual[:, 6:9] = np.nan
+    model = train([blind], tiny(epochs=2), "reconstruct", 0, 0, tmp_path)
+    found = model.run(AWAY)
+    assert not found.correction[:, 6:9].any() and found.correction[:, 0:6].any()
+
+
+def test_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
+    """A rate far too high makes it worse at once; patience ends it."""
+    preset = tiny(epochs=60, validate_every=1, patience=3, learning_rate=0.3, schedule="constant")
+    model = train(FLIGHTS, preset, "track", 5, 0, tmp_path)
+    curve = json.loads((tmp_path / CURVE).read_text())
+    best = model.info.metrics["best_epoch"]
+    assert len(curve) == best + 3 < 60
+    assert curve[best - 1]["validation"] == min(e["validation"] for e in curve)
+
+
+@pytest.mark.parametrize(("protocol", "horizon"), [("track", 1), ("track", 30), ("free", 0)])
+def test_gate_never_makes_the_validation_error_larger(
+    protocol: str, horizon: int, tmp_path: Path
+) -> None:
+    model = train(FLIGHTS, tiny(), protocol, horizon, 0, tmp_path)  # type: ignore[arg-type]
+    errors = model.info.metrics["validation_mse"]
+    for name in CHANNELS:
+        assert errors[name]["with_network"] <= errors[name]["linear"] * (1 + 1e-9), name
+
+
+@given(seed=st.integers(0, 1000), scale=st.floats(-3, 3))
+@settings(max_examples=30)
+def test_gates_are_least_squares_within_bounds(seed: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    target = rng.normal(size=(50, 15))
+    y = scale * target + rng.normal(size=(50, 15))
+    scored = rng.random((50, 15)) < 0.7
+    gate = gates(y, target, scored, np.arange(50))
+    assert np.all((gate >= 0) & (gate <= 1))
+
+    def error(share: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sum((target - share * y) ** 2, axis=0, where=scored))
+
+    for other in np.linspace(0, 1, 11):
+        assert np.all((error(gate) <= error(np.full(15, other)) + 1e-9) | (gate == 0))
+    assert np.all(error(gate) <= error(np.zeros(15)))
+
+
+def test_a_gain_that_could_be_chance_opens_no_gate() -> None:
+    """Slow noise against slow noise: one long wave each, whatever they have in common."""
+    rng = np.random.default_rng(0)
+    slow = lfilter([1.0], [1.0, -0.98], rng.normal(size=(1600, 30)), axis=0)
+    y, target = slow[:, :15], slow[:, 15:]
+    scored, blocks = np.ones((1600, 15), dtype=np.bool_), np.arange(1600) // 100
+    assert np.mean(gates(y, target, scored, np.arange(1600)) > 0) > 0.3  # taken as independent
+    assert np.mean(gates(y, target, scored, blocks) > 0) < 0.15
+    assert np.mean(gates(y, y + target, scored, blocks) > 0) > 0.9
+
+
+def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
+    """x[t+1] = 0.9 x[t] + noise: three samples ahead the best weight is 0.9^3 on the newest."""
+    flight = made_up(0, n=6000, gain=0.0)
+    rng = np.random.default_rng(1)
+    noise = rng.normal(size=flight.residual.shape)
+    for row in range(1, len(noise)):
+        flight.residual[row] = 0.9 * flight.residual[row - 1] + noise[row]
+    chosen = [in_spans(flight)]
+    scaling = fit_scaling([flight], chosen, "pooled", 0.0)
+    spans = sequences([flight], scaling, "track", 3)
+    half = [np.arange(len(s.d))[:, None] < len(s.d) / 2 for s in spans]
+    train_rows = [s.fresh & h for s, h in zip(spans, half, strict=True)]
+    other_rows = [s.fresh & ~h for s, h in zip(spans, half, strict=True)]
+    ridges = choose_ridges(spans, train_rows, other_rows, "track", flight.rate_hz)
+    weights = fit_base(spans, train_rows, "track", ridges)
+    expected = np.zeros(8)
+    expected[0] = 0.9**3
+    np.testing.assert_allclose(weights.mean(0), expected, atol=0.03)
+    share = np.var(spans[1].d - predict_base(spans[1], weights, "track"), axis=0)
+    np.testing.assert_allclose(share.mean(), 1 - 0.9**6, atol=0.03)
+
+
+def test_held_back_for_validation() -> None:
+    few = validation_rows(FLIGHTS, 0.2, seed=0)
+    for flight, rows in zip(FLIGHTS, few, strict=True):
+        for phase in (1, 2):
+            assert 0.15 < rows[in_spans(flight) & (flight.phase == phase)].mean() < 0.25
+    many = validation_rows([made_up(s) for s in range(6)], 0.2, seed=0)
+    assert sorted(float(rows.mean()) for rows in many) == [0, 0, 0, 0, 0, 1]
+    again = validation_rows([made_up(s) for s in range(6)], 0.2, seed=0)
+    assert all(np.array_equal(a, b) for a, b in zip(many, again, strict=True))
+
+
+def test_flights_of_two_kinds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="2 motor commands, 100 Hz with 4"):
+        train([made_up(0), made_up(1, commands=4)], tiny(), "free", 0, 0, tmp_path)
+    empty = made_up(0)
+    empty.fresh[:] = False
+    with pytest.raises(ModelError, match="made_up_0: no span with a measured residual"):
+        train([empty], tiny(), "free", 0, 0, tmp_path)
+    with pytest.raises(ModelError, match="at least one flight"):
+        train([], tiny(), "free", 0, 0, tmp_path)
+
+
+def test_a_loss_that_is_not_finite_is_said(tmp_path: Path) -> None:
+    preset = tiny(learning_rate=1e30, schedule="constant", clip=None, skip=True)
+    with pytest.raises(ModelError, match=r"not finite in epoch \d.*learning_rate"):
+        train(FLIGHTS, preset, "reconstruct", 0, 0, tmp_path)
+
+
+def test_spread_is_calibrated(tmp_path: Path) -> None:
+    """On a flight like the training's about two thirds of the samples are within one spread."""
+    flights = [made_up(seed, n=900) for seed in range(3)]
+    model = train(flights, tiny(), "track", 2, 0, tmp_path)
+    away = made_up(9, n=900)
+    found = model.run(away)
+    rows = in_spans(away) & found.inside
+    within = np.abs(away.residual - found.correction)[rows] < found.spread[rows]
+    assert 0.55 < within.mean() < 0.8
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_by_name_and_as_json(name: str) -> None:
+    preset = preset_named(name)
+    assert preset_from_json(json.loads(json.dumps(preset_json(preset)))) == preset
+
+
+def test_wrong_presets_are_refused() -> None:
+    with pytest.raises(ModelError, match="paper, published, best"):
+        preset_named("worst")
+    with pytest.raises(ModelError, match="1 or more"):
+        tiny(n_codes=0)
+    with pytest.raises(ModelError, match="temperature 0"):
+        tiny(temperature=0.0)
