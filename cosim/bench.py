@@ -24,10 +24,10 @@ from twin.assembly import flying_twin
 from twin.imu import imu
 from twin.vehicle_file import load_vehicle
 
-from .export import fused_model, system_of
 from .master import Master
 from .ssp import write_ssp
 from .system import Connection, System, connect
+from .whole_twin import fused_model, system_of
 
 STEP_S = 1e-3
 REPEATS = 5
@@ -36,10 +36,10 @@ WHOLE_S = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measured figure."""
+    """One measured figure; no value where it was skipped, `what` then says why."""
 
     what: str
-    value: float
+    value: float | None
     unit: str
     goal: str
 
@@ -53,9 +53,10 @@ def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:
     rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as name:
         folder = Path(name)
-        for i, part in enumerate((_steps, _eight, _whole_twin)):
+        parts = (_steps, _eight, _whole_twin, _compensator)
+        for i, part in enumerate(parts):
             rows += part(folder)
-            progress((i + 1) / 3)
+            progress((i + 1) / len(parts))
     return rows
 
 
@@ -135,6 +136,16 @@ def _whole_twin(folder: Path) -> list[Row]:
         *(Row(f"the same as one FMU per part, {name}", s, "s", "") for name, s in others),
         Row("fused faster than the fastest of these by", fastest / one, "x", ">= 10"),
     ]
+
+
+def _compensator(folder: Path) -> list[Row]:
+    """The learned correction, where what makes it is installed."""
+    try:
+        from .bench_compensator import compensator_rows
+    except ModuleNotFoundError as error:
+        return [Row(f"compensator: skipped without {error.name}, pip install uavtwin[learn]", None,
+                    "", "")]  # fmt: skip
+    return compensator_rows(folder)
 
 
 def _best(run: Callable[[], None], repeats: int = REPEATS) -> float:

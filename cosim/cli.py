@@ -419,7 +419,8 @@ def bench(as_json: Json = False) -> None:
         return
     table = Table("what", "value", "unit", "goal", box=None)
     for row in rows:
-        table.add_row(row.what, f"{row.value:.3g}", row.unit, row.goal)
+        value = "-" if row.value is None else f"{row.value:.3g}"
+        table.add_row(row.what, value, row.unit, row.goal)
     STDOUT.print(table)
 
 

@@ -20,12 +20,13 @@ from twin.errors import TwinError
 from twin.flightlog import Flight, read_flight
 from twin.vehicle_file import load_vehicle
 
+from .export import VEHICLE_FILE
 from .figures import embedded, pretty_unit
 from .learning_figures import anomaly_figure, correction_figure
 from .output import write_json
 from .page import render
 from .report import number, percent
-from .training import RESIDUALS, VEHICLE
+from .training import RESIDUALS
 
 MODEL = "model"
 """What the compensator is called beside the baselines."""
@@ -67,7 +68,7 @@ def evaluate_model(
     """
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
-    vehicle = load_vehicle(folder / VEHICLE)
+    vehicle = load_vehicle(folder / VEHICLE_FILE)
     other = None if explained is None else load_vehicle(explained)
     read = [read_flight(path) for path in paths]
     _check_new(read, folder, train)

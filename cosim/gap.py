@@ -21,6 +21,7 @@ from twin.prepared import Twin, prepare
 from twin.residuals import Channel, FlightGap
 from twin.teacher_forced import (
     GRID_S,
+    as_driven,
     predicted_readings,
     teacher_forced_channels,
 )
@@ -115,8 +116,9 @@ def _short_horizon(
 
 def _open(flight: Flight, twin: Twin, folder: Path) -> Master:
     """Replay, airframe and IMU as FMUs behind the master."""
+    driven = as_driven(flight, twin.airframe, twin.inputs)
     fmus = {
-        "replay": build(replay_model(flight, twin.inputs.columns), folder / "replay.fmu"),
+        "replay": build(replay_model(driven, twin.inputs.columns), folder / "replay.fmu"),
         "airframe": build(component_model(twin.airframe), folder / "airframe.fmu"),
         "imu": build(component_model(twin.imu), folder / "imu.fmu"),
     }
@@ -130,11 +132,18 @@ def _open(flight: Flight, twin: Twin, folder: Path) -> Master:
 
 
 def start_values(twin: Twin, k: int) -> dict[str, float]:
-    """Start values of the airframe FMU for the measured state at grid point k."""
-    return {
-        f"airframe.initial.{state.name}": float(value)
-        for state, value in zip(twin.airframe.states, twin.states[k], strict=True)
-    }
+    """Start values of the airframe FMU for the state at grid point k.
+
+    Some count from where the airframe would start by itself, such as a load from its place at rest:
+    by what it starts too far off when given the state itself, the start value is too large.
+    """
+    body, wanted = twin.airframe, twin.states[k]
+    names = [f"initial.{s.name}" for s in body.states]
+    settable = {v.name for v in body.parameters}
+    given = {n: float(x) for n, x in zip(names, wanted, strict=True) if n in settable}
+    reached = body.initial(twin.inputs.u[k], body.parameter_values(given))
+    beyond = dict(zip(names, np.asarray(reached, dtype=np.float64).ravel() - wanted, strict=True))
+    return {f"airframe.{n}": x - float(beyond[n]) for n, x in given.items()}
 
 
 def _windows(twin: Twin, steps: int) -> Iterator[int]:

@@ -16,10 +16,11 @@ from twin.errors import TwinError
 from twin.mission import mission_names
 from twin.vehicle_file import load_vehicle
 
-from .export import STEP_S, fused_model, start_values, system_of
+from .export import start_values
 from .master import Algorithm, Master, Recording
 from .ssp import read_ssp
 from .system import System
+from .whole_twin import STEP_S, fused_model, system_of
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01

@@ -21,13 +21,14 @@ from twin.errors import TwinError
 from twin.flightlog import Flight, read_flight
 from twin.vehicle_file import load_vehicle, vehicle_text
 
+from .export import VEHICLE_FILE
 from .figures import embedded, pretty_unit
 from .learning_figures import curve_figure
 from .output import check_folder
 from .page import render
 from .report import number, percent
 
-VEHICLE, RESIDUALS, REPORT = "vehicle.toml", "training.parquet", "report.html"
+RESIDUALS, REPORT = "training.parquet", "report.html"
 Progress = Callable[[float], None]
 
 
@@ -104,11 +105,12 @@ def run_training(
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
     export_onnx(compensator, out)
-    (out / VEHICLE).write_text(text, "utf-8")
+    (out / VEHICLE_FILE).write_text(text, "utf-8")
     write_residuals(residuals, out / RESIDUALS)
     _write_page(out, residuals)
-    first = [REPORT, "model.onnx", WEIGHTS, MODEL, CURVE, VEHICLE, RESIDUALS]
-    return [n for n in first if (out / n).is_file()]
+    names = (REPORT, "model.onnx", "model_int8.onnx", "reference.npz", WEIGHTS, MODEL, CURVE,
+             VEHICLE_FILE, RESIDUALS)  # fmt: skip
+    return [n for n in names if (out / n).is_file()]
 
 
 def training_claim(out: Path) -> str:

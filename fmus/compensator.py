@@ -24,6 +24,8 @@ from twin.errors import FmuError
 from .model import FmuModel, Part
 from .units import base_exponents
 
+Shape = tuple[int, ...]
+
 FILE = "model.onnx"
 """In the folder of a trained model."""
 FORMAT = "uavtwin compensator 1"
@@ -33,6 +35,9 @@ MAX_STEP_S = 1e-3
 """Nothing is integrated; it is what a compensator alone names as its step."""
 _TEMPLATE = "matmul_op.c.j2"
 _PREAMBLE = """\
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC optimize("no-trapping-math") /* vectorises exp and tanh; clang does without */
+#endif
 static inline float network_exp(float), network_tanh(float), network_max(float, float);
 #define expf network_exp
 #define tanhf network_tanh
@@ -120,22 +125,29 @@ def read_network(folder: Path) -> NetworkFile:
     if said.get("graph_sha256") != digest:
         raise FmuError(f"{path}: damaged or changed, its checksum does not fit; export it again.")
     try:
-        network = _described(path, content, said, _widths(model.graph.input))
-        expected = (len(network.channels), len(network.commands), 1, len(network.channels),
-                    len(network.channels), network.state_size)  # fmt: skip
-        if _widths(model.graph.input) != dict(zip(INPUTS, expected, strict=True)):
-            raise ValueError(f"inputs are {_widths(model.graph.input)}")
-        if tuple(o.name for o in model.graph.output) != OUTPUTS:
-            raise ValueError(f"outputs are {[o.name for o in model.graph.output]}")
-        for unit in network.units:
-            base_exponents(unit)
-        if len(network.units) != len(network.channels) != len(network.uncorrected_rms):
-            raise ValueError("units and spreads are not one per channel")
-        if not network.phases or not all(network.group_of_channel):
-            raise ValueError("phases or sensors are missing")
+        network = _described(path, content, said, _shapes(model.graph.input))
+        _check(network, _shapes(model.graph.input), _shapes(model.graph.output))
     except (KeyError, TypeError, ValueError) as error:
         raise FmuError(f"{path}: its metadata do not fit its graph: {error}.") from error
     return network
+
+
+def _check(network: NetworkFile, inputs: Mapping[str, Shape], outputs: Mapping[str, Shape]) -> None:
+    """Raise ValueError or KeyError where metadata and graph do not say the same."""
+    n, m, state = len(network.channels), len(network.commands), network.state_size
+    for names, found, widths in (
+        (INPUTS, inputs, (n, m, 1, n, n, state)),
+        (OUTPUTS, outputs, (n, n, 1, 1, state)),
+    ):
+        expected = {name: (1, width) for name, width in zip(names, widths, strict=True)}
+        if list(found.items()) != list(expected.items()):
+            raise ValueError(f"tensors {dict(found)} should be {expected}")
+    if not (len(network.units) == len(network.uncorrected_rms) == len(network.group_of_channel)):
+        raise ValueError(f"{n} channels need as many units and spreads")
+    if not network.phases:
+        raise ValueError("there are no phases")
+    for unit in network.units:
+        base_exponents(unit)
 
 
 def _loaded(path: Path, content: bytes) -> Any:
@@ -153,13 +165,13 @@ def _loaded(path: Path, content: bytes) -> Any:
     return model
 
 
-def _widths(values: Any) -> dict[str, int]:
-    """Name -> n of tensors of shape (1, n)."""
-    return {v.name: int(v.type.tensor_type.shape.dim[-1].dim_value) for v in values}
+def _shapes(values: Any) -> dict[str, Shape]:
+    """Name -> shape of inputs or outputs of a graph."""
+    return {v.name: tuple(d.dim_value for d in v.type.tensor_type.shape.dim) for v in values}
 
 
 def _described(
-    path: Path, content: bytes, said: Mapping[str, str], widths: Mapping[str, int]
+    path: Path, content: bytes, said: Mapping[str, str], inputs: Mapping[str, Shape]
 ) -> NetworkFile:
     """What the metadata say, in the words of the dataclass."""
 
@@ -185,7 +197,7 @@ def _described(
         uncorrected_rms=tuple(map(float, value("uncorrected_rms"))),
         vehicle=str(value("vehicle")),
         vehicle_sha256=str(value("vehicle_sha256")),
-        state_size=widths["state"],
+        state_size=inputs["state"][-1],
     )
 
 
@@ -302,7 +314,7 @@ def _outputs(network: NetworkFile) -> list[Variable]:
 # -- the network as C -----------------------------------------------------------------------
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def network_source(content: bytes) -> str:
     """C function `network` of an ONNX file; all static, and nothing is allocated in it.
 

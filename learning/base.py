@@ -15,63 +15,47 @@ from .sequences import SpanSequence
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
-Pair = tuple[Array, Array]
 
 RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Tried strengths, per sample; the weights' unit is one, since everything is standardised."""
+MOST_FOLDS = 8
+"""Parts of the data, each said by the fit without it."""
 BLOCK_S = 1.0
 """Residuals a second apart count as independent evidence."""
 EVIDENCE = 1.5
 """Gain per block over its standard error, below which it is taken for chance."""
 
 
-def choose_ridges(
+def fit_base(
     spans: Sequence[SpanSequence],
-    train: Sequence[BoolArray],
-    validate: Sequence[BoolArray],
+    scored: Sequence[BoolArray],
     protocol: Protocol,
     rate_hz: float,
 ) -> Array:
-    """Strength of the ridge per channel, shape (15,); infinite where nothing plainly helps.
+    """Weights of the linear prediction per channel; zero where it does not plainly help.
+
+    `track`: autoregression straight to the horizon, weights times [`lags`, `change`] of each
+    channel; with weights 1, 0, ..., 1 the sensor reads what it read last, whatever the twin says.
+    `free`: weights times [features, slow features]. `reconstruct`: none. The strength of the ridge
+    is chosen, and its worth judged, on parts of the data that had no share in the fit: flight by
+    flight, or by stretches of time where there is one flight.
 
     Args:
         spans: All training flights.
-        train: Per span the samples to fit, shape (n, 15).
-        validate: Per span the samples that choose, shape (n, 15).
+        scored: Per span the samples that count, shape (n, 15).
         protocol: Decides the regressors.
         rate_hz: Samples per second.
-    """
-    blocks = time_blocks(spans, rate_hz)
-    ridges = []
-    for c in range(len(CHANNELS)):
-        x, target = _channel(spans, protocol, c)
-        fit, look = (np.concatenate([m[:, c] for m in rows]) for rows in (train, validate))
-        ridges.append(_best_ridge(x, target, fit, look, blocks[look]))
-    return np.array(ridges)
-
-
-def fit_base(
-    spans: Sequence[SpanSequence], rows: Sequence[BoolArray], protocol: Protocol, ridges: Array
-) -> Array:
-    """Weights of the linear prediction per channel.
-
-    `track`: autoregression straight to the horizon, sum of weights times `lags` of the channel.
-    `free`: weights times [features, slow features]. `reconstruct`: none.
-
-    Args:
-        spans: All training flights.
-        rows: Per span the samples to fit, shape (n, 15).
-        protocol: Decides the regressors.
-        ridges: As from `choose_ridges`, shape (15,).
 
     Returns:
-        Shape (15, regressors).
+        From all data, shape (15, regressors).
     """
+    blocks, folds = time_blocks(spans, rate_hz), _folds(spans)
     weights = []
-    for c, ridge in enumerate(ridges):
-        x, target = _channel(spans, protocol, c)
-        chosen = np.concatenate([m[:, c] for m in rows])
-        weights.append(_ridge(x[chosen], target[chosen], float(ridge)))
+    for c in range(len(CHANNELS)):
+        x = np.concatenate([regressors(s, protocol, c) for s in spans])
+        target = np.concatenate([s.d[:, c] for s in spans])
+        counts = np.concatenate([m[:, c] for m in scored])
+        weights.append(_channel(x, target, counts, folds, blocks))
     return np.array(weights)
 
 
@@ -84,7 +68,7 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Arra
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
     """What the linear prediction of a channel is made from, shape (n, regressors)."""
     if protocol == "track":
-        return span.lags[:, channel]
+        return np.hstack([span.lags[:, channel], span.change[:, channel, None]])
     if protocol == "free":
         return np.hstack([span.features, span.slow])
     return np.zeros((len(span.d), 0))
@@ -139,29 +123,40 @@ def evidence(gain: Array, blocks: IntArray) -> float:
     return float(per_block.mean()) / error if error > 0 else 0.0
 
 
-def _channel(spans: Sequence[SpanSequence], protocol: Protocol, channel: int) -> Pair:
-    """Regressors and target of a channel over all spans."""
-    x = np.concatenate([regressors(s, protocol, channel) for s in spans])
-    return x, np.concatenate([s.d[:, channel] for s in spans])
+def _folds(spans: Sequence[SpanSequence]) -> IntArray:
+    """Part of the data to which each sample belongs, shape (n,)."""
+    flights = np.concatenate([np.full(len(s.d), s.flight) for s in spans])
+    if flights.min() < flights.max():
+        return np.asarray(flights % MOST_FOLDS, dtype=np.intp)
+    return np.arange(len(flights), dtype=np.intp) * MOST_FOLDS // len(flights)
 
 
-def _ridge(x: Array, target: Array, ridge: float) -> Array:
-    if not len(x) or not np.isfinite(ridge):
-        return np.zeros(x.shape[1])
-    gram, moment = x.T @ x / len(x), x.T @ target / len(x)
-    return np.asarray(np.linalg.solve(gram + ridge * np.eye(len(gram)), moment))
+def _channel(
+    x: Array, target: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+) -> Array:
+    """Weights from all data, with the ridge that said best what it had not seen."""
+    nothing = np.zeros(x.shape[1])
+    if not scored.any() or not x.shape[1]:
+        return nothing
+    parts = [scored & (folds == k) for k in np.unique(folds)]
+    grams = np.array([x[p].T @ x[p] for p in parts])  # (folds, regressors, regressors)
+    moments = np.array([x[p].T @ target[p] for p in parts])
+    counts = np.array([p.sum() for p in parts])
+    gram, moment, count = grams.sum(0), moments.sum(0), int(counts.sum())
+    said = np.zeros((len(RIDGES), len(x)))
+    for k, fold in enumerate(np.unique(folds)):
+        here, others = folds == fold, count - int(counts[k])
+        for prediction, ridge in zip(said, RIDGES, strict=True):
+            prediction[here] = x[here] @ _ridge(gram - grams[k], moment - moments[k], others, ridge)
+    gains = target**2 - (target - said) ** 2  # (ridges, n)
+    best = int(np.argmax(gains[:, scored].sum(1)))
+    if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:
+        return nothing
+    return _ridge(gram, moment, count, RIDGES[best])
 
 
-def _best_ridge(
-    x: Array, target: Array, train: BoolArray, validate: BoolArray, blocks: IntArray
-) -> float:
-    """The strength that does best on the validation samples; blocks of these."""
-    if not train.any() or not validate.any() or not x.shape[1]:
-        return np.inf
-    before = target[validate] ** 2
-    gains = []
-    for ridge in RIDGES:
-        weights = _ridge(x[train], target[train], ridge)
-        gains.append(before - (target[validate] - x[validate] @ weights) ** 2)
-    best = int(np.argmax([gain.sum() for gain in gains]))
-    return RIDGES[best] if evidence(gains[best], blocks) >= EVIDENCE else np.inf
+def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
+    """Weights from sums over `count` samples; zero from none."""
+    if count < 1:
+        return np.zeros(len(moment))
+    return np.asarray(np.linalg.solve(gram / count + ridge * np.eye(len(gram)), moment / count))

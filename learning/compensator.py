@@ -30,10 +30,12 @@ from .sequences import (
     SpanSequence,
     check_protocol,
     n_lags,
+    n_regressors,
     one_hot,
     sequences,
     smoothing,
 )
+from .threads import one_thread
 
 Array = NDArray[np.float64]
 CHUNK = 4096
@@ -80,6 +82,8 @@ class Compensator(nn.Module):
     scale: Tensor
     feature_mean: Tensor
     feature_scale: Tensor
+    least: Tensor
+    most: Tensor
     low: Tensor
     high: Tensor
     rms: Tensor
@@ -97,15 +101,15 @@ class Compensator(nn.Module):
         self.features = feature_names(info.n_commands)
         """Names of the features, in order."""
         n_channels, n_features = len(CHANNELS), len(self.features)
-        regressors = {"reconstruct": 0, "track": n_lags("track")}.get(
-            info.protocol, n_features * (1 + len(SMOOTHING_S))
-        )
+        regressors = n_regressors(info.protocol, n_features)
         self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
         shapes = {
             "mean": (N_PHASES, n_channels),
             "scale": (N_PHASES, n_channels),
             "feature_mean": (n_features,),
             "feature_scale": (n_features,),
+            "least": (n_features,),
+            "most": (n_features,),
             "low": (n_features,),
             "high": (n_features,),
             "rms": (n_channels,),
@@ -126,14 +130,25 @@ class Compensator(nn.Module):
         return self.info.horizon + lags if lags else 0
 
     @property
+    def readings(self) -> int:
+        """Rows of virtual readings at the times of the past residuals, newest first."""
+        return self.info.horizon + 1 if self.info.protocol == "track" else 0
+
+    @property
     def n_slow(self) -> int:
-        """Numbers of the low-passed features in the state, behind the history."""
+        """Numbers of the low-passed features in the state."""
         return len(SMOOTHING_S) * len(self.features)
 
     @property
+    def state_sizes(self) -> tuple[int, int, int, int, int]:
+        """Parts of the packed state: history, readings, 1 once begun, slow features, network."""
+        rows = self.history * len(CHANNELS), self.readings * len(CHANNELS)
+        return *rows, min(self.readings, 1), self.n_slow, self.network.state_size
+
+    @property
     def state_size(self) -> int:
-        """Numbers of the packed state: history, low-passed features, network."""
-        return self.history * len(CHANNELS) + self.n_slow + self.network.state_size
+        """Numbers of the packed state."""
+        return sum(self.state_sizes)
 
     def set_scaling(self, scaling: Scaling) -> None:
         """Take over scaling and envelope."""
@@ -168,12 +183,13 @@ class Compensator(nn.Module):
             correction (1, 15), spread (1, 15), anomaly (1, 1), inside (1, 1), next state.
         """
         n, rows = len(CHANNELS), self.history
-        sizes = [rows * n, self.n_slow, self.network.state_size]
-        past, slow, network_state = torch.split(state, sizes, dim=-1)
+        parts = torch.split(state, list(self.state_sizes), dim=-1)
+        past, readings, begun, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
         raw = torch.cat([virtual[:, list(FEATURE_CHANNELS)], command], dim=-1)
         features = (raw - self.feature_mean) / self.feature_scale
+        features = torch.minimum(torch.maximum(features, self.least), self.most)
         known = torch.zeros_like(mean)
         prediction = torch.zeros_like(mean)
         if rows:
@@ -186,8 +202,14 @@ class Compensator(nn.Module):
             slow_parts.append(part + share * (features - part))
         slow = torch.cat(slow_parts, dim=-1)
         if self.info.protocol == "track":
+            then = torch.where(begun > 0.5, readings.reshape(-1, n), virtual)  # (readings, 15)
+            newest = torch.where(valid > 0.5, virtual, then[:1])
+            then = torch.cat([newest, then[:-1]], dim=0)
+            readings, begun = then.reshape(1, -1), torch.ones_like(begun)
+            change = (then[-1:] - virtual) / scale
             lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
-            prediction = (lags * self.base.T).sum(0, keepdim=True)
+            seen = torch.cat([lags, change], dim=0)  # (lags + 1, 15)
+            prediction = (seen * self.base.T).sum(0, keepdim=True)
         elif self.info.protocol == "free":
             prediction = torch.cat([features, slow], dim=-1) @ self.base.T
         out, network_state = self.network.step(known, features, here, network_state)
@@ -195,7 +217,8 @@ class Compensator(nn.Module):
         correction = inside * (mean + scale * (prediction + self.gate * self.leftover * out.y))
         spread = self._spread(out, here @ (self.scale.abs() * self.spread_factor), inside)
         anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
-        return correction, spread, anomaly, inside, torch.cat([past, slow, network_state], dim=-1)
+        state = torch.cat([past, readings, begun, slow, network_state], dim=-1)
+        return correction, spread, anomaly, inside, state
 
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; each span starts at the state zero.
@@ -222,6 +245,7 @@ class Compensator(nn.Module):
             inside[span.rows] = span.inside
         return Corrected(correction, spread, anomaly, inside)
 
+    @one_thread()
     @torch.no_grad()
     def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
         """Output of the network over each span, from the state zero, shapes (n, ...)."""

@@ -10,7 +10,8 @@ of `uavtwin gap` at the end of its windows, here at every instant of the grid:
 
 The gyroscope is compared by its own samples; the gap low-passes it forward and backward, which
 looks ahead. What the twin reads knows the flight: its state a horizon before, and for acc and mag
-the measured state itself, on a straight line to its next sample. A residual never does.
+the measured state itself, on a straight line to its next sample. A reading that is compared is
+never anything but a sample.
 """
 
 from collections.abc import Callable

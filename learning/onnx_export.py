@@ -16,6 +16,7 @@ from .compensator import Compensator
 from .int8 import deviation, quantised
 from .onnx_step import INPUTS, OUTPUTS, streaming_model
 from .scaling import FEATURE_CHANNELS
+from .threads import one_thread
 
 MODEL_FILE, INT8_FILE, REFERENCE_FILE = "model.onnx", "model_int8.onnx", "reference.npz"
 FORMAT = "uavtwin compensator 1"
@@ -121,7 +122,7 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
     inputs = {name: values.astype(np.float32) for name, values in rows.items()}
     v, u, p, m, w = (torch.from_numpy(inputs[name])[:, None] for name in INPUTS[:-1])
     state, said = torch.zeros(1, compensator.state_size), []
-    with torch.no_grad():
+    with one_thread(), torch.no_grad():
         for k in range(n):
             *outputs, state = compensator.step(v[k], u[k], p[k], m[k], w[k], state)
             said.append([o.numpy()[0] for o in outputs])

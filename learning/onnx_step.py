@@ -44,8 +44,7 @@ def streaming_model(compensator: Compensator) -> onnx.ModelProto:
 def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
     rows, protocol = model.history, model.info.protocol
-    sizes = [rows * _N, model.n_slow, model.network.state_size]
-    past, slow, cells = g.split("state", sizes, axis=1)
+    past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
     here = _one_hot(g)
     mean, scale, expected = _tables(g, model, here)
     raw = g.op("Concat", "virtual", "command", axis=1)
@@ -53,6 +52,8 @@ def _step(g: Graph, model: Compensator) -> None:
     raw = g.op("Gather", raw, g.integers(*places), axis=1)
     centred = g.op("Sub", raw, g.floats(_row(model.feature_mean)))
     features = g.op("Div", centred, g.floats(_row(model.feature_scale)))
+    features = g.op("Max", features, g.floats(_row(model.least)))
+    features = g.op("Min", features, g.floats(_row(model.most)))
     if rows:
         past = _remembered(g, past, mean, scale, rows)
     slow = _smoothed(g, model, features, slow)
@@ -63,7 +64,10 @@ def _step(g: Graph, model: Compensator) -> None:
     said = y
     if protocol == "track":
         lags = g.reshape(g.columns(past, first, rows * _N), -1, _N)
-        products = g.op("Mul", lags, g.floats(numbers(model.base).T))  # (lags, 15)
+        then, readings, begun = _read_then(g, model, readings, begun)
+        change = g.op("Div", g.op("Sub", then, "virtual"), scale)
+        seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
+        products = g.op("Mul", seen, g.floats(numbers(model.base).T))
         said = g.op("Add", y, g.op("ReduceSum", products, g.integers(0), keepdims=1))
     elif protocol == "free":
         seen = g.op("Concat", features, slow, axis=1)
@@ -81,7 +85,7 @@ def _step(g: Graph, model: Compensator) -> None:
         g.output("spread", _N, "Identity", expected)
     g.output("anomaly", 1, "ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("inside", 1, "Cast", inside, to=onnx.TensorProto.FLOAT)
-    state = [v for v in (past, slow, cells) if v]
+    state = [v for v in (past, readings, begun, slow, cells) if v]
     g.output("state_out", model.state_size, "Concat", *state, axis=1)
 
 
@@ -107,6 +111,18 @@ def _remembered(g: Graph, past: str, mean: str, scale: str, rows: int) -> str:
     fresh = g.op("Greater", "valid", g.floats([[0.5]]))
     held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, _N))
     return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * _N), axis=1)
+
+
+def _read_then(g: Graph, model: Compensator, readings: str, begun: str) -> tuple[str, str, str]:
+    """What the twin read at the newest known residual (1, 15); next state of the readings."""
+    kept = g.op("Greater", begun, g.floats([[0.5]]))
+    rows = g.op("Where", kept, g.reshape(readings, -1, _N), "virtual")  # (readings, 15)
+    place, last = g.integers(0), model.readings - 1
+    newest = g.op("Slice", rows, g.integers(0), g.integers(1), place)
+    newest = g.op("Where", g.op("Greater", "valid", g.floats([[0.5]])), "virtual", newest)
+    rows = g.concat(newest, g.op("Slice", rows, g.integers(0), g.integers(last), place), axis=0)
+    then = g.op("Slice", rows, g.integers(last), g.integers(last + 1), place)
+    return then, g.reshape(rows, 1, -1), g.floats([[1.0]])
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

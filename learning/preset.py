@@ -29,6 +29,7 @@ from twin.errors import ModelError
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free"]
+Normalise = Literal["pooled", "phase", "centred", "range"]
 PROTOCOLS: tuple[Protocol, ...] = ("reconstruct", "track", "free")
 
 
@@ -67,10 +68,11 @@ class Preset:
         distribution: `moments`: differences of mean and spread between output and target;
             `none`: Eq. 14 as it stands.
         spread_head: The network predicts its spread; else it is a constant per phase and channel.
-        normalise: `pooled`: mean and spread of each channel; `phase`: per phase; `range`: the
-            range of each phase becomes -1..1.
+        normalise: `pooled`: mean and spread of each channel; `phase`: both per phase; `centred`:
+            mean per phase, one spread about it; `range`: the range of each phase becomes -1..1.
         envelope_margin: By how much of its width the training range of each feature is widened on
-            either side; outside the correction is zero (not in `reconstruct`, which only repeats
+            either side to make the envelope. Between range and envelope the network sees the end of
+            the range; beyond it the correction is zero (not in `reconstruct`, which only repeats
             what it is given).
         optimiser: With `learning_rate` and `weight_decay`.
         learning_rate: At the start.
@@ -80,12 +82,13 @@ class Preset:
         epochs: At most.
         patience: Epochs without a better validation error after which training stops; None: never.
         validate_every: Epochs between two looks at the validation time.
-        validation_share: Of the time (fewer than four flights) or of the flights.
+        validation_share: Of the time, or of the flights where there are many.
         batch: Windows per step.
         window: Samples through which gradients run.
         stride: Samples between the starts of two windows; None: `window`.
         carry: Windows through which the state is carried on before it starts at zero again.
-        augment: Spread of the random amplitude and offset given to the residual of each window.
+        augment: Spread of the random amplitude and offset given to the residual of each segment,
+            in `reconstruct`.
     """
 
     name: str
@@ -111,15 +114,15 @@ class Preset:
     weight_distribution: float = 0.1
     distribution: Literal["moments", "none"] = "moments"
     spread_head: bool = True
-    normalise: Literal["pooled", "phase", "range"] = "phase"
-    envelope_margin: float = 0.25
+    normalise: Normalise = "centred"
+    envelope_margin: float = 0.5
     optimiser: Literal["adam", "adamw"] = "adam"
     learning_rate: float = 2e-3
     weight_decay: float = 0.01
     schedule: Literal["constant", "cosine"] = "cosine"
     clip: float | None = 1.0
-    epochs: int = 150
-    patience: int | None = 40
+    epochs: int = 60
+    patience: int | None = 20
     validate_every: int = 5
     validation_share: float = 0.2
     batch: int = 8

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .channels import CHANNELS, N_PHASES
 from .flights import ResidualFlight
+from .preset import Normalise
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -30,6 +30,9 @@ class Scaling:
         scale: Spread of the residual, > 0, shape (phases, 15), units of the channels.
         feature_mean: Shape (features,), units of the features.
         feature_scale: > 0, shape (features,); `UNLIMITED` for one never seen, which leaves 0.
+        least: Smallest standardised feature of the training: the network sees none below it,
+            shape (features,).
+        most: Largest one, shape (features,).
         low: Lower end of the envelope, shape (features,).
         high: Upper end, shape (features,).
         rms: Of the uncorrected residual: what is to be expected outside the envelope, shape (15,).
@@ -39,6 +42,8 @@ class Scaling:
     scale: Array
     feature_mean: Array
     feature_scale: Array
+    least: Array
+    most: Array
     low: Array
     high: Array
     rms: Array
@@ -59,6 +64,18 @@ def features_of(flight: ResidualFlight) -> Array:
     return np.hstack([flight.virtual[:, list(FEATURE_CHANNELS)], flight.commands])
 
 
+def standardised(raw: Array, scaling: Scaling) -> Array:
+    """Features as the network sees them: 0 where unknown, held at the ends of the training range.
+
+    Args:
+        raw: In their own units, NaN where unknown, shape (n, features).
+        scaling: Of the training.
+    """
+    features = (raw - scaling.feature_mean) / scaling.feature_scale
+    held = np.minimum(np.maximum(features, scaling.least), scaling.most)
+    return np.where(np.isfinite(raw), held, 0.0)
+
+
 def in_spans(flight: ResidualFlight) -> BoolArray:
     """Which samples lie within a span, shape (n,)."""
     inside = np.zeros(len(flight.t_s), dtype=np.bool_)
@@ -70,7 +87,7 @@ def in_spans(flight: ResidualFlight) -> BoolArray:
 def fit_scaling(
     flights: Sequence[ResidualFlight],
     chosen: Sequence[BoolArray],
-    normalise: Literal["pooled", "phase", "range"],
+    normalise: Normalise,
     margin: float,
 ) -> Scaling:
     """Scaling and envelope from the training samples.
@@ -97,15 +114,21 @@ def fit_scaling(
             here = known & (phase == p)
             if here.sum() >= MIN_SAMPLES:
                 mean[p, c], scale[p, c] = _centre(column[here], normalise)
+        if normalise == "centred" and known.any():
+            about = column[known] - mean[phase[known], c]
+            scale[:, c] = _positive(float(about.std()), float(np.abs(mean[:, c]).max()))
     features = np.concatenate([features_of(f)[c] for f, c in zip(flights, chosen, strict=True)])
-    low, high, centre, spread = np.array([_limits(column, margin) for column in features.T]).T
+    least, most, centre, spread = np.array([_limits(column) for column in features.T]).T
+    room = margin * (most - least) + 1e-6 * np.maximum(np.abs(least), np.abs(most))
     return Scaling(
         mean=mean,
         scale=scale,
         feature_mean=centre,
         feature_scale=spread,
-        low=low,
-        high=high,
+        least=(least - centre) / spread,
+        most=(most - centre) / spread,
+        low=np.maximum(least - room, -UNLIMITED),
+        high=np.minimum(most + room, UNLIMITED),
         rms=np.array([_rms(column[np.isfinite(column)]) for column in residual.T]),
     )
 
@@ -125,15 +148,14 @@ def _positive(spread: float, centre: float) -> float:
     return spread if spread > 1e-9 * abs(centre) + 1e-15 else 1.0
 
 
-def _limits(values: Array, margin: float) -> tuple[float, float, float, float]:
-    """Envelope (low, high), mean and spread of a feature."""
+def _limits(values: Array) -> tuple[float, float, float, float]:
+    """Smallest and largest value, mean and spread of a feature."""
     values = values[np.isfinite(values)]
     if not len(values):
         return -UNLIMITED, UNLIMITED, 0.0, UNLIMITED
     low, high = float(values.min()), float(values.max())
     mean, spread = float(values.mean()), float(values.std())
-    room = margin * (high - low) + 1e-6 * max(abs(low), abs(high))
-    return low - room, high + room, mean, _positive(spread, mean)
+    return low, high, mean, _positive(spread, mean)
 
 
 def _rms(values: Array) -> float:

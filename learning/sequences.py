@@ -16,7 +16,7 @@ from twin.errors import ModelError
 from .channels import N_PHASES
 from .flights import ResidualFlight
 from .preset import Protocol
-from .scaling import UNLIMITED, Scaling, features_of
+from .scaling import UNLIMITED, Scaling, features_of, standardised
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -38,6 +38,8 @@ class SpanSequence:
         fresh: Whether `d` is new, shape (n, 15).
         lags: Columns of `d` that are known: at t - horizon and before, shape (n, 15, lags); one
             in `reconstruct`, none in `free`.
+        change: What the twin read at the time of the newest known residual, minus what it reads
+            now, over the scale; 0 unless in `track`, shape (n, 15).
         features: Shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
         phase: Codes, shape (n,).
@@ -49,6 +51,7 @@ class SpanSequence:
     d: Array
     fresh: BoolArray
     lags: Array
+    change: Array
     features: Array
     slow: Array
     phase: NDArray[np.intp]
@@ -73,6 +76,12 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
         raise ModelError(
             f"protocol {protocol}: horizon {horizon} samples; only track has one, leave it 0"
         )
+
+
+def n_regressors(protocol: Protocol, n_features: int) -> int:
+    """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
+    features = n_features * (1 + len(SMOOTHING_S))
+    return {"reconstruct": 0, "track": LAGS + 1, "free": features}[protocol]
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:
@@ -107,15 +116,21 @@ def _span(
     raw = features_of(flight)[rows]
     limited = scaling.high < UNLIMITED
     beyond = ~((raw >= scaling.low) & (raw <= scaling.high))  # NaN is beyond
-    features = np.where(np.isfinite(raw), (raw - scaling.feature_mean) / scaling.feature_scale, 0.0)
+    features = standardised(raw, scaling)
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
     lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
+    change = np.zeros_like(d)
+    if protocol == "track":
+        virtual = np.nan_to_num(flight.virtual[rows])
+        then = _delayed(_held(virtual, fresh, virtual[0]), horizon, virtual[0])
+        change = (then - virtual) / scaling.scale[phase]
     return SpanSequence(
         flight=number,
         start=span[0],
         d=d,
         fresh=fresh,
         lags=np.stack(lags, axis=-1) if lags else np.zeros((*d.shape, 0)),
+        change=change,
         features=features,
         slow=np.hstack(slow),
         phase=phase,
@@ -130,18 +145,25 @@ def one_hot(phase: NDArray[np.intp]) -> Array:
     return np.eye(N_PHASES)[phase]
 
 
-def _held(values: Array, fresh: BoolArray) -> Array:
-    """Each fresh value held until the next, 0 before the first; shape (n, k)."""
+def _held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
+    """Each fresh value held until the next; shape (n, k).
+
+    Args:
+        values: Shape (n, k).
+        fresh: Shape (n, k).
+        before: Until the first one, shape (k,) or a number.
+    """
     row = np.where(fresh, np.arange(1, len(values) + 1)[:, None], 0)
     last = np.maximum.accumulate(row, axis=0)
-    padded = np.vstack([np.zeros(values.shape[1]), values])
+    padded = np.vstack([np.broadcast_to(before, values.shape[1:]), values])
     return np.take_along_axis(padded, last, axis=0)
 
 
-def _delayed(values: Array, samples: int) -> Array:
-    """The values some samples ago, 0 before the first; shape (n, k)."""
+def _delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:
+    """The values some samples ago, or those from before the first; shape (n, k)."""
     if samples == 0:
         return values
-    late = np.zeros_like(values)
+    late = np.empty_like(values)
+    late[:samples] = before
     late[samples:] = values[:-samples]
     return late

@@ -10,7 +10,6 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from torch import Tensor
 
 from twin.errors import ModelError
 
-from .base import choose_ridges, fit_base, gates, predict_base, time_blocks
+from .base import fit_base, gates, predict_base, time_blocks
 from .channels import CHANNELS, N_PHASES
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
 from .clustering import clusters_of
@@ -34,6 +33,7 @@ from .network import ClusterNetwork, NetworkOut, SvqNetwork
 from .preset import Preset, Protocol, preset_json
 from .scaling import fit_scaling, in_spans
 from .sequences import check_protocol, sequences
+from .threads import one_thread
 from .windows import TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def train(
             return done
     if not resume:
         (folder / CHECKPOINT).unlink(missing_ok=True)
-    with _one_thread(), torch.random.fork_rng(devices=[]):
+    with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         task = _Task(flights, preset, protocol, horizon, seed)
         standing = _fit(task, training, folder, progress or (lambda *_: None), checkpoint_s)
@@ -134,20 +134,18 @@ class _Task:
         self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
         self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
         self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
-        self.ridges = choose_ridges(self.spans, self.train, self.validate, protocol, rate_hz)
-        base = fit_base(self.spans, self.train, protocol, self.ridges)
-        predicted = [predict_base(s, base, protocol) for s in self.spans]
-        self.left = [s.d - p for s, p in zip(self.spans, predicted, strict=True)]
+        base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
+        self.compensator.base.copy_(torch.from_numpy(base))
+        self.left = [s.d - predict_base(s, base, protocol) for s in self.spans]
         self.leftover = np.ones(len(CHANNELS))
         if protocol != "reconstruct":
             square = _mean_square(self.left, self.train)
             self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
         self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
-        passed = 1 - base.sum(1) if protocol == "track" else np.ones(len(CHANNELS))
-        if protocol == "free":  # the residual is no input: it cannot be drawn anew
+        if protocol != "reconstruct":  # what is left of a residual changed at will is not known
             self.preset = replace(preset, augment=0.0)
         self.samples = TrainingSamples(
-            self.spans, [e / self.leftover for e in self.left], self.train, passed / self.leftover
+            self.spans, [e / self.leftover for e in self.left], self.train
         )
 
     @property
@@ -166,16 +164,11 @@ class _Task:
         return float(square[known].mean()) if known.any() else math.nan
 
     def calibrate(self) -> None:
-        """Gates, spreads and the anomaly's scale, from the validation time.
-
-        The linear prediction at last is fitted to all samples, with the ridges chosen before.
-        """
+        """Gates, spreads and the anomaly's scale, from the validation time."""
         model = self.compensator
-        everything = [s.fresh for s in self.spans]
-        base = fit_base(self.spans, everything, model.info.protocol, self.ridges)
-        model.base.copy_(torch.from_numpy(base))
         phases = np.concatenate([s.phase for s in self.spans])
-        self.network.fill_unseen([bool(np.any(phases == p)) for p in range(N_PHASES)])
+        trained = phases[np.concatenate(self.train).any(1)]
+        self.network.fill_unseen([bool(np.any(trained == p)) for p in range(N_PHASES)])
         outs = model.outputs(self.spans)
         y = np.concatenate([self.leftover * o.y.double().numpy() for o in outs])
         left, validate = np.concatenate(self.left), np.concatenate(self.validate)
@@ -367,13 +360,3 @@ def _flight_about(flight: ResidualFlight) -> dict[str, Any]:
 
 def _hash(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-@contextmanager
-def _one_thread() -> Any:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

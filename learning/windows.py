@@ -8,9 +8,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .channels import N_PHASES
 from .compensator import network_inputs
 from .flights import ResidualFlight
 from .preset import Preset
+from .scaling import in_spans
 from .sequences import SpanSequence
 
 Array = NDArray[np.float64]
@@ -25,23 +27,48 @@ SHORTEST_STRETCH = 20
 def validation_rows(flights: Sequence[ResidualFlight], share: float, seed: int) -> list[BoolArray]:
     """Samples held back for validation, per flight, shape (n,).
 
-    With four flights or more whole flights, drawn by the seed; with fewer the end of each phase,
-    so that every phase is looked at.
+    With four flights or more some whole ones, since within one flight a network is soon at home;
+    but none that alone holds a phase. Of phases that are then in no flight held back, and of all
+    phases where there are fewer flights, the end of each stretch.
     """
+    chosen: set[int] = set()
     if len(flights) >= MANY_FLIGHTS:
-        count = max(1, round(share * len(flights)))
-        drawn = np.random.default_rng(seed).permutation(len(flights))[:count]
-        return [np.full(len(f.t_s), i in drawn) for i, f in enumerate(flights)]
-    held_back = []
-    for flight in flights:
-        rows = np.zeros(len(flight.t_s), dtype=np.bool_)
-        for a, b in flight.spans:
-            edges = np.flatnonzero(np.diff(flight.phase[a:b])) + a + 1
-            for start, end in zip([a, *edges], [*edges, b], strict=True):
-                if end - start >= SHORTEST_STRETCH:
-                    rows[end - round(share * (end - start)) : end] = True
-        held_back.append(rows)
-    return held_back
+        chosen = _whole_flights(flights, max(1, round(share * len(flights))), seed)
+    covered = np.zeros(N_PHASES, dtype=np.bool_)
+    for i in chosen:
+        covered |= _phases(flights[i])
+    return [
+        in_spans(f) if i in chosen else _ends(f, share, ~covered) for i, f in enumerate(flights)
+    ]
+
+
+def _whole_flights(flights: Sequence[ResidualFlight], count: int, seed: int) -> set[int]:
+    """At most so many flights in random order, each phase of which is in another one as well."""
+    left = np.sum([_phases(f) for f in flights], axis=0)
+    chosen: set[int] = set()
+    for i in np.random.default_rng(seed).permutation(len(flights)):
+        phases = _phases(flights[i])
+        if len(chosen) < count and np.all(left[phases] > 1):
+            chosen.add(int(i))
+            left = left - phases
+    return chosen
+
+
+def _phases(flight: ResidualFlight) -> BoolArray:
+    """Which phases a flight holds for long enough, shape (phases,)."""
+    count = np.bincount(flight.phase[in_spans(flight)], minlength=N_PHASES)
+    return np.asarray(count >= SHORTEST_STRETCH)
+
+
+def _ends(flight: ResidualFlight, share: float, wanted: BoolArray) -> BoolArray:
+    """The last share of each stretch of the wanted phases, shape (n,)."""
+    rows = np.zeros(len(flight.t_s), dtype=np.bool_)
+    for a, b in flight.spans:
+        edges = np.flatnonzero(np.diff(flight.phase[a:b])) + a + 1
+        for start, end in zip([a, *edges], [*edges, b], strict=True):
+            if wanted[flight.phase[start]] and end - start >= SHORTEST_STRETCH:
+                rows[end - round(share * (end - start)) : end] = True
+    return rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +99,6 @@ class TrainingSamples:
         spans: Of all training flights.
         left: Per span what the network shall give, shape (n, 15).
         train: Per span the samples that count, shape (n, 15).
-        offset_left: What an offset of 1 in the residual adds to `left`, shape (15,).
     """
 
     def __init__(
@@ -80,13 +106,11 @@ class TrainingSamples:
         spans: Sequence[SpanSequence],
         left: Sequence[Array],
         train: Sequence[BoolArray],
-        offset_left: Array,
     ) -> None:
         inputs = [network_inputs(span) for span in spans]
         self.known, self.features, self.phase = (_padded([i[k] for i in inputs]) for k in range(3))
         self.target = _padded([torch.from_numpy(a.astype(np.float32)) for a in left])
         self.scored = _padded([torch.from_numpy(a.astype(np.float32)) for a in train])
-        self.offset_left = torch.from_numpy(offset_left.astype(np.float32))
         ends = np.cumsum([len(span.d) for span in spans])
         self.bounds = [(int(e) - len(s.d), int(e)) for s, e in zip(spans, ends, strict=True)]
 
@@ -110,7 +134,7 @@ class TrainingSamples:
                     known=self.known[rows] * (1 + amplitude) + offset,
                     features=self.features[rows],
                     phase=self.phase[rows],
-                    target=self.target[rows] * (1 + amplitude) + offset * self.offset_left,
+                    target=self.target[rows] * (1 + amplitude) + offset,
                     scored=self.scored[rows],
                 )
 

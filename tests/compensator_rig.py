@@ -16,6 +16,8 @@ from learning.onnx_export import export_onnx
 from learning.preset import BEST, Preset, Protocol
 from twin.mission import PHASES
 
+torch.set_num_threads(1)  # on shared cores two threads wait for each other
+
 Array = NDArray[np.float64]
 Rows = dict[str, NDArray[np.float32]]
 N = len(CHANNELS)

@@ -100,7 +100,7 @@ def flying_twin(
         "environment": environment(vehicle),
         "mission": mission(vehicle, scenario),
         "controller": CONTROLLERS[control](vehicle),
-        "airframe": airframe(vehicle, effects=effects).with_starts(standing(vehicle)),
+        "airframe": airframe(vehicle, effects=effects).with_starts(standing(vehicle, effects)),
         "imu": imu(vehicle, effects),
         "magnetometer": magnetometer(vehicle, effects),
         "barometer": barometer(vehicle, effects),

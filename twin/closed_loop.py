@@ -5,7 +5,7 @@ a Jacobi co-simulation in which the controller answers at once: outputs of the a
 controller's, then both advance with their inputs held.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -123,9 +123,14 @@ def closed_loop(
     return Flown(t_s, states, inputs, setpoints, phase, body, bounds)
 
 
-def standing(vehicle: Vehicle) -> dict[str, float]:
-    """Start values of an airframe that stands on the ground with its rotors at rest."""
-    known = {v.name for v in airframe(vehicle).parameters}
+def standing(vehicle: Vehicle, effects: Iterable[str] = ()) -> dict[str, float]:
+    """Start values of an airframe that stands on the ground with its rotors at rest.
+
+    Args:
+        vehicle: Which it is of.
+        effects: Built in besides the vehicle's own.
+    """
+    known = {v.name for v in airframe(vehicle, effects=effects).parameters}
     rest = {n: 0.0 for n in known if n.startswith(("initial.rotor_", "initial.effort_"))}
     return {**rest, "initial.pos_z": -vehicle.leg_height_m}
 
@@ -147,11 +152,12 @@ def fly(
     Returns:
         States before each step, shape (n, n_x), and the inputs over it, shape (n, n_u).
     """
-    every = _every(control)
+    every, line = _every(control), _Memory(body)
     u0, p_body, p_control = (
         body.input_values(held), body.parameter_values(), control.parameter_values()
     )  # fmt: skip
     x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
+    past = ca.SX.sym("past", line.size)
     setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")
     measured = body.outputs(x, u0, p_body)
     sources = {n: measured[i] for i, n in enumerate(body.output_names)}
@@ -163,17 +169,15 @@ def fly(
     answer = control.outputs(after, sensed, p_control)
     u = ca.SX(u0)
     u[[body.input_names.index(n) for n in control.output_names]] = answer
-    both = ca.vertcat(
-        body.step(x, u, p_body, STEP_S), control.step(after, sensed, p_control, STEP_S)
-    )
-    step = ca.Function("closed_loop", [ca.vertcat(x, c), setpoint, due], [both, ca.cse(u)])
+    moved, later = line.sampled(body.step(x, u, p_body, STEP_S), u, past)
+    both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
+    everything = ca.vertcat(x, c, past)
+    step = ca.Function("closed_loop", [everything, setpoint, due], [both, ca.cse(u)])
     run, n = step.mapaccum("flight", _CHUNK), len(setpoints)
-    state = np.concatenate(
-        [
-            np.asarray(part.initial(part.input_values(), p), dtype=np.float64).ravel()
-            for part, p in ((body, p_body), (control, p_control))
-        ]
-    )
+    start = [body.initial(u0, p_body), control.initial(control.input_values(), p_control)]
+    _, first_u = step(ca.vertcat(*start, np.zeros(line.size)), setpoints[0], True)
+    start[:1], begun = line.begun(body.initial(first_u, p_body), first_u)
+    state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
     states, inputs = [], []
     for first in range(0, n, _CHUNK):
         rows = np.minimum(np.arange(first, first + _CHUNK), n - 1)
@@ -183,6 +187,51 @@ def fly(
         inputs.append(np.asarray(given, dtype=np.float64).T)
         state = trail[-1]
     return np.vstack(states)[:n, : len(body.states)], np.vstack(inputs)[:n]
+
+
+class _Memory:
+    """What an airframe does at its sample instants, one per step; its delay lines are a state.
+
+    Each line holds its last samples, the newest first, and looks back between the last two.
+
+    Attributes:
+        size: Samples of all lines.
+    """
+
+    def __init__(self, body: Component) -> None:
+        self._sampling, self._p = body.sampling, body.parameter_values()
+        self._back: Array = np.zeros(0)
+        if self._sampling is not None:
+            if _every(body) != 1:
+                raise ModelError(f"{body.name}: needs a sample period of {STEP_S:g} s to be flown.")
+            delays_s = np.asarray(self._sampling.delays(self._p), dtype=np.float64).ravel()
+            self._back = delays_s / STEP_S
+        self.size = sum(int(k) + 2 for k in self._back)
+
+    def sampled(self, x: ca.SX, u: ca.SX, past: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """State after a sample instant, and what is remembered from it on."""
+        if self._sampling is None:
+            return x, past
+        signals = self._sampling.signals(x, u, self._p)
+        lines: list[ca.SX] = []
+        delayed = []
+        for i, back in enumerate(self._back):
+            whole, first = int(back), sum(line.numel() for line in lines)
+            line = ca.vertcat(signals[i], past[first : first + whole + 1])
+            delayed.append(line[whole] + (back - whole) * (line[whole + 1] - line[whole]))
+            lines.append(line)
+        nothing = np.zeros(self._sampling.channels)
+        after = self._sampling.update(x, u, self._p, nothing, ca.vertcat(*delayed))
+        return after, ca.vertcat(*lines)
+
+    def begun(self, x: ca.DM, u: ca.DM) -> tuple[list[ca.DM], ca.DM]:
+        """State and memory after the first sample instant: signals count as having been so."""
+        if self._sampling is None:
+            return [x], ca.DM(0, 1)
+        signals = self._sampling.signals(x, u, self._p)
+        past = [ca.repmat(signals[i], int(k) + 2) for i, k in enumerate(self._back)]
+        nothing = np.zeros(self._sampling.channels)
+        return [self._sampling.update(x, u, self._p, nothing, signals)], ca.vertcat(*past)
 
 
 def table(rows: Mapping[tuple[str, str, float], Flown]) -> str:

@@ -18,13 +18,25 @@ from .vehicle import GRAVITY_M_S2, Vehicle
 Array = NDArray[np.float64]
 LONGEST_FLIGHT_S = 3600.0
 """Everything is held in memory on a 1 ms grid, about 0.5 MB per second of flight."""
+_SHAKING = ("sensor_noise_level.enabled", "vibration.enabled")
 LIFT_OFF_HEIGHT_M = 0.1
 """Above its resting place by this much, a vehicle counts as airborne."""
 
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """A flight on the grid of its twin: components, inputs and measured states."""
+    """A flight on the grid of its twin.
+
+    Attributes:
+        airframe: With the vehicle's effects, but for `command_delay`: it is in the inputs.
+        imu: With the vehicle's effects, but for those that are noise to whoever compares means.
+        inputs: Of the airframe, commands as they arrive.
+        motion: Measured motion.
+        states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
+        phases: Of the flight, shape (n,).
+        airborne: Shape (n,).
+        notes: What was assumed or left out.
+    """
 
     airframe: Component
     imu: Component
@@ -60,6 +72,8 @@ def prepare(
         LogError: The flight lacks what the vehicle needs, is too short, or never flies.
     """
     body = airframe(vehicle, choose_drive(flight, vehicle), effects)
+    if "command_delay" in vehicle.effects:
+        body = body.with_starts({"command_delay.enabled": 0.0})
     time = flight.table["time"].to_numpy(dtype=np.float64)
     if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
         raise LogError(f"{flight.name}: too short: {len(time)} samples.")
@@ -88,8 +102,13 @@ def prepare(
 
 
 def _quiet(sensor: Component) -> Component:
-    """The sensor without its noise: what it reads on average is compared with the flight."""
-    noise = [v.name for v in sensor.parameters if v.name.endswith(("_noise", "_bias_walk"))]
+    """The sensor without noise and shaking, whose phase nobody knows: what it reads on average is
+    compared with the flight."""
+    noise = [
+        v.name
+        for v in sensor.parameters
+        if v.name.endswith(("_noise", "_bias_walk")) or v.name in _SHAKING
+    ]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
 
 

@@ -161,8 +161,8 @@ def _driven_by_command(
 def _lagging(
     m: ComponentBuilder, rotors: Rotors, steady: list[ca.SX], motors: Motors
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """First-order lag per rotor; one without a lag of its own starts settled on its input, and
-    a lag of 0 s passes the input through."""
+    """First-order lag per rotor; where the model has none of its own, a lag of 0 s passes the
+    input through."""
     state, unit, meaning = (
         ("rotor", "rad/s", "speed of rotor")
         if rotors.from_speed
@@ -170,15 +170,10 @@ def _lagging(
     )
     levels, rates = [], []
     for i, target in enumerate(steady, start=1):
-        own_lag = rotors.lag_up_s > 0
-        start = target
-        if own_lag:
-            start = m.parameter(
-                f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True
-            )
+        start = m.parameter(f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True)
         x = m.state(f"{state}_{i}", unit, meaning.capitalize() + f" {i}", start)
         lag = ca.if_else(target > x, motors.lag_up, motors.lag_down)
-        if own_lag:
+        if rotors.lag_up_s > 0:
             level, rate = x, (target - x) / lag
         else:
             lags = lag > 0

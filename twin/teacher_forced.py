@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from .airframe import AXES
 from .component import Component
+from .effects.timing import COMMAND_PERIOD_S
 from .errors import LogError
 from .flightlog import Flight
 from .flightlog.columns import ACC, is_known, motor_columns
@@ -45,7 +47,7 @@ class Inputs:
     Attributes:
         columns: Flight-table columns that are airframe inputs of the same name.
         t_s: Grid, shape (n,).
-        u: All inputs of the airframe in its order, shape (n, n_u).
+        u: All inputs of the airframe in its order, commands as they arrive, shape (n, n_u).
         rotor_states: Rotor states of the airframe, shape (n, n_r); n_r may be 0.
         notes: What was assumed.
     """
@@ -91,16 +93,23 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
 def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
     """Inputs of the airframe on a uniform grid: the last sample held.
 
-    What no flight table holds, such as the wind, stays at its start value.
+    What no flight table holds, such as the wind, stays at its start value. The `command_delay` of
+    the vehicle acts here, so that it is to be off in the airframe: a delay line knows no past where
+    an airframe is started in mid-flight.
     """
     notes: list[str] = []
+    late_s = vehicle.effects.get("command_delay", {}).get("delay_s")
     u = np.tile(airframe.input_values(), (len(t_s), 1))
     columns = []
     for i, name in enumerate(airframe.input_names):
         if not is_known(name):
             continue
         if flight.has(name):
-            u[:, i] = Signal(*flight.signal([name])).held(t_s)[:, 0]
+            signal = Signal(*flight.signal([name]))
+            if late_s is None or not name.startswith("cmd_"):
+                u[:, i] = signal.held(t_s)[:, 0]
+            else:
+                u[:, i] = _arriving(signal, t_s, late_s)
             columns.append(name)
         else:
             notes.append(
@@ -109,6 +118,35 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
     return Inputs(
         tuple(columns), t_s, u, _rotor_states(airframe, u, float(t_s[1] - t_s[0])), tuple(notes)
     )
+
+
+def as_driven(flight: Flight, airframe: Component, inputs: Inputs) -> Flight:
+    """What drives the airframe, as a flight: its own table unless commands are late.
+
+    A row for each change, since samples are held.
+    """
+    if "command_delay.enabled" not in (v.name for v in airframe.parameters):
+        return flight
+    columns = list(inputs.columns)
+    u = inputs.u[:, [airframe.input_names.index(c) for c in columns]]
+    kept = np.append(True, np.any(u[1:] != u[:-1], axis=1))
+    kept[-1] = True
+    table = pd.DataFrame(u[kept], columns=columns)
+    table.insert(0, "time", inputs.t_s[kept])
+    return Flight(flight.name, table)
+
+
+def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
+    """A held command a while later, as the airframe's delay line has it; shape (n,).
+
+    The line is sampled at the end of each period, where what was held over it counts.
+    """
+    periods = max(delay_s / COMMAND_PERIOD_S, 1.0)
+    whole = int(periods + 1e-9)
+    after, before = (
+        command.held(t_s - back * COMMAND_PERIOD_S)[:, 0] for back in (whole, whole + 1)
+    )
+    return np.asarray(after + max(periods - whole, 0.0) * (before - after))
 
 
 def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
@@ -152,7 +190,10 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             x[:, [column[n] for n in names]] = values
     rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
     x[:, rotors] = inputs.rotor_states
-    hidden = sorted(set(range(x.shape[1])) - set(rotors) - {column[n] for n in RIGID})
+    arrived = {i: s for s, i in column.items() if s.startswith("command_delay.")}
+    for i, name in arrived.items():
+        x[:, i] = inputs.u[:, airframe.input_names.index(name.removeprefix("command_delay."))]
+    hidden = sorted(set(range(x.shape[1])) - {*rotors, *arrived} - {column[n] for n in RIGID})
     if hidden:
         x[:, hidden] = _hidden_states(airframe, hidden, x, inputs)
     return x
@@ -168,7 +209,9 @@ def _hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inpu
         return np.full((len(x), len(index)), np.nan)
     last = np.maximum.accumulate(np.where(known, np.arange(len(x)), -1))
     path = x[np.where(last < 0, np.argmax(known), last)]
-    p, u = airframe.parameter_values({"ground.enabled": 0.0}), inputs.u
+    names = [s.name for s in airframe.states]
+    begin = {f"initial.{n}": float(path[0, names.index(n)]) for n in RIGID}
+    p, u = airframe.parameter_values({"ground.enabled": 0.0, **begin}), inputs.u
     z, at, v = (
         ca.SX.sym(n, k) for n, k in (("z", len(index)), ("x", x.shape[1]), ("u", u.shape[1]))
     )

@@ -52,6 +52,7 @@ static inline float network_tanh(float x) {
 }
 
 static inline float network_max(float a, float b) { return a > b ? a : b; }
+static inline float network_min(float a, float b) { return a < b ? a : b; }
 
 static void model_initial(const Part* p, double* x) {
     static const double spread[N_CHANNELS] = INITIAL_SPREAD;

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from kinds import Array, Instance, unzip
 
-from cosim.export import fused_model, system_of
 from cosim.master import Master
 from cosim.system import System
+from cosim.whole_twin import fused_model, system_of
 from fmus import build, component_model
 from twin.assembly import CONTROLLERS, Assembly, flying_twin
 from twin.component import Component, Run, Variable

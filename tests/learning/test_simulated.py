@@ -26,7 +26,7 @@ from twin.flightlog import read_flight
 from twin.vehicle_file import load_vehicle
 
 INDIVIDUAL = Individual("worn", 1, repeats=1)
-SECONDS = 6.5
+SECONDS = 5.2
 
 
 @pytest.fixture(scope="module")

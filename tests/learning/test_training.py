@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from residual_rig import made_up, tiny
 from scipy.signal import lfilter
 
-from learning.base import choose_ridges, fit_base, gates, predict_base
+from learning.base import fit_base, gates, predict_base
 from learning.channels import CHANNELS
 from learning.checkpoint import CHECKPOINT
 from learning.compensator import Compensator
@@ -120,7 +121,7 @@ def test_reconstruction_learns(tmp_path: Path) -> None:
     assert left(model, AWAY).mean() < 0.1
     curve = json.loads((tmp_path / CURVE).read_text())
     assert len(curve) == 20
-    assert curve[-1]["reconstruction"] < curve[0]["reconstruction"] / 2
+    assert curve[-1]["reconstruction"] < 0.7 * curve[0]["reconstruction"]
 
 
 def test_free_finds_what_the_features_tell(tmp_path: Path) -> None:
@@ -204,16 +205,27 @@ def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     chosen = [in_spans(flight)]
     scaling = fit_scaling([flight], chosen, "pooled", 0.0)
     spans = sequences([flight], scaling, "track", 3)
-    half = [np.arange(len(s.d))[:, None] < len(s.d) / 2 for s in spans]
-    train_rows = [s.fresh & h for s, h in zip(spans, half, strict=True)]
-    other_rows = [s.fresh & ~h for s, h in zip(spans, half, strict=True)]
-    ridges = choose_ridges(spans, train_rows, other_rows, "track", flight.rate_hz)
-    weights = fit_base(spans, train_rows, "track", ridges)
-    expected = np.zeros(8)
+    weights = fit_base(spans, [s.fresh for s in spans], "track", flight.rate_hz)
+    expected = np.zeros(9)
     expected[0] = 0.9**3
     np.testing.assert_allclose(weights.mean(0), expected, atol=0.03)
     share = np.var(spans[1].d - predict_base(spans[1], weights, "track"), axis=0)
     np.testing.assert_allclose(share.mean(), 1 - 0.9**6, atol=0.03)
+
+
+def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
+    """Residual = slow reading - virtual: the linear prediction must not hold the twin's noise."""
+    flight = made_up(0, n=1500)
+    rng = np.random.default_rng(2)
+    virtual = rng.normal(size=flight.virtual.shape)
+    reading = lfilter([1.0], [1.0, -0.999], 0.01 * rng.normal(size=virtual.shape), axis=0)
+    jittery = replace(flight, virtual=virtual, residual=reading - virtual)
+    scaling = fit_scaling([jittery], [in_spans(jittery)], "pooled", 0.0)
+    spans = sequences([jittery], scaling, "track", 10)
+    weights = fit_base(spans, [s.fresh for s in spans], "track", jittery.rate_hz)
+    np.testing.assert_allclose(weights[:, -1], 1.0, atol=0.1)
+    left = np.concatenate([s.d - predict_base(s, weights, "track") for s in spans])
+    assert np.median(np.mean(left**2, axis=0)) < 0.02
 
 
 def test_held_back_for_validation() -> None:
@@ -221,10 +233,18 @@ def test_held_back_for_validation() -> None:
     for flight, rows in zip(FLIGHTS, few, strict=True):
         for phase in (1, 2):
             assert 0.15 < rows[in_spans(flight) & (flight.phase == phase)].mean() < 0.25
-    many = validation_rows([made_up(s) for s in range(6)], 0.2, seed=0)
-    assert sorted(float(rows.mean()) for rows in many) == [0, 0, 0, 0, 0, 1]
-    again = validation_rows([made_up(s) for s in range(6)], 0.2, seed=0)
-    assert all(np.array_equal(a, b) for a, b in zip(many, again, strict=True))
+    flights = [made_up(s) for s in range(6)]
+    lonely = int(np.flatnonzero([v.any() for v in validation_rows(flights, 0.2, seed=0)])[0])
+    whole = validation_rows(flights, 0.2, seed=0)
+    for number, (flight, rows) in enumerate(zip(flights, whole, strict=True)):
+        assert np.array_equal(rows, in_spans(flight) & (number == lonely))
+    flights[lonely].phase[150:] = 4  # a phase that no other flight has: not to be lost to training
+    rows = validation_rows(flights, 0.2, seed=0)
+    assert (
+        0.15 < rows[lonely][in_spans(flights[lonely]) & (flights[lonely].phase == 4)].mean() < 0.25
+    )
+    assert not rows[lonely][:150].any()
+    assert sum(v.all(where=in_spans(f)) for f, v in zip(flights, rows, strict=True)) == 1
 
 
 def test_flights_of_two_kinds_are_refused(tmp_path: Path) -> None:

@@ -49,13 +49,23 @@ def drives(component: Component) -> list[str]:
     return [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
 
 
+def punctual(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with motors that get their commands at once.
+
+    The equations of motion of an airframe with `command_delay` never see a command: it arrives at
+    sample instants.
+    """
+    others = {k: v for k, v in vehicle.effects.items() if k != "command_delay"}
+    return vehicle.with_effects(others)
+
+
 def linearise(vehicle: Vehicle) -> Hover:
-    """Hover model of a vehicle, at the trim its airframe starts in.
+    """Hover model of a vehicle, at the trim its airframe starts in, delays left out.
 
     Raises:
         ModelError: Its rotors cannot turn it about all three axes.
     """
-    body = airframe(vehicle)
+    body = airframe(punctual(vehicle))
     u0, p0 = body.input_values(), body.parameter_values({"ground.enabled": 0.0})
     x0 = np.asarray(body.initial(u0, p0), dtype=np.float64).ravel()
     rate = dict(zip((s.name for s in body.states), range(len(x0)), strict=True))

@@ -28,7 +28,8 @@ def _rotor_drag(w: Wrench, p: Block) -> Wrench:
 
 def _parasitic_drag(w: Wrench, p: Block) -> Wrench:
     air = w.motion.air_b
-    speed = ca.sqrt(sum((v * v for v in air), start=ca.SX(0)))
+    # Bounded below: the root has no derivative at rest.
+    speed = ca.sqrt(ca.fmax(sum((v * v for v in air), start=ca.SX(0)), 1e-30))
     c = p["c_1_m"] * w.motion.body.mass * w.motion.density * speed
     return replace(w, force=[f - c * v for f, v in zip(w.force, air, strict=True)])
 

@@ -166,6 +166,12 @@ class Block:
         full = f"{self._effect.name}.{name}"
         return self._m.state(full, unit, f"{self._effect.name}: {description}", initial)
 
+    def start(self, name: str, unit: str, description: str) -> ca.SX:
+        """Declare a start value, 0 for a state that starts where it would by itself."""
+        full = f"initial.{self._effect.name}.{name}"
+        meaning = f"{self._effect.name}: initial {description}"
+        return self._m.parameter(full, 0.0, unit, meaning, fixed=True)
+
     def derivative(self, name: str, rate: ca.SX) -> None:
         """Give the time derivative of a state of the effect."""
         self._m.derivative(f"{self._effect.name}.{name}", ca.if_else(self.enabled, rate, 0.0))

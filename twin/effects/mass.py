@@ -55,9 +55,11 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
     stiffness, damping = mass * omega**2, 2 * ROPE_DAMPING * mass * omega
     rest = [ca.SX(0), ca.SX(0), length + motion.gravity / omega**2]
     # Place and speed of the load relative to the vehicle, NED.
-    r = [p.state(f"r_{a}", "m", f"load from the vehicle, NED {a}", s)
+    r = [p.state(f"r_{a}", "m", f"load from the vehicle, NED {a}",
+                 s + p.start(f"r_{a}", "m", f"place of the load from that at rest, NED {a}"))
          for a, s in zip("xyz", rest, strict=True)]  # fmt: skip
-    v = [p.state(f"v_{a}", "m/s", f"speed of the load, NED {a}", s)
+    v = [p.state(f"v_{a}", "m/s", f"speed of the load, NED {a}",
+                 s + p.start(f"v_{a}", "m/s", f"speed of the load from the vehicle's, NED {a}"))
          for a, s in zip("xyz", motion.start_vel_n, strict=True)]  # fmt: skip
     distance = ca.sqrt(sum((c * c for c in r), start=ca.SX(0)) + 1e-12)
     along = [c / distance for c in r]

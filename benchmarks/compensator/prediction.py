@@ -1,0 +1,288 @@
+"""What a compensator removes on other flights: `python -m benchmarks.compensator.prediction`.
+
+    python -m benchmarks.compensator.prediction --data D --out OUT [--simulated DIR] [--epochs N]
+
+D holds rflysimdt/real_1.ulg ... Parts:
+
+| part | trained on | tested on |
+|---|---|---|
+| real | two real flights | the third, each in turn |
+| explained | real_1, real_2, with the vehicle file that `explain` writes from them | real_3 |
+| simulated, paper's split | hover and takeoff of an aircraft with hidden effects | tour, forward |
+| simulated, same missions | one flight of every mission | other flights of tour and forward |
+| alarm | two real flights | the third, with a fault planted in the middle |
+
+A training that is done, or was cut short, is gone on from. The page is printed and written to
+OUT/prediction.md.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from learning.channels import CHANNELS, GROUPS
+from learning.compensator import Compensator
+from learning.corrected import Model
+from learning.flights import ResidualFlight, residual_flight
+from learning.generating import evaluate_generated
+from learning.generator import fit_generators
+from learning.preset import BEST, Preset
+from learning.protocols import WHOLE, Task, evaluate, pooled
+from learning.recording import fit_recording
+from learning.training import train
+from twin.explain.explanation import explain
+from twin.flightlog import Flight, read_flight
+from twin.vehicle_file import load_vehicle
+
+from .residuals import residuals
+from .simulated import individuals, produce
+
+VEHICLE = "feisi_x150"
+TASKS = (*(Task("track", h) for h in (1, 10, 50, 100)), Task("free"))
+SIMULATED_TASKS = (Task("track", 1), Task("track", 10), Task("free"))
+FAULT = "gyro_x"
+FAULT_RAD_S = 0.5
+MODEL = "compensator"
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Flights to train on and to test on."""
+
+    name: str
+    train: Sequence[ResidualFlight]
+    test: Sequence[ResidualFlight]
+
+
+def real_splits(logs: Sequence[Flight], vehicle: str) -> list[Split]:
+    """Each flight held out in turn."""
+    model = load_vehicle(vehicle)
+    flights = [residual_flight(log, model) for log in logs]
+    return [
+        Split(f"without {held.name}", [f for f in flights if f is not held], [held])
+        for held in flights
+    ]
+
+
+def simulated_splits(folder: Path, seeds: int, jobs: int) -> dict[str, list[Split]]:
+    """Aircraft with hidden effects, the paper's split and the same missions in both."""
+    wanted = individuals(seeds=seeds)
+    produce(folder, wanted)
+    hover = residuals(folder, wanted, "train", jobs)
+    motion = residuals(folder, wanted, "test", jobs)
+    paper, same = [], []
+    for name, test in motion.items():
+        paper.append(Split(name, hover[name], test))
+        again = [f for f in test if f.name.endswith("_2")]
+        other = [f for f in (*hover[name], *test) if f.name.endswith("_1")]
+        same.append(Split(name, other, again))
+    return {"paper's split": paper, "same missions": same}
+
+
+def trained(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> Compensator:
+    """The compensator of a split; one that is there already is taken."""
+    return train(
+        split.train, preset, task.protocol, task.horizon, seed,  # type: ignore[arg-type]
+        out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}",
+    )  # fmt: skip
+
+
+def score(
+    splits: Sequence[Split], tasks: Sequence[Task], preset: Preset, seeds: int, out: Path
+) -> pd.DataFrame:
+    """Rows of `protocols.evaluate`, with the split and the seed."""
+    tables, began = [], time.perf_counter()
+    jobs = [(s, t, k) for s in splits for t in tasks for k in range(seeds)]
+    for done, (split, task, seed) in enumerate(jobs, start=1):
+        model = trained(split, task, preset, seed, out)
+        table = evaluate({MODEL: model}, split.train, split.test, task)
+        tables.append(table[table["phase"] == WHOLE].assign(split=split.name, seed=seed))
+        left = (time.perf_counter() - began) / done * (len(jobs) - done)
+        print(f"{out.name}: {done}/{len(jobs)}, {left:.0f} s left", file=sys.stderr, flush=True)
+    return pd.concat(tables, ignore_index=True)
+
+
+def table_text(rows: pd.DataFrame) -> str:
+    """Per task and model: share of the rms beyond a constant that is gone, by sensor.
+
+    A cell: mean over the splits, smallest and largest over splits and seeds of the compensator.
+    """
+    lines = [
+        f"| task | model | {' | '.join(GROUPS)} |",
+        "|---|---|" + "---|" * len(GROUPS),
+    ]
+    per = pooled(rows, ("protocol", "horizon", "model", "split", "seed", "group"))
+    for (protocol, horizon), part in per.groupby(["protocol", "horizon"], sort=False):
+        name = protocol if not horizon else f"{protocol} {horizon}"
+        for model, own in part.groupby("model", sort=False):
+            cells = [_cell(own[own["group"] == g], str(model)) for g in GROUPS]
+            lines.append(f"| {name} | {model} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def _cell(own: pd.DataFrame, model: str) -> str:
+    """Mean share in percent, and its range over splits and seeds."""
+    share = 100 * own["removed_beyond_constant"].dropna()
+    if share.empty:
+        return "-"
+    text = f"{share.mean():.1f}"
+    return f"**{text}** ({share.min():.1f} to {share.max():.1f})" if model == MODEL else text
+
+
+def verdicts(rows: pd.DataFrame) -> str:
+    """Per task and sensor: rms of the compensator over that of the best baseline."""
+    per = pooled(rows, ("protocol", "horizon", "model", "group"))
+    lines = [f"| task | {' | '.join(GROUPS)} |", "|---|" + "---|" * len(GROUPS)]
+    for (protocol, horizon), part in per.groupby(["protocol", "horizon"], sort=False):
+        cells = []
+        for group in GROUPS:
+            here = part[part["group"] == group].set_index("model")["rmse"]
+            best = here.drop(MODEL).idxmin() if len(here) else ""
+            cells.append(f"{here[MODEL] / here[best]:.2f} of {best}" if best else "-")
+        name = protocol if not horizon else f"{protocol} {horizon}"
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path) -> str:
+    """The rms left on real_3 by the twin, the explained twin, and each with a compensator."""
+    fit, held = logs[:2], logs[2:]
+    vehicle = load_vehicle(VEHICLE)
+    found = explain(fit, held, vehicle)
+    lines = [
+        f"`explain` on {fit[0].name} and {fit[1].name}: {found.verdict}, "
+        f"{', '.join(found.effects) or 'no effect'}.",
+        "",
+        f"| task | twin | {' | '.join(GROUPS)} |",
+        "|---|---|" + "---|" * len(GROUPS),
+    ]
+    models = {"as published": vehicle}
+    if found.added is not None:
+        models["explained"] = found.added
+    flights = {k: [residual_flight(log, v) for log in logs] for k, v in models.items()}
+    for task in (Task("track", 10), Task("free")):
+        for name, made in flights.items():
+            split = Split(f"explained {name}", made[:2], made[2:])
+            rows = score([split], [task], preset, seeds, out)
+            per = pooled(rows, ("model", "group")).set_index(["model", "group"])["rmse"]
+            for model in ("none", MODEL):
+                label = name if model == "none" else f"{name} + compensator"
+                cells = [f"{per[model, g]:.3g}" for g in GROUPS]
+                lines.append(f"| {_task(task)} | {label} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def _task(task: Task) -> str:
+    return task.protocol if not task.horizon else f"{task.protocol} {task.horizon}"
+
+
+def alarm_text(splits: Sequence[Split], preset: Preset, out: Path) -> str:
+    """Share of the time with an alarm before and after a fault in the middle of the flight."""
+    lines = ["| flight | task | before the fault | after it |", "|---|---|---|---|"]
+    for split in splits:
+        for task in (Task("track", 1), Task("track", 10)):
+            model = trained(split, task, preset, 0, out)
+            for flight in split.test:
+                broken, at = with_fault(flight)
+                alarm = model.run(broken).anomaly > 1
+                before, after = _shares(broken, alarm, at)
+                cells = (flight.name, _task(task), f"{before:.1%}", f"{after:.1%}")
+                lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def generated_text(split: Split) -> str:
+    """How alike generated and measured residuals are in hover."""
+    models: dict[str, Callable[[int], Model]] = {
+        name: made.with_seed for name, made in fit_generators(split.train).items()
+    }
+    models["a training flight"] = fit_recording(split.train).with_seed
+    rows = evaluate_generated(models, split.train, split.test)
+    hover = rows[rows["phase"] == "hover"]
+    lines = [
+        f"| {split.name}, hover | {' | '.join(GROUPS)} |",
+        "|---|" + "---|" * len(GROUPS),
+    ]
+    for model, own in hover.groupby("model", sort=False):
+        means = own.groupby("group")[["wasserstein_std", "log_spectral_db"]].mean()
+        cells = [f"{means['wasserstein_std'][g]:.2f}, {means['log_spectral_db'][g]:.1f} dB"
+                 for g in GROUPS]  # fmt: skip
+        lines.append(f"| {model} | {' | '.join(cells)} |")
+    return "\n".join([*lines, ""])
+
+
+def with_fault(flight: ResidualFlight) -> tuple[ResidualFlight, int]:
+    """The flight with a step in one reading from the middle of its time in the air, and the row."""
+    at = (flight.spans[0][0] + flight.spans[-1][1]) // 2
+    residual = flight.residual.copy()
+    residual[at:, CHANNELS.index(FAULT)] += FAULT_RAD_S
+    return replace(flight, residual=residual), at
+
+
+def _shares(flight: ResidualFlight, alarm: NDArray[np.bool_], at: int) -> tuple[float, float]:
+    rows = np.zeros(len(alarm), dtype=bool)
+    for a, b in flight.spans:
+        rows[a:b] = True
+    before, after = rows.copy(), rows.copy()
+    before[at:] = False
+    after[:at] = False
+    return float(alarm[before].mean()), float(alarm[after].mean())
+
+
+def page(parts: Mapping[str, str]) -> str:
+    """All parts under their titles."""
+    return "\n".join(f"## {title}\n\n{text}" for title, text in parts.items())
+
+
+def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
+    preset = replace(BEST, epochs=given.epochs)
+    out = given.out / "models"
+    logs = [read_flight(given.data / "rflysimdt" / f"real_{k}.ulg") for k in (1, 2, 3)]
+    splits = real_splits(logs, VEHICLE)
+    rows = score(splits, TASKS, preset, given.seeds, out / "real")
+    yield "Real flights, each held out in turn", table_text(rows)
+    yield "Real flights: rms over that of the best trivial baseline", verdicts(rows)
+    alarms = alarm_text(splits, preset, out / "real")
+    yield f"{FAULT} off by {FAULT_RAD_S:g} rad/s from mid-flight on: time with an alarm", alarms
+    yield (
+        "Protocol generate: Wasserstein distance, log spectral distance",
+        generated_text(splits[-1]),
+    )
+    yield "After `explain`", explained_text(logs, preset, given.seeds, out / "explained")
+    if given.simulated is None:
+        return
+    for name, made in simulated_splits(given.simulated, given.aircraft, given.jobs).items():
+        rows = score(made, SIMULATED_TASKS, preset, 1, out / name.replace(" ", "_"))
+        yield f"Simulated flights with hidden effects, {name}", table_text(rows)
+        yield f"The same: rms over that of the best trivial baseline, {name}", verdicts(rows)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--simulated", type=Path, help="folder of the simulated flights")
+    parser.add_argument("--aircraft", type=int, default=2, help="simulated ones per hidden set")
+    parser.add_argument("--epochs", type=int, default=40, help="of every training")
+    parser.add_argument("--seeds", type=int, default=3, help="trainings of each real split")
+    parser.add_argument("--jobs", type=int, default=1, help="processes that make residuals")
+    given = parser.parse_args(arguments)
+    given.out.mkdir(parents=True, exist_ok=True)
+    parts = {}
+    for title, text in _parts(given):
+        parts[title] = text
+        (given.out / "prediction.md").write_text(page(parts), "utf-8")
+    print(page(parts))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

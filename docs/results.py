@@ -1,0 +1,60 @@
+"""Write results.md: `python docs/results.py --data ../shared/data --work out/results`.
+
+Runs what is not done yet: the paper's tables, and what compensators remove on flights that they
+were not trained on. About two hours on two cores; it may be stopped and goes on from there.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import jinja2
+
+sys.path.insert(
+    0, str(Path(__file__).parents[1])
+)  # benchmarks are no part of the installed package
+
+from benchmarks.compensator import paper, prediction
+
+EPOCHS = 12
+"""Of the tables with many variants."""
+PREDICTION_EPOCHS = 30
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
+    parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    tables, out = given.data / "rflysimdt" / "paper_residuals", given.work / "paper"
+    common = ["--data", str(tables), "--out", str(out), "--jobs", str(given.jobs)]
+    paper.main([*common, "--only=table2"])
+    table2 = (out / "paper.md").read_text("utf-8")
+    some = [f"--only={name}" for name in ("ablations", "samples", "weights")]
+    paper.main([*common, f"--epochs={EPOCHS}", *some])
+    variants = (out / "paper.md").read_text("utf-8")
+    predicted = given.work / "prediction"
+    prediction.main(
+        ["--data", str(given.data), "--out", str(predicted), f"--epochs={PREDICTION_EPOCHS}",
+         "--simulated", str(given.work / "simulated"), "--jobs", str(given.jobs)]
+    )  # fmt: skip
+    write(table2, variants, (predicted / "prediction.md").read_text("utf-8"))
+
+
+def write(table2: str, variants: str, predicted: str) -> None:
+    """Put the tables into the page; its first section is kept."""
+    template = Path(paper.__file__).with_name("results.md.j2").read_text("utf-8")
+    page = Path(__file__).with_name("results.md")
+    said = page.read_text("utf-8").split("\n# ")[0] if page.exists() else ""
+    filled = jinja2.Template(template, keep_trailing_newline=True).render(
+        table2=table2, variants=variants, predicted=predicted,
+        epochs=EPOCHS, prediction_epochs=PREDICTION_EPOCHS,
+    )  # fmt: skip
+    first, _, rest = filled.partition("\n# ")
+    page.write_text(f"{said or first}\n# {rest}", "utf-8")
+
+
+if __name__ == "__main__":
+    main()
