@@ -18,7 +18,6 @@ from .vehicle import GRAVITY_M_S2, Vehicle
 Array = NDArray[np.float64]
 LONGEST_FLIGHT_S = 3600.0
 """Everything is held in memory on a 1 ms grid, about 0.5 MB per second of flight."""
-_SHAKING = ("sensor_noise_level.enabled", "vibration.enabled")
 LIFT_OFF_HEIGHT_M = 0.1
 """Above its resting place by this much, a vehicle counts as airborne."""
 
@@ -29,7 +28,7 @@ class Twin:
 
     Attributes:
         airframe: With the vehicle's effects, but for `command_delay`: it is in the inputs.
-        imu: With the vehicle's effects, but for those that are noise to whoever compares means.
+        imu: With the vehicle's effects, but without noise.
         inputs: Of the airframe, commands as they arrive.
         motion: Measured motion.
         states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
@@ -102,13 +101,9 @@ def prepare(
 
 
 def _quiet(sensor: Component) -> Component:
-    """The sensor without noise and shaking, whose phase nobody knows: what it reads on average is
-    compared with the flight."""
-    noise = [
-        v.name
-        for v in sensor.parameters
-        if v.name.endswith(("_noise", "_bias_walk")) or v.name in _SHAKING
-    ]
+    """The sensor without its noise: what it reads on average is compared with the flight."""
+    ends = ("_noise", "_bias_walk", "sensor_noise_level.enabled")
+    noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
 
 

@@ -21,13 +21,15 @@ from kinds import Array, Instance, library, unzip
 
 from cosim.export import Choice, default_vehicle, export_components
 from cosim.master import Master
-from cosim.ssp import read_ssp
+from cosim.ssp import read_ssp, write_ssp
 from cosim.system import System
+from cosim.whole_twin import fused_model, parts_of, system_of
 from fmus import build
 from fmus.compensator import (
     FILE,
     UnsupportedNetworkError,
     compensator_model,
+    interface_model,
     network_source,
     read_network,
 )
@@ -35,8 +37,9 @@ from fmus.python_slave import build_network_slave
 from learning.channels import CHANNELS, GROUPS
 from learning.compensator import Compensator
 from learning.int8 import streamed
+from twin.assembly import Assembly, connected_by_name, flying_twin
 from twin.errors import FmuError, TwinError
-from twin.vehicle_file import vehicle_text
+from twin.vehicle_file import load_vehicle, vehicle_text
 
 VEHICLE, H = "crazyflie", 0.01
 SAMPLES = {"track": 10_000, "reconstruct": 1000, "free": 1000}
@@ -311,19 +314,18 @@ def test_corrected_twin_is_the_co_simulation_of_its_parts(
     folder_of: Folder, tmp_path: Path
 ) -> None:
     """A takeoff: the fused FMU at 10 ms against the parts of the `.ssp` at 1 ms, to the bit."""
-    rows = export(["corrected-twin"], tmp_path / "out", vehicle=VEHICLE, mission="takeoff",
-                  model=folder_of("track"), starts=["mission.wait=0.1"])  # fmt: skip
-    assert [row["file"] for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
-    whole = tmp_path / "out" / "corrected_twin.fmu"
+    assembly = _twin(VEHICLE).with_starts({"mission.wait": 0.1})
+    network = compensator_model(folder_of("track"))
+    whole = build(fused_model(assembly, VEHICLE, network), tmp_path / "whole.fmu")
     assert validate_fmu(str(whole)) == []
-    parts = read_ssp(tmp_path / "out" / "corrected_twin.ssp")
-    measured = {f"compensator.{k}": v for k, v in
-                {"measured.acc_z": -9.0, "valid.acc": 1.0}.items()}  # fmt: skip
-    with Master(System(parts.fmus, parts.connections, {**parts.starts, **measured})) as master:
+    parts = read_ssp(write_ssp(system_of(assembly, tmp_path, compensator=network),
+                               tmp_path / "parts.ssp"))  # fmt: skip
+    starts = {"compensator.measured.acc_z": -9.0, "compensator.valid.acc": 1.0}
+    with Master(replace(parts, starts=starts)) as master:
         names = master.record_names
         master.initialize()
         fine = master.run(2.0, 1e-3, every=10).values
-    one = System({"twin": whole}, starts={f"twin.{k}": v for k, v in measured.items()})
+    one = System({"twin": whole}, starts={f"twin.{k}": v for k, v in starts.items()})
     with Master(one, [f"twin.{n}" for n in names]) as master:
         master.initialize()
         coarse = master.run(2.0, 1e-2).values
@@ -335,6 +337,26 @@ def test_corrected_twin_is_the_co_simulation_of_its_parts(
     assert coarse.tobytes() == fine.tobytes()
     result = fmpy.simulate_fmu(str(whole), stop_time=0.2, output=["compensator.corrected.acc_z"])
     assert np.isfinite(result["compensator.corrected.acc_z"]).all()
+
+
+def test_export_of_the_corrected_twin(
+    folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Descriptions alone: the sensors, the commands and the phase feed the compensator."""
+    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
+    rows = export(["corrected-twin"], tmp_path / "out", vehicle=VEHICLE, model=folder_of("track"))
+    assert [row["file"] for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
+    parts = read_ssp(tmp_path / "out" / "corrected_twin.ssp")
+    fed = {c.target: c.source for c in parts.connections if c.target.startswith("compensator.")}
+    givers = {"gyro": "imu", "acc": "imu", "mag": "magnetometer", "pos": "airframe",
+              "vel": "airframe"}  # fmt: skip
+    wanted = {f"compensator.{c}": f"{givers[c[:-2]]}.{c}" for c in CHANNELS}
+    wanted |= {f"compensator.cmd_{i}": f"controller.cmd_{i}" for i in range(1, 5)}
+    assert fed == wanted | {"compensator.phase": "mission.phase"}
+    description = fmpy.read_model_description(str(tmp_path / "out" / "corrected_twin.fmu"))
+    free = {v.name for v in description.modelVariables if v.causality == "input"}
+    assert {f"compensator.measured.{c}" for c in CHANNELS} <= free
+    assert not any(v in free for v in wanted)
 
 
 def test_the_vehicle_is_that_of_the_model(tmp_path: Path) -> None:
@@ -360,9 +382,6 @@ def test_the_vehicle_is_that_of_the_model(tmp_path: Path) -> None:
 
 def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None:
     two = exported(compensator(commands=2), tmp_path / "two")
-    fast = compensator()
-    fast.feature_mean[-4:] = 1500.0
-    speeds = exported(fast, tmp_path / "speeds")
     fine = folder_of("track")
     for names, choice, words in (
         (["compensator"], Choice(), "--model FOLDER"),
@@ -370,12 +389,25 @@ def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None
         (["compensator"], Choice(VEHICLE, model=two), "trained with 2 motors, crazyflie has 4"),
         (["compensator"], Choice(VEHICLE, model=tmp_path), "holds no model.onnx"),
         (["compensator"], Choice(VEHICLE, model=fine, starts=["gyro_w=1"]), "mean 'gyro_"),
-        (["corrected-twin"], Choice(VEHICLE, model=fine, starts=["compensator.phase=9"]), "range"),
+        (["compensator"], Choice(VEHICLE, model=fine, starts=["phase=9"]), "outside its range"),
     ):
         with pytest.raises(TwinError, match=words):
             export_components(names, choice)
-    # rotor speeds are there where the airframe knows them from its commands
-    export_components(["corrected-twin"], Choice("copter_default", model=speeds))
+
+
+def test_a_model_of_rotor_speeds_reads_those_of_the_airframe(tmp_path: Path) -> None:
+    """Which knows them where a speed belongs to each thrust."""
+    fast = compensator()
+    fast.feature_mean[-4:] = 1500.0
+    network = interface_model(read_network(exported(fast, tmp_path)))
+    wired = connected_by_name(parts_of(_twin("copter_default"), network))
+    assert ("airframe.rotor_4", "compensator.rotor_4") in wired
+    with pytest.raises(TwinError, match="reads rotor_1, rotor_2, rotor_3, rotor_4, which"):
+        parts_of(_twin(VEHICLE), network)
+
+
+def _twin(vehicle: str) -> Assembly:
+    return flying_twin(load_vehicle(vehicle), "takeoff", effects=())
 
 
 def test_start_values_are_baked_in(

@@ -204,7 +204,7 @@ def test_weak_rotors_and_a_weak_battery_part_at_another_voltage() -> None:
 @pytest.mark.parametrize("truth", list(PLANTS))
 def test_a_known_payload_separates_extra_mass_from_weak_rotors(truth: str) -> None:
     """Force over mass: unknown mass counts for less once a known one is aboard, lost thrust does
-    not. With 10 % of each and 20 % aboard they part by 1.5 % of the weight."""
+    not. With 10 % of each and half the mass aboard they part by 3 % of the weight."""
     naming = tie(hovering(COPTER, PLANTS[truth]), COPTER, list(PLANTS))
     ranked = suggestions(naming, COPTER, ["hover", "payload_swap"])
     assert ranked[0].manoeuvre == "payload_swap"

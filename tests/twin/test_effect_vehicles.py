@@ -59,11 +59,10 @@ def test_a_flight_of_the_vehicle_itself_leaves_the_noise(effect: str) -> None:
         c.name: c for c in flight_gap(flight, vehicle, NO_WINDOWS).channels
     }
     for axis in "xyz":
-        if effect == "vibration":  # of four rotors, nobody knows the phase
-            shaking = vehicle.effects[effect]["accel_m_s2"] * np.sqrt(4 / 2)
-            assert rms(found[f"acc_{axis}"].residual) == pytest.approx(shaking, rel=0.2)
-        else:
-            assert rms(found[f"acc_{axis}"].residual) < 1.3 * ACC_NOISE_M_S2, axis
+        bound = 1.3 * ACC_NOISE_M_S2
+        if effect == "vibration":  # of four rotors, their phase known from commands held for 5 ms
+            bound = 0.5 * vehicle.effects[effect]["accel_m_s2"] * np.sqrt(4 / 2)
+        assert rms(found[f"acc_{axis}"].residual) < bound, axis
         if effect not in NOT_READ:
             assert rms(found[f"angacc_{axis}"].residual) < 0.7, axis
     assert flying_twin(vehicle, effects=()).parts["controller"].states
