@@ -174,6 +174,10 @@ def explain(
             "Default: blocks of time of the flights, which is weaker."
         ),
     ] = None,
+    payload: Annotated[
+        list[str] | None,
+        typer.Option(help="Known mass aboard one of the flights, FLIGHT=KG. May be repeated."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
     no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
     out: Out = Path("explain"),
@@ -187,7 +191,7 @@ def explain(
     from twin.flightlog import read_flight
     from twin.vehicle_file import load_vehicle
 
-    from .explain import write_explanation
+    from .explain import flight_payloads, write_explanation
     from .output import check_folder, results_folder, write_run
 
     check_folder(out, force)
@@ -198,9 +202,10 @@ def explain(
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
     fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
+    payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
-        found = search(fit, away, model, seed, step)
-    options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus}
+        found = search(fit, away, model, seed, step, payloads=payloads)
+    options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus, "payload": payload or []}
     inputs = [p for p in (*flights, *held, Path(vehicle)) if p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = write_explanation(found, vehicle, folder, not no_fmus, step)

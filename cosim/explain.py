@@ -1,9 +1,11 @@
 """`uavtwin explain`: what a model lacks, as JSON, page, vehicle file and FMUs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from twin.component import unknown_name
 from twin.effects import EFFECTS
+from twin.errors import TwinError
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.explain.telling import told
@@ -47,6 +49,26 @@ def write_explanation(
         rows = export_components(_components(found), choice)(folder, progress)
         written += [str(row["file"]) for row in rows]
     return written
+
+
+def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, float]:
+    """Known mass aboard by flight, kg, of "FLIGHT=KG" texts.
+
+    Raises:
+        TwinError: A text is not of that form, or there is no such flight.
+    """
+    payloads = {}
+    for text in texts:
+        name, _, mass = text.rpartition("=")
+        try:
+            payloads[name] = float(mass)
+        except ValueError:
+            name = ""
+        if not name or not 0 <= payloads[name] < float("inf"):
+            raise TwinError(f"--payload {text}: write FLIGHT=KG, e.g. {flights[0]}=0.2.")
+        if name not in flights:
+            raise TwinError(unknown_name("--payload", "flight", name, flights))
+    return payloads
 
 
 def _components(found: Explanation) -> list[str]:

@@ -133,7 +133,7 @@ def table2_text(found: Sequence[dict[str, Any]]) -> str:
     """The main table, in every system of units."""
     lines = []
     for system in SYSTEMS:
-        lines += [f"### {TITLES[system]}", "", *_head("model", "trained, s")]
+        lines += [f"### {TITLES[system]}", "", *_head("model", "CPU s")]
         if system != "physical":
             lines += [_claim(name, values) for name, values in CLAIMED.items()]
         lines += [_row(name, group, system) for name, group in _grouped(found).items()]
@@ -144,7 +144,7 @@ def table2_text(found: Sequence[dict[str, Any]]) -> str:
 def plain_text(found: Sequence[dict[str, Any]]) -> str:
     """One row per variant."""
     rows = [_row(name, group, "standardised") for name, group in _grouped(found).items()]
-    return "\n".join([*_head("model", "trained, s"), *rows, ""])
+    return "\n".join([*_head("model", "CPU s"), *rows, ""])
 
 
 def share_text(found: Sequence[dict[str, Any]]) -> str:

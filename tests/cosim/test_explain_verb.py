@@ -298,3 +298,26 @@ def test_what_the_library_lacks_has_a_place(named: Run, tmp_path: Path) -> None:
 )
 def test_certainty_is_never_complete(probability: float, words: str) -> None:
     assert certainty(probability) == words
+
+
+def test_a_payload_is_told_by_flight() -> None:
+    flights = ("one", "two=b")
+    assert explain_files.flight_payloads(["one=0.2", "two=b=1"], flights) == {
+        "one": 0.2,
+        "two=b": 1.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("one", "write FLIGHT=KG, e.g. one=0.2"),
+        ("one=heavy", "write FLIGHT=KG"),
+        ("one=-1", "write FLIGHT=KG"),
+        ("one=nan", "write FLIGHT=KG"),
+        ("ond=0.2", "there is no flight 'ond'. Did you mean 'one'"),
+    ],
+)
+def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
+    with pytest.raises(cli.TwinError, match=re.escape(says)):
+        explain_files.flight_payloads([text], ("one",))
