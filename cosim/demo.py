@@ -76,7 +76,7 @@ def fly(
     body, sensor = airframe(plant, "command"), imu(plant)
     setpoints, phases = _setpoints(plant, waypoints)
     states, inputs = closed_loop.fly(
-        body.with_starts(closed_loop.standing(plant)), controller(vehicle), setpoints
+        body.with_starts(closed_loop.standing(body, plant)), controller(vehicle), setpoints
     )
     truth = body.outputs_along(states, inputs)
     sensed = truth[:, [body.output_names.index(n) for n in sensor.input_names]]

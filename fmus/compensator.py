@@ -38,10 +38,12 @@ _PREAMBLE = """\
 #if defined(__GNUC__) && !defined(__clang__)
 #pragma GCC optimize("no-trapping-math") /* vectorises exp and tanh; clang does without */
 #endif
-static inline float network_exp(float), network_tanh(float), network_max(float, float);
+static inline float network_exp(float), network_tanh(float);
+static inline float network_max(float, float), network_min(float, float);
 #define expf network_exp
 #define tanhf network_tanh
 #define fmaxf network_max
+#define fminf network_min
 """
 """In front of the network's C: what stands for functions of the C library, c/compensator.h."""
 _EXPORTED = re.compile(

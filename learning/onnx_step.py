@@ -47,16 +47,13 @@ def _step(g: Graph, model: Compensator) -> None:
     past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
     here = _one_hot(g)
     mean, scale, expected = _tables(g, model, here)
-    raw = g.op("Concat", "virtual", "command", axis=1)
-    places = [*FEATURE_CHANNELS, *range(_N, _N + model.info.n_commands)]
-    raw = g.op("Gather", raw, g.integers(*places), axis=1)
-    centred = g.op("Sub", raw, g.floats(_row(model.feature_mean)))
-    features = g.op("Div", centred, g.floats(_row(model.feature_scale)))
-    features = g.op("Max", features, g.floats(_row(model.least)))
-    features = g.op("Min", features, g.floats(_row(model.most)))
+    limited = protocol != "reconstruct"  # which looks at no feature
+    raw = _raw_features(g, model) if limited else ""
+    features = _features(g, model, raw) if model.network.sees_features else ""
     if rows:
         past = _remembered(g, past, mean, scale, rows)
-    slow = _smoothed(g, model, features, slow)
+    if protocol == "free":  # elsewhere nothing looks at them, and their state stays as it is
+        slow = _smoothed(g, model, features, slow)
     first = model.info.horizon * _N
     known = past if rows <= 1 else g.columns(past, first, first + _N)
     y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
@@ -75,7 +72,6 @@ def _step(g: Graph, model: Compensator) -> None:
     correction = g.op("Add", mean, g.op("Mul", scale, said))
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
-    limited = protocol != "reconstruct"
     inside = _inside(g, model, raw) if limited else g.floats([[1.0]])
     if limited:
         g.output("correction", _N, "Where", inside, correction, g.floats(np.zeros((1, _N))))
@@ -94,6 +90,21 @@ def _one_hot(g: Graph) -> str:
     code = g.op("Clip", "phase", g.floats(0.0), g.floats(N_PHASES - 1))
     away = g.op("Abs", g.op("Sub", code, g.floats([np.arange(N_PHASES)])))
     return g.op("Relu", g.op("Sub", g.floats([[1.0]]), away))
+
+
+def _raw_features(g: Graph, model: Compensator) -> str:
+    """Virtual signals and commands that are features, in their units, shape (1, F)."""
+    both = g.op("Concat", "virtual", "command", axis=1)
+    places = [*FEATURE_CHANNELS, *range(_N, _N + model.info.n_commands)]
+    return g.op("Gather", both, g.integers(*places), axis=1)
+
+
+def _features(g: Graph, model: Compensator, raw: str) -> str:
+    """Standardised features within their limits, shape (1, F)."""
+    centred = g.op("Sub", raw, g.floats(_row(model.feature_mean)))
+    features = g.op("Div", centred, g.floats(_row(model.feature_scale)))
+    features = g.op("Max", features, g.floats(_row(model.least)))
+    return g.op("Min", features, g.floats(_row(model.most)))
 
 
 def _tables(g: Graph, model: Compensator, here: str) -> list[str]:

@@ -21,27 +21,23 @@ from torch import Tensor
 
 from twin.errors import ModelError
 
-from .base import fit_base, gates, predict_base, time_blocks
-from .channels import CHANNELS, N_PHASES
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
-from .clustering import clusters_of
-from .compensator import Compensator, ModelInfo
+from .compensator import Compensator
 from .flights import ResidualFlight
 from .losses import Losses, losses
 from .model_folder import CURVE, MODEL, load, save, write_json
-from .network import ClusterNetwork, NetworkOut, SvqNetwork
+from .network import ClusterNetwork, SvqNetwork
 from .preset import Preset, Protocol, preset_json
-from .scaling import fit_scaling, in_spans
-from .sequences import check_protocol, sequences
+from .scaling import in_spans
+from .sequences import check_protocol
 from .threads import one_thread
-from .windows import TrainingSamples, validation_rows
+from .workpiece import Workpiece
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 Progress = Callable[[float, float | None], None]
 """Called with the share done, 0..1, and the seconds left, None while not known."""
 
-ANOMALY_QUANTILE = 0.99
 SLOWEST_RATE = 0.01
 """Share of the learning rate at the end of its schedule."""
 
@@ -90,17 +86,21 @@ def train(
         (folder / CHECKPOINT).unlink(missing_ok=True)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        task = _Task(flights, preset, protocol, horizon, seed)
-        standing = _fit(task, training, folder, progress or (lambda *_: None), checkpoint_s)
-        task.calibrate()
-    compensator = task.compensator
+        piece = Workpiece(flights, preset, protocol, horizon, seed)
+        standing = _fit(piece, training, folder, progress or (lambda *_: None), checkpoint_s)
+        piece.calibrate()
+    compensator = piece.compensator
     compensator.info = replace(
         compensator.info,
         vehicle=vehicle,
         vehicle_sha256=vehicle_sha256,
         flights=tuple(about),
         training=training,
-        metrics=task.metrics(standing),
+        metrics={
+            "epochs": standing.epoch,
+            "best_epoch": standing.best_epoch,
+            "validation_mse": piece.validation_mse(),
+        },
     )
     write_json(folder / CURVE, standing.curve)
     save(compensator, folder)
@@ -108,101 +108,11 @@ def train(
     return compensator.eval()
 
 
-class _Task:
-    """Everything that training one model needs, besides the optimiser."""
-
-    def __init__(
-        self,
-        flights: Sequence[ResidualFlight],
-        preset: Preset,
-        protocol: Protocol,
-        horizon: int,
-        seed: int,
-    ) -> None:
-        self.preset, self.seed = preset, seed
-        held_back = validation_rows(flights, preset.validation_share, seed)
-        usable = [in_spans(f) for f in flights]
-        clusters = clusters_of(preset, flights, usable, seed)
-        rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]
-        self.compensator = Compensator(
-            ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
-        )
-        scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
-        self.compensator.set_scaling(scaling)
-        self.spans = sequences(flights, self.compensator.scaling(), protocol, horizon)
-        held = [held_back[s.flight][s.rows, None] for s in self.spans]
-        self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
-        self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
-        self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
-        base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
-        self.compensator.base.copy_(torch.from_numpy(base))
-        self.left = [s.d - predict_base(s, base, protocol) for s in self.spans]
-        self.leftover = np.ones(len(CHANNELS))
-        if protocol != "reconstruct":
-            square = _mean_square(self.left, self.train)
-            self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
-        self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
-        if protocol != "reconstruct":  # what is left of a residual changed at will is not known
-            self.preset = replace(preset, augment=0.0)
-        self.samples = TrainingSamples(
-            self.spans, [e / self.leftover for e in self.left], self.train
-        )
-
-    @property
-    def network(self) -> SvqNetwork:
-        """That which is trained."""
-        return self.compensator.network
-
-    def validation_error(self) -> float:
-        """Mean over the channels of the mean square error on validation time, standardised."""
-        errors = [
-            left / self.leftover - out.y.double().numpy()
-            for left, out in zip(self.left, self.compensator.outputs(self.spans), strict=True)
-        ]
-        square = _mean_square(errors, self.validate)
-        known = np.any([m.any(0) for m in self.validate], axis=0)
-        return float(square[known].mean()) if known.any() else math.nan
-
-    def calibrate(self) -> None:
-        """Gates, spreads and the anomaly's scale, from the validation time."""
-        model = self.compensator
-        phases = np.concatenate([s.phase for s in self.spans])
-        trained = phases[np.concatenate(self.train).any(1)]
-        self.network.fill_unseen([bool(np.any(trained == p)) for p in range(N_PHASES)])
-        outs = model.outputs(self.spans)
-        y = np.concatenate([self.leftover * o.y.double().numpy() for o in outs])
-        left, validate = np.concatenate(self.left), np.concatenate(self.validate)
-        gate = self.measured.astype(np.float64)
-        if model.info.protocol != "reconstruct":
-            gate *= gates(y, left, validate, time_blocks(self.spans, model.info.rate_hz))
-        model.gate.copy_(torch.from_numpy(gate))
-        self.error_without = _mean_square([left], [validate])
-        self.error_with = _mean_square([left - gate * y], [validate])
-        scored = np.where(validate.any(0), validate, np.concatenate(self.train))
-        model.spread_factor.copy_(
-            torch.from_numpy(_spread_factor(left - gate * y, outs, scored, phases))
-        )
-        distance = torch.cat([o.distance for o in outs])
-        quantile = torch.quantile(distance[_some(len(distance))], ANOMALY_QUANTILE, dim=0)
-        model.anomaly_scale.copy_(quantile.clamp(min=1e-12))
-
-    def metrics(self, standing: Standing) -> dict[str, Any]:
-        """What is written down about the training."""
-        rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
-        return {
-            "epochs": standing.epoch,
-            "best_epoch": standing.best_epoch,
-            "validation_mse": {
-                name: {"linear": float(a), "with_network": float(b)} for name, a, b in rows
-            },
-        }
-
-
 def _fit(
-    task: _Task, training: str, folder: Path, progress: Progress, checkpoint_s: float
+    piece: Workpiece, training: str, folder: Path, progress: Progress, checkpoint_s: float
 ) -> Standing:
     """Run the epochs that are left; the network ends with its best weights."""
-    preset, network = task.preset, task.network
+    preset, network = piece.preset, piece.network
     optimiser = _optimiser(network, preset)
     standing, best = Standing(training), _copy(network)
     found = load_checkpoint(folder, training, optimiser)
@@ -212,10 +122,10 @@ def _fit(
     began, done_before = time.monotonic(), standing.epoch
     saved = began
     while standing.epoch < preset.epochs and not _tired(standing, preset):
-        entry = _epoch(task, optimiser, standing.epoch)
+        entry = _epoch(piece, optimiser, standing.epoch)
         standing.epoch += 1
         if standing.epoch % preset.validate_every == 0 or standing.epoch == preset.epochs:
-            error = task.validation_error()
+            error = piece.validation_error()
             entry["validation"] = error if math.isfinite(error) else None
             better = standing.best_error is None or error < standing.best_error
             if better or not math.isfinite(error):
@@ -233,16 +143,16 @@ def _fit(
     return standing
 
 
-def _epoch(task: _Task, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
+def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
     """One pass over the training windows; mean losses."""
-    preset, network = task.preset, task.network
+    preset, network = piece.preset, piece.network
     rate = preset.learning_rate * _schedule(preset, epoch)
     for group in optimiser.param_groups:
         group["lr"] = rate
     quantisers = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
     state = torch.zeros(0)
     sums, steps = np.zeros(4), 0
-    for window in task.samples.windows(preset, task.seed, epoch):
+    for window in piece.samples.windows(preset, piece.seed, epoch):
         if window.begins:
             state = torch.zeros(len(window.known), network.state_size)
         out, state = network(window.known, window.features, window.phase, state.detach())
@@ -294,40 +204,6 @@ def _optimiser(network: SvqNetwork, preset: Preset) -> torch.optim.Optimizer:
 
 def _copy(network: SvqNetwork) -> dict[str, Tensor]:
     return {k: v.detach().clone() for k, v in network.state_dict().items()}
-
-
-def _spread_factor(
-    error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: NDArray[np.intp]
-) -> Array:
-    """Rms of error over predicted spread per phase and channel, shape (phases, 15).
-
-    A phase without enough samples of a channel gets that of all phases, a channel without any 0.
-    """
-    log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
-    square = np.where(scored, (error * np.exp(-log_spread)) ** 2, 0.0)
-    count = scored.sum(0)
-    factor = np.tile(np.sqrt(square.sum(0) / np.maximum(count, 1)), (N_PHASES, 1))
-    for p in range(N_PHASES):
-        here = phases == p
-        count = scored[here].sum(0)
-        enough = count >= ENOUGH
-        factor[p, enough] = np.sqrt(square[here].sum(0) / np.maximum(count, 1))[enough]
-    return factor
-
-
-ENOUGH = 20
-"""Samples of a channel in a phase from which a spread is told."""
-
-
-def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
-    """Per channel over all spans, 0 without samples, shape (15,)."""
-    error, count = np.concatenate(errors), np.concatenate(scored)
-    return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))
-
-
-def _some(n: int, most: int = 100_000) -> slice:
-    """Every k-th sample, so that at most so many are sorted."""
-    return slice(0, n, -(-n // most))
 
 
 def _check_flights(flights: Sequence[ResidualFlight]) -> None:

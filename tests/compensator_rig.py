@@ -73,6 +73,8 @@ def compensator(
     model.feature_scale[-commands:] = 0.1
     model.low.copy_(model.feature_mean - envelope * model.feature_scale)
     model.high.copy_(model.feature_mean + envelope * model.feature_scale)
+    model.least.fill_(-1.5)
+    model.most.fill_(1.5)
     model.base.normal_(std=0.2)
     for values in (model.rms, model.gate, model.leftover):
         values.uniform_(0.1, 1.0)

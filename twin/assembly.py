@@ -96,11 +96,12 @@ def flying_twin(
     if control not in CONTROLLERS:
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
     effects = tuple(effects)
+    body = airframe(vehicle, effects=effects)
     parts = {
         "environment": environment(vehicle),
         "mission": mission(vehicle, scenario),
         "controller": CONTROLLERS[control](vehicle),
-        "airframe": airframe(vehicle, effects=effects).with_starts(standing(vehicle, effects)),
+        "airframe": body.with_starts(standing(body, vehicle)),
         "imu": imu(vehicle, effects),
         "magnetometer": magnetometer(vehicle, effects),
         "barometer": barometer(vehicle, effects),

@@ -5,7 +5,7 @@ a Jacobi co-simulation in which the controller answers at once: outputs of the a
 controller's, then both advance with their inputs held.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -116,21 +116,22 @@ def closed_loop(
     rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
     setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
     phase = rows[:, plan.output_names.index("phase")]
-    body = airframe(plant).with_starts(standing(plant))
+    body = airframe(plant)
+    body = body.with_starts(standing(body, plant))
     bounds = (0.0, 1.0) if control is not None else thrust_inverse(vehicle).bounds
     wind = {f"wind_{a}": float(w) for a, w in zip(AXES, wind_m_s, strict=True)}
     states, inputs = fly(body, control or controller(vehicle), setpoints, wind)
     return Flown(t_s, states, inputs, setpoints, phase, body, bounds)
 
 
-def standing(vehicle: Vehicle, effects: Iterable[str] = ()) -> dict[str, float]:
+def standing(body: Component, vehicle: Vehicle) -> dict[str, float]:
     """Start values of an airframe that stands on the ground with its rotors at rest.
 
     Args:
+        body: The airframe.
         vehicle: Which it is of.
-        effects: Built in besides the vehicle's own.
     """
-    known = {v.name for v in airframe(vehicle, effects=effects).parameters}
+    known = [v.name for v in body.parameters]
     rest = {n: 0.0 for n in known if n.startswith(("initial.rotor_", "initial.effort_"))}
     return {**rest, "initial.pos_z": -vehicle.leg_height_m}
 

@@ -72,15 +72,16 @@ class Run:
 
 SOURCES = (
     *("base.py", "channels.py", "clustering.py", "compensator.py", "losses.py", "network.py"),
-    *("paper_tables.py", "scaling.py", "sequences.py", "training.py", "windows.py"),
+    *("paper_tables.py", "scaling.py", "sequences.py", "training.py", "windows.py", "workpiece.py"),
 )
 """Modules of `learning` that decide the scores."""
 
 
 def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[dict[str, Any]]:
     """Scores of every run, in order; those that are there already are not run again."""
-    missing = [r for r in runs if not _file(out, r).is_file()]
-    print(f"{len(runs)} trainings, {len(runs) - len(missing)} done already", file=sys.stderr)
+    distinct = list({r.key(): r for r in runs}.values())
+    missing = [r for r in distinct if not _file(out, r).is_file()]
+    print(f"{len(distinct)} trainings, {len(missing)} to be done", file=sys.stderr)
     began = time.perf_counter()
     if jobs == 1:
         each = map(_score, missing, repeat(data), repeat(out))
@@ -88,7 +89,8 @@ def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[d
     elif missing:
         with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
             _follow(pool.map(_score, missing, repeat(data), repeat(out)), len(missing), began)
-    return [json.loads(_file(out, r).read_text("utf-8")) for r in runs]
+    found = [json.loads(_file(out, r).read_text("utf-8")) for r in runs]
+    return [{**f, "run": asdict(r)} for f, r in zip(found, runs, strict=True)]
 
 
 def _follow(each: Any, count: int, began: float) -> None:
@@ -152,7 +154,8 @@ def _score(run: Run, data: Path, out: Path) -> str:
     model = train(trained, run.preset, "reconstruct", 0, run.seed, folder)
     seconds = time.process_time() - began  # one thread: its wall clock on a quiet machine
     tests = trained if run.test == 0 else [flights[run.test]]
-    found = scores([model.run(f).correction for f in tests], tests, trained, list(flights.values()))
+    corrections = [model.run(f).correction for f in tests]
+    found = scores(corrections, tests, trained, list(flights.values()))
     epochs = model.info.metrics["epochs"]
     clusters = [list(c) for c in model.info.clusters]
     write_json(

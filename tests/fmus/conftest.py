@@ -5,7 +5,8 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from kinds import Instance, model, unzip
+from instance import Instance, unzip
+from kinds import model
 
 from fmus import build
 

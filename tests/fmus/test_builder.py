@@ -10,7 +10,8 @@ from pathlib import Path
 
 import fmpy
 import pytest
-from kinds import Instance, component, model, token, unzip
+from instance import Instance, token, unzip
+from kinds import component, model
 
 from fmus import build, component_model
 from twin.errors import FmuError

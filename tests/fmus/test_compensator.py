@@ -17,7 +17,7 @@ import onnx
 import pytest
 from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
 from fmpy.validation import validate_fmu
-from kinds import Array, Instance, library, unzip
+from instance import Array, Instance, library, unzip
 
 from cosim.export import Choice, default_vehicle, export_components
 from cosim.master import Master

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinds import COMPONENTS, Array, Instance, component
+from instance import Array, Instance
+from kinds import COMPONENTS, component
 
 from twin.component import Variable
 

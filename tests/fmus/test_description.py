@@ -16,7 +16,8 @@ from fmpy.validation import validate_fmu
 from fmu_manipulation_toolbox.checker import get_checkers
 from fmu_manipulation_toolbox.cli.utils import ErrorCounter
 from fmu_manipulation_toolbox.operations import FMU
-from kinds import ALL, Instance, component
+from instance import Instance
+from kinds import ALL, component
 from lxml import etree
 
 FmuFile = Callable[[str, int], Path]

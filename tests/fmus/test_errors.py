@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 from fmpy.fmi1 import FMICallException
-from kinds import Instance
+from instance import Instance
 
 New = Callable[[str, int], Instance]
 pytestmark = pytest.mark.parametrize("fmi", [2, 3])

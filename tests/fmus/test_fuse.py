@@ -7,16 +7,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from kinds import (
-    Array,
-    Instance,
-    commands,
-    component,
-    fused_connections,
-    fused_parts,
-    model,
-    receiver,
-)
+from instance import Array, Instance
+from kinds import commands, component, fused_connections, fused_parts, model, receiver
 
 from cosim.master import Master
 from cosim.system import Connection, System

@@ -8,7 +8,8 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from kinds import ALL, Instance, component, library, replay_example, token, unzip
+from instance import Instance, library, token, unzip
+from kinds import ALL, component, replay_example
 
 FmuPath = Callable[[str, int], Path]
 HOST = Path(__file__).with_name("host.c")

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from kinds import Instance, component, unzip
+from instance import Instance, unzip
+from kinds import component
 
 from fmus import build, component_model
 from twin.component import Component
@@ -19,7 +20,7 @@ WARM_UP = 500
 PROGRAM = """
 import sys
 from pathlib import Path
-from kinds import Instance
+from instance import Instance
 instances = [Instance(Path(folder)).start() for folder in sys.argv[1:]]
 for k in range(300):
     for instance in instances:

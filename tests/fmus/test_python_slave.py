@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 from fmu_manipulation_toolbox.checker import get_checkers
 from fmu_manipulation_toolbox.cli.utils import ErrorCounter
 from fmu_manipulation_toolbox.operations import FMU
-from kinds import Array, Instance, token, unzip
+from instance import Array, Instance, token, unzip
 from sensor_rig import motion, readings
 
 from cosim.master import Master
@@ -265,7 +265,7 @@ def test_equations_of_another_casadi() -> None:
 ROWS = """
 import sys
 from pathlib import Path
-from kinds import Instance
+from instance import Instance
 instances = [Instance(Path(folder)).start({"seed": 5}) for folder in sys.argv[1:]]
 for k in range(50):
     for instance in instances:
@@ -295,7 +295,7 @@ for name in result.dtype.names:
 MANY = """
 import gc, sys
 from pathlib import Path
-from kinds import Instance
+from instance import Instance
 for k in range(60):
     instance = Instance(Path(sys.argv[1])).start()
     for time_s in (7.0, 8.0):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kinds import Array, Instance, recorded, replay_example, unzip
+from instance import Array, Instance, unzip
+from kinds import recorded, replay_example
 
 from fmus import build, replay_model
 from twin.errors import LogError

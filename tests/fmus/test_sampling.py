@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kinds import Array, Instance, unzip
+from instance import Array, Instance, unzip
 
 from cosim.master import Master
 from cosim.system import System

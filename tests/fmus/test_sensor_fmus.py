@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from kinds import Array, Instance, unzip
+from instance import Array, Instance, unzip
 from sensor_rig import motion, readings
 
 from fmus import build, component_model

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from kinds import Instance, unzip
+from instance import Instance, unzip
 
 from fmus import build, component_model
 from twin.component_builder import ComponentBuilder

@@ -6,7 +6,8 @@ from ctypes import byref, c_void_p
 import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
-from kinds import Instance, component
+from instance import Instance
+from kinds import component
 
 New = Callable[[str, int], Instance]
 CASES = [

@@ -64,7 +64,8 @@ def test_same_flight_component_by_component() -> None:
     name, seconds = "crazyflie", 6.0
     reference = flown(name, "hover", True)
     vehicle = load_vehicle(name)
-    body = airframe(real(vehicle)).with_starts(standing(vehicle))
+    body = airframe(real(vehicle))
+    body = body.with_starts(standing(body, vehicle))
     parts = {"body": body, "plan": mission(vehicle, "hover"), "control": controller(vehicle)}
     u = {k: c.input_values() for k, c in parts.items()}
     for axis, wind in zip(AXES, WIND_M_S, strict=True):

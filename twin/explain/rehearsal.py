@@ -50,7 +50,8 @@ def rehearse(
         voltage: Of the battery, over that of these flights.
     """
     punctual = _punctual(plant)
-    body = airframe(punctual).with_starts(standing(punctual))
+    body = airframe(punctual)
+    body = body.with_starts(standing(body, punctual))
     volts = volts_of(like, vehicle) * voltage
     held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
     states, inputs = fly(body, controller(_punctual(vehicle)), flown.setpoints, held)
