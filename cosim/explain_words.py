@@ -10,7 +10,14 @@ from twin.explain.naming import LEAST, PER_EFFECT
 from twin.explain.numbers import Number
 from twin.explain.refine import Fitted
 from twin.explain.showing import ChannelGap
-from twin.explain.telling import beside_mean, listed, nothing_probability, probability_of, told
+from twin.explain.telling import (
+    beside_mean,
+    listed,
+    nothing_probability,
+    probability_of,
+    told,
+    undecided,
+)
 
 from .figures import pretty_unit
 from .report import number, percent
@@ -31,12 +38,13 @@ def claim(found: Explanation) -> str:
         sure = certainty(nothing_probability(naming))
         return f"The model lacks nothing that these flights can show, sure to {sure}."
     if found.verdict == "named":
-        effects = listed(found)
+        effects = [e for e in listed(found) if e not in undecided(found)]
         most = MOST_NUMBERS if len(effects) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
-        chance = naming.probabilities[0] * (1 - naming.outside)
+        chance = naming.together([e for e in effects if beside_mean(found, e) is None])
         chance *= math.prod(u.probability for u in found.unsteady)
-        return f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
+        lacks = f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
+        return f"{lacks}{_what_else(found, effects)}"
     if found.verdict == "unnamed":
         first = found.unnamed[0]
         return (
@@ -49,6 +57,18 @@ def claim(found: Explanation) -> str:
     if naming.outside > LEAST:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
+
+
+def _what_else(found: Explanation, sure: list[str]) -> str:
+    """What is there beside the sure effects, where something is; begins with a blank."""
+    if not undecided(found):
+        return ""
+    assert found.naming is not None
+    every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
+    chance = {e: probability_of(found, e) for e in sorted(every)}
+    likely = sorted((e for e in chance if chance[e] >= LEAST), key=lambda e: -chance[e])
+    tied = _joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
+    return f" Beside that, these flights cannot tell what it lacks: {tied}."
 
 
 def title(effect: str) -> str:

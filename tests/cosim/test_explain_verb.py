@@ -210,7 +210,7 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     tied = replace(
         named.found,
         verdict="cannot_tell",
-        naming=replace(naming, verdict="cannot_tell", probabilities=chances),
+        naming=replace(naming, probabilities=chances),
         next_manoeuvre=Suggestion(
             "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
         ),

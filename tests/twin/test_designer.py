@@ -84,7 +84,7 @@ def tie(flight: Flight, vehicle: Vehicle, names: Sequence[str]) -> Naming:
     singles = {f.effects: f for f in naming.fitted}
     fitted = tuple(singles[(e,)] for e in names)
     even = (1 / len(names),) * len(names)
-    return replace(naming, verdict="cannot_tell", fitted=fitted, probabilities=even)
+    return replace(naming, fitted=fitted, probabilities=even)
 
 
 # -- manoeuvres -----------------------------------------------------------------------------
@@ -254,4 +254,4 @@ def test_the_suggested_flight_separates_and_one_ranked_low_does_not() -> None:
 
 def test_nothing_is_suggested_where_the_name_is_sure() -> None:
     naming = tie(hovering(COPTER, PLANTS["mass_offset"]), COPTER, ["mass_offset", "accel_bias"])
-    assert next_manoeuvre(replace(naming, verdict="named"), COPTER) is None
+    assert next_manoeuvre(replace(naming, probabilities=(0.99, 0.01)), COPTER) is None

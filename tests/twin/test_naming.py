@@ -8,14 +8,15 @@ import pytest
 
 from cosim.demo import Waypoints, fly
 from twin.airframe import airframe
+from twin.barometer import barometer
 from twin.effects import EFFECTS
 from twin.explain import naming as search
 from twin.explain.channels import CHANNEL_HZ, ChannelData
+from twin.explain.edge import edges
 from twin.explain.evidence import EXACT, Scores, White, believed
-from twin.explain.explanation import _at_bounds
 from twin.explain.misfit import LAW, coherent, credible
 from twin.explain.model import model_of
-from twin.explain.naming import _needless, _spoils, name_effects
+from twin.explain.naming import Naming, _needless, _spoils, name_effects
 from twin.explain.numbers import at_voltage, numbers_of
 from twin.explain.refine import Fitted, Ground
 from twin.explain.room import Room
@@ -101,6 +102,17 @@ def test_a_lag_is_seen_though_the_file_has_none() -> None:
     assert fitted.values["motor_lag.tau_s"] == pytest.approx(true, rel=0.1)
 
 
+def test_a_delay_that_the_file_has_already_is_not_counted_twice() -> None:
+    known, true = 0.02, 0.05
+    plant = COPTER.with_effects({"command_delay": {"delay_s": true}})
+    model = COPTER.with_effects({"command_delay": {"delay_s": known}})
+    flight = fly(COPTER, plant, seed=4, name="late", waypoints=ROUND)
+    for vehicle in (model, COPTER, plant):
+        ground = Ground.of(model_of([flight], vehicle, [EFFECTS["command_delay"]]))
+        fitted = ground.fit(["command_delay"])
+        assert fitted.values["command_delay.delay_s"] == pytest.approx(true, abs=4e-3)
+
+
 def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
     table, rng = quiet.table.copy(), np.random.default_rng(0)
     for a in "xyz":
@@ -116,6 +128,31 @@ def test_nothing_hidden_is_nothing(quiet: Flight) -> None:
     naming = name_effects([quiet], COPTER)
     assert naming.verdict == "nothing"
     assert naming.best.effects == ()
+
+
+def test_an_aircraft_that_nobody_has_calibrated_lacks_more_than_three_effects() -> None:
+    """Two in the body, one each in compass and barometer, which have nothing to do with those."""
+    plant = COPTER.with_effects({"thrust_scale": {"scale": 0.9}, "rotor_drag": {"k_xy_1_s": 0.4}})
+    flight = fly(COPTER, plant, seed=6, name="new", waypoints=ROUND)
+    table, rng = flight.table.copy(), np.random.default_rng(1)
+    t = table["time"].to_numpy()
+    quaternion = table[["q_w", "q_x", "q_y", "q_z"]].interpolate(limit_direction="both").to_numpy()
+    sensor = magnetometer(COPTER)
+    rows = np.tile(sensor.input_values(), (len(t), 1))
+    for i, a in enumerate("wxyz"):
+        rows[:, sensor.input_names.index(f"q_{a}")] = quaternion[:, i]
+    field = noiseless_outputs(sensor, rows, 0.005) + 2e-7 * rng.standard_normal((len(t), 3))
+    table[["mag_x", "mag_y", "mag_z"]] = field + np.array([2e-5, -1e-5, 3e-5])
+    down = table["pos_z"].interpolate(limit_direction="both").to_numpy()
+    meter = barometer(COPTER)
+    rows = np.tile(meter.input_values(), (len(t), 1))
+    rows[:, meter.input_names.index("pos_z")] = down
+    pressure = noiseless_outputs(meter, rows, 0.005)[:, 0]
+    table["baro_pa"] = pressure + 300.0 + 2.0 * rng.standard_normal(len(t))
+    naming = name_effects([replace(flight, table=table)], COPTER)
+    assert naming.verdict == "named"
+    assert {"thrust_scale", "baro_bias", "rotor_drag"} <= set(naming.best.effects)
+    assert any(e.startswith("mag_") for e in naming.best.effects)
 
 
 def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flight) -> None:
@@ -256,10 +293,28 @@ def test_a_name_is_believed_less_the_more_it_leaves() -> None:
     assert beliefs[-1] < 1e-6
 
 
-def test_a_name_whose_cause_is_likely_another_is_not_given() -> None:
+def weighed(
+    flight: Flight, fitted: list[Fitted], chances: list[float], credible: dict[str, float]
+) -> Naming:
+    """Hypotheses with these probabilities."""
+    ground = ground_of(flight, "accel_bias")
+    return Naming(tuple(fitted), tuple(chances), tuple(chances), credible, ground)
+
+
+def test_a_name_whose_cause_is_likely_another_is_not_given(quiet: Flight) -> None:
     one = hypothesis(("a",), [1e4], [1.0])
-    assert search._verdict([one], [0.99], {"a": 0.9}) == "named"
-    assert search._verdict([one], [0.99], {"a": 0.3}) == "cannot_tell"
+    assert weighed(quiet, [one], [0.99], {"a": 0.9}).verdict == "named"
+    assert weighed(quiet, [one], [0.99], {"a": 0.3}).verdict == "cannot_tell"
+
+
+def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
+    ab, ac, bc = (hypothesis(tuple(pair), [1e4], [1.0]) for pair in ("ab", "ac", "bc"))
+    sure = dict.fromkeys("abc", 0.95)
+    one = weighed(quiet, [ab, ac], [0.6, 0.4], sure)
+    assert (one.verdict, one.undecided, one.sure) == ("named", ("b",), False)
+    assert one.together("ab") == pytest.approx(0.6 * 0.95**2)
+    all_tied = weighed(quiet, [ab, ac, bc], [0.4, 0.3, 0.3], sure)
+    assert (all_tied.verdict, all_tied.undecided) == ("cannot_tell", ("a", "b"))
 
 
 # -- where numbers may lie ---------------------------------------------------------------------
@@ -289,15 +344,18 @@ def test_a_limit_holds_where_all_its_numbers_are_asked_for_and_elsewhere_the_ran
     assert alone.inside(np.array([1e3]), np.eye(1)) == numbers[mass[0]].about.prior[1]
 
 
-def test_a_fit_at_the_limit_of_a_rigid_body_is_warned_of(quiet: Flight) -> None:
-    model = model_of([quiet], COPTER, [EFFECTS["inertia_error"]])
+def test_a_fit_at_the_limit_of_a_rigid_body_is_warned_of() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"]], COPTER)
     x, y, z = np.diag(COPTER.inertia_kg_m2)
     values = {f"inertia_error.scale_{a}": 1.0 for a in "xyz"}
-    flat = replace(hypothesis(("inertia_error",), [1.0], [1.0]), values=values)
-    assert _at_bounds(model, flat) == []
-    flat = replace(flat, values=values | {"inertia_error.scale_z": (x + y) / z})
-    (warning,) = _at_bounds(model, flat)
+    assert list(edges(numbers, values, COPTER)) == []
+    flat = values | {"inertia_error.scale_z": (x + y) / z}
+    ((effect, warning),) = edges(numbers, flat, COPTER)
+    assert effect == "inertia_error"
     assert "moment of inertia about z" in warning
+    at_edge = values | {"inertia_error.scale_x": 3.0, "inertia_error.scale_y": 3.0}
+    told = [text for _, text in edges(numbers, at_edge, COPTER)]
+    assert any("inertia_error.scale_x = 3 is at the edge" in text for text in told)
 
 
 # -- intervals ---------------------------------------------------------------------------------

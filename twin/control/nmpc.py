@@ -5,7 +5,7 @@ setpoints, each over the deviation that is still fine, is minimised with the rot
 their range. Every solution, shifted by a node, is the start of the next one.
 
 It reads the whole state of the airframe, rotors included, and knows neither wind nor a plant that
-differs from its model: there it keeps an offset, where the cascade of `twin.controller`
+differs from its model, a `command_delay` included: there it keeps an offset, where the cascade of `twin.controller`
 integrates.
 
 Solve time on one core of a 2-core x86-64 machine, Crazyflie, 20 nodes of 50 ms, 2 m step: median
@@ -26,7 +26,7 @@ from ..airframe import airframe
 from ..errors import ModelError
 from ..frames import multiply
 from ..vehicle import Vehicle
-from .hover import drives, thrust_inverse
+from .hover import drives, punctual, thrust_inverse
 
 Array = NDArray[np.float64]
 NODES, NODE_S, SUBSTEPS = 20, 0.05, 2
@@ -59,7 +59,7 @@ class Nmpc:
     """
 
     def __init__(self, vehicle: Vehicle, nodes: int = NODES, node_s: float = NODE_S) -> None:
-        body = airframe(vehicle)
+        body = airframe(punctual(vehicle))
         self.node_s, self._nodes = node_s, nodes
         self.state_names = tuple(s.name for s in body.states)
         self._driven = [body.input_names.index(n) for n in drives(body)]

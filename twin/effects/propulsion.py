@@ -89,7 +89,11 @@ THRUST_SCALE = Effect(
     "every rotor gives more or less thrust than its map says, by the same factor",
     "airframe",
     Thrust,
-    (EffectParameter("scale", "1", "thrust over that of the map", 0.9, (0.5, 1.6), neutral=1.0),),
+    (
+        EffectParameter(
+            "scale", "1", "thrust over that of the map", 0.9, (0.4, 2.5), neutral=1.0, trifle=0.01
+        ),
+    ),
     ("acc",),
     "definition: one factor on the thrust map",
     _thrust_scale,

@@ -7,6 +7,7 @@ in the loop, a filter that looks ahead would read the controller backwards.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,9 +146,16 @@ def low_pass(values: Array, cutoff_hz: float) -> Array:
     """Causal second-order Butterworth low-pass along axis 0, settled on the first value."""
     if cutoff_hz >= 0.45 * GRID_HZ:
         return values
-    b, a = butter(2, cutoff_hz / (GRID_HZ / 2))
-    start = lfilter_zi(b, a).reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
+    b, a, settled = _butterworth(cutoff_hz)
+    start = settled.reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
     return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0], dtype=np.float64)
+
+
+@cache
+def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
+    """Second order on the grid: coefficients, and the state that is settled on one."""
+    b, a = butter(2, cutoff_hz / (GRID_HZ / 2))
+    return b, a, lfilter_zi(b, a)
 
 
 def on_grid(signal: Signal, t_s: Array) -> Array:

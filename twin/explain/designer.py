@@ -90,7 +90,7 @@ def next_manoeuvre(
     Returns:
         None where the name is sure, or where no manoeuvre of the list would help.
     """
-    if naming.verdict != "cannot_tell":
+    if naming.sure:
         return None
     best = suggestions(naming, vehicle, progress=progress)[0]
     return best if best.separation >= ENOUGH else None

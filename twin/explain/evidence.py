@@ -14,7 +14,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from .channels import ChannelData
 from .room import Room
@@ -109,9 +108,10 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
     if out.size == 0:
         return out
     skip = len(inverse) - 1
-    for k in np.unique(channel.piece):
-        rows = np.flatnonzero(channel.piece == k)
-        out[rows[skip:]] = lfilter(inverse, [1.0], values[rows], axis=0)[skip:]
+    ends = np.flatnonzero(np.diff(channel.piece, append=-1)) + 1
+    for first, end in zip([0, *ends[:-1]], ends, strict=True):
+        for j, a in enumerate(inverse):
+            out[first + skip : end] += a * values[first + skip - j : end - j]
     return out
 
 

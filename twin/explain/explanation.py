@@ -3,16 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from ..effects import EFFECTS, Limit
 from ..errors import LogError
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 from .acting import Acting, acting
 from .designer import Suggestion, next_manoeuvre
 from .flying import Mission, fly_missions
-from .model import Model
 from .naming import LEAST, Naming, Verdict, name_effects
 from .numbers import with_effects
 from .payload import Payloads
@@ -26,8 +22,6 @@ from .unsteady import stuck_effect, unsteady
 from .unsteady_effect import Unsteady
 from .usable import reasons_unusable
 
-EDGE = 1e-6
-"""Share of a limit's terms that a fit at the limit may be away from it."""
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
 WEAKER = (
@@ -151,7 +145,7 @@ def explain(
     progress(0.7)
     found = _with_gap(found, held, seed, payloads)
     progress(0.85)
-    if found.verdict == "cannot_tell":
+    if found.verdict in ("named", "cannot_tell"):
         found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
     if found.added is None:
         return found
@@ -173,7 +167,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
     exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
-    bounds = () if shown is None else _at_bounds(model, shown)
+    bounds = () if shown is None else [text for _, text in shown.edges]
     return replace(
         found,
         verdict=verdict,
@@ -209,29 +203,6 @@ def _shown(naming: Naming) -> Fitted | None:
         likely = zip(naming.fitted, naming.probabilities, strict=True)
         return next((f for f, p in likely if f.effects and p >= LEAST), None)
     return None
-
-
-def _at_bounds(model: Model, fitted: Fitted) -> list[str]:
-    """Numbers that stopped at the edge of what is considered."""
-    return [
-        f"{n.full} = {fitted.values[n.full]:.4g} is at the edge of the range that is considered, "
-        f"{n.about.prior[0]:g} to {n.about.prior[1]:g}: perhaps another effect is meant"
-        for n in model.numbers
-        if n.full in fitted.values
-        and np.any(np.isclose(fitted.values[n.full], n.about.prior, rtol=1e-6, atol=0))
-        and fitted.values[n.full] != n.about.neutral
-    ] + [
-        f"{effect} is at the edge of what is possible: {limit.meaning}; another effect may be meant"
-        for effect in fitted.effects
-        for limit in EFFECTS[effect].limits(model.vehicle)
-        if _on_edge(effect, limit, fitted)
-    ]
-
-
-def _on_edge(effect: str, limit: Limit, fitted: Fitted) -> bool:
-    """Whether numbers use up what a limit leaves them."""
-    parts = [w * fitted.values[f"{effect}.{k}"] for k, w in limit.weights.items()]
-    return sum(parts) <= EDGE * sum(map(abs, parts))
 
 
 def _with_gap(

@@ -40,11 +40,9 @@ MAG = ("mag_x", "mag_y", "mag_z")
 
 TURN = "heading_offset.pose_rad"
 POSITION_AGE, ATTITUDE_AGE = "position_delay.delay_s", "position_delay.attitude_s"
-IMU_AGE = "imu_delay.delay_s"
+IMU_AGE, COMMAND_AGE = "imu_delay.delay_s", "command_delay.delay_s"
 LOAD, ROPE = "slung_load.mass_kg", "slung_load.length_m"
-_STEPS = dict.fromkeys(
-    ("command_delay.delay_s", "motor_lag.tau_s", POSITION_AGE, ATTITUDE_AGE), 0.01
-)
+_STEPS = dict.fromkeys((COMMAND_AGE, "motor_lag.tau_s", POSITION_AGE, ATTITUDE_AGE), 0.01)
 """Numbers whose answers are differences of two predictions, and their steps, s."""
 _INTEGRATED = ("motor_lag.tau_s",)
 """Numbers that change states which nobody measures; of the load on its rope see `load`."""
@@ -103,12 +101,14 @@ class FlightModel:
         moving = sorted({name.partition(".")[0] for name in _INTEGRATED} & set(effects))
         self.twin = prepare(flight, with_effects(vehicle, moving, {}), 1 / GRID_HZ, effects)
         self._now = np.array([n.now for n in numbers])
+        self._arrived_s = next((n.now for n in numbers if n.full == COMMAND_AGE), 0.0)
         self._force_n = self._forces() if "slung_load" in effects else None
         self._swings: dict[float, tuple[Array, Array]] = {}
         self.twin = replace(self.twin, states=self._with_load(self.twin.states, {}))
         self._parts = self._imu_parts() + self._pose_parts() + self._other_parts()
         self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
         self._resting: dict[int, list[ChannelData]] = {}
+        self._predicted: dict[tuple[int, bool], Array] = {}
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
@@ -137,9 +137,8 @@ class FlightModel:
                     predicted, answer = _step_mean(predicted), _step_mean(answer)
             else:
                 # Numbers change what is clean: a scale below one would damp the noise of the pose.
-                predicted = part.batch.value(self._now, self._rows_of(part, change))
                 at = part.batch.value(theta, part.at)
-                predicted = predicted + (at - part.batch.value(self._now, part.at))
+                predicted = self._clean(k, part, change) + (at - self._standing(k, part.at))
                 predicted, at = predicted[:, part.outputs], at[:, part.outputs]
                 answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
             predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
@@ -153,7 +152,7 @@ class FlightModel:
             if part.batch is None:
                 value = self._body.value(self._now, self.twin.states, self.twin.inputs.u)
             else:
-                value = part.batch.value(self._now, part.rows)
+                value = self._standing(k, part.rows)
             predicted = value[:, part.outputs]
             if part.readings.names[0].startswith("gyro_rate"):
                 predicted = _step_mean(predicted)
@@ -199,10 +198,22 @@ class FlightModel:
                 answer[:, :, k] = slopes[self.numbers[i].full]
         return predicted, answer
 
-    def _rows_of(self, part: _Part, change: Mapping[str, float]) -> Array:
-        """Rows of a part with the delays of the pose taken out."""
+    def _clean(self, k: int, part: _Part, change: Mapping[str, float]) -> Array:
+        """Prediction of the model as it stands, the delays of the pose taken out."""
         ages = change.get(POSITION_AGE, 0.0), change.get(ATTITUDE_AGE, 0.0)
-        return part.rows if part.older is None or not any(ages) else part.older(*ages)
+        if part.older is None or not any(ages):
+            return self._standing(k, part.rows)
+        assert part.batch is not None
+        return part.batch.value(self._now, part.older(*ages))
+
+    def _standing(self, k: int, rows: Array) -> Array:
+        """Prediction of the model as it stands, from one of the two kinds of rows of a part."""
+        batch = self._parts[k].batch
+        assert batch is not None
+        key = k, rows is self._parts[k].at
+        if key not in self._predicted:
+            self._predicted[key] = batch.value(self._now, rows)
+        return self._predicted[key]
 
     def _turned(self, force_b: Array) -> Array:
         """Change of a force in body axes per angle by which the measured heading is off."""
@@ -222,8 +233,8 @@ class FlightModel:
             twin = self._states[key]
         states, inputs = self._in_step(twin.states, change), twin.inputs.u
         states = self._with_load(states, change)
-        delay = change.get("command_delay.delay_s", 0.0)
-        return self._late_commands(states, inputs, delay) if delay else (states, inputs)
+        later = change[COMMAND_AGE] - self._arrived_s if COMMAND_AGE in change else 0.0
+        return self._late_commands(states, inputs, later) if later else (states, inputs)
 
     def _in_step(self, states: Array, change: Mapping[str, float]) -> Array:
         """States with the delays of the pose taken out."""
@@ -281,7 +292,7 @@ class FlightModel:
         """Commands, and the rotors that follow them, later by a while."""
         twin = self.twin
         rotors = [i for i, s in enumerate(twin.airframe.states)
-                  if s.name.startswith(("rotor_", "effort_"))]  # fmt: skip
+                  if s.name.startswith(("rotor_", "effort_", "command_delay."))]  # fmt: skip
         drives = [i for i, n in enumerate(twin.airframe.input_names)
                   if n.startswith(("cmd_", "rotor_"))]  # fmt: skip
         states, inputs = states.copy(), inputs.copy()

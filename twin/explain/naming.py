@@ -1,13 +1,14 @@
 """Name what a model lacks: one effect, some, none, or a tie that the flights cannot break."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects import EFFECTS
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 from .evidence import Scores, believed
@@ -25,6 +26,9 @@ PER_EFFECT = 6.0
 """Log prior odds against one more effect: one of forty, and seldom more than one at once."""
 PER_NUMBER = 1.5
 """Log prior odds against one more number that the flights tell."""
+PER_EDGE = 100.0
+"""Log prior odds against an effect at the edge of its range: as much as one channel tells that a
+law which is not exact explains (`evidence.EXACT`)."""
 SMALLEST_SHARE = 0.03
 """An effect that takes less than this share of the power of every channel is none to speak of."""
 IMPOSSIBLE = 1e6
@@ -37,7 +41,15 @@ LEAST = 0.05
 SPOILT = 1.5
 """Times the power that a channel has without any effect."""
 MOST, GROWN = 3, 3
-"""Effects together; sets of one more that are tried after each of the best."""
+"""Effects together that are searched for in all their combinations; sets of one more that are tried
+after each of the best."""
+ROUNDS = 3
+"""Times at most that the best set is grown and its effects are exchanged."""
+APART = ("magnetometer", "barometer")
+"""Components that share no channel with the others: each has room for `MOST` effects of its own."""
+BODY = "body"
+CHECKED = 0.02
+"""Probability from which on a hypothesis is held against the rules."""
 ALIKE, EXCHANGED = 10.0, 2
 """Log likelihood, given that no law is exact, up to which an effect resembles another; how many
 such are tried in the place of each."""
@@ -50,7 +62,6 @@ class Naming:
     """What the flights say about a model.
 
     Attributes:
-        verdict: In a word.
         fitted: Hypotheses at their best, most probable first, `nothing` among them.
         probabilities: Of each.
         shares: Largest share of the power of a channel that each explains.
@@ -59,7 +70,6 @@ class Naming:
         ground: What they were fitted against.
     """
 
-    verdict: Verdict
     fitted: tuple[Fitted, ...]
     probabilities: tuple[float, ...]
     shares: tuple[float, ...]
@@ -73,10 +83,34 @@ class Naming:
 
     def probability_of(self, effect: str) -> float:
         """That an effect is missing, alone or with others."""
-        among = sum(
-            p for f, p in zip(self.fitted, self.probabilities, strict=True) if effect in f.effects
-        )
-        return float(among) * self.credible.get(effect, 1.0)
+        return self.together([effect])
+
+    @property
+    def verdict(self) -> Verdict:
+        """In a word: something is named where one effect is sure, whatever else is not."""
+        if not self.best.effects:
+            return "nothing" if self.probabilities[0] >= SURE else "cannot_tell"
+        return "cannot_tell" if self.undecided == self.best.effects else "named"
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """Effects of the most probable hypothesis that are not sure."""
+        return tuple(e for e in self.best.effects if not self._is_sure(e))
+
+    def _is_sure(self, effect: str) -> bool:
+        believable = self.credible[effect]
+        return believable >= CREDIBLE and self.together([effect]) >= SURE * believable
+
+    @property
+    def sure(self) -> bool:
+        """Whether there is nothing left to tell apart."""
+        return self.verdict != "cannot_tell" and not self.undecided
+
+    def together(self, effects: Collection[str]) -> float:
+        """That some effects are missing, all of them, and each cause is of the library."""
+        pairs = zip(self.fitted, self.probabilities, strict=True)
+        among = float(sum(p for f, p in pairs if set(effects) <= set(f.effects)))
+        return among * math.prod(self.credible.get(e, 1.0) for e in effects)
 
     @property
     def outside(self) -> float:
@@ -108,73 +142,137 @@ def name_effects(
     scores = Scores(ground.rest, np.array([n.sd for n in numbers]))
     room = Room.of(numbers, vehicle).around(np.array([n.now for n in numbers]))
     chosen = _shortlist(search(scores, numbers, room, most=MOST))
-    fitted = []
+    pool = Pool(ground)
     for i, hypothesis in enumerate(chosen):
-        fitted.append(ground.fit(hypothesis.effects))
-        progress(0.3 + 0.5 * (i + 1) / len(chosen))
+        pool.add(hypothesis.effects)
+        progress(0.3 + 0.4 * (i + 1) / len(chosen))
     for size in range(1, MOST):
-        fitted += _grown(ground, fitted, size)
-        progress(0.8 + 0.2 * size / (MOST - 1))
-    by_effects = {f.effects: f for f in fitted}
-    fitted += _exchanged(ground, fitted, by_effects)
-    by_effects |= {f.effects: f for f in fitted}
-    shares = [share(f, ground.nothing()) for f in fitted]
-    prior = np.array([-_price(f) for f in fitted])
-    prior[[not _material(ground, f, by_effects) for f in fitted]] -= IMPOSSIBLE
-    prior[[_spoils(f, ground) for f in fitted]] -= IMPOSSIBLE
-    prior[[_needless(f, fitted) for f in fitted]] -= IMPOSSIBLE
-    chance = _weighed(ground, fitted, prior, by_effects, seed)
+        _grow_size(pool, size)
+        progress(0.7 + 0.1 * size / (MOST - 1))
+    for round_ in range(ROUNDS):
+        before = pool.best
+        if len(before.effects) >= MOST:
+            _grow(pool, before)
+        _exchange(pool)
+        progress(0.8 + 0.2 * (round_ + 1) / ROUNDS)
+        if pool.best is before:
+            break
+    chance = _weighed(pool, seed)
+    fitted = pool.fitted
     order = np.argsort(-chance)
     ranked = tuple(fitted[i] for i in order)
     probabilities = tuple(float(chance[i]) for i in order)
     likely = [f for f, p in zip(ranked, probabilities, strict=True) if p >= LEAST]
-    believable = _credible(ground, likely, by_effects)
     return Naming(
-        _verdict(ranked, probabilities, believable),
         ranked,
         probabilities,
-        tuple(shares[i] for i in order),
-        believable,
+        tuple(share(f, ground.nothing()) for f in ranked),
+        _credible(pool, likely),
         ground,
     )
 
 
-def _weighed(
-    ground: Ground, fitted: Sequence[Fitted], prior: Array,
-    others: dict[tuple[str, ...], Fitted], seed: int,
-) -> Array:  # fmt: skip
-    """Probabilities; several effects lead only if each is credible: a name must not hang on one
-    beside it that leaves what it should explain."""
-    hypotheses = [Hypothesis(f.effects, f.gains) for f in fitted]
+class Pool:
+    """Hypotheses at their best, each fitted once.
+
+    Attributes:
+        ground: What they are fitted against.
+        fitted: Those that compete.
+    """
+
+    def __init__(self, ground: Ground) -> None:
+        """Begin with none."""
+        self.ground = ground
+        self.fitted: list[Fitted] = []
+        self._known: dict[tuple[str, ...], Fitted] = {}
+
+    def fit(self, effects: Sequence[str]) -> Fitted:
+        """A hypothesis, whether it competes or not."""
+        key = tuple(sorted(effects))
+        if key not in self._known:
+            self._known[key] = self.ground.fit(key)
+        return self._known[key]
+
+    def add(self, effects: Sequence[str]) -> Fitted:
+        """Let a hypothesis compete."""
+        made = self.fit(effects)
+        if made not in self:
+            self.fitted.append(made)
+        return made
+
+    def without(self, fitted: Fitted, effect: str) -> Fitted:
+        """A hypothesis without one of its effects."""
+        return self.fit([e for e in fitted.effects if e != effect])
+
+    def __contains__(self, hypothesis: object) -> bool:
+        """Whether a hypothesis competes."""
+        return any(f is hypothesis for f in self.fitted)
+
+    @property
+    def best(self) -> Fitted:
+        """The one worth most."""
+        return max(self.fitted, key=_worth)
+
+
+def _weighed(pool: Pool, seed: int) -> Array:
+    """Probabilities of what competes; what is likely is held against the rules first."""
+    out: dict[tuple[str, ...], bool] = {}
     while True:
-        chance = weights(hypotheses, prior, seed)
-        first = int(np.argmax(chance))
-        believable = _credible(ground, [fitted[first]], others)
-        if len(believable) < 2 or min(believable.values()) >= CREDIBLE:
-            return chance
-        prior[first] -= IMPOSSIBLE
+        fitted = [*pool.fitted]
+        allowed = [f for f in fitted if not out.get(f.effects)]
+        ruled_out = [out.get(f.effects, False) or _needless(f, allowed) for f in fitted]
+        prior = -np.array([_price(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)
+        chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
+        likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= CHECKED]
+        new = next((f for f in likely if f.effects not in out), None)
+        if new is None:
+            return _without_trifles(fitted, chance)
+        pool.add(worth_a_name(new))
+        out[new.effects] = (
+            _spoils(new, pool.ground) or not _material(pool, new) or _hangs(pool, new)
+        )
 
 
-def _credible(
-    ground: Ground, likely: Sequence[Fitted], others: dict[tuple[str, ...], Fitted]
-) -> dict[str, float]:
+def worth_a_name(fitted: Fitted) -> tuple[str, ...]:
+    """Effects of a hypothesis that are large enough to speak of."""
+    sizes = fitted.sizes()
+    return tuple(e for e in fitted.effects if sizes[e] >= 1)
+
+
+def _without_trifles(fitted: Sequence[Fitted], chance: Array) -> Array:
+    """Probabilities given to the names alone: a trifle, such as a delay of a sample, may stand in
+    a hypothesis, so that nothing else has to stand in for it."""
+    place = {f.effects: i for i, f in enumerate(fitted)}
+    given = np.zeros_like(chance)
+    for f, p in zip(fitted, chance, strict=True):
+        given[place.get(worth_a_name(f), place[f.effects])] += p
+    return given
+
+
+def _hangs(pool: Pool, fitted: Fitted) -> bool:
+    """Whether one of several effects is not credible; then the others compete without it.
+
+    A name must not hang on one beside it that leaves what it should explain.
+    """
+    believable = {e: p for e, p in _credible(pool, [fitted]).items() if e in worth_a_name(fitted)}
+    if len(believable) < 2 or min(believable.values()) >= CREDIBLE:
+        return False
+    worst = min(believable, key=lambda e: believable[e])
+    rest = pool.add(pool.without(fitted, worst).effects)
+    if len(fitted.effects) > MOST:
+        _grow(pool, rest, worst)
+    return True
+
+
+def _credible(pool: Pool, likely: Sequence[Fitted]) -> dict[str, float]:
     """Of each effect, in the most probable hypothesis with it, what `misfit.credible` says."""
     found: dict[str, float] = {}
     for fitted in likely:
-        without = {e: _without(ground, fitted, e, others) for e in fitted.effects}
-        left = misfits(ground.model, fitted, without)
+        left = misfits(
+            pool.ground.model, fitted, {e: pool.without(fitted, e) for e in fitted.effects}
+        )
         found = {e: credible(m) for e, m in left.items()} | found
     return found
-
-
-def _without(
-    ground: Ground, fitted: Fitted, effect: str, others: dict[tuple[str, ...], Fitted]
-) -> Fitted:
-    """A hypothesis without one of its effects, from among others or added to them."""
-    rest = tuple(e for e in fitted.effects if e != effect)
-    if rest not in others:
-        others[rest] = ground.fit(rest)
-    return others[rest]
 
 
 def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -196,43 +294,77 @@ def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
     return chosen
 
 
-def _grown(ground: Ground, fitted: Sequence[Fitted], size: int) -> list[Fitted]:
-    """The best hypothesis of a size with one more effect, those that its own surroundings ask for.
+def _grow_size(pool: Pool, size: int) -> None:
+    """Add to the best hypothesis of a size what its own surroundings ask for.
 
     The first search is linear about the model as it stands. About a hypothesis at its best, what
     one more effect would gain looks different.
     """
-    best = max((f for f in fitted if len(f.effects) == size), key=_worth, default=None)
+    best = max((f for f in pool.fitted if len(f.effects) == size), key=_raw, default=None)
     if best is None or best.gain < PER_EFFECT:
-        return []
-    gains_of, known = _about(ground, best), {f.effects for f in fitted}
-    gains = {s: float(gains_of(s).sum()) for s in _larger(ground, best) if s not in known}
+        return
+    gains_of, known = _about(pool.ground, best), {f.effects for f in pool.fitted}
+    gains = {s: float(gains_of(s).sum()) for s in _larger(pool.ground, best) if s not in known}
     wanted = sorted((s for s in gains if gains[s] > PER_EFFECT), key=lambda s: -gains[s])
-    return [ground.fit(s) for s in wanted[:GROWN]]
+    for effects in wanted[:GROWN]:
+        pool.add(effects)
 
 
-def _exchanged(
-    ground: Ground, fitted: Sequence[Fitted], others: dict[tuple[str, ...], Fitted]
-) -> list[Fitted]:
-    """Look-alikes of the effects of the best hypothesis, each in the place of what it resembles."""
-    best = max(fitted, key=lambda f: _inexact(f) - _price(f))
-    made: dict[tuple[str, ...], Fitted] = {}
+def _grow(pool: Pool, best: Fitted, without: str | None = None) -> None:
+    """Add effects to a hypothesis one by one, while that pays.
+
+    An aircraft that nobody has calibrated lacks more than three effects, most of them in sensors
+    that have nothing to do with each other.
+
+    Args:
+        pool: What competes.
+        best: To grow from.
+        without: An effect not to add.
+    """
+    while True:
+        gain = _with_one_more(pool.ground, best)
+        least = _inexact(best) + PER_EFFECT
+        wanted = [s for s in gain if gain[s] > least and without not in s]
+        wanted.sort(key=lambda s: -gain[s])
+        larger = max((pool.add(s) for s in wanted[:EXCHANGED]), key=_worth, default=best)
+        if _worth(larger) <= _worth(best):
+            return
+        best = larger
+
+
+def _exchange(pool: Pool) -> None:
+    """Look-alikes of the effects of the best hypothesis, each in the place of what it resembles;
+    of a large one, what is left without each."""
+    best = pool.best
     if len(best.effects) < 2:
-        return []  # single effects have all been compared
+        return  # single effects have all been compared
     for effect in best.effects:
-        rest = _without(ground, best, effect, others)
-        gains_of, so_far = _about(ground, rest), rest.gains.sum(axis=0)
-        sets = [s for s in _larger(ground, rest) if s not in others or s == best.effects]
-        gain = {s: float(believed(so_far + gains_of(s)).sum()) for s in sets}
-        alike = [s for s in sets if s != best.effects and gain[s] > gain[best.effects] - ALIKE]
-        made |= {s: ground.fit(s) for s in sorted(alike, key=lambda s: -gain[s])[:EXCHANGED]}
-    return list(made.values())
+        rest = pool.without(best, effect)
+        gain = _with_one_more(pool.ground, rest)
+        alike = [s for s in gain if s != best.effects and gain[s] > gain[best.effects] - ALIKE]
+        for effects in sorted(alike, key=lambda s: -gain[s])[:EXCHANGED]:
+            pool.add(effects)
+        pool.add(rest.effects)
+
+
+def _with_one_more(ground: Ground, fitted: Fitted) -> dict[tuple[str, ...], float]:
+    """What a hypothesis would gain with each other effect, given that no law is exact."""
+    gains_of, so_far = _about(ground, fitted), fitted.gains.sum(axis=0)
+    return {s: float(believed(so_far + gains_of(s)).sum()) for s in _larger(ground, fitted)}
 
 
 def _larger(ground: Ground, fitted: Fitted) -> list[tuple[str, ...]]:
     """Effects of a hypothesis with one more."""
-    more = (e for e in ground.model.effects if e not in fitted.effects)
+    room = {c: MOST for c in (*APART, BODY)}
+    for effect in fitted.effects:
+        room[_part(effect)] -= 1
+    more = (e for e in ground.model.effects if e not in fitted.effects and room[_part(e)] > 0)
     return [tuple(sorted((*fitted.effects, e))) for e in more]
+
+
+def _part(effect: str) -> str:
+    component = EFFECTS[effect].component
+    return component if component in APART else BODY
 
 
 def _about(ground: Ground, fitted: Fitted) -> Callable[[Sequence[str]], Array]:
@@ -250,10 +382,6 @@ def _about(ground: Ground, fitted: Fitted) -> Callable[[Sequence[str]], Array]:
     return gains
 
 
-def _worth(fitted: Fitted) -> float:
-    return fitted.gain - _price(fitted)
-
-
 def _spoils(fitted: Fitted, ground: Ground) -> bool:
     """Whether a channel is left clearly worse than without any effect.
 
@@ -262,32 +390,37 @@ def _spoils(fitted: Fitted, ground: Ground) -> bool:
     return bool(np.any(fitted.raw > SPOILT * ground.raw))
 
 
+def _raw(fitted: Fitted) -> float:
+    return fitted.gain - _price(fitted)
+
+
 def _price(fitted: Fitted) -> float:
     """Log prior odds against a hypothesis."""
-    return PER_EFFECT * len(fitted.effects) + PER_NUMBER * fitted.told
+    at_edge = {effect for effect, _ in fitted.edges}
+    own = PER_EFFECT * len(fitted.effects) + PER_NUMBER * fitted.told
+    return own + PER_EDGE * len(at_edge)
+
+
+def _worth(fitted: Fitted) -> float:
+    """Log of the weight of a hypothesis, given that no law is exact."""
+    return _inexact(fitted) - _price(fitted)
 
 
 def _needless(fitted: Fitted, others: Sequence[Fitted]) -> bool:
     """Whether fewer effects do as well, given that no law is exact."""
-    return any(
-        _inexact(fitted) - _inexact(f) < _price(fitted) - _price(f)
-        for f in others
-        if len(f.effects) < len(fitted.effects)
-    )
+    return any(_worth(fitted) < _worth(f) for f in others if len(f.effects) < len(fitted.effects))
 
 
 def _inexact(fitted: Fitted) -> float:
     return float(believed(fitted.gains.sum(axis=0)).sum())
 
 
-def _material(ground: Ground, fitted: Fitted, others: dict[tuple[str, ...], Fitted]) -> bool:
-    """Whether each effect of a hypothesis is large enough to speak of, and adds to the others."""
-    for effect, size in fitted.sizes().items():
-        if size < 1:
-            return False
-        if share(fitted, _without(ground, fitted, effect, others)) < SMALLEST_SHARE:
-            return False
-    return True
+def _material(pool: Pool, fitted: Fitted) -> bool:
+    """Whether each name of a hypothesis adds to the others."""
+    return all(
+        share(fitted, pool.without(fitted, effect)) >= SMALLEST_SHARE
+        for effect in worth_a_name(fitted)
+    )
 
 
 def share(fitted: Fitted, beyond: Fitted) -> float:
@@ -298,11 +431,3 @@ def share(fitted: Fitted, beyond: Fitted) -> float:
         beyond: What has explained some of it already.
     """
     return float(np.max(1 - fitted.left / np.maximum(beyond.left, 1e-300)))
-
-
-def _verdict(
-    ranked: Sequence[Fitted], probabilities: Sequence[float], believable: Mapping[str, float]
-) -> Verdict:
-    if probabilities[0] < SURE or any(believable[e] < CREDIBLE for e in ranked[0].effects):
-        return "cannot_tell"
-    return "named" if ranked[0].effects else "nothing"

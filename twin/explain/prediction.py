@@ -49,7 +49,7 @@ class Batch:
             function = ca.Function("slopes", [*self._rows, self._theta], [expression])
             self._slopes[key] = OverRows(function, len(self._rows))
         flat = self._slopes[key](*rows, theta)
-        return flat.reshape(len(flat), *shape).transpose(0, 2, 1)
+        return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
 
 def physics(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from .edge import edges
 from .evidence import Flights, Noise, Scores, White, noise_of_all, white
 from .model import Model
 from .numbers import Number, columns_of
@@ -44,6 +45,7 @@ class Fitted:
         told: How many numbers the flights tell, see `Scores.told`.
         left: Power that is left of each channel, white and in units of its noise, shape (c,).
         raw: The same as it is, in the square of the channel's unit.
+        edges: Effects with a number at the edge of its range, and what that is.
     """
 
     effects: tuple[str, ...]
@@ -54,6 +56,7 @@ class Fitted:
     told: float
     left: Array
     raw: Array
+    edges: tuple[tuple[str, str], ...] = ()
 
     @property
     def gain(self) -> float:
@@ -174,15 +177,17 @@ class Ground:
                 rows, _ = self._rows(columns, values)
         gained = rows.per_cell(0.5 * (self.rest.residual**2 - rows.residual**2))
         gains = gained + scores.gains(range(len(now)), room.around(now))
+        values = dict(zip(names, now.tolist(), strict=True)) | dict(shapes)
         return Fitted(
             effects,
-            dict(zip(names, now.tolist(), strict=True)) | dict(shapes),
+            values,
             tuple(numbers),
             scores.half_widths(range(len(now))),
             gains,
             scores.told(range(len(now)), gains.sum(axis=0)) + len(shapes),
             rows.per_cell(rows.residual**2).sum(axis=0),
             raw,
+            tuple(edges(numbers, values, self.model.vehicle)),
         )
 
     def around(self, fitted: Fitted) -> Scores:

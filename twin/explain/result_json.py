@@ -9,7 +9,7 @@ from .explanation import Explanation
 from .flying import Mission
 from .places import Place
 from .showing import ChannelGap
-from .telling import felt, listed, nothing_probability, probability_of, rivals, told
+from .telling import felt, listed, nothing_probability, probability_of, rivals, told, undecided
 from .unnamed import Equation
 
 
@@ -24,6 +24,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
         "outside_probability": None if found.naming is None else found.naming.outside,
         "effects": [_effect(found, e) for e in listed(found)],
+        "undecided": list(undecided(found)),
         "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],
         "gap": {} if found.showing is None else {g.name: _gap(g) for g in found.showing.gaps},

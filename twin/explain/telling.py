@@ -44,6 +44,11 @@ def listed(found: Explanation) -> list[str]:
     return sorted(effects, key=lambda e: (-probability_of(found, e), e))
 
 
+def undecided(found: Explanation) -> tuple[str, ...]:
+    """Effects among the named ones that something else may stand for; none for other verdicts."""
+    return () if found.naming is None or found.verdict != "named" else found.naming.undecided
+
+
 def probability_of(found: Explanation, effect: str) -> float:
     """That an effect is missing, alone or with others."""
     beside = beside_mean(found, effect)
