@@ -19,20 +19,22 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 MANY_FLIGHTS = 4
-"""From here on whole flights are held back for validation."""
+"""From here on whole flights are held back for validation, whatever the protocol."""
 SHORTEST_STRETCH = 20
 """Samples of a phase, below which nothing of it is held back."""
 
 
-def validation_rows(flights: Sequence[ResidualFlight], share: float, seed: int) -> list[BoolArray]:
+def validation_rows(
+    flights: Sequence[ResidualFlight], share: float, seed: int, least: int = MANY_FLIGHTS
+) -> list[BoolArray]:
     """Samples held back for validation, per flight, shape (n,).
 
-    With four flights or more some whole ones, since within one flight a network is soon at home;
+    With `least` flights or more some whole ones, since within one flight a network is soon at home;
     but none that alone holds a phase. Of phases that are then in no flight held back, and of all
     phases where there are fewer flights, the end of each stretch.
     """
     chosen: set[int] = set()
-    if len(flights) >= MANY_FLIGHTS:
+    if len(flights) >= least:
         chosen = _whole_flights(flights, max(1, round(share * len(flights))), seed)
     covered = np.zeros(N_PHASES, dtype=np.bool_)
     for i in chosen:

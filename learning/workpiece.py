@@ -17,7 +17,7 @@ from .network import NetworkOut, SvqNetwork
 from .preset import Preset, Protocol
 from .scaling import fit_scaling, in_spans
 from .sequences import sequences
-from .windows import TrainingSamples, validation_rows
+from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -53,7 +53,9 @@ class Workpiece:
         seed: int,
     ) -> None:
         self.preset, self.seed = preset, seed
-        held_back = validation_rows(flights, preset.validation_share, seed)
+        # `free` sees no measurement, so what it learns of one flight is worth what others say of it
+        least = 2 if protocol == "free" else MANY_FLIGHTS
+        held_back = validation_rows(flights, preset.validation_share, seed, least)
         usable = [in_spans(f) for f in flights]
         clusters = clusters_of(preset, flights, usable, seed)
         rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]

@@ -233,6 +233,8 @@ def test_held_back_for_validation() -> None:
     for flight, rows in zip(FLIGHTS, few, strict=True):
         for phase in (1, 2):
             assert 0.15 < rows[in_spans(flight) & (flight.phase == phase)].mean() < 0.25
+    whole = validation_rows(FLIGHTS, 0.2, seed=0, least=2)
+    assert sum(v.all(where=in_spans(f)) for f, v in zip(FLIGHTS, whole, strict=True)) == 1
     flights = [made_up(s) for s in range(6)]
     lonely = int(np.flatnonzero([v.any() for v in validation_rows(flights, 0.2, seed=0)])[0])
     whole = validation_rows(flights, 0.2, seed=0)

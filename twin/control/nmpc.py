@@ -5,8 +5,8 @@ setpoints, each over the deviation that is still fine, is minimised with the rot
 their range. Every solution, shifted by a node, is the start of the next one.
 
 It reads the whole state of the airframe, rotors included, and knows neither wind nor a plant that
-differs from its model, a `command_delay` included: there it keeps an offset, where the cascade of `twin.controller`
-integrates.
+differs from its model: there it keeps an offset, where the cascade of `twin.controller`
+integrates. A `command_delay` is left to the plant.
 
 Solve time on one core of a 2-core x86-64 machine, Crazyflie, 20 nodes of 50 ms, 2 m step: median
 29 ms, and up to 140 ms in the first moments of a step, where the commands are at their bounds: a
