@@ -12,6 +12,7 @@ from ..effects import EFFECTS
 from ..flightlog import Flight
 from ..vehicle import Vehicle
 from .evidence import Scores, believed
+from .flight_model import in_equations
 from .misfit import credible, misfits
 from .model import candidates, model_of
 from .numbers import columns_of
@@ -151,7 +152,7 @@ def name_effects(
         progress(0.7 + 0.1 * size / (MOST - 1))
     for round_ in range(ROUNDS):
         before = pool.best
-        if len(before.effects) >= MOST:
+        if len(worth_a_name(before)) >= MOST:
             _grow(pool, before)
         _exchange(pool)
         progress(0.8 + 0.2 * (round_ + 1) / ROUNDS)
@@ -240,8 +241,8 @@ def worth_a_name(fitted: Fitted) -> tuple[str, ...]:
 
 
 def _without_trifles(fitted: Sequence[Fitted], chance: Array) -> Array:
-    """Probabilities given to the names alone: a trifle, such as a delay of a sample, may stand in
-    a hypothesis, so that nothing else has to stand in for it."""
+    """Probabilities given to the names alone: a delay below a sample may stand in a hypothesis, so
+    that nothing else has to stand in for it."""
     place = {f.effects: i for i, f in enumerate(fitted)}
     given = np.zeros_like(chance)
     for f, p in zip(fitted, chance, strict=True):
@@ -354,9 +355,9 @@ def _with_one_more(ground: Ground, fitted: Fitted) -> dict[tuple[str, ...], floa
 
 
 def _larger(ground: Ground, fitted: Fitted) -> list[tuple[str, ...]]:
-    """Effects of a hypothesis with one more."""
+    """Effects of a hypothesis with one more; trifles take no place."""
     room = {c: MOST for c in (*APART, BODY)}
-    for effect in fitted.effects:
+    for effect in worth_a_name(fitted):
         room[_part(effect)] -= 1
     more = (e for e in ground.model.effects if e not in fitted.effects and room[_part(e)] > 0)
     return [tuple(sorted((*fitted.effects, e))) for e in more]
@@ -416,11 +417,14 @@ def _inexact(fitted: Fitted) -> float:
 
 
 def _material(pool: Pool, fitted: Fitted) -> bool:
-    """Whether each name of a hypothesis adds to the others."""
-    return all(
-        share(fitted, pool.without(fitted, effect)) >= SMALLEST_SHARE
-        for effect in worth_a_name(fitted)
-    )
+    """Whether each effect of a hypothesis is large enough to speak of, and adds to the others.
+
+    Every log has its delays below a sample: they are allowed, but no names.
+    """
+    names = worth_a_name(fitted)
+    if any(in_equations(EFFECTS[e]) for e in fitted.effects if e not in names):
+        return False
+    return all(share(fitted, pool.without(fitted, e)) >= SMALLEST_SHARE for e in names)
 
 
 def share(fitted: Fitted, beyond: Fitted) -> float:
