@@ -6,8 +6,9 @@ from typing import Any
 
 from twin.effects import EFFECTS
 from twin.explain.explanation import Explanation
-from twin.explain.naming import LEAST, PER_EFFECT
+from twin.explain.naming import LEAST
 from twin.explain.numbers import Number
+from twin.explain.pool import PER_EFFECT
 from twin.explain.refine import Fitted
 from twin.explain.showing import ChannelGap
 from twin.explain.telling import (

@@ -121,8 +121,8 @@ class Preset:
     weight_decay: float = 0.01
     schedule: Literal["constant", "cosine"] = "cosine"
     clip: float | None = 1.0
-    epochs: int = 60
-    patience: int | None = 20
+    epochs: int = 150
+    patience: int | None = 40
     validate_every: int = 5
     validation_share: float = 0.2
     batch: int = 8

@@ -16,8 +16,9 @@ from twin.explain.edge import edges
 from twin.explain.evidence import EXACT, Scores, White, believed
 from twin.explain.misfit import LAW, coherent, credible
 from twin.explain.model import model_of
-from twin.explain.naming import Naming, _needless, _spoils, name_effects
+from twin.explain.naming import Naming, _spoils, name_effects
 from twin.explain.numbers import at_voltage, numbers_of
+from twin.explain.pool import needless, worth_a_name
 from twin.explain.refine import Fitted, Ground
 from twin.explain.room import Room
 from twin.explain.spread import half_widths
@@ -69,9 +70,9 @@ def test_a_larger_set_has_to_explain_more_than_a_law_may_be_off() -> None:
     one = hypothesis(("a",), [1e5, 0.0], [1.0, 1.0])
     finer = hypothesis(("a", "b"), [1.02e5, 0.0], [1.0, 1.0])
     elsewhere = hypothesis(("a", "c"), [1e5, 50.0], [1.0, 1.0])
-    assert _needless(finer, [one, finer])  # 2,000 nats, but two percent of what one explains
-    assert not _needless(elsewhere, [one, elsewhere])  # 50 nats in a channel of its own
-    assert not _needless(one, [finer, elsewhere])
+    assert needless(finer, [one, finer])  # 2,000 nats, but two percent of what one explains
+    assert not needless(elsewhere, [one, elsewhere])  # 50 nats in a channel of its own
+    assert not needless(one, [finer, elsewhere])
 
 
 def test_an_effect_that_spoils_a_channel_is_told(quiet: Flight) -> None:
@@ -291,6 +292,20 @@ def test_a_name_is_believed_less_the_more_it_leaves() -> None:
     assert beliefs == sorted(beliefs, reverse=True)
     assert beliefs[0] > 0.95 > 0.9 > beliefs[2] > 0.5 > beliefs[3]
     assert beliefs[-1] < 1e-6
+
+
+def test_a_delay_below_a_sample_is_no_name() -> None:
+    numbers = numbers_of([EFFECTS["imu_delay"], EFFECTS["mass_offset"]], COPTER)
+    values = {"imu_delay.delay_s": 0.002, "mass_offset.mass_kg": 0.1}
+    late, heavy = (
+        hypothesis(("imu_delay",), [9.0], [1.0]),
+        hypothesis(("mass_offset",), [9.0], [1.0]),
+    )
+    both = replace(late, effects=("imu_delay", "mass_offset"), values=values, numbers=numbers)
+    alone = replace(heavy, values=values, numbers=numbers[1:])
+    assert worth_a_name(both) == ("mass_offset",)
+    given = search._without_trifles([both, alone], np.array([0.7, 0.3]))
+    np.testing.assert_allclose(given, [0.0, 1.0])
 
 
 def weighed(

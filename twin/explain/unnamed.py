@@ -38,9 +38,11 @@ SMALLEST_BARO_PA = 1.0
 """The same for the barometer: 8 cm of height."""
 FIELD_T = 5e-5
 """Of the earth, roughly."""
-COVERS = 0.7
+COVERS = 0.4
 """A library effect that covers this share of what an equation explains is an imperfect law of the
 right cause: laws of nature are finer than those of a library, and equations more pliable."""
+ENOUGH = 20.0
+"""Log likelihood below which equations say nothing: many products are tried in many channels."""
 FINER = 4
 """Trial frequencies per resolution of the flight."""
 
@@ -327,7 +329,11 @@ def better_unnamed(ground: Ground, named: Sequence[Fitted], alone: Unnamed | Non
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
     """
-    return alone is not None and all(covered(ground, f, alone) < COVERS for f in named)
+    return (
+        alone is not None
+        and alone.gain > ENOUGH
+        and all(covered(ground, f, alone) < COVERS for f in named)
+    )
 
 
 def covered(ground: Ground, named: Fitted, alone: Unnamed) -> float:
