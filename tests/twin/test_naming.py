@@ -11,6 +11,7 @@ from twin.airframe import airframe
 from twin.barometer import barometer
 from twin.effects import EFFECTS
 from twin.explain import naming as search
+from twin.explain import pool as hypotheses
 from twin.explain.channels import CHANNEL_HZ, ChannelData
 from twin.explain.edge import edges
 from twin.explain.evidence import EXACT, Scores, White, believed
@@ -18,7 +19,7 @@ from twin.explain.misfit import LAW, coherent, credible
 from twin.explain.model import model_of
 from twin.explain.naming import Naming, _spoils, name_effects
 from twin.explain.numbers import at_voltage, numbers_of
-from twin.explain.pool import needless, worth_a_name
+from twin.explain.pool import Pool, needless, worth_a_name
 from twin.explain.refine import Fitted, Ground
 from twin.explain.room import Room
 from twin.explain.spread import half_widths
@@ -306,6 +307,18 @@ def test_a_delay_below_a_sample_is_no_name() -> None:
     assert worth_a_name(both) == ("mass_offset",)
     given = search._without_trifles([both, alone], np.array([0.7, 0.3]))
     np.testing.assert_allclose(given, [0.0, 1.0])
+
+
+def test_a_set_without_room_for_another_effect_is_exchanged_for_its_parts(
+    quiet: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hypotheses, "_with_one_more", lambda *_: {})
+    ab, a, b = (hypothesis(e, [9.0], [1.0]) for e in (("a", "b"), ("a",), ("b",)))
+    pool = Pool(ground_of(quiet, "accel_bias"))
+    monkeypatch.setattr(pool, "fit", lambda effects: {"ab": ab, "a": a, "b": b}["".join(effects)])
+    pool.add("ab")
+    hypotheses._exchange(pool)
+    assert [f.effects for f in pool.fitted] == [("a", "b"), ("b",), ("a",)]
 
 
 def weighed(
