@@ -83,7 +83,7 @@ def _remarks(said: Mapping[str, Any]) -> list[str]:
     lines = [said["error"]] if "error" in said else list(said["reasons"])
     lines += [w for w in said.get("warnings", []) if "edge of the range" not in w]
     if said.get("next_manoeuvre"):
-        lines.append(f"to fly next: {said['next_manoeuvre']}")
+        lines.append(f"to fly next: {said['next_manoeuvre']['description']}")
     return lines
 
 
