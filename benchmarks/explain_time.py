@@ -32,6 +32,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="new folder to write to")
     out = parser.parse_args().out
+    if out.exists():
+        parser.error(f"{out} is there already; give a new folder")
     out.mkdir(parents=True)
     vehicle = load_vehicle(VEHICLE)
     flights = [out / f"flight_{k}.parquet" for k in range(4)]

@@ -14,6 +14,7 @@ from twin.vehicle_write import Written, with_effect_sections
 
 from .explain_report import write_explain_report
 from .export import Choice, export_components
+from .options import named_numbers
 from .output import write_json
 
 
@@ -57,15 +58,11 @@ def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, f
     Raises:
         TwinError: A text is not of that form, or there is no such flight.
     """
-    payloads = {}
-    for text in texts:
-        name, _, mass = text.rpartition("=")
-        try:
-            payloads[name] = float(mass)
-        except ValueError:
-            name = ""
-        if not name or not 0 <= payloads[name] < float("inf"):
-            raise TwinError(f"--payload {text}: write FLIGHT=KG, e.g. {flights[0]}=0.2.")
+    form = f"FLIGHT=KG, e.g. {flights[0]}=0.2"
+    payloads = named_numbers(texts, "--payload", form)
+    for name, mass_kg in payloads.items():
+        if not 0 <= mass_kg < float("inf"):
+            raise TwinError(f"--payload {name}={mass_kg:g}: write {form}.")
         if name not in flights:
             raise TwinError(unknown_name("--payload", "flight", name, flights))
     return payloads

@@ -26,6 +26,7 @@ from twin.rotors import Drive
 from twin.vehicle import Vehicle
 from twin.vehicle_file import load_vehicle, vehicle_text
 
+from .options import named_numbers
 from .products import (
     Product,
     compensator_product,
@@ -203,21 +204,8 @@ def _platforms(text: str) -> tuple[Platform, ...]:
 
 
 def start_values(texts: Sequence[str]) -> dict[str, float]:
-    """Start values of "NAME=NUMBER" texts.
-
-    Raises:
-        TwinError: A text is not of that form.
-    """
-    values = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        try:
-            values[name] = float(value)
-        except ValueError:
-            equals = ""
-        if not equals:
-            raise TwinError(f"--start {text}: write NAME=NUMBER.")
-    return values
+    """Start values of "NAME=NUMBER" texts."""
+    return named_numbers(texts, "--start", "NAME=NUMBER")
 
 
 def _replay(flight: Flight, linear: str) -> FmuModel:

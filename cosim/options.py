@@ -1,10 +1,13 @@
 """What the verbs of the command line share: options and exit codes."""
 
+from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from twin.errors import TwinError
 
 
 class Exit(IntEnum):
@@ -13,6 +16,29 @@ class Exit(IntEnum):
     FINE = 0
     FINDINGS = 1
     WRONG_USE = 2
+
+
+def named_numbers(texts: Sequence[str], option: str, form: str) -> dict[str, float]:
+    """Numbers of "NAME=NUMBER" texts, the name up to the last equals sign.
+
+    Args:
+        texts: As given on the command line.
+        option: By which they were given.
+        form: How to write it.
+
+    Raises:
+        TwinError: A text is not of that form.
+    """
+    values = {}
+    for text in texts:
+        name, _, value = text.rpartition("=")
+        try:
+            values[name] = float(value)
+        except ValueError:
+            name = ""
+        if not name:
+            raise TwinError(f"{option} {text}: write {form}.")
+    return values
 
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]

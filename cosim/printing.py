@@ -85,3 +85,14 @@ def print_damage(flights: "list[Flight]") -> int:
             markup=False,
         )
     return len(errors)
+
+
+def print_files(written: list[dict[str, Any]]) -> None:
+    """FMUs and systems that were written, with their hashes, and notes on them."""
+    for row in written:
+        platforms = ",".join(row["platforms"])
+        STDOUT.print(f"{row['file']}  FMI {row['fmi']}  {platforms}  {row['bytes']} bytes")
+        STDOUT.print(f"  sha256 {row['sha256']}")
+    for row in written:
+        if "note" in row:
+            STDERR.print(f"{row['file']}: {row['note']}", markup=False)

@@ -18,7 +18,8 @@ from benchmarks.compensator import paper, prediction
 
 EPOCHS = 12
 """Of the tables with many variants."""
-PREDICTION_EPOCHS = 30
+PREDICTION_EPOCHS, PREDICTION_SEEDS, AIRCRAFT = 30, 1, 1
+"""Of the tables of prediction; aircraft per set of hidden effects."""
 
 
 def main() -> None:
@@ -38,22 +39,20 @@ def main() -> None:
     predicted = given.work / "prediction"
     prediction.main(
         ["--data", str(given.data), "--out", str(predicted), f"--epochs={PREDICTION_EPOCHS}",
+         f"--seeds={PREDICTION_SEEDS}", f"--aircraft={AIRCRAFT}",
          "--simulated", str(given.work / "simulated"), "--jobs", str(given.jobs)]
     )  # fmt: skip
     write(table2, variants, (predicted / "prediction.md").read_text("utf-8"))
 
 
 def write(table2: str, variants: str, predicted: str) -> None:
-    """Put the tables into the page; its first section is kept."""
+    """Put the tables into the page; what they say is written in the template."""
     template = Path(paper.__file__).with_name("results.md.j2").read_text("utf-8")
-    page = Path(__file__).with_name("results.md")
-    said = page.read_text("utf-8").split("\n# ")[0] if page.exists() else ""
     filled = jinja2.Template(template, keep_trailing_newline=True).render(
         table2=table2, variants=variants, predicted=predicted,
         epochs=EPOCHS, prediction_epochs=PREDICTION_EPOCHS,
     )  # fmt: skip
-    first, _, rest = filled.partition("\n# ")
-    page.write_text(f"{said or first}\n# {rest}", "utf-8")
+    Path(__file__).with_name("results.md").write_text(filled, "utf-8")
 
 
 if __name__ == "__main__":

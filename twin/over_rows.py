@@ -128,7 +128,7 @@ def _step(function: ca.Function, k: int) -> _Step | None:
         return lambda: value, out[0], ()
     if op not in _NUMPY:
         raise NotImplementedError(
-            f"{function.name()}: instruction {op} of CasADi has no numpy word"
+            f"{function.name()}: CasADi's instruction {op} has no numpy word; add it to _NUMPY"
         )
     return _NUMPY[op], out[0], given
 

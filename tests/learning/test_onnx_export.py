@@ -38,7 +38,7 @@ MODELS: dict[str, dict[str, Any]] = {
 }
 
 
-def compare(said: Rows, right: dict[str, np.ndarray], tolerance: float = TOLERANCE) -> None:
+def assert_same(said: Rows, right: dict[str, np.ndarray], tolerance: float = TOLERANCE) -> None:
     """Correction, spread, alarm, envelope."""
     np.testing.assert_array_equal(said["inside"], right["inside"])
     for name in ("correction", "spread"):
@@ -52,7 +52,7 @@ def test_onnxruntime_is_torch_sample_by_sample(name: str) -> None:
     model = compensator(**MODELS[name])
     right = reference_vectors(model)
     said = streamed(streaming_model(model), right)
-    compare(said, right, 2e-6)
+    assert_same(said, right, 2e-6)
     assert 0.5 < right["inside"].mean() < (1.0 if "reconstruct" not in name else 1.1)
     for channel in ("correction", "spread"):
         assert np.all(right[channel][0] != 0)
@@ -71,7 +71,7 @@ def test_onnxruntime_is_torch_over_a_flight(protocol: Any) -> None:
         "inside": found.inside[:, None],
     }
     said = streamed(streaming_model(model), rows_of(along))
-    compare(said, right)
+    assert_same(said, right)
     assert 0.8 < found.inside.mean() <= 1.0
 
 
@@ -114,7 +114,7 @@ def test_a_phase_beyond_the_table_counts_as_its_last() -> None:
     last["phase"] = np.full((5, 1), max(PHASE_CODES.values()), np.float32)
     beyond["phase"] = np.full((5, 1), 99, np.float32)
     graph = streaming_model(model)
-    compare(streamed(graph, beyond), streamed(graph, last), 0.0)
+    assert_same(streamed(graph, beyond), streamed(graph, last), 0.0)
 
 
 # -- the files ------------------------------------------------------------------------------
@@ -184,7 +184,7 @@ def test_a_model_of_rotor_speeds_says_so(tmp_path: Path) -> None:
 
 def test_reference_vectors_check_a_runtime(folder: Path) -> None:
     reference = dict(np.load(folder / REFERENCE_FILE))
-    compare(streamed(onnx.load(folder / MODEL_FILE), reference), reference)
+    assert_same(streamed(onnx.load(folder / MODEL_FILE), reference), reference)
 
 
 def test_int8_is_smaller_and_says_what_it_costs(tmp_path: Path) -> None:

@@ -165,6 +165,16 @@ def on_grid(signal: Signal, t_s: Array) -> Array:
     return signal.at(t_s)
 
 
+def shifted(values: Array, later_s: float) -> Array:
+    """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
+    grid, moved = np.arange(len(values)), np.array(values)
+    for column, v in zip(moved.T, values.T, strict=True):
+        known = np.isfinite(v)
+        if known.any():
+            column[:] = np.interp(grid - later_s * GRID_HZ, grid[known], v[known])
+    return moved
+
+
 def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Grid points of every uninterrupted piece that is long enough, without its ends: what is
     differentiated on the grid is not known there."""

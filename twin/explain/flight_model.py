@@ -10,37 +10,29 @@
 | baro_pa | barometer | measured height and velocity, and barometer |
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import cast
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..barometer import barometer
-from ..component import Component
-from ..effects import EFFECTS, ComponentName, Effect
+from ..effects import Effect
 from ..flightlog import Flight
-from ..flightlog.columns import ACC, GYRO
+from ..flightlog.columns import ACC
 from ..frames import to_body, to_ned
-from ..imu import imu
-from ..magnetometer import magnetometer
-from ..measured import Signal, rates_of
+from ..measured import Signal
 from ..prepared import Twin, prepare
 from ..teacher_forced import airframe_inputs, measured_states
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, ChannelData, Measured, measured, on_grid
+from .channels import GRID_HZ, ChannelData, on_grid, shifted
 from .load import hung, swing
 from .numbers import Number, with_effects
-from .prediction import Batch, sensing
+from .prediction import Batch
+from .sensors import ATTITUDE_AGE, POSITION_AGE, Part, Seen, imu_parts, other_parts, pose_parts
 
 Array = NDArray[np.float64]
-MAG = ("mag_x", "mag_y", "mag_z")
-
-
 TURN = "heading_offset.pose_rad"
-POSITION_AGE, ATTITUDE_AGE = "position_delay.delay_s", "position_delay.attitude_s"
-IMU_AGE, COMMAND_AGE = "imu_delay.delay_s", "command_delay.delay_s"
+COMMAND_AGE = "command_delay.delay_s"
 LOAD, ROPE = "slung_load.mass_kg", "slung_load.length_m"
 _STEPS = dict.fromkeys((COMMAND_AGE, "motor_lag.tau_s", POSITION_AGE, ATTITUDE_AGE), 0.01)
 """Numbers whose answers are differences of two predictions, and their steps, s."""
@@ -51,33 +43,6 @@ _INTEGRATED = ("motor_lag.tau_s",)
 def in_equations(effect: Effect) -> bool:
     """Whether the effect stands in the equations of a component, and not in time."""
     return not effect.name.endswith("_delay")
-
-
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """One sensor of a flight: readings, and what predicts them from rows on the grid.
-
-    Attributes:
-        readings: Measured.
-        batch: Prediction; None: that of airframe and IMU.
-        rows: Its inputs, shape (n, n_u).
-        at: Inputs at which its slopes are taken, shape (n, n_u).
-        outputs: Which of its outputs.
-        late: Sign with which delays, "effect.number", shift the prediction.
-        effects: Effects that reach the prediction.
-        turning: Body rates, shape (n, 3), where position and attitude both make the prediction.
-        older: Rows with position and attitude from so many seconds later, where they do.
-    """
-
-    readings: Measured
-    batch: Batch | None
-    rows: Array
-    at: Array
-    outputs: slice
-    late: Mapping[str, float]
-    effects: frozenset[str]
-    turning: Array | None = None
-    older: Callable[[float, float], Array] | None = None
 
 
 class FlightModel:
@@ -105,7 +70,9 @@ class FlightModel:
         self._force_n = self._forces() if "slung_load" in effects else None
         self._swings: dict[float, tuple[Array, Array]] = {}
         self.twin = replace(self.twin, states=self._with_load(self.twin.states, {}))
-        self._parts = self._imu_parts() + self._pose_parts() + self._other_parts()
+        seen = Seen(flight, vehicle, self.twin, self._effects, [n.full for n in numbers])
+        force = body.value(self._now, self.twin.states, self.twin.inputs.u)[:, :3]
+        self._parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
         self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
@@ -178,7 +145,7 @@ class FlightModel:
     # -- answers that are no derivatives of equations ----------------------------------------
 
     def _in_time(
-        self, part: _Part, columns: Sequence[int], theta: Array, predicted: Array, answer: Array,
+        self, part: Part, columns: Sequence[int], theta: Array, predicted: Array, answer: Array,
         at: Array,
     ) -> tuple[Array, Array]:  # fmt: skip
         """Delays and a turned heading, which shift or turn what is predicted."""
@@ -190,7 +157,7 @@ class FlightModel:
             slopes |= {POSITION_AGE: rate + swept, ATTITUDE_AGE: -swept, TURN: turned}
         for i, n in enumerate(self.numbers):
             if n.full in part.late and theta[i]:
-                predicted = _shifted(predicted, part.late[n.full] * theta[i])
+                predicted = shifted(predicted, part.late[n.full] * theta[i])
             if n.full == TURN and theta[i] and part.turning is not None:
                 predicted = predicted + theta[i] * turned
         for k, i in enumerate(columns):
@@ -198,7 +165,7 @@ class FlightModel:
                 answer[:, :, k] = slopes[self.numbers[i].full]
         return predicted, answer
 
-    def _clean(self, k: int, part: _Part, change: Mapping[str, float]) -> Array:
+    def _clean(self, k: int, part: Part, change: Mapping[str, float]) -> Array:
         """Prediction of the model as it stands, the delays of the pose taken out."""
         ages = change.get(POSITION_AGE, 0.0), change.get(ATTITUDE_AGE, 0.0)
         if part.older is None or not any(ages):
@@ -243,7 +210,7 @@ class FlightModel:
                 own = [i for i, s in enumerate(self.twin.airframe.states)
                        if s.name.startswith(stems)]  # fmt: skip
                 states = states.copy()
-                states[:, own] = _shifted(states[:, own], -age)
+                states[:, own] = shifted(states[:, own], -age)
         return states
 
     def _prepared(self, values: Mapping[str, float]) -> Twin:
@@ -296,143 +263,9 @@ class FlightModel:
         drives = [i for i, n in enumerate(twin.airframe.input_names)
                   if n.startswith(("cmd_", "rotor_"))]  # fmt: skip
         states, inputs = states.copy(), inputs.copy()
-        states[:, rotors] = _shifted(states[:, rotors], delay_s)
-        inputs[:, drives] = _shifted(inputs[:, drives], delay_s)
+        states[:, rotors] = shifted(states[:, rotors], delay_s)
+        inputs[:, drives] = shifted(inputs[:, drives], delay_s)
         return states, inputs
-
-    # -- parts ------------------------------------------------------------------------------
-
-    def _imu_parts(self) -> list[_Part]:
-        parts: list[tuple[tuple[str, ...], str, Array, Signal, float | None, slice]] = []
-        t, flight, v = self.twin.inputs.t_s, self.flight, self.vehicle
-        if flight.has(*ACC):
-            signal = Signal(*flight.signal(ACC))
-            parts.append((ACC, "m/s²", on_grid(signal, t), signal, v.accel_cutoff_hz, slice(0, 3)))
-        if flight.has(*GYRO):
-            signal = Signal(*flight.signal(GYRO))
-            gyro = on_grid(signal, t)
-            rate = np.diff(gyro, axis=0, prepend=gyro[:1]) * GRID_HZ
-            names = tuple(f"gyro_rate_{a}" for a in "xyz")
-            parts.append((names, "rad/s²", rate, signal, v.gyro_cutoff_hz, slice(3, 6)))
-        found = []
-        known = self.twin.airborne & np.all(np.isfinite(self.twin.states), axis=1)
-        for names, unit, values, signal, cutoff, outputs in parts:
-            band = min(BAND_HZ, 0.35 * signal.rate_hz)
-            readings = measured(names, unit, t, values, known, band, cutoff)
-            if readings is not None:
-                nothing = np.zeros((0, 0))
-                reach = _reaching("airframe", "imu") | {"position_delay"}
-                late = {IMU_AGE: 1.0}
-                found.append(_Part(readings, None, nothing, nothing, outputs, late, reach))
-        return found
-
-    def _pose_parts(self) -> list[_Part]:
-        """What the IMU reads against what the pose implies: no physics of the vehicle in between.
-
-        The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
-        a regressor would shrink what is found with it, or feign it where the residual has it too.
-        """
-        t, motion, flight = self.twin.inputs.t_s, self.twin.motion, self.flight
-        if motion.attitude is None or not flight.has(*GYRO):
-            return []
-        v = self.vehicle
-        gyro = on_grid(Signal(*flight.signal(GYRO)), t)
-        sensor = imu(replace(v, accel_cutoff_hz=None, gyro_cutoff_hz=None), self._effects)
-        batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
-        implied = _named("omega", rates_of(motion.attitude).at(t))
-        read = _named("omega", gyro)
-        band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
-        groups = []
-        pull = None
-        if motion.velocity is not None and flight.has(*ACC):
-            acc = on_grid(Signal(*flight.signal(ACC)), t)
-            pull = np.gradient(motion.velocity.at(t), t, axis=0)
-            pull[:, 2] -= GRAVITY_M_S2
-            force = self._body.value(self._now, self.twin.states, self.twin.inputs.u)[:, :3]
-            alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
-            implied |= alpha | _named("specific_force", _pulled(motion.attitude.at(t), pull))
-            read |= alpha | _named("specific_force", force)
-            groups.append((ACC, "m/s²", acc, v.accel_cutoff_hz, slice(0, 3)))
-        groups.append((GYRO, "rad/s", gyro, v.gyro_cutoff_hz, slice(3, 6)))
-
-        def older(position_s: float, attitude_s: float) -> Array:
-            """Rows with position and attitude from so many seconds later."""
-            assert motion.attitude is not None and pull is not None
-            q = _shifted(motion.attitude.at(t), -attitude_s)
-            pulled = _pulled(q, _shifted(pull, -position_s))
-            return _rows(sensor, implied | _named("specific_force", pulled), len(t))
-
-        rows, at = _rows(sensor, implied, len(t)), _rows(sensor, read, len(t))
-        known = self.twin.airborne & np.all(np.isfinite(rows), axis=1)
-        known &= np.all(np.isfinite(at), axis=1)
-        found = []
-        for columns, unit, values, cutoff, outputs in groups:
-            names = tuple(f"pose_{c}" for c in columns)
-            readings = measured(names, unit, t, values, known, band, cutoff)
-            if readings is None:
-                continue
-            reach = _reaching("imu") | {"position_delay", "heading_offset"}
-            if columns == ACC:
-                late = {IMU_AGE: 1.0}
-                part = _Part(readings, batch, rows, at, outputs, late, reach, gyro, older)
-            else:
-                late = {IMU_AGE: 1.0, ATTITUDE_AGE: -1.0}
-                part = _Part(readings, batch, rows, at, outputs, late, reach)
-            found.append(part)
-        return found
-
-    def _other_parts(self) -> list[_Part]:
-        """Magnetometer and barometer."""
-        t, motion, flight = self.twin.inputs.t_s, self.twin.motion, self.flight
-        sensors: list[tuple[Component, tuple[str, ...], str, dict[str, Array]]] = []
-        if motion.attitude is not None and flight.has(*MAG):
-            q = motion.attitude.at(t)
-            inputs = {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}
-            if flight.has("ibat_a"):
-                inputs["ibat_a"] = Signal(*flight.signal(["ibat_a"])).held(t)[:, 0]
-            sensors.append((magnetometer(self.vehicle, self._effects), MAG, "T", inputs))
-        if motion.position is not None and flight.has("baro_pa"):
-            inputs = {"pos_z": motion.position.at(t)[:, 2]}
-            if motion.velocity is not None:
-                inputs |= _named("vel", motion.velocity.at(t))
-            sensors.append((barometer(self.vehicle, self._effects), ("baro_pa",), "Pa", inputs))
-        found = []
-        for sensor, names, unit, inputs in sensors:
-            rows = _rows(sensor, inputs, len(t))
-            signal = Signal(*flight.signal(list(names)))
-            known = self.twin.airborne & np.all(np.isfinite(rows), axis=1)
-            band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
-            readings = measured(names, unit, t, signal.at(t), known, band, None)
-            if readings is not None:
-                batch = sensing(sensor, self._effects, [n.full for n in self.numbers])
-                reach = _reaching(cast(ComponentName, sensor.name)) | {"position_delay"}
-                late = {POSITION_AGE if names == ("baro_pa",) else ATTITUDE_AGE: -1.0}
-                found.append(_Part(readings, batch, rows, rows, slice(None), late, reach))
-        return found
-
-
-def _reaching(*components: ComponentName) -> frozenset[str]:
-    """Effects that act on some components."""
-    return frozenset(e.name for e in EFFECTS.values() if e.component in components)
-
-
-def _named(stem: str, values: Array) -> dict[str, Array]:
-    return {f"{stem}_{a}": values[:, i] for i, a in enumerate("xyz")}
-
-
-def _rows(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
-    """Inputs of a sensor in its order; what is not given stays at its start."""
-    rows = np.tile(sensor.input_values(), (n, 1))
-    for i, name in enumerate(sensor.input_names):
-        if name in inputs:
-            rows[:, i] = inputs[name]
-    return rows
-
-
-def _pulled(q_nb: Array, pull_n: Array) -> Array:
-    """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
-    q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
-    return np.stack(to_body(list(q.T), list(pull_n.T)), axis=-1)
 
 
 def _step_mean(values: Array) -> Array:
@@ -440,13 +273,3 @@ def _step_mean(values: Array) -> Array:
     mean = np.array(values)
     mean[1:] = (values[1:] + values[:-1]) / 2
     return mean
-
-
-def _shifted(values: Array, later_s: float) -> Array:
-    """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
-    grid, moved = np.arange(len(values)), np.array(values)
-    for column, v in zip(moved.T, values.T, strict=True):
-        known = np.isfinite(v)
-        if known.any():
-            column[:] = np.interp(grid - later_s * GRID_HZ, grid[known], v[known])
-    return moved

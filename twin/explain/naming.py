@@ -137,7 +137,7 @@ def _weighed(pool: Pool, seed: int) -> Array:
     """Probabilities of what competes; what is likely is held against the rules first."""
     out: dict[tuple[str, ...], bool] = {}
     while True:
-        fitted = [*pool.fitted]
+        fitted = pool.fitted
         allowed = [f for f in fitted if not out.get(f.effects)]
         ruled_out = [out.get(f.effects, False) or needless(f, allowed) for f in fitted]
         prior = -np.array([price(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)

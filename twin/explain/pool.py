@@ -71,14 +71,18 @@ class Pool:
 
     Attributes:
         ground: What they are fitted against.
-        fitted: Those that compete.
     """
 
     def __init__(self, ground: Ground) -> None:
         """Begin with none."""
         self.ground = ground
-        self.fitted: list[Fitted] = []
         self._known: dict[tuple[str, ...], Fitted] = {}
+        self._competing: dict[tuple[str, ...], Fitted] = {}
+
+    @property
+    def fitted(self) -> list[Fitted]:
+        """Those that compete, in the order in which they were added."""
+        return list(self._competing.values())
 
     def fit(self, effects: Sequence[str]) -> Fitted:
         """A hypothesis, whether it competes or not."""
@@ -90,22 +94,16 @@ class Pool:
     def add(self, effects: Sequence[str]) -> Fitted:
         """Let a hypothesis compete."""
         made = self.fit(effects)
-        if made not in self:
-            self.fitted.append(made)
-        return made
+        return self._competing.setdefault(made.effects, made)
 
     def without(self, fitted: Fitted, effect: str) -> Fitted:
         """A hypothesis without one of its effects."""
         return self.fit([e for e in fitted.effects if e != effect])
 
-    def __contains__(self, hypothesis: object) -> bool:
-        """Whether a hypothesis competes."""
-        return any(f is hypothesis for f in self.fitted)
-
     @property
     def best(self) -> Fitted:
         """The one worth most."""
-        return max(self.fitted, key=worth)
+        return max(self._competing.values(), key=worth)
 
 
 def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
