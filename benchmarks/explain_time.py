@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.demo import Waypoints, fly
-from twin.vehicle_file import load_vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
 
 VEHICLE = "copter_default"
 HIDDEN = {"rotor_drag": {"k_xy_1_s": 0.35, "k_z_1_s": 0.2}}

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence, Set
 import numpy as np
 from numpy.typing import NDArray
 
-from .interface import Port
-from .slave import Slave
+from .slave.interface import Port
+from .slave.slave import Slave
 from .system import System
 
 

@@ -18,7 +18,7 @@ from fmus.order import Loop, slave_of
 from twin.errors import FmuError
 
 from .bus import Bus
-from .jacobian import jacobian
+from .slave.jacobian import jacobian
 
 Array = NDArray[np.float64]
 TOLERANCE = 1e-12

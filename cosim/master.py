@@ -11,10 +11,10 @@ from twin.errors import FmuError
 
 from .adaptive import SAMPLE_PERIOD, Control, Grid, advance_to
 from .bus import Bus
-from .pace import Pace
+from .realtime import Pace
 from .recording import Interrupted, Recording
 from .rollback import Rollback
-from .slave import Slave
+from .slave.slave import Slave
 from .stepping import Algorithm, Stepping
 from .system import System
 

@@ -1,7 +1,7 @@
 """Keeping and restoring the state of a whole system."""
 
 from .bus import Bus
-from .slave import SavedState
+from .slave.slave import SavedState
 
 
 class Rollback:

@@ -26,7 +26,7 @@ from twin.errors import FmuError
 from .bus import Bus
 from .loops import LoopSolver
 from .order import batches, stepping_order
-from .slave import Slave
+from .slave.slave import Slave
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 Settle = Callable[[float], None]

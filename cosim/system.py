@@ -7,7 +7,7 @@ from pathlib import Path
 
 from twin.errors import FmuError
 
-from .interface import Interface
+from .slave.interface import Interface
 
 _WIDTH = {"Boolean": 0, "Enumeration": 1, "Integer": 1, "Real": 2}
 

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from fmus import FmuModel, build, component_model, fuse
-from twin.assembly import Assembly, connected_by_name
 from twin.component import Component
 from twin.errors import TwinError
+from twin.flight.assembly import Assembly, connected_by_name
 
 from .system import Connection, System
 

@@ -9,13 +9,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from twin.assembly import CONTROLLERS, flying_twin
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
-from twin.flightlog.columns import COLUMNS
+from twin.flight.assembly import CONTROLLERS, flying_twin
+from twin.logs.columns import COLUMNS
 from twin.vehicle import Vehicle
-from twin.vehicle_fields import FIELDS
-from twin.vehicle_file import load_vehicle
+from twin.vehicle.file import load_vehicle
+from twin.vehicle.file.fields import FIELDS
 
 HERE = Path(__file__).parent
 BEGIN, END = "<!-- table: do not edit, run docs/tables.py -->", "<!-- end of table -->"

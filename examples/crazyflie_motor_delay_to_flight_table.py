@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from twin.flightlog import Flight, write_flight
+from twin.logs import Flight, write_flight
 
 G_M_S2 = 9.80665
 HALF_TURN = (1.0, -1.0, -1.0)  # forward-left-up -> forward-right-down

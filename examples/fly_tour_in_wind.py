@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.simulate import Scenario, run_scenario, scenario_system, summary
+from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
 
 SCENARIOS = {
     "still air": Scenario("tour", effects=("rotor_drag",)),

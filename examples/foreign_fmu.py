@@ -9,8 +9,8 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from cosim.simulate import Scenario, run_scenario, scenario_system, summary
 from cosim.system import Connection
+from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
 
 SLAVE = '''
 from math import cos, pi

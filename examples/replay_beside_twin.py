@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.demo import fly, hide
 from cosim.master import Master
 from cosim.system import System, connect
 from fmus import build, component_model, replay_model
-from twin.airframe import airframe
-from twin.flightlog import Flight, read_flight
-from twin.imu import imu
+from twin.logs import Flight, read_flight
+from twin.physics.airframe import airframe
+from twin.physics.sensors.imu import imu
 from twin.vehicle import Vehicle
-from twin.vehicle_file import load_vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import fly, hide
 
 HORIZON_S = 0.5
 STATE = ("pos_x", "pos_y", "pos_z", "vel_x", "vel_y", "vel_z", "q_w", "q_x", "q_y", "q_z")

@@ -8,8 +8,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from cosim.simulate import Scenario, run_scenario, scenario_system, summary
-from twin.assembly import CONTROLLERS
+from twin.flight.assembly import CONTROLLERS
+from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
 
 
 def main(stop_s: float | None = None) -> None:

@@ -1,7 +1,7 @@
 """Compensator: a learned correction of the virtual sensors as an FMU, from the ONNX file alone.
 
 The network becomes C by emx-onnx-cgen; `c/compensator.h` runs it at its sample instants. What the
-file says about itself (`learning.onnx_export` writes it) becomes the interface table.
+file says about itself (`learning.export.write` writes it) becomes the interface table.
 """
 
 import hashlib

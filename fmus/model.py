@@ -7,14 +7,7 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
-from twin.component import (
-    Causality,
-    Component,
-    Sampling,
-    Variable,
-    check_range,
-    unknown_name,
-)
+from twin.component import Causality, Component, Sampling, Variable, check_range, unknown_name
 from twin.errors import ModelError
 
 _EXPORTED = re.compile(

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from twin.component import Variable
 from twin.errors import LogError
-from twin.flightlog import Flight
-from twin.flightlog.columns import COLUMNS, motor_number
+from twin.logs import Flight
+from twin.logs.columns import COLUMNS, motor_number
 
 from .model import FmuModel, Part
 

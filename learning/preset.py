@@ -17,7 +17,7 @@ Systems") contradicts itself and its published code (RflySim/RflySimDT: `README.
 
 No switches: the residual's sign (the published data are simulated - real, which in Eq. 4 doubles
 the error; ours is measured - simulated, and a standardised network does not mind), and the "15
-dims", which the published code shows to be `learning.channels`.
+dims", which the published code shows to be `learning.data.channels`.
 """
 
 from collections.abc import Mapping

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from twin.vehicle_file import parse_vehicle
+from twin.vehicle.file import parse_vehicle
 
 ROOT = Path(__file__).parents[1]
 
@@ -109,7 +109,7 @@ def test_motor_delay_example_on_its_data(data_dir: Path, tmp_path: Path, log: st
 
 def test_readme_commands_exist() -> None:
     """Every `uavtwin VERB` that the README names is a verb."""
-    from cosim.cli import app
+    from uavtwin.cli.main import app
 
     verbs = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback}
     named = set(re.findall(r"uavtwin ([a-z]+)", (ROOT / "README.md").read_text()))

@@ -27,19 +27,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from learning.channels import CHANNELS, GROUPS
-from learning.compensator import Compensator
-from learning.corrected import Model
-from learning.flights import ResidualFlight, residual_flight
-from learning.generating import evaluate_generated
-from learning.generator import fit_generators
+from learning.data.channels import CHANNELS, GROUPS
+from learning.data.flights import ResidualFlight, residual_flight
+from learning.evaluation.generating import evaluate_generated
+from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
+from learning.model.compensator import Compensator
+from learning.model.corrected import Model
+from learning.model.generator import fit_generators
+from learning.model.recording import fit_recording
 from learning.preset import BEST, Preset
-from learning.protocols import WHOLE, Task, evaluate, pooled
-from learning.recording import fit_recording
-from learning.training import train
+from learning.training.train import train
 from twin.explain.explanation import explain
-from twin.flightlog import Flight, read_flight
-from twin.vehicle_file import load_vehicle
+from twin.logs import Flight, read_flight
+from twin.vehicle.file import load_vehicle
 
 from .residuals import residuals
 from .simulated import individuals, produce

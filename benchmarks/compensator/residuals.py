@@ -15,11 +15,16 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import twin
-from learning import channels, flights, restarts
-from learning.flights import DEFAULT_HORIZON_S, DEFAULT_RATE_HZ, ResidualFlight, residual_flight
-from learning.residual_table import read_residuals, write_residuals
-from twin.flightlog import read_flight
-from twin.vehicle_file import load_vehicle
+from learning.data import channels, flights
+from learning.data.flights import (
+    DEFAULT_HORIZON_S,
+    DEFAULT_RATE_HZ,
+    ResidualFlight,
+    residual_flight,
+)
+from learning.data.residual_table import read_residuals, write_residuals
+from twin.logs import read_flight
+from twin.vehicle.file import load_vehicle
 
 from .simulated import VEHICLE, Individual
 
@@ -85,5 +90,5 @@ def _state() -> str:
     """Hash of the sources that make residuals."""
     root = Path(next(iter(twin.__path__)))
     files = [f for f in sorted(root.rglob("*.py")) if "explain" not in f.relative_to(root).parts]
-    files += [Path(str(m.__file__)) for m in (channels, flights, restarts)]
+    files += [Path(str(m.__file__)) for m in (channels, flights)]
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()

@@ -21,19 +21,19 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.hidden_effects.aircraft import AIRCRAFT, Aircraft, vehicle_toml
 from benchmarks.hidden_effects.cases import MAGNITUDES
 from benchmarks.hidden_effects.files import write_json
-from benchmarks.hidden_effects.hidden import Truth
-from benchmarks.hidden_effects.missions import mission
-from benchmarks.hidden_effects.noise import NOISE
-from benchmarks.hidden_effects.orders import Order
-from benchmarks.hidden_effects.own import Trace, fly
-from benchmarks.hidden_effects.parameters import Parameters
-from benchmarks.hidden_effects.plants import EFFECTS
-from benchmarks.hidden_effects.sensing import flight_table
-from twin.flightlog.flight import Flight
-from twin.flightlog.table import write_flight
+from benchmarks.hidden_effects.hiding.effect import Truth
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
+from benchmarks.hidden_effects.plants.kinds import EFFECTS
+from benchmarks.hidden_effects.plants.missions import mission
+from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.own import Trace, fly
+from benchmarks.hidden_effects.plants.parameters import Parameters
+from benchmarks.hidden_effects.plants.sensing import flight_table
+from twin.logs.flight import Flight
+from twin.logs.table import write_flight
 
 HIDDEN_SETS = {
     "worn": ("rotor_drag", "battery_sag", "accel_misalignment"),

@@ -7,7 +7,7 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from .plants import EFFECTS, PLANTS, Plant
+from .plants.kinds import EFFECTS, PLANTS, Plant
 
 MAGNITUDES = ("small", "medium", "large")
 NOISE_LEVELS = ("low", "medium", "high")

@@ -30,8 +30,8 @@ def explain_case(folder: Path) -> dict[str, Any]:
     """Content of `explain.json` and the time it took, without missions of the new model."""
     from twin.explain.explanation import explain
     from twin.explain.result_json import explain_json
-    from twin.flightlog import read_flight
-    from twin.vehicle_file import load_vehicle
+    from twin.logs import read_flight
+    from twin.vehicle.file import load_vehicle
 
     wall, cpu = time.perf_counter(), time.process_time()
     fit, away = ([read_flight(folder / name) for name in names] for names in (FIT, HOLDOUT))

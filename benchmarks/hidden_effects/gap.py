@@ -5,13 +5,13 @@ import numpy as np
 from numpy.polynomial.polynomial import polyval
 from scipy.signal import lfilter
 
-from .aircraft import Aircraft
-from .missions import CONTROL_HZ
-from .own import Trace
-from .parameters import FIELD_T, Array, Batch, Parameters
-from .physics import Dynamics, Layout, motion, own_dynamics
-from .sensing import accelerometer, barometer, gyroscope, magnetometer, seen_pose
-from .vectors import rotation, to_body
+from .plants.aircraft import Aircraft
+from .plants.missions import CONTROL_HZ
+from .plants.own import Trace
+from .plants.parameters import FIELD_T, Array, Batch, Parameters
+from .plants.physics import Dynamics, Layout, motion, own_dynamics
+from .plants.sensing import accelerometer, barometer, gyroscope, magnetometer, seen_pose
+from .plants.vectors import rotation, to_body
 
 UNITS = {
     "acc": "m/s^2", "angacc": "rad/s^2", "gyro": "rad/s", "mag": "T", "baro": "Pa", "pos": "m",

@@ -17,13 +17,13 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 
-from twin.flightlog.flight import Flight
-from twin.flightlog.table import write_flight
-from twin.vehicle_file import parse_vehicle
+from twin.logs.flight import Flight
+from twin.logs.table import write_flight
+from twin.vehicle.file import parse_vehicle
 
 from .cases import MAGNITUDES, NOISE_LEVELS, Case, cases, subset
 from .files import write_json
-from .plants import PLANTS, may_fly_together
+from .plants.kinds import PLANTS, may_fly_together
 from .produce import FLIGHTS, Produced, produce
 
 KINDS = ("single", "pair", "outside", "nothing", "triple")

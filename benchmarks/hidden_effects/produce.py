@@ -7,18 +7,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .aircraft import Aircraft, vehicle_toml
 from .cases import MAGNITUDES, Case
 from .gap import gap_json, true_gap
-from .hidden import Number, Truth
-from .missions import mission
-from .noise import NOISE
-from .orders import Order
-from .own import fly
-from .parameters import Parameters
-from .physics import Simulator, own_dynamics
-from .plants import EFFECTS, PLANTS
-from .sensing import flight_table
+from .hiding.effect import Number, Truth
+from .plants.aircraft import Aircraft, vehicle_toml
+from .plants.kinds import EFFECTS, PLANTS
+from .plants.missions import mission
+from .plants.noise import NOISE
+from .plants.orders import Order
+from .plants.own import fly
+from .plants.parameters import Parameters
+from .plants.physics import Simulator, own_dynamics
+from .plants.sensing import flight_table
 
 FLIGHTS = {"fit_1": "tour", "fit_2": "forward", "holdout_1": "tour"}
 """Mission of each flight of a case."""

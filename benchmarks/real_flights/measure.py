@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.channels import CHANNEL_HZ, ChannelData
 from twin.explain.explanation import Explanation, explain
+from twin.explain.model.channels import CHANNEL_HZ, ChannelData
 from twin.explain.result_json import explain_json
 
 from .scenarios import Scenario, read

@@ -4,9 +4,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twin.explain.channels import CHANNEL_HZ
+from twin.explain.model.channels import CHANNEL_HZ
 
-from .believe import Case, Number, agreement, effects_of, judge, numbers_of
+from .agreement import Case, Number, agreement, effects_of, judge, numbers_of
 from .scenarios import Scenario
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")

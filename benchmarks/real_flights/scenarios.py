@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import tomlkit
 
-from twin.flightlog import Flight, read_flight
+from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
-from twin.vehicle_file import parse_vehicle, vehicle_text
+from twin.vehicle.file import parse_vehicle, vehicle_text
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -12,23 +12,24 @@ import pandas as pd
 import pytest
 
 import benchmarks.hidden_effects as package
-from benchmarks.hidden_effects import generate, missions
-from benchmarks.hidden_effects.aircraft import AIRCRAFT, vehicle_toml
+from benchmarks.hidden_effects import generate
 from benchmarks.hidden_effects.cases import Case, cases, subset
 from benchmarks.hidden_effects.gap import true_gap
-from benchmarks.hidden_effects.noise import NOISE
-from benchmarks.hidden_effects.orders import Order
-from benchmarks.hidden_effects.own import Trace, fly
-from benchmarks.hidden_effects.plants import EFFECTS
+from benchmarks.hidden_effects.plants import missions
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, vehicle_toml
+from benchmarks.hidden_effects.plants.kinds import EFFECTS
+from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.own import Trace, fly
+from benchmarks.hidden_effects.plants.sensing import flight_table
 from benchmarks.hidden_effects.produce import hide
-from benchmarks.hidden_effects.sensing import flight_table
-from cosim.gap import prepare
-from twin.flightlog.flight import Flight
-from twin.flightlog.read import read_flight
-from twin.teacher_forced import predicted_readings, teacher_forced_channels
-from twin.vehicle_file import parse_vehicle
+from twin.logs.flight import Flight
+from twin.logs.read import read_flight
+from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
+from twin.vehicle.file import parse_vehicle
+from uavtwin.fmu_gap import prepare
 
-ALLOWED = ("twin.flightlog.flight", "twin.flightlog.table", "twin.vehicle_file")
+ALLOWED = ("twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
 """What the generators may take from the twin: the file formats."""
 RUNNERS = ("explaining", "run", "__main__")
 """What calls `twin.explain`; generators import none of it."""

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from numpy.polynomial.polynomial import polyval
 
-from benchmarks.hidden_effects import own, physics
-from benchmarks.hidden_effects.aircraft import AIRCRAFT, Aircraft, vehicle_toml
-from benchmarks.hidden_effects.noise import NOISE
-from benchmarks.hidden_effects.parameters import GRAVITY_M_S2, Array, Batch, Parameters
-from benchmarks.hidden_effects.physics import Layout, motion
-from benchmarks.hidden_effects.rotor import climb_slope, thrust_ratio
-from benchmarks.hidden_effects.vectors import rotation, to_ned
-from twin.vehicle_file import parse_vehicle
+from benchmarks.hidden_effects.plants import own, physics
+from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
+from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.parameters import GRAVITY_M_S2, Array, Batch, Parameters
+from benchmarks.hidden_effects.plants.physics import Layout, motion
+from benchmarks.hidden_effects.plants.rotor import climb_slope, thrust_ratio
+from benchmarks.hidden_effects.plants.vectors import rotation, to_ned
+from twin.vehicle.file import parse_vehicle
 
 every_aircraft = pytest.mark.parametrize("aircraft", AIRCRAFT.values(), ids=list(AIRCRAFT))
 LOAD_KG, ROPE_M = 0.2, 0.8

@@ -7,9 +7,9 @@ import pytest
 from compensator_rig import tiny
 
 from benchmarks.compensator import paper
-from benchmarks.compensator.paper_runs import Run, run_all, scores, shortened
-from learning.channels import GROUPS
-from learning.paper_tables import paper_flights
+from benchmarks.compensator.trainings import Run, run_all, scores, shortened
+from learning.data.channels import GROUPS
+from learning.data.paper_tables import paper_flights
 
 SMALL = tiny(name="small", clustering="none", epochs=2)
 

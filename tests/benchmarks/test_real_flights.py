@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.real_flights import __main__ as command
-from benchmarks.real_flights.believe import Number, agreement, judge
+from benchmarks.real_flights.agreement import Number, agreement, judge
 from benchmarks.real_flights.measure import baselines, held
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
-from twin.explain.channels import ChannelData
-from twin.vehicle_file import load_vehicle
+from twin.explain.model.channels import ChannelData
+from twin.vehicle.file import load_vehicle
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from stand_ins import by_name, watched
 
-from benchmarks.hidden_effects import explaining, generate, missions
+from benchmarks.hidden_effects import explaining, generate
 from benchmarks.hidden_effects.cases import Case
 from benchmarks.hidden_effects.explaining import VEHICLE, Worker
+from benchmarks.hidden_effects.plants import missions
 from benchmarks.hidden_effects.run import main, run
-from benchmarks.hidden_effects.score import write_score
+from benchmarks.hidden_effects.scoring.score import write_score
 
 SHORT_S = 16.0
 

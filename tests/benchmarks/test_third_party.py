@@ -11,26 +11,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.hidden_effects.jsbsim_plant import JsbsimFlights
-from benchmarks.hidden_effects.parameters import GRAVITY_M_S2, Batch, Parameters
-from benchmarks.hidden_effects.physics import Layout
-from benchmarks.hidden_effects.plants import EFFECTS, PLANTS
+from benchmarks.hidden_effects.plants.jsbsim import JsbsimFlights
+from benchmarks.hidden_effects.plants.kinds import EFFECTS, PLANTS
+from benchmarks.hidden_effects.plants.parameters import GRAVITY_M_S2, Batch, Parameters
+from benchmarks.hidden_effects.plants.physics import Layout
 
 CHECK = """
 import json, sys
 import numpy as np
 from benchmarks.hidden_effects import missions
 missions.DURATION_S = 5.0
-from benchmarks.hidden_effects.aircraft import vehicle_toml
-from benchmarks.hidden_effects.noise import NOISE
-from benchmarks.hidden_effects.orders import Order
-from benchmarks.hidden_effects.own import fly
-from benchmarks.hidden_effects.plants import PLANTS
-from benchmarks.hidden_effects.sensing import flight_table
-from cosim.gap import prepare
-from twin.flightlog.flight import Flight
-from twin.teacher_forced import predicted_readings, teacher_forced_channels
-from twin.vehicle_file import parse_vehicle
+from benchmarks.hidden_effects.plants.aircraft import vehicle_toml
+from benchmarks.hidden_effects.plants.noise import NOISE
+from benchmarks.hidden_effects.plants.orders import Order
+from benchmarks.hidden_effects.plants.own import fly
+from benchmarks.hidden_effects.plants.kinds import PLANTS
+from benchmarks.hidden_effects.plants.sensing import flight_table
+from uavtwin.fmu_gap import prepare
+from twin.logs.flight import Flight
+from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
+from twin.vehicle.file import parse_vehicle
 
 rms = {}
 for name in PLANTS[sys.argv[1]].aircraft:

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from cosim.adaptive import Control, Grid
 from cosim.master import Algorithm, Master
-from cosim.slave import Slave
+from cosim.slave.slave import Slave
 from cosim.system import Connection, System
 from fmus import build, component_model
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
-from twin.imu import imu
-from twin.vehicle_file import load_vehicle
+from twin.physics.sensors.imu import imu
+from twin.vehicle.file import load_vehicle
 
 Array = NDArray[np.float64]
 SAMPLED = {"imu.sample_period": 0.03, "imu.gyro_noise": 0.1, "imu.seed": 7.0}

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from alter import altered
 
-from cosim.interface import read_interface
 from cosim.master import Master
+from cosim.slave.interface import read_interface
 from cosim.system import Connection, System
 from fmus import build, component_model
-from twin.component_builder import ComponentBuilder
+from twin.component import ComponentBuilder
 from twin.errors import FmuError
 
 MIXED = '''

@@ -21,11 +21,11 @@ from cosim.master import Algorithm, Master
 from cosim.ssp import write_ssp
 from cosim.system import System, connect
 from fmus import build, component_model
-from twin.airframe import airframe
-from twin.battery import battery
 from twin.component import Component
-from twin.imu import imu
-from twin.vehicle_file import load_vehicle
+from twin.physics.airframe import airframe
+from twin.physics.battery import battery
+from twin.physics.sensors.imu import imu
+from twin.vehicle.file import load_vehicle
 
 Array = NDArray[np.float64]
 STEP_S, STEPS = 1e-3, 2000

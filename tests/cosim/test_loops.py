@@ -8,15 +8,14 @@ import pytest
 from alter import NO_DERIVATIVES, UNKNOWN_DEPENDENCIES, altered
 from numpy.typing import NDArray
 
-from cosim.jacobian import jacobian
 from cosim.master import Algorithm, Master
 from cosim.order import batches, stepping_order
-from cosim.slave import Slave
+from cosim.slave.jacobian import jacobian
+from cosim.slave.slave import Slave
 from cosim.system import Connection, System
 from fmus import build, component_model
 from fmus.order import Loop, visits
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 
 Array = NDArray[np.float64]

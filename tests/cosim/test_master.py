@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from cosim.master import Algorithm, Master
 from cosim.system import Connection, System, connect
 from fmus import build, component_model, replay_model
-from twin.airframe import airframe
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
-from twin.flightlog import Flight
-from twin.imu import imu
-from twin.vehicle_file import load_vehicle
+from twin.logs import Flight
+from twin.physics.airframe import airframe
+from twin.physics.sensors.imu import imu
+from twin.vehicle.file import load_vehicle
 
 Array = NDArray[np.float64]
 H = 1e-3

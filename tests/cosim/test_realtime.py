@@ -5,12 +5,12 @@ import time
 import pytest
 
 from cosim.master import Master
-from cosim.pace import Pace
+from cosim.realtime import Pace
 from cosim.recording import Interrupted
-from cosim.slave import Slave
+from cosim.slave.slave import Slave
 from cosim.system import System
 from fmus import build, component_model
-from twin.component_builder import ComponentBuilder
+from twin.component import ComponentBuilder
 from twin.errors import FmuError
 
 

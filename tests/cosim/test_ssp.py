@@ -17,7 +17,7 @@ from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
 from cosim.system import Connection, System
 from fmus import build, component_model
-from twin.component_builder import ComponentBuilder
+from twin.component import ComponentBuilder
 from twin.errors import FmuError
 
 SSD = "SystemStructure.ssd"

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from cosim.slave import Slave
+from cosim.slave.slave import Slave
 from fmus import build, component_model
 from fmus.archive import unpack
 from twin.errors import FmuError
-from twin.imu import imu
-from twin.vehicle_file import load_vehicle
+from twin.physics.sensors.imu import imu
+from twin.vehicle.file import load_vehicle
 
 Members = list[tuple[zipfile.ZipInfo, bytes]]
 

@@ -19,7 +19,6 @@ from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
 from fmpy.validation import validate_fmu
 from instance import Array, Instance, library, unzip
 
-from cosim.export import Choice, default_vehicle, export_components
 from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
 from cosim.system import System
@@ -33,13 +32,14 @@ from fmus.compensator import (
     network_source,
     read_network,
 )
-from fmus.python_slave import build_network_slave
-from learning.channels import CHANNELS, GROUPS
-from learning.compensator import Compensator
-from learning.int8 import streamed
-from twin.assembly import Assembly, connected_by_name, flying_twin
+from fmus.python_slave.build import build_network_slave
+from learning.data.channels import CHANNELS, GROUPS
+from learning.export.int8 import streamed
+from learning.model.compensator import Compensator
 from twin.errors import FmuError, TwinError
-from twin.vehicle_file import load_vehicle, vehicle_text
+from twin.flight.assembly import Assembly, connected_by_name, flying_twin
+from twin.vehicle.file import load_vehicle, vehicle_text
+from uavtwin.export import Choice, default_vehicle, export_components
 
 VEHICLE, H = "crazyflie", 0.01
 SAMPLES = {"track": 10_000, "reconstruct": 1000, "free": 1000}

@@ -13,9 +13,9 @@ from cosim.master import Master
 from cosim.system import System
 from cosim.whole_twin import fused_model, system_of
 from fmus import build, component_model
-from twin.assembly import CONTROLLERS, Assembly, flying_twin
 from twin.component import Component, Run, Variable
-from twin.vehicle_file import load_vehicle
+from twin.flight.assembly import CONTROLLERS, Assembly, flying_twin
+from twin.vehicle.file import load_vehicle
 
 VEHICLE, H = "crazyflie", 1e-3
 FUSED = "corrected_twin"

@@ -11,8 +11,7 @@ from instance import Array, Instance, unzip
 from cosim.master import Master
 from cosim.system import System
 from fmus import build, component_model
-from twin.component import Component, Run
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder, Run
 from twin.errors import ModelError
 
 PERIOD_S = 0.004

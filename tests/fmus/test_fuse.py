@@ -13,8 +13,7 @@ from kinds import commands, component, fused_connections, fused_parts, model, re
 from cosim.master import Master
 from cosim.system import Connection, System
 from fmus import build, component_model, fuse
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 
 FmuFile = Callable[[str, int], Path]

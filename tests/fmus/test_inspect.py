@@ -10,8 +10,8 @@ import pytest
 from fmus import build, component_model
 from fmus.inspect import inspect_fmu
 from twin.errors import FmuError
-from twin.imu import imu
-from twin.vehicle_file import load_vehicle
+from twin.physics.sensors.imu import imu
+from twin.vehicle.file import load_vehicle
 
 Edit = Callable[[dict[str, bytes]], dict[str, bytes]]
 

@@ -364,7 +364,13 @@ def test_names() -> None:
 @needs_zig
 def test_export_lists_the_platforms(tmp_path: Path) -> None:
     def export(*options: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", "from cosim.cli import main; main()", "export", "battery"]
+        command = [
+            sys.executable,
+            "-c",
+            "from uavtwin.cli.main import main; main()",
+            "export",
+            "battery",
+        ]
         return subprocess.run(
             [*command, "--out", "o", *options],
             cwd=tmp_path,

@@ -11,8 +11,7 @@ from instance import Instance, unzip
 from kinds import component
 
 from fmus import build, component_model
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from twin.component import Component, ComponentBuilder
 
 CYCLES = 10_000
 WARM_UP = 500

@@ -23,18 +23,18 @@ from sensor_rig import motion, readings
 
 from cosim.master import Master
 from cosim.system import System, connect
-from fmus import build, component_model, python_slave
-from fmus.python_slave import build_python_slave, component_text
-from fmus.slave_script import read_component
-from twin.airframe import airframe
-from twin.battery import battery
-from twin.component import Component
-from twin.component_builder import ComponentBuilder
+from fmus import build, component_model
+from fmus.python_slave import build as python_slave
+from fmus.python_slave.build import build_python_slave, component_text
+from fmus.python_slave.script import read_component
+from twin.component import Component, ComponentBuilder
 from twin.effects import EFFECTS
 from twin.errors import FmuError, ModelError
-from twin.imu import imu
-from twin.position import position_sensor
-from twin.vehicle_file import load_vehicle
+from twin.physics.airframe import airframe
+from twin.physics.battery import battery
+from twin.physics.sensors.imu import imu
+from twin.physics.sensors.position import position_sensor
+from twin.vehicle.file import load_vehicle
 
 VEHICLE = load_vehicle("crazyflie")
 COMPONENTS: dict[str, Callable[[], Component]] = {
@@ -336,10 +336,10 @@ def test_versions_of_one_component_do_not_meet(
     noisy = imu(VEHICLE).with_starts({"acc_noise": 0.1})
     modules = python_slave._modules
 
-    def altered(package: str, module: str) -> dict[str, str]:
+    def altered(module: str) -> dict[str, str]:
         return {
             name: text.replace("q = p - 0.5", "q = 0.5 - p")
-            for name, text in modules(package, module).items()
+            for name, text in modules(module).items()
         }
 
     made = [

@@ -9,9 +9,8 @@ from instance import Array, Instance, unzip
 from cosim.master import Master
 from cosim.system import System
 from fmus import build, component_model
-from twin.component import Component, Run
-from twin.component_builder import ComponentBuilder
-from twin.noise import normal
+from twin.component import Component, ComponentBuilder, Run
+from twin.component.noise import normal
 
 PERIOD_S = 0.0035  # no multiple of the communication step
 STEP_S = 1e-3

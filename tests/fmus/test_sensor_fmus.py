@@ -12,13 +12,13 @@ from instance import Array, Instance, unzip
 from sensor_rig import motion, readings
 
 from fmus import build, component_model
-from twin.barometer import barometer
 from twin.component import Component
 from twin.effects import EFFECTS, effects_of
-from twin.imu import imu
-from twin.magnetometer import magnetometer
-from twin.position import position_sensor
-from twin.vehicle_file import load_vehicle
+from twin.physics.sensors.barometer import barometer
+from twin.physics.sensors.imu import imu
+from twin.physics.sensors.magnetometer import magnetometer
+from twin.physics.sensors.position import position_sensor
+from twin.vehicle.file import load_vehicle
 
 STEPS = 2000
 VEHICLE = replace(load_vehicle("crazyflie"), accel_cutoff_hz=80.0)

@@ -7,7 +7,7 @@ import pytest
 from instance import Instance, unzip
 
 from fmus import build, component_model
-from twin.component_builder import ComponentBuilder
+from twin.component import ComponentBuilder
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

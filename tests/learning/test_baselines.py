@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from learning.baselines import ORDER, fit_baselines, lags, phase_means
-from learning.channels import CHANNELS, PHASE_CODES
-from learning.flights import ResidualFlight, held
+from learning.data.channels import CHANNELS, PHASE_CODES
+from learning.data.flights import ResidualFlight, held
+from learning.model.baselines import ORDER, fit_baselines, lags, phase_means
 
 Array = np.ndarray
 HOVER, TOUR = PHASE_CODES["hover"], PHASE_CODES["tour"]

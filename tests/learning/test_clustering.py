@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from residual_rig import made_up, tiny
 
-from learning.channels import CHANNELS
-from learning.clustering import channel_statistics, clusters_of, kmeans_clusters
-from learning.scaling import in_spans
+from learning.data.channels import CHANNELS
+from learning.data.clustering import channel_statistics, clusters_of, kmeans_clusters
+from learning.data.scaling import in_spans
 
 FLIGHTS = [made_up(0), made_up(1)]
 ALL = [in_spans(f) for f in FLIGHTS]

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from residual_rig import UNITS, made_up, tiny
 
-from learning.channels import CHANNELS
-from learning.clustering import clusters_of
-from learning.compensator import Compensator, ModelInfo
-from learning.corrected import Corrected
-from learning.flights import ResidualFlight
+from learning.data.channels import CHANNELS
+from learning.data.clustering import clusters_of
+from learning.data.flights import ResidualFlight
+from learning.data.scaling import UNLIMITED, fit_scaling, in_spans
+from learning.model.compensator import Compensator, ModelInfo
+from learning.model.corrected import Corrected
 from learning.preset import Preset
-from learning.scaling import UNLIMITED, fit_scaling, in_spans
 from twin.errors import ModelError
 
 PROTOCOLS = [("reconstruct", 0), ("track", 1), ("track", 7), ("free", 0)]

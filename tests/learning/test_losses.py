@@ -4,8 +4,8 @@ import pytest
 import torch
 from residual_rig import tiny
 
-from learning.losses import losses, moments_loss, quantiser_loss
-from learning.network import Latent, NetworkOut, Quantiser
+from learning.model.network import Latent, NetworkOut, Quantiser
+from learning.training.losses import losses, moments_loss, quantiser_loss
 
 CLUSTERS = (tuple(range(4)), tuple(range(4, 15)))
 

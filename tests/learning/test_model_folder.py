@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from residual_rig import made_up, tiny
 
-from learning.channels import CHANNELS
-from learning.compensator import Compensator
-from learning.model_folder import MODEL, WEIGHTS, load, save
-from learning.training import train
+from learning.data.channels import CHANNELS
+from learning.model.compensator import Compensator
+from learning.model.folder import MODEL, WEIGHTS, load, save
+from learning.training.train import train
 from twin.errors import ModelError
 
 FLIGHT = made_up(0)

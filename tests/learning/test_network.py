@@ -5,9 +5,9 @@ import torch
 from residual_rig import tiny
 from torch import Tensor
 
-from learning.channels import CHANNELS, N_PHASES
-from learning.clustering import Clusters
-from learning.network import LstmStack, Quantiser, SvqNetwork
+from learning.data.channels import CHANNELS, N_PHASES
+from learning.data.clustering import Clusters
+from learning.model.network import LstmStack, Quantiser, SvqNetwork
 
 CLUSTERS: Clusters = ((0, 4, 5, 14), tuple(c for c in range(1, 14) if c not in (4, 5)))
 N_FEATURES = 3

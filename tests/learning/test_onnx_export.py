@@ -12,12 +12,12 @@ import pytest
 import torch
 from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
 
-from learning.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
-from learning.compensator import Compensator
-from learning.int8 import deviation, streamed
-from learning.onnx_export import INT8_FILE, MODEL_FILE, REFERENCE_FILE, reference_vectors
-from learning.onnx_graph import IR_VERSION, OPSET
-from learning.onnx_step import INPUTS, OUTPUTS, streaming_model
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
+from learning.export.graph import IR_VERSION, OPSET
+from learning.export.int8 import deviation, streamed
+from learning.export.step import INPUTS, OUTPUTS, streaming_model
+from learning.export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, reference_vectors
+from learning.model.compensator import Compensator
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "compensate_with_onnxruntime.py"

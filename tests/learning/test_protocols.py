@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from learning.calibration import calibration, reliability
-from learning.channels import CHANNELS, GROUPS, PHASE_CODES
-from learning.corrected import Corrected, Model
-from learning.flights import ResidualFlight, held
-from learning.protocols import TASKS, WHOLE, Task, evaluate, pooled
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
+from learning.data.flights import ResidualFlight, held
+from learning.evaluation.calibration import calibration, reliability
+from learning.evaluation.protocols import TASKS, WHOLE, Task, evaluate, pooled
+from learning.model.corrected import Corrected, Model
 from twin.errors import ModelError
 
 Array = np.ndarray

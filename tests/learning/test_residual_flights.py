@@ -8,20 +8,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.demo import fly
-from cosim.gap import flight_gap
-from learning.channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
-from learning.flights import ResidualFlight, held, residual_flight
-from twin import closed_loop
-from twin.airframe import airframe
-from twin.controller import controller
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
+from learning.data.flights import ResidualFlight, held, residual_flight
 from twin.errors import LogError, ModelError
-from twin.flightlog import Flight
-from twin.imu import imu
-from twin.magnetometer import magnetometer
-from twin.teacher_forced import sensor_readings
+from twin.flight import closed_loop
+from twin.flight.control.lqr_cascade import controller
+from twin.logs import Flight
+from twin.physics.airframe import airframe
+from twin.physics.sensors.imu import imu
+from twin.physics.sensors.magnetometer import magnetometer
+from twin.residuals.teacher_forced import sensor_readings
 from twin.vehicle import Vehicle
-from twin.vehicle_file import load_vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import fly
+from uavtwin.fmu_gap import flight_gap
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -139,7 +139,7 @@ def test_channels_are_those_of_the_gap(noisy: Flight, case: str) -> None:
 def test_windows_at_once_do_not_change_the_numbers(
     noisy: Flight, noisy_residual: ResidualFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("learning.restarts.WINDOWS_AT_ONCE", 17)
+    monkeypatch.setattr("twin.residuals.short_horizon.WINDOWS_AT_ONCE", 17)
     done: list[float] = []
     again = residual_flight(noisy, FEISI, progress=done.append)
     np.testing.assert_array_equal(again.virtual, noisy_residual.virtual)

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from learning.channels import CHANNELS
-from learning.flights import ResidualFlight
-from learning.residual_table import read_residuals, write_residuals
+from learning.data.channels import CHANNELS
+from learning.data.flights import ResidualFlight
+from learning.data.residual_table import read_residuals, write_residuals
 from twin.errors import ModelError
 
 

@@ -13,17 +13,17 @@ from hypothesis import strategies as st
 from residual_rig import made_up, tiny
 from scipy.signal import lfilter
 
-from learning.base import fit_base, gates, predict_base
-from learning.channels import CHANNELS
-from learning.checkpoint import CHECKPOINT
-from learning.compensator import Compensator
-from learning.flights import ResidualFlight
-from learning.model_folder import CURVE, MODEL, WEIGHTS, load
+from learning.data.channels import CHANNELS
+from learning.data.flights import ResidualFlight
+from learning.data.scaling import fit_scaling, in_spans
+from learning.data.sequences import sequences
+from learning.model.compensator import Compensator
+from learning.model.folder import CURVE, MODEL, WEIGHTS, load
+from learning.model.linear_predictor import fit_base, gates, predict_base
 from learning.preset import PRESETS, Preset, preset_from_json, preset_json, preset_named
-from learning.scaling import fit_scaling, in_spans
-from learning.sequences import sequences
-from learning.training import train
-from learning.windows import validation_rows
+from learning.training.checkpoint import CHECKPOINT
+from learning.training.train import train
+from learning.training.windows import validation_rows
 from twin.errors import ModelError
 
 FLIGHTS = [made_up(0), made_up(1)]

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar
 
 import casadi as ca
 
-from ..component_builder import ComponentBuilder
+from ..component import ComponentBuilder
 from ..vehicle import Vehicle
 
 ComponentName = Literal["airframe", "imu", "magnetometer", "barometer", "position", "environment"]

@@ -20,8 +20,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from ..component.portable import decay
 from ..errors import ModelError
-from ..portable import decay
 from .definition import Block, Effect, EffectParameter
 
 FOOT_M = 0.3048

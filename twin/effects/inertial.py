@@ -5,9 +5,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from ..component.portable import cosine, sine
 from ..frames import to_body
-from ..portable import cosine, sine
 from ..vehicle import Vehicle
+from ..vehicle.thrust_map import hover_level
 from .definition import Block, Effect, EffectParameter
 from .sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Mounting
 
@@ -25,8 +26,6 @@ def _rotor_hz(vehicle: Vehicle) -> float:
     The guess is a blade tip at 60 m/s on a rotor that reaches over 0.6 of the arm: within a
     factor of two for 27 g to 2 kg.
     """
-    from ..rotors import hover_level  # it imports this package
-
     speed = hover_level(vehicle) if vehicle.rotors.from_speed else 100.0 / vehicle.arm_m
     return speed / (2 * np.pi)
 
@@ -102,7 +101,7 @@ IMU_LEVER_ARM = Effect(
         for (a, d), s in zip(_AXES, (0.3, -0.2, 0.2), strict=True)
     ),
     ("acc", "gyro"),
-    "kinematics of a rigid body, as in twin/imu.py",
+    "kinematics of a rigid body, as in twin/physics/sensors/imu.py",
     _imu_lever_arm,
 )  # fmt: skip
 

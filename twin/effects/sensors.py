@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from ..portable import cosine, sine
+from ..component.portable import cosine, sine
 from .definition import Block, Effect, EffectParameter
 from .sensor_stages import BaroReading, EarthField, MagReading
 

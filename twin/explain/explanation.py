@@ -4,22 +4,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..errors import LogError
-from ..flightlog import Flight
+from ..flight.stability import Mission, fly_missions
+from ..logs import Flight
 from ..vehicle import Vehicle
-from .acting import Acting, acting
-from .designer import Suggestion, next_manoeuvre
-from .flying import Mission, fly_missions
-from .naming import LEAST, Naming, Verdict, name_effects
-from .numbers import with_effects
-from .payload import Payloads
-from .places import Place, places
-from .refine import Fitted
-from .showing import Showing, show
+from .attribution import Acting, acting
+from .design.designer import Suggestion, next_manoeuvre
+from .holdout import Showing, show
+from .inference.fit import Fitted
+from .inference.selection import LEAST, Naming, Verdict, name_effects
+from .localization import Place, places
+from .model.numbers import with_effects
+from .model.payload import Payloads
 from .split import Span, held_out_spans, hidden
-from .stuck import Stuck, stuck_channels, without_stuck
-from .unnamed import Equation, better_unnamed, unnamed
-from .unsteady import stuck_effect, unsteady
-from .unsteady_effect import Unsteady
+from .stochastic.finding import Unsteady
+from .stochastic.search import stuck_effect, unsteady
+from .stochastic.stuck import Stuck, stuck_channels, without_stuck
+from .unnamed.equations import Equation, better_unnamed, unnamed
 from .usable import reasons_unusable
 
 DIGITS = 6

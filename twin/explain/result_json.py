@@ -5,12 +5,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from ..flight.stability import Mission
+from .estimates import felt, listed, nothing_probability, probability_of, rivals, told, undecided
 from .explanation import Explanation
-from .flying import Mission
-from .places import Place
-from .showing import ChannelGap
-from .telling import felt, listed, nothing_probability, probability_of, rivals, told, undecided
-from .unnamed import Equation
+from .holdout import ChannelGap
+from .localization import Place
+from .unnamed.equations import Equation
 
 
 def explain_json(found: Explanation) -> dict[str, Any]:

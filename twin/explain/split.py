@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..flightlog import Flight
-from ..flightlog.columns import ACC, GYRO, MAG
+from ..logs import Flight
+from ..logs.columns import ACC, GYRO, MAG
 
 READINGS = (*ACC, *GYRO, *MAG, "baro_pa")
 """What is hidden. Pose and commands stay: they are inputs of the twin."""

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from ..flightlog import Flight
-from ..flightlog.columns import ACC, POS, VEL, motor_columns
-from ..measured import Signal, agreement, differentiate, zero_phase
-from ..prepared import Twin, prepare
+from ..logs import Flight
+from ..logs.columns import ACC, POS, VEL, motor_columns
+from ..residuals.aligned import Twin, prepare
+from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .channels import GRID_HZ
+from .model.channels import GRID_HZ
 
 Array = NDArray[np.float64]
 SHORTEST_S = 3.0

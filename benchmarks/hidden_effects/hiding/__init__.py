@@ -1,0 +1,1 @@
+"""How each effect is hidden in a plant."""

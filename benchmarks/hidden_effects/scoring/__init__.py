@@ -1,0 +1,1 @@
+"""How well a program named what was hidden."""

@@ -1,0 +1,1 @@
+"""One FMU behind preallocated buffers."""

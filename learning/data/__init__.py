@@ -1,0 +1,1 @@
+"""Residual flights as data: channels, grids, sequences, scaling, clusters."""

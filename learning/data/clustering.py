@@ -1,0 +1,101 @@
+"""Feature clustering: which channels share a network.
+
+k-means on three numbers per channel (mean, variance, lag autocorrelation), each standardised over
+the channels: in raw units the one with the largest numbers decides alone.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+from sklearn.metrics import silhouette_score
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
+
+from ..preset import Preset
+from .channels import CHANNELS, GROUPS
+from .flights import ResidualFlight
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Clusters = tuple[tuple[int, ...], ...]
+
+LAG = 1
+"""Samples between the two ends of the autocorrelation."""
+MOST_CLUSTERS = 8
+
+
+def clusters_of(
+    preset: Preset, flights: Sequence[ResidualFlight], chosen: Sequence[BoolArray], seed: int
+) -> Clusters:
+    """Channels of each network: numbers in rising order, clusters by their first channel.
+
+    Args:
+        preset: Says how.
+        flights: For training.
+        chosen: Per flight the samples that may be used, shape (n,).
+        seed: Of k-means.
+    """
+    if preset.clustering == "none":
+        return (tuple(range(len(CHANNELS))),)
+    if preset.clustering == "channels":
+        return tuple((i,) for i in range(len(CHANNELS)))
+    if preset.clustering == "sensors":
+        numbers = range(len(CHANNELS))
+        return tuple(tuple(numbers[columns]) for columns in GROUPS.values())
+    return kmeans_clusters(channel_statistics(flights, chosen), preset.n_clusters, seed)
+
+
+def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolArray]) -> Array:
+    """Mean, variance and lag-1 autocorrelation of each channel's residual, shape (15, 3).
+
+    Samples held between two measurements count: what the network sees is correlated by them. A
+    channel without a sample has zeros.
+    """
+    found = np.zeros((len(CHANNELS), 3))
+    for c in range(len(CHANNELS)):
+        parts = []
+        for flight, use in zip(flights, chosen, strict=True):
+            for a, b in flight.spans:
+                values = flight.residual[a:b, c][use[a:b]]
+                parts.append(values[np.isfinite(values)])
+        values = np.concatenate(parts) if parts else np.zeros(0)
+        if not len(values):
+            continue
+        mean, variance = float(values.mean()), float(values.var())
+        pairs = sum(float((p[LAG:] - mean) @ (p[:-LAG] - mean)) for p in parts if len(p) > LAG)
+        count = sum(max(len(p) - LAG, 0) for p in parts)
+        found[c] = mean, variance, pairs / (count * variance) if count and variance > 0 else 0.0
+    return found
+
+
+def kmeans_clusters(statistics: Array, n_clusters: int | None, seed: int) -> Clusters:
+    """k-means groups of the rows, the same for the same input and seed.
+
+    Args:
+        statistics: Shape (channels, numbers).
+        n_clusters: None: the number with the best silhouette, 2..8.
+        seed: Of the starts.
+    """
+    spread = statistics.std(axis=0)
+    points = (statistics - statistics.mean(axis=0)) / np.where(spread > 0, spread, 1.0)
+    distinct = len(np.unique(points, axis=0))
+    if n_clusters is not None:
+        return _grouped(_labels(points, min(n_clusters, distinct), seed))
+    best: tuple[float, Any] = (-np.inf, np.zeros(len(points), dtype=np.intp))
+    for k in range(2, min(MOST_CLUSTERS, distinct - 1, len(points) - 1) + 1):
+        labels = _labels(points, k, seed)
+        best = max(best, (float(silhouette_score(points, labels)), labels), key=lambda b: b[0])
+    return _grouped(best[1])
+
+
+def _labels(points: Array, k: int, seed: int) -> NDArray[np.intp]:
+    with threadpool_limits(1):  # fifteen points: threads would only wait for each other
+        labels = KMeans(n_clusters=k, n_init=20, random_state=seed).fit_predict(points)
+    return np.asarray(labels, dtype=np.intp)
+
+
+def _grouped(labels: NDArray[np.intp]) -> Clusters:
+    groups = [tuple(int(i) for i in np.flatnonzero(labels == k)) for k in np.unique(labels)]
+    return tuple(sorted(groups))

@@ -1,0 +1,260 @@
+"""A flight as residuals on an even grid: what the twin's sensors read, and what is left of it.
+
+Input-driven: the twin gets the flight's own commands, on the log's clock. The channels are those
+of `uavtwin gap` at the end of its windows, here at every instant of the grid:
+
+| channels | the twin reads them |
+|---|---|
+| gyro, pos, vel | a horizon after it was started from the measured state |
+| acc, mag | at the measured state |
+
+The gyroscope is compared by its own samples; the gap low-passes it forward and backward, which
+looks ahead. What the twin reads knows the flight: its state a horizon before, and for acc and mag
+the measured state itself, on a straight line to its next sample. A reading that is compared is
+never anything but a sample.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import LogError, ModelError
+from twin.logs import Flight
+from twin.logs.columns import MAG, motor_number
+from twin.physics.sensors.magnetometer import magnetometer
+from twin.residuals.aligned import Twin, prepare
+from twin.residuals.measured import Signal
+from twin.residuals.short_horizon import window_ends
+from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
+from twin.vehicle import Vehicle
+
+from .channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+DEFAULT_RATE_HZ = 100.0
+DEFAULT_HORIZON_S = 0.5
+SHORTEST_SPAN = 2
+"""A single instant between two gaps is no stretch of flight."""
+RESTARTED = ("gyro", "pos", "vel")
+"""Groups that are read after a restart; the others are read at the measured state."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualFlight:
+    """Residuals of one flight on an even grid.
+
+    Attributes:
+        name: Of the flight.
+        rate_hz: Of the grid.
+        t_s: Times, s, shape (n,).
+        virtual: What the twin's sensors read, units as `channels.UNITS`, shape (n, 15); NaN where
+            the state to start from is not measured.
+        residual: Measured minus virtual, each sample at its own time; between samples the last
+            one held; NaN before the first, shape (n, 15).
+        fresh: Whether a sample lies in the interval that ends at the instant, shape (n, 15).
+        commands: What drives the rotors, as held at the instant: commands 0..1 or measured
+            speeds, rad/s; shape (n, m).
+        phase: Code of the phase, `channels.PHASE_CODES`, shape (n,).
+        spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
+        notes: What is missing or was assumed.
+    """
+
+    name: str
+    rate_hz: float
+    t_s: Array
+    virtual: Array
+    residual: Array
+    fresh: BoolArray
+    commands: Array
+    phase: IntArray
+    spans: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...] = ()
+
+
+def residual_flight(
+    flight: Flight,
+    vehicle: Vehicle,
+    rate_hz: float = DEFAULT_RATE_HZ,
+    horizon_s: float = DEFAULT_HORIZON_S,
+    progress: Callable[[float], None] | None = None,
+) -> ResidualFlight:
+    """Residuals of a flight against a vehicle.
+
+    Args:
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
+        rate_hz: Of the grid; 1000 Hz over a whole number.
+        horizon_s: From the restart to the reading; a multiple of 1 ms, at least one interval.
+        progress: Called with the share done, 0..1.
+
+    Raises:
+        ModelError: Rate or horizon is not allowed.
+        LogError: The flight cannot be compared with this vehicle, or has no sample to compare.
+    """
+    every, steps = _steps(rate_hz, horizon_s)
+    twin = prepare(flight, vehicle)
+    t = twin.inputs.t_s
+    first = -round(float(t[0]) / GRID_S) % every
+    grid = np.arange(first, len(t), every)
+    valid = _whole(twin, grid, steps)
+    ends = _restarts(twin, grid, valid, steps, every, progress or (lambda _: None))
+    at_state = _at_measured_state(flight, vehicle, twin)
+
+    virtual = np.full((len(grid), len(CHANNELS)), np.nan)
+    residual, fresh = virtual.copy(), np.zeros(virtual.shape, dtype=np.bool_)
+    missing = []
+    for group, columns in GROUPS.items():
+        if group in RESTARTED:
+            near = ends[:, :, _columns_of_ends(group)]
+        else:
+            near = _tails(at_state[group], grid, every)
+        near[~valid] = np.nan
+        virtual[:, columns] = near[:, -1]
+        if not flight.has(*CHANNELS[columns]):
+            missing.append(group)
+            continue
+        samples = Signal(*flight.signal(CHANNELS[columns]))
+        rows, values = _against(samples, near, t[grid], every)
+        residual[rows, columns], fresh[rows, columns] = values, True
+    if not fresh.any():
+        raise LogError(
+            f"{flight.name}: no sample to compare in the air: it needs gyro_*, acc_*, mag_*, pos_* "
+            f"or vel_* besides motor commands, and {horizon_s:g} s of attitude, velocity and body "
+            f"rates. The flight has: {', '.join(c for c in flight.table if flight.has(c))}."
+        )
+    drives = [i for i, n in enumerate(twin.airframe.input_names) if motor_number(n) is not None]
+    notes = [f"no samples of {g}_*: these channels have no residual" for g in missing]
+    return ResidualFlight(
+        name=flight.name,
+        rate_hz=rate_hz,
+        t_s=t[grid],
+        virtual=virtual,
+        residual=held(residual),
+        fresh=fresh,
+        commands=twin.inputs.u[grid][:, drives],
+        phase=np.array(
+            [PHASE_CODES.get(str(p), UNKNOWN_PHASE) for p in twin.phases[grid]], dtype=np.intp
+        ),
+        spans=_spans(valid),
+        notes=(*twin.notes, *notes),
+    )
+
+
+def held(values: Array) -> Array:
+    """The last known value of each column, NaN before the first; shape (n, k)."""
+    rows = np.where(np.isfinite(values), np.arange(len(values))[:, None], 0)
+    return np.take_along_axis(values, np.maximum.accumulate(rows, axis=0), axis=0)
+
+
+def _steps(rate_hz: float, horizon_s: float) -> tuple[int, int]:
+    """Grid steps of the twin per interval, and per horizon."""
+    every = round(1 / (rate_hz * GRID_S)) if 0 < rate_hz < np.inf else 0
+    if every < 1 or abs(every * rate_hz * GRID_S - 1) > 1e-9:
+        raise ModelError(
+            f"rate {rate_hz:g} Hz: needs 1000 Hz over a whole number, such as 50, 100 or 200 Hz."
+        )
+    steps = round(horizon_s / GRID_S) if 0 < horizon_s < np.inf else 0
+    if steps < every or abs(steps * GRID_S - horizon_s) > 1e-9:
+        raise ModelError(
+            f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least one interval, "
+            f"{every * GRID_S:g} s."
+        )
+    return every, steps
+
+
+def _restartable(twin: Twin) -> bool:
+    motion = twin.motion
+    return not (motion.attitude is None or motion.velocity is None or motion.rates is None)
+
+
+def _whole(twin: Twin, grid: IntArray, steps: int) -> BoolArray:
+    """Instants in the air at which the state is known, and since the restart where there is one."""
+    known = twin.airborne & np.all(np.isfinite(twin.states), axis=1)
+    if not _restartable(twin):
+        return np.asarray(known[grid], dtype=np.bool_)
+    unknown_before = np.concatenate([[0], np.cumsum(~known)])
+    begin = np.maximum(grid - steps, 0)
+    return np.asarray(
+        (grid >= steps) & (unknown_before[grid + 1] == unknown_before[begin]), dtype=np.bool_
+    )
+
+
+def _restarts(
+    twin: Twin,
+    grid: IntArray,
+    valid: BoolArray,
+    steps: int,
+    every: int,
+    progress: Callable[[float], None],
+) -> Array:
+    """Readings over the last interval of every window, shape (n, every + 1, 9)."""
+    ends = np.full((len(grid), every + 1, 3 * len(RESTARTED)), np.nan)
+    if _restartable(twin) and valid.any():
+        ends[valid] = window_ends(twin, grid[valid] - steps, steps, every, progress)
+    if twin.motion.position is None:
+        ends[:, :, _columns_of_ends("pos")] = np.nan
+    return ends
+
+
+def _columns_of_ends(group: str) -> slice:
+    first = 3 * RESTARTED.index(group)
+    return slice(first, first + 3)
+
+
+def _at_measured_state(flight: Flight, vehicle: Vehicle, twin: Twin) -> dict[str, Array]:
+    """Accelerometer and magnetometer at every point of the twin's grid, shape (n_grid, 3) each."""
+    readings, _ = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
+    acc = [twin.imu.output_names.index(n) for n in CHANNELS[GROUPS["acc"]]]
+    found = {"acc": readings[:, acc], "mag": np.full((len(readings), 3), np.nan)}
+    if twin.motion.attitude is not None:
+        sensor, t = magnetometer(vehicle), twin.inputs.t_s
+        rows = np.tile(sensor.input_values(), (len(t), 1))
+        turned = [sensor.input_names.index(f"q_{a}") for a in "wxyz"]
+        rows[:, turned] = twin.motion.attitude.at(t)
+        if "ibat_a" in sensor.input_names and flight.has("ibat_a"):
+            current = Signal(*flight.signal(["ibat_a"])).held(t)
+            rows[:, sensor.input_names.index("ibat_a")] = current[:, 0]
+        fields = [sensor.output_names.index(n) for n in MAG]
+        found["mag"] = sensor_readings(sensor, rows)[:, fields]
+    return found
+
+
+def _tails(values: Array, grid: IntArray, every: int) -> Array:
+    """The points of the interval that ends at each instant, its start among them."""
+    return np.asarray(values[np.maximum(grid[:, None] + np.arange(-every, 1), 0)])
+
+
+def _against(samples: Signal, near: Array, t_s: Array, every: int) -> tuple[IntArray, Array]:
+    """The last sample in each interval minus what the twin reads at its time.
+
+    Args:
+        samples: Measured.
+        near: What the twin reads over each interval, shape (n, every + 1, 3).
+        t_s: Ends of the intervals, shape (n,).
+        every: Points per interval.
+
+    Returns:
+        Rows that have a sample, and its residual, shape (k, 3).
+    """
+    row = np.searchsorted(t_s + 1e-9, samples.t_s)
+    back = (t_s[np.minimum(row, len(t_s) - 1)] - samples.t_s) / GRID_S  # in grid steps
+    inside = (row < len(t_s)) & (back < every - 1e-6)
+    last = inside & (np.append(row[1:], -1) != row)
+    row, place = row[last], np.clip(every - back[last], 0.0, every)
+    before = np.minimum(place.astype(np.intp), every - 1)
+    share = (place - before)[:, None]
+    virtual = near[row, before] * (1 - share) + near[row, before + 1] * share
+    residual = samples.values[last] - virtual
+    known = np.all(np.isfinite(residual), axis=1)
+    return row[known], residual[known]
+
+
+def _spans(valid: BoolArray) -> tuple[tuple[int, int], ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], valid.astype(np.int8), [0]])))
+    spans = [(int(a), int(b)) for a, b in pairwise(edges)][::2]
+    return tuple((a, b) for a, b in spans if b - a >= SHORTEST_SPAN)

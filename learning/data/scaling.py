@@ -1,0 +1,162 @@
+"""Standardisation of residuals and features, and the envelope of the training data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..preset import Normalise
+from .channels import CHANNELS, N_PHASES
+from .flights import ResidualFlight
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+FEATURE_CHANNELS = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y"))
+"""Virtual signals that are features: all but the place over ground, which no effect depends on."""
+MIN_SAMPLES = 20
+"""A phase with fewer samples of a channel is scaled as all phases together."""
+UNLIMITED = 1e30
+"""Envelope of a feature that the training data do not limit; finite, so that any tool reads it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """What the model subtracts and divides by; all of it is stored with the weights.
+
+    Attributes:
+        mean: Of the residual, shape (phases, 15), units of the channels.
+        scale: Spread of the residual, > 0, shape (phases, 15), units of the channels.
+        feature_mean: Shape (features,), units of the features.
+        feature_scale: > 0, shape (features,); `UNLIMITED` for one never seen, which leaves 0.
+        least: Smallest standardised feature of the training: the network sees none below it,
+            shape (features,).
+        most: Largest one, shape (features,).
+        low: Lower end of the envelope, shape (features,).
+        high: Upper end, shape (features,).
+        rms: Of the uncorrected residual: what is to be expected outside the envelope, shape (15,).
+    """
+
+    mean: Array
+    scale: Array
+    feature_mean: Array
+    feature_scale: Array
+    least: Array
+    most: Array
+    low: Array
+    high: Array
+    rms: Array
+
+    def arrays(self) -> dict[str, Array]:
+        """Every array by its name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def feature_names(n_commands: int) -> tuple[str, ...]:
+    """Names of the features, in order: virtual signals, then commands."""
+    names = tuple(CHANNELS[i] for i in FEATURE_CHANNELS)
+    return (*names, *(f"cmd_{i + 1}" for i in range(n_commands)))
+
+
+def features_of(flight: ResidualFlight) -> Array:
+    """Features in their own units, NaN where the twin could not read, shape (n, features)."""
+    return np.hstack([flight.virtual[:, list(FEATURE_CHANNELS)], flight.commands])
+
+
+def standardised(raw: Array, scaling: Scaling) -> Array:
+    """Features as the network sees them: 0 where unknown, held at the ends of the training range.
+
+    Args:
+        raw: In their own units, NaN where unknown, shape (n, features).
+        scaling: Of the training.
+    """
+    features = (raw - scaling.feature_mean) / scaling.feature_scale
+    held = np.minimum(np.maximum(features, scaling.least), scaling.most)
+    return np.where(np.isfinite(raw), held, 0.0)
+
+
+def in_spans(flight: ResidualFlight) -> BoolArray:
+    """Which samples lie within a span, shape (n,)."""
+    inside = np.zeros(len(flight.t_s), dtype=np.bool_)
+    for a, b in flight.spans:
+        inside[a:b] = True
+    return inside
+
+
+def fit_scaling(
+    flights: Sequence[ResidualFlight],
+    chosen: Sequence[BoolArray],
+    normalise: Normalise,
+    margin: float,
+) -> Scaling:
+    """Scaling and envelope from the training samples.
+
+    Args:
+        flights: For training.
+        chosen: Per flight the samples that may be used, shape (n,).
+        normalise: As in `Preset`.
+        margin: Widening of the envelope on either side, as a share of its width.
+
+    Returns:
+        Scaling; a channel or feature that never varies is divided by 1.
+    """
+    residual = np.concatenate(
+        [np.where(f.fresh, f.residual, np.nan)[c] for f, c in zip(flights, chosen, strict=True)]
+    )
+    phase = np.concatenate([f.phase[c] for f, c in zip(flights, chosen, strict=True)])
+    mean = np.zeros((N_PHASES, residual.shape[1]))
+    scale = np.ones_like(mean)
+    for c, column in enumerate(residual.T):
+        known = np.isfinite(column)
+        mean[:, c], scale[:, c] = _centre(column[known], normalise)
+        for p in range(N_PHASES) if normalise != "pooled" else ():
+            here = known & (phase == p)
+            if here.sum() >= MIN_SAMPLES:
+                mean[p, c], scale[p, c] = _centre(column[here], normalise)
+        if normalise == "centred" and known.any():
+            about = column[known] - mean[phase[known], c]
+            scale[:, c] = _positive(float(about.std()), float(np.abs(mean[:, c]).max()))
+    features = np.concatenate([features_of(f)[c] for f, c in zip(flights, chosen, strict=True)])
+    least, most, centre, spread = np.array([_limits(column) for column in features.T]).T
+    room = margin * (most - least) + 1e-6 * np.maximum(np.abs(least), np.abs(most))
+    return Scaling(
+        mean=mean,
+        scale=scale,
+        feature_mean=centre,
+        feature_scale=spread,
+        least=(least - centre) / spread,
+        most=(most - centre) / spread,
+        low=np.maximum(least - room, -UNLIMITED),
+        high=np.minimum(most + room, UNLIMITED),
+        rms=np.array([_rms(column[np.isfinite(column)]) for column in residual.T]),
+    )
+
+
+def _centre(values: Array, normalise: str) -> tuple[float, float]:
+    """Centre and spread of some samples; (0, 1) of none."""
+    if not len(values):
+        return 0.0, 1.0
+    if normalise == "range":
+        low, high = float(values.min()), float(values.max())
+        return (low + high) / 2, _positive((high - low) / 2, (low + high) / 2)
+    return float(values.mean()), _positive(float(values.std()), float(values.mean()))
+
+
+def _positive(spread: float, centre: float) -> float:
+    """The spread, or 1 where it is nothing but rounding."""
+    return spread if spread > 1e-9 * abs(centre) + 1e-15 else 1.0
+
+
+def _limits(values: Array) -> tuple[float, float, float, float]:
+    """Smallest and largest value, mean and spread of a feature."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return -UNLIMITED, UNLIMITED, 0.0, UNLIMITED
+    low, high = float(values.min()), float(values.max())
+    mean, spread = float(values.mean()), float(values.std())
+    return low, high, mean, _positive(spread, mean)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

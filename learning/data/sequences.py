@@ -1,0 +1,169 @@
+"""Flights as standardised sequences: what the compensator sees and what it should say.
+
+One definition for training and evaluation; `Compensator.step` does the same sample by sample.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from twin.errors import ModelError
+
+from ..preset import Protocol
+from .channels import N_PHASES
+from .flights import ResidualFlight
+from .scaling import UNLIMITED, Scaling, features_of, standardised
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+LAGS = 8
+"""Past residuals in the linear prediction of `track`."""
+SMOOTHING_S = (0.1, 0.5)
+"""Time constants of the slow copies of the features."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpanSequence:
+    """One span of one flight, from its first sample on; all standardised.
+
+    Attributes:
+        flight: Number of the flight.
+        start: Row of the flight at which the span starts.
+        d: Residual: each sample held until the next one, 0 before the first, shape (n, 15).
+        fresh: Whether `d` is new, shape (n, 15).
+        lags: Columns of `d` that are known: at t - horizon and before, shape (n, 15, lags); one
+            in `reconstruct`, none in `free`.
+        change: What the twin read at the time of the newest known residual, minus what it reads
+            now, over the scale; 0 unless in `track`, shape (n, 15).
+        features: Shape (n, F).
+        slow: Low-passed features, shape (n, 2 F).
+        phase: Codes, shape (n,).
+        inside: Whether the features are within the envelope, shape (n,).
+    """
+
+    flight: int
+    start: int
+    d: Array
+    fresh: BoolArray
+    lags: Array
+    change: Array
+    features: Array
+    slow: Array
+    phase: NDArray[np.intp]
+    inside: BoolArray
+
+    @property
+    def rows(self) -> slice:
+        """Rows of the flight."""
+        return slice(self.start, self.start + len(self.d))
+
+
+def n_lags(protocol: Protocol) -> int:
+    """How many past residuals are looked at."""
+    return {"reconstruct": 1, "track": LAGS, "free": 0}[protocol]
+
+
+def check_protocol(protocol: Protocol, horizon: int) -> None:
+    """Raise ModelError unless the horizon, in samples, goes with the protocol."""
+    if protocol == "track" and horizon < 1:
+        raise ModelError(f"protocol track: horizon {horizon} samples; it needs 1 or more")
+    if protocol != "track" and horizon != 0:
+        raise ModelError(
+            f"protocol {protocol}: horizon {horizon} samples; only track has one, leave it 0"
+        )
+
+
+def n_regressors(protocol: Protocol, n_features: int) -> int:
+    """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
+    features = n_features * (1 + len(SMOOTHING_S))
+    return {"reconstruct": 0, "track": LAGS + 1, "free": features}[protocol]
+
+
+def smoothing(rate_hz: float) -> tuple[float, ...]:
+    """Share of the way that each slow copy goes towards the feature per sample."""
+    return tuple(1 - math.exp(-1 / (rate_hz * s)) for s in SMOOTHING_S)
+
+
+def sequences(
+    flights: Sequence[ResidualFlight], scaling: Scaling, protocol: Protocol, horizon: int
+) -> list[SpanSequence]:
+    """Every span of every flight, in order."""
+    return [
+        _span(number, flight, span, scaling, protocol, horizon)
+        for number, flight in enumerate(flights)
+        for span in flight.spans
+    ]
+
+
+def _span(
+    number: int,
+    flight: ResidualFlight,
+    span: tuple[int, int],
+    scaling: Scaling,
+    protocol: Protocol,
+    horizon: int,
+) -> SpanSequence:
+    rows = slice(*span)
+    phase = flight.phase[rows]
+    fresh = flight.fresh[rows]
+    new = (flight.residual[rows] - scaling.mean[phase]) / scaling.scale[phase]
+    d = _held(new, fresh)
+    raw = features_of(flight)[rows]
+    limited = scaling.high < UNLIMITED
+    beyond = ~((raw >= scaling.low) & (raw <= scaling.high))  # NaN is beyond
+    features = standardised(raw, scaling)
+    slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
+    lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
+    change = np.zeros_like(d)
+    if protocol == "track":
+        virtual = np.nan_to_num(flight.virtual[rows])
+        then = _delayed(_held(virtual, fresh, virtual[0]), horizon, virtual[0])
+        change = (then - virtual) / scaling.scale[phase]
+    return SpanSequence(
+        flight=number,
+        start=span[0],
+        d=d,
+        fresh=fresh,
+        lags=np.stack(lags, axis=-1) if lags else np.zeros((*d.shape, 0)),
+        change=change,
+        features=features,
+        slow=np.hstack(slow),
+        phase=phase,
+        inside=np.ones(len(d), dtype=np.bool_)
+        if protocol == "reconstruct"
+        else ~np.any(beyond & limited, axis=1),
+    )
+
+
+def one_hot(phase: NDArray[np.intp]) -> Array:
+    """Phases as rows of the unit matrix, shape (n, phases)."""
+    return np.eye(N_PHASES)[phase]
+
+
+def _held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
+    """Each fresh value held until the next; shape (n, k).
+
+    Args:
+        values: Shape (n, k).
+        fresh: Shape (n, k).
+        before: Until the first one, shape (k,) or a number.
+    """
+    row = np.where(fresh, np.arange(1, len(values) + 1)[:, None], 0)
+    last = np.maximum.accumulate(row, axis=0)
+    padded = np.vstack([np.broadcast_to(before, values.shape[1:]), values])
+    return np.take_along_axis(padded, last, axis=0)
+
+
+def _delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:
+    """The values some samples ago, or those from before the first; shape (n, k)."""
+    if samples == 0:
+        return values
+    late = np.empty_like(values)
+    late[:samples] = before
+    late[samples:] = values[:-samples]
+    return late

@@ -1,0 +1,1 @@
+"""A trained compensator as ONNX."""

@@ -1,0 +1,155 @@
+"""`Compensator.step` as an ONNX model: a sample per call, all memory in `state`, all of it inside.
+
+    virtual (1, 15), command (1, m), phase (1, 1), measured (1, 15), valid (1, 15), state (1, N)
+    -> correction (1, 15), spread (1, 15), anomaly (1, 1), inside (1, 1), state_out (1, N)
+
+Few and wide operators, since most of the time of a small network goes into their calls.
+"""
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.scaling import FEATURE_CHANNELS
+from ..data.sequences import smoothing
+from ..model.compensator import Compensator
+from .graph import Graph
+from .network import network, numbers
+
+Array = NDArray[np.float64]
+
+INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
+OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
+_N = len(CHANNELS)
+
+
+def streaming_model(compensator: Compensator) -> onnx.ModelProto:
+    """The checked model, without metadata; the same bytes for the same weights."""
+    info = compensator.info
+    graph = Graph("compensator")
+    widths = [_N, info.n_commands, 1, _N, _N, compensator.state_size]
+    for name, width in zip(INPUTS, widths, strict=True):
+        graph.input(name, width)
+    with torch.no_grad():
+        _step(graph, compensator)
+    return graph.model(
+        f"Correction of the virtual sensors of a multirotor's twin, protocol {info.protocol}, "
+        f"{info.rate_hz:g} samples a second, state zero at the start."
+    )
+
+
+def _step(g: Graph, model: Compensator) -> None:
+    """`Compensator.step` as operators."""
+    rows, protocol = model.history, model.info.protocol
+    past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
+    here = _one_hot(g)
+    mean, scale, expected = _tables(g, model, here)
+    limited = protocol != "reconstruct"  # which looks at no feature
+    raw = _raw_features(g, model) if limited else ""
+    features = _features(g, model, raw) if model.network.sees_features else ""
+    if rows:
+        past = _remembered(g, past, mean, scale, rows)
+    if protocol == "free":  # elsewhere nothing looks at them, and their state stays as it is
+        slow = _smoothed(g, model, features, slow)
+    first = model.info.horizon * _N
+    known = past if rows <= 1 else g.columns(past, first, first + _N)
+    y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
+
+    said = y
+    if protocol == "track":
+        lags = g.reshape(g.columns(past, first, rows * _N), -1, _N)
+        then, readings, begun = _read_then(g, model, readings, begun)
+        change = g.op("Div", g.op("Sub", then, "virtual"), scale)
+        seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
+        products = g.op("Mul", seen, g.floats(numbers(model.base).T))
+        said = g.op("Add", y, g.op("ReduceSum", products, g.integers(0), keepdims=1))
+    elif protocol == "free":
+        seen = g.op("Concat", features, slow, axis=1)
+        said = g.op("Add", y, g.op("MatMul", seen, g.floats(numbers(model.base).T)))
+    correction = g.op("Add", mean, g.op("Mul", scale, said))
+    if log_spread:
+        expected = g.op("Mul", expected, g.op("Exp", log_spread))
+    inside = _inside(g, model, raw) if limited else g.floats([[1.0]])
+    if limited:
+        g.output("correction", _N, "Where", inside, correction, g.floats(np.zeros((1, _N))))
+        g.output("spread", _N, "Where", inside, expected, g.floats(_row(model.rms)))
+    else:
+        g.output("correction", _N, "Identity", correction)
+        g.output("spread", _N, "Identity", expected)
+    g.output("anomaly", 1, "ReduceMax", alarm, axes=[0], keepdims=0)
+    g.output("inside", 1, "Cast", inside, to=onnx.TensorProto.FLOAT)
+    state = [v for v in (past, readings, begun, slow, cells) if v]
+    g.output("state_out", model.state_size, "Concat", *state, axis=1)
+
+
+def _one_hot(g: Graph) -> str:
+    """1 at the phase's code, shape (1, phases)."""
+    code = g.op("Clip", "phase", g.floats(0.0), g.floats(N_PHASES - 1))
+    away = g.op("Abs", g.op("Sub", code, g.floats([np.arange(N_PHASES)])))
+    return g.op("Relu", g.op("Sub", g.floats([[1.0]]), away))
+
+
+def _raw_features(g: Graph, model: Compensator) -> str:
+    """Virtual signals and commands that are features, in their units, shape (1, F)."""
+    both = g.op("Concat", "virtual", "command", axis=1)
+    places = [*FEATURE_CHANNELS, *range(_N, _N + model.info.n_commands)]
+    return g.op("Gather", both, g.integers(*places), axis=1)
+
+
+def _features(g: Graph, model: Compensator, raw: str) -> str:
+    """Standardised features within their limits, shape (1, F)."""
+    centred = g.op("Sub", raw, g.floats(_row(model.feature_mean)))
+    features = g.op("Div", centred, g.floats(_row(model.feature_scale)))
+    features = g.op("Max", features, g.floats(_row(model.least)))
+    return g.op("Min", features, g.floats(_row(model.most)))
+
+
+def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
+    """Mean, scale and expected spread of the phase, shape (1, 15) each."""
+    mean, scale = numbers(model.mean), numbers(model.scale)
+    expected = np.abs(scale) * numbers(model.spread_factor)
+    row = g.op("MatMul", here, g.floats(np.hstack([mean, scale, expected])))
+    return g.split(row, [_N] * 3, axis=1)
+
+
+def _remembered(g: Graph, past: str, mean: str, scale: str, rows: int) -> str:
+    """Standardised residuals, newest first, with the present one in front; (1, rows 15)."""
+    residual = g.op("Sub", g.op("Sub", "measured", "virtual"), mean)
+    new = g.op("Div", residual, scale)
+    fresh = g.op("Greater", "valid", g.floats([[0.5]]))
+    held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, _N))
+    return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * _N), axis=1)
+
+
+def _read_then(g: Graph, model: Compensator, readings: str, begun: str) -> tuple[str, str, str]:
+    """What the twin read at the newest known residual (1, 15); next state of the readings."""
+    kept = g.op("Greater", begun, g.floats([[0.5]]))
+    rows = g.op("Where", kept, g.reshape(readings, -1, _N), "virtual")  # (readings, 15)
+    place, last = g.integers(0), model.readings - 1
+    newest = g.op("Slice", rows, g.integers(0), g.integers(1), place)
+    newest = g.op("Where", g.op("Greater", "valid", g.floats([[0.5]])), "virtual", newest)
+    rows = g.concat(newest, g.op("Slice", rows, g.integers(0), g.integers(last), place), axis=0)
+    then = g.op("Slice", rows, g.integers(last), g.integers(last + 1), place)
+    return then, g.reshape(rows, 1, -1), g.floats([[1.0]])
+
+
+def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:
+    """Low-passed features, shape (1, 2 F)."""
+    shares = np.repeat(smoothing(model.info.rate_hz), len(model.features))[None]
+    away = g.op("Sub", g.concat(features, features, axis=1), slow)
+    return g.op("Add", slow, g.op("Mul", g.floats(shares), away))
+
+
+def _inside(g: Graph, model: Compensator, raw: str) -> str:
+    """Whether every feature is within the envelope, Boolean of shape (1, 1)."""
+    below = g.op("Sub", g.floats(_row(model.low)), raw)
+    above = g.op("Sub", raw, g.floats(_row(model.high)))
+    worst = g.op("ReduceMax", g.op("Max", below, above), axes=[1], keepdims=1)
+    return g.op("LessOrEqual", worst, g.floats([[0.0]]))
+
+
+def _row(values: Tensor) -> Array:
+    return numbers(values)[None]

@@ -1,0 +1,1 @@
+"""The compensator and what it has to beat."""

@@ -1,0 +1,249 @@
+"""What a compensator has to beat: predictions anybody could write down in a minute.
+
+| baseline | says |
+|---|---|
+| none | nothing |
+| mean | mean of the training residual in the same phase |
+| last | the last residual known; with a horizon of 0 the measurement itself |
+| average | mean of the last 21 known ones (`reconstruct`) |
+| mean reading | that the sensor reads its training mean of the phase, whatever the twin reads |
+| last reading | that the sensor reads what it last did (`track`) |
+| linear AR(8) | 8 residuals up to t - h, one linear map per channel straight to t (`track`) |
+| linear in inputs | virtual signals and commands, with slow copies of them (`free`) |
+
+Each is the mean of the phase where it knows nothing, and offers what a model offers: `run`. The
+readings do without the twin: a correction that does not beat them hides a twin of no use.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.flights import ResidualFlight, held
+from ..data.scaling import features_of, in_spans
+from ..data.sequences import smoothing
+from .corrected import Corrected
+
+Array = NDArray[np.float64]
+ORDER = 8
+AVERAGED = 21
+MIN_SAMPLES = 20
+"""A phase with fewer training samples of a channel has the mean of all phases."""
+TINY = 1e-6
+"""Ridge of the autoregression, as a share of the power of its regressors: a slow sensor repeats
+itself from lag to lag."""
+RIDGES = (1e-4, 1e-2, 1.0, 100.0)
+"""Tried strengths of the regression on inputs; its regressors are standardised."""
+Predict = Callable[[ResidualFlight], Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """A prediction with the spread it had on its training flights.
+
+    Attributes:
+        predict: Correction of a flight, shape (n, 15), units of the channels.
+        spread: Rms of what it left, per phase and channel, shape (phases, 15).
+    """
+
+    predict: Predict
+    spread: Array
+
+    def run(self, flight: ResidualFlight) -> Corrected:
+        """The whole flight; there is no envelope and no alarm."""
+        n = len(flight.t_s)
+        return Corrected(
+            self.predict(flight),
+            self.spread[flight.phase],
+            np.full(n, np.nan),
+            np.ones(n, dtype=np.bool_),
+        )
+
+
+def fit_baselines(
+    train: Sequence[ResidualFlight], protocol: str, horizon: int = 0
+) -> dict[str, Baseline]:
+    """Every baseline of a protocol, by name.
+
+    Args:
+        train: Flights it may learn from.
+        protocol: `reconstruct`, `track` or `free`.
+        horizon: Samples ahead in `track`.
+    """
+    mean = phase_means(train)
+    reading = by_phase(train, [np.nan_to_num(f.virtual) + f.residual for f in train])
+    chosen: dict[str, Predict] = {
+        "none": lambda flight: np.zeros_like(flight.residual),
+        "mean": lambda flight: mean[flight.phase],
+    }
+    if protocol == "reconstruct":
+        chosen["last"] = lambda flight: _average(flight, mean, 0, 1)
+        chosen["average"] = lambda flight: _average(flight, mean, 0, AVERAGED)
+    if protocol == "track":
+        chosen["last"] = lambda flight: _average(flight, mean, horizon, 1)
+        chosen["last reading"] = lambda flight: _last_reading(flight, reading, horizon)
+        chosen[f"linear AR({ORDER})"] = _autoregression(train, mean, horizon)
+    if protocol == "free":
+        chosen["mean reading"] = lambda flight: _less_virtual(flight, reading[flight.phase])
+        chosen["linear in inputs"] = _linear_in_inputs(train, mean)
+    return {name: Baseline(predict, _spread(train, predict)) for name, predict in chosen.items()}
+
+
+def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
+    """Mean of values over the samples of each phase, shape (phases, 15); 0 without any sample.
+
+    Args:
+        train: Their phases and fresh samples count.
+        values: Per flight, shape (n, 15).
+    """
+    phase = np.concatenate([f.phase for f in train])
+    fresh = np.concatenate([f.fresh for f in train])
+    pooled = np.concatenate(values)
+    found = np.zeros((N_PHASES, len(CHANNELS)))
+    for c in range(len(CHANNELS)):
+        sample = fresh[:, c]
+        if not sample.any():
+            continue
+        found[:, c] = pooled[sample, c].mean()
+        for p in range(N_PHASES):
+            here = sample & (phase == p)
+            if here.sum() >= MIN_SAMPLES:
+                found[p, c] = pooled[here, c].mean()
+    return found
+
+
+def phase_means(train: Sequence[ResidualFlight]) -> Array:
+    """Mean residual of each phase, that of all phases where there is too little; (phases, 15)."""
+    return by_phase(train, [f.residual for f in train])
+
+
+def lags(flight: ResidualFlight, values: Array, horizon: int, count: int) -> Array:
+    """What is known at t - horizon, t - horizon - 1, ...: the last fresh value each time.
+
+    Args:
+        flight: Each span starts anew.
+        values: Count where fresh, shape (n, 15).
+        horizon: Age of the newest one, samples.
+        count: How many.
+
+    Returns:
+        Shape (n, 15, count), 0 where the span holds none yet.
+    """
+    found = np.zeros((*values.shape, count))
+    seen = np.where(flight.fresh, values, np.nan)
+    for a, b in flight.spans:
+        value = np.nan_to_num(held(seen[a:b]))
+        for k in range(count):
+            late = horizon + k
+            if late < b - a:
+                found[a + late : b, :, k] = value[: b - a - late]
+    return found
+
+
+def slow_features(flight: ResidualFlight, centre: Array, spread: Array) -> Array:
+    """Virtual signals and commands, standardised, and their low-passed copies, shape (n, 3 F).
+
+    Unknown ones count as their mean; the low-passes start there with each span.
+    """
+    raw = (features_of(flight) - centre) / spread
+    now = np.where(np.isfinite(raw), raw, 0.0)
+    found = [now]
+    for share in smoothing(flight.rate_hz):
+        slow = np.zeros_like(now)
+        for a, b in flight.spans:
+            slow[a:b] = lfilter([share], [1.0, share - 1.0], now[a:b], axis=0)
+        found.append(slow)
+    return np.hstack(found)
+
+
+def _about(flight: ResidualFlight, mean: Array) -> Array:
+    return flight.residual - mean[flight.phase]
+
+
+def _average(flight: ResidualFlight, mean: Array, horizon: int, count: int) -> Array:
+    past = lags(flight, _about(flight, mean), horizon, count)
+    return np.asarray(mean[flight.phase] + past.mean(axis=-1))
+
+
+def _last_reading(flight: ResidualFlight, reading: Array, horizon: int) -> Array:
+    about = flight.virtual + flight.residual - reading[flight.phase]
+    return _less_virtual(flight, reading[flight.phase] + lags(flight, about, horizon, 1)[..., 0])
+
+
+def _less_virtual(flight: ResidualFlight, reading: Array) -> Array:
+    return np.nan_to_num(reading - flight.virtual)
+
+
+def _autoregression(train: Sequence[ResidualFlight], mean: Array, horizon: int) -> Predict:
+    weights = np.zeros((len(CHANNELS), ORDER))
+    past = [lags(f, _about(f, mean), horizon, ORDER) for f in train]
+    for c in range(len(CHANNELS)):
+        x = np.concatenate([p[f.fresh[:, c], c] for p, f in zip(past, train, strict=True)])
+        y = _targets(train, mean, c)
+        gram = x.T @ x
+        weights[c] = np.linalg.solve(
+            gram + (TINY * np.trace(gram) + 1e-300) * np.eye(ORDER), x.T @ y
+        )
+
+    def predict(flight: ResidualFlight) -> Array:
+        past = lags(flight, _about(flight, mean), horizon, ORDER)
+        return np.asarray(mean[flight.phase] + np.einsum("tck,ck->tc", past, weights))
+
+    return predict
+
+
+def _linear_in_inputs(train: Sequence[ResidualFlight], mean: Array) -> Predict:
+    inside = np.concatenate([features_of(f)[in_spans(f)] for f in train])
+    finite = np.isfinite(inside)
+    n = np.maximum(finite.sum(axis=0), 1)
+    centre = np.where(finite, inside, 0.0).sum(axis=0) / n
+    spread = np.sqrt(np.where(finite, (inside - centre) ** 2, 0.0).sum(axis=0) / n)
+    spread[spread <= 1e-9 * np.abs(centre) + 1e-15] = np.inf  # one that never varies says nothing
+    x = [slow_features(f, centre, spread) for f in train]
+    weights = np.stack(
+        [_ridge([a[f.fresh[:, c]] for a, f in zip(x, train, strict=True)],
+                [_targets([f], mean, c) for f in train]) for c in range(len(CHANNELS))]
+    )  # fmt: skip
+    return lambda flight: mean[flight.phase] + slow_features(flight, centre, spread) @ weights.T
+
+
+def _targets(train: Sequence[ResidualFlight], mean: Array, channel: int) -> Array:
+    """Fresh residuals of a channel about the mean of their phase."""
+    return np.concatenate(
+        [
+            f.residual[f.fresh[:, channel], channel] - mean[f.phase[f.fresh[:, channel]], channel]
+            for f in train
+        ]
+    )
+
+
+def _ridge(x: Sequence[Array], y: Sequence[Array]) -> Array:
+    """Weights with the strength that does best on flights left out, or none at all.
+
+    A single flight is cut in two, the last fifth left out.
+    """
+    if len(x) == 1:
+        cut = len(y[0]) * 4 // 5
+        x, y = [x[0][:cut], x[0][cut:]], [y[0][:cut], y[0][cut:]]
+    grams, moments = [a.T @ a for a in x], [a.T @ b for a, b in zip(x, y, strict=True)]
+    gram, moment, n = sum(grams), sum(moments), sum(len(b) for b in y)
+    unit = np.eye(x[0].shape[1])
+    best: Array = np.zeros(len(unit))
+    least = sum(float(b @ b) for b in y)
+    for strength in RIDGES:
+        error = 0.0
+        for a, b, g, m in zip(x, y, grams, moments, strict=True):
+            others = np.linalg.solve(gram - g + strength * max(n - len(b), 1) * unit, moment - m)
+            error += float(np.sum((b - a @ others) ** 2))
+        if error < least:
+            best = np.asarray(np.linalg.solve(gram + strength * max(n, 1) * unit, moment))
+            least = error
+    return best
+
+
+def _spread(train: Sequence[ResidualFlight], predict: Predict) -> Array:
+    return np.sqrt(by_phase(train, [(f.residual - predict(f)) ** 2 for f in train]))

@@ -1,0 +1,299 @@
+"""The compensator: a correction for each sample of the twin's sensors, its spread, an alarm.
+
+    correction = mean + scale * (linear prediction + gate * network)     inside the envelope, else 0
+
+`Compensator.step` is the definition, one sample per call with all memory in `state`; `run` gives
+the same numbers for whole flights, fast.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from twin.errors import ModelError
+
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.clustering import Clusters
+from ..data.flights import ResidualFlight
+from ..data.scaling import FEATURE_CHANNELS, Scaling, feature_names
+from ..data.sequences import (
+    SMOOTHING_S,
+    SpanSequence,
+    check_protocol,
+    n_lags,
+    n_regressors,
+    one_hot,
+    sequences,
+    smoothing,
+)
+from ..preset import Preset, Protocol
+from ..threads import one_thread
+from .corrected import Corrected
+from .linear_predictor import predict_base
+from .network import NetworkOut, SvqNetwork
+
+Array = NDArray[np.float64]
+CHUNK = 4096
+"""Samples per call of the network over a long flight, to bound memory."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelInfo:
+    """What a model is, besides its weights: content of `model.json`.
+
+    Attributes:
+        preset: Hyper-parameters.
+        protocol: Which measurements it sees.
+        horizon: Age of the newest residual it sees in `track`, samples; else 0.
+        rate_hz: Samples per second that it must be called with.
+        n_commands: Motor commands it sees.
+        clusters: Channels of each network.
+        seed: Of the training.
+        vehicle: Name of the twin's vehicle, "" where not said.
+        vehicle_sha256: Of the vehicle's file.
+        flights: Of the training: name, sha256, samples, seconds.
+        training: Hash of all that decides the weights.
+        metrics: As measured on the validation time.
+    """
+
+    preset: Preset
+    protocol: Protocol
+    horizon: int
+    rate_hz: float
+    n_commands: int
+    clusters: Clusters
+    seed: int = 0
+    vehicle: str = ""
+    vehicle_sha256: str = ""
+    flights: tuple[dict[str, Any], ...] = ()
+    training: str = ""
+    metrics: dict[str, Any] = field(default_factory=dict)
+
+
+class Compensator(nn.Module):
+    """Streaming model; everything it needs is in its buffers and weights."""
+
+    mean: Tensor
+    scale: Tensor
+    feature_mean: Tensor
+    feature_scale: Tensor
+    least: Tensor
+    most: Tensor
+    low: Tensor
+    high: Tensor
+    rms: Tensor
+    base: Tensor
+    leftover: Tensor
+    gate: Tensor
+    spread_factor: Tensor
+    anomaly_scale: Tensor
+    phases: Tensor
+
+    def __init__(self, info: ModelInfo) -> None:
+        super().__init__()
+        check_protocol(info.protocol, info.horizon)
+        self.info = info
+        self.features = feature_names(info.n_commands)
+        """Names of the features, in order."""
+        n_channels, n_features = len(CHANNELS), len(self.features)
+        regressors = n_regressors(info.protocol, n_features)
+        self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
+        shapes = {
+            "mean": (N_PHASES, n_channels),
+            "scale": (N_PHASES, n_channels),
+            "feature_mean": (n_features,),
+            "feature_scale": (n_features,),
+            "least": (n_features,),
+            "most": (n_features,),
+            "low": (n_features,),
+            "high": (n_features,),
+            "rms": (n_channels,),
+            "base": (n_channels, regressors),  # weights of the linear prediction
+            "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
+            "gate": (n_channels,),
+            "spread_factor": (N_PHASES, n_channels),  # makes the spread right on validation time
+            "anomaly_scale": (len(info.clusters),),  # squared distance, 99 % of training samples
+        }
+        for name, shape in shapes.items():
+            self.register_buffer(name, torch.ones(shape))
+        self.register_buffer("phases", torch.arange(N_PHASES).float(), persistent=False)
+
+    @property
+    def history(self) -> int:
+        """Rows of past residuals in the state, newest first."""
+        lags = n_lags(self.info.protocol)
+        return self.info.horizon + lags if lags else 0
+
+    @property
+    def readings(self) -> int:
+        """Rows of virtual readings at the times of the past residuals, newest first."""
+        return self.info.horizon + 1 if self.info.protocol == "track" else 0
+
+    @property
+    def n_slow(self) -> int:
+        """Numbers of the low-passed features in the state."""
+        return len(SMOOTHING_S) * len(self.features)
+
+    @property
+    def state_sizes(self) -> tuple[int, int, int, int, int]:
+        """Parts of the packed state: history, readings, 1 once begun, slow features, network."""
+        rows = self.history * len(CHANNELS), self.readings * len(CHANNELS)
+        return *rows, min(self.readings, 1), self.n_slow, self.network.state_size
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the packed state."""
+        return sum(self.state_sizes)
+
+    def set_scaling(self, scaling: Scaling) -> None:
+        """Take over scaling and envelope."""
+        for name, values in scaling.arrays().items():
+            getattr(self, name).copy_(torch.from_numpy(values))
+
+    def scaling(self) -> Scaling:
+        """Scaling and envelope."""
+        names = Scaling.__dataclass_fields__
+        return Scaling(**{name: getattr(self, name).double().numpy() for name in names})
+
+    def step(
+        self,
+        virtual: Tensor,
+        command: Tensor,
+        phase: Tensor,
+        measured: Tensor,
+        valid: Tensor,
+        state: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """One sample.
+
+        Args:
+            virtual: What the twin's sensors read, shape (1, 15).
+            command: Motor commands, shape (1, m).
+            phase: Its code, shape (1, 1).
+            measured: Shape (1, 15); looked at where valid.
+            valid: 1 where `measured` is new, else 0, shape (1, 15).
+            state: Shape (1, state_size), zero at the start.
+
+        Returns:
+            correction (1, 15), spread (1, 15), anomaly (1, 1), inside (1, 1), next state.
+        """
+        n, rows = len(CHANNELS), self.history
+        parts = torch.split(state, list(self.state_sizes), dim=-1)
+        past, readings, begun, slow, network_state = parts
+        here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
+        mean, scale = here @ self.mean, here @ self.scale
+        raw = torch.cat([virtual[:, list(FEATURE_CHANNELS)], command], dim=-1)
+        features = (raw - self.feature_mean) / self.feature_scale
+        features = torch.minimum(torch.maximum(features, self.least), self.most)
+        known = torch.zeros_like(mean)
+        prediction = torch.zeros_like(mean)
+        if rows:
+            new = (measured - virtual - mean) / scale
+            held = torch.where(valid > 0.5, new, past[:, :n])
+            past = torch.cat([held, past[:, : (rows - 1) * n]], dim=-1)
+            known = past[:, self.info.horizon * n : (self.info.horizon + 1) * n]
+        slow_parts = []
+        for part, share in zip(slow.chunk(len(SMOOTHING_S), dim=-1), self._shares(), strict=True):
+            slow_parts.append(part + share * (features - part))
+        slow = torch.cat(slow_parts, dim=-1)
+        if self.info.protocol == "track":
+            then = torch.where(begun > 0.5, readings.reshape(-1, n), virtual)  # (readings, 15)
+            newest = torch.where(valid > 0.5, virtual, then[:1])
+            then = torch.cat([newest, then[:-1]], dim=0)
+            readings, begun = then.reshape(1, -1), torch.ones_like(begun)
+            change = (then[-1:] - virtual) / scale
+            lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
+            seen = torch.cat([lags, change], dim=0)  # (lags + 1, 15)
+            prediction = (seen * self.base.T).sum(0, keepdim=True)
+        elif self.info.protocol == "free":
+            prediction = torch.cat([features, slow], dim=-1) @ self.base.T
+        out, network_state = self.network.step(known, features, here, network_state)
+        inside = self._inside(raw)
+        correction = inside * (mean + scale * (prediction + self.gate * self.leftover * out.y))
+        spread = self._spread(out, here @ (self.scale.abs() * self.spread_factor), inside)
+        anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
+        state = torch.cat([past, readings, begun, slow, network_state], dim=-1)
+        return correction, spread, anomaly, inside, state
+
+    def run(self, flight: ResidualFlight) -> Corrected:
+        """The whole flight; each span starts at the state zero.
+
+        Raises:
+            ModelError: Rate or number of commands differs from the training's.
+        """
+        self.check(flight)
+        n = len(flight.t_s)
+        correction = np.zeros((n, len(CHANNELS)))
+        spread = np.tile(self.rms.double().numpy(), (n, 1))
+        anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
+        scaling, base = self.scaling(), self.base.double().numpy()
+        gain = (self.gate * self.leftover).double().numpy()
+        factor = self.spread_factor.double().numpy()
+        for span in sequences([flight], scaling, self.info.protocol, self.info.horizon):
+            out = self.outputs([span])[0]
+            within, phase = span.inside[:, None], span.phase
+            said = predict_base(span, base, self.info.protocol) + gain * out.y.double().numpy()
+            correction[span.rows] = within * (scaling.mean[phase] + scaling.scale[phase] * said)
+            expected = (scaling.scale * factor)[phase] * np.exp(out.log_spread.double().numpy())
+            spread[span.rows] = np.where(within, expected, spread[span.rows])
+            anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
+            inside[span.rows] = span.inside
+        return Corrected(correction, spread, anomaly, inside)
+
+    @one_thread()
+    @torch.no_grad()
+    def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
+        """Output of the network over each span, from the state zero, shapes (n, ...)."""
+        found = []
+        for span in spans:
+            known, features, phase = network_inputs(span)
+            state = torch.zeros(1, self.network.state_size)
+            parts = []
+            for k in range(0, len(span.d), CHUNK):
+                rows = slice(k, k + CHUNK)
+                out, state = self.network(
+                    known[None, rows], features[None, rows], phase[None, rows], state
+                )
+                parts.append((out.y[0], out.log_spread[0], out.distance[0]))
+            y, log_spread, distance = (torch.cat(p) for p in zip(*parts, strict=True))
+            found.append(NetworkOut(y, log_spread, distance))
+        return found
+
+    def check(self, flight: ResidualFlight) -> None:
+        """Raise ModelError unless the flight has the model's rate and number of commands."""
+        if flight.rate_hz != self.info.rate_hz:
+            raise ModelError(
+                f"{flight.name}: residuals at {flight.rate_hz:g} Hz, the model was trained at "
+                f"{self.info.rate_hz:g} Hz; make them anew at the model's rate"
+            )
+        if flight.commands.shape[1] != self.info.n_commands:
+            raise ModelError(
+                f"{flight.name}: {flight.commands.shape[1]} motor commands, the model was trained "
+                f"with {self.info.n_commands}; it is good for aircraft of that many motors only"
+            )
+
+    def _shares(self) -> tuple[float, ...]:
+        return smoothing(self.info.rate_hz)
+
+    def _inside(self, raw: Tensor) -> Tensor:
+        """1 where every feature is within the envelope, shape (1, 1)."""
+        if self.info.protocol == "reconstruct":
+            return torch.ones_like(raw[:, :1])
+        within = (raw >= self.low).to(raw.dtype) * (raw <= self.high).to(raw.dtype)
+        return within.amin(-1, keepdim=True)
+
+    def _spread(self, out: NetworkOut, expected: Tensor, inside: Tensor) -> Tensor:
+        return inside * (expected * torch.exp(out.log_spread)) + (1 - inside) * self.rms
+
+
+def network_inputs(span: SpanSequence) -> tuple[Tensor, Tensor, Tensor]:
+    """known (n, 15), features (n, F) and one-hot phase (n, phases) of a span, float32."""
+    known = span.lags[..., 0] if span.lags.shape[-1] else np.zeros_like(span.d)
+    arrays = (known, span.features, one_hot(span.phase))
+    known_, features, phase = (torch.from_numpy(a.astype(np.float32)) for a in arrays)
+    return known_, features, phase

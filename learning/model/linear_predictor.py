@@ -1,0 +1,162 @@
+"""Linear prediction under the network, in closed form, and what validation time says of either.
+
+The network learns only what this leaves; either is used only as far as it helps.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data.channels import CHANNELS
+from ..data.sequences import SpanSequence
+from ..preset import Protocol
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
+
+RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
+"""Tried strengths, per sample; the weights' unit is one, since everything is standardised."""
+MOST_FOLDS = 8
+"""Parts of the data, each said by the fit without it."""
+BLOCK_S = 1.0
+"""Residuals a second apart count as independent evidence."""
+EVIDENCE = 1.5
+"""Gain per block over its standard error, below which it is taken for chance."""
+
+
+def fit_base(
+    spans: Sequence[SpanSequence],
+    scored: Sequence[BoolArray],
+    protocol: Protocol,
+    rate_hz: float,
+) -> Array:
+    """Weights of the linear prediction per channel; zero where it does not plainly help.
+
+    `track`: autoregression straight to the horizon, weights times [`lags`, `change`] of each
+    channel; with weights 1, 0, ..., 1 the sensor reads what it read last, whatever the twin says.
+    `free`: weights times [features, slow features]. `reconstruct`: none. The strength of the ridge
+    is chosen, and its worth judged, on parts of the data that had no share in the fit: flight by
+    flight, or by stretches of time where there is one flight.
+
+    Args:
+        spans: All training flights.
+        scored: Per span the samples that count, shape (n, 15).
+        protocol: Decides the regressors.
+        rate_hz: Samples per second.
+
+    Returns:
+        From all data, shape (15, regressors).
+    """
+    blocks, folds = time_blocks(spans, rate_hz), _folds(spans)
+    weights = []
+    for c in range(len(CHANNELS)):
+        x = np.concatenate([regressors(s, protocol, c) for s in spans])
+        target = np.concatenate([s.d[:, c] for s in spans])
+        counts = np.concatenate([m[:, c] for m in scored])
+        weights.append(_channel(x, target, counts, folds, blocks))
+    return np.array(weights)
+
+
+def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Array:
+    """Linear prediction over a span, shape (n, 15)."""
+    columns = [regressors(span, protocol, c) @ w for c, w in enumerate(weights)]
+    return np.stack(columns, axis=-1)
+
+
+def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
+    """What the linear prediction of a channel is made from, shape (n, regressors)."""
+    if protocol == "track":
+        return np.hstack([span.lags[:, channel], span.change[:, channel, None]])
+    if protocol == "free":
+        return np.hstack([span.features, span.slow])
+    return np.zeros((len(span.d), 0))
+
+
+def gates(y: Array, left: Array, scored: BoolArray, blocks: IntArray) -> Array:
+    """Share of the network's output, 0..1, that leaves the smallest square error, per channel.
+
+    Zero where the gain could be chance.
+
+    Args:
+        y: Output of the network, shape (n, 15).
+        left: What the linear prediction leaves, shape (n, 15).
+        scored: Samples that count, shape (n, 15); a channel without any gets 0.
+        blocks: As from `time_blocks`, shape (n,).
+
+    Returns:
+        Shape (15,).
+    """
+    power = np.sum(y**2, axis=0, where=scored)
+    together = np.sum(y * left, axis=0, where=scored)
+    share = np.divide(together, power, out=np.zeros_like(power), where=power > 0)
+    share = np.clip(share, 0.0, 1.0)
+    gain = np.where(scored, left**2 - (left - share * y) ** 2, 0.0)
+    rows = zip(gain.T, scored.T, strict=True)
+    helps = [evidence(g[m], blocks[m]) >= EVIDENCE for g, m in rows]
+    return np.where(helps, share, 0.0)
+
+
+def time_blocks(spans: Sequence[SpanSequence], rate_hz: float) -> IntArray:
+    """Number of the second in which each sample lies, counted over all spans, shape (n,)."""
+    numbers, first = [], 0
+    for span in spans:
+        number = (np.arange(len(span.d)) / (BLOCK_S * rate_hz)).astype(np.intp)
+        numbers.append(first + number)
+        first += int(number[-1]) + 1
+    return np.concatenate(numbers)
+
+
+def evidence(gain: Array, blocks: IntArray) -> float:
+    """Mean gain per block over its standard error; 0 with fewer than three blocks.
+
+    Args:
+        gain: Decrease of the square error per sample, shape (n,).
+        blocks: To which each sample belongs, shape (n,).
+    """
+    _, place = np.unique(blocks, return_inverse=True)
+    per_block = np.bincount(place, gain)
+    if len(per_block) < 3:
+        return 0.0
+    error = float(per_block.std(ddof=1)) / len(per_block) ** 0.5
+    return float(per_block.mean()) / error if error > 0 else 0.0
+
+
+def _folds(spans: Sequence[SpanSequence]) -> IntArray:
+    """Part of the data to which each sample belongs, shape (n,)."""
+    flights = np.concatenate([np.full(len(s.d), s.flight) for s in spans])
+    if flights.min() < flights.max():
+        return np.asarray(flights % MOST_FOLDS, dtype=np.intp)
+    return np.arange(len(flights), dtype=np.intp) * MOST_FOLDS // len(flights)
+
+
+def _channel(
+    x: Array, target: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+) -> Array:
+    """Weights from all data, with the ridge that said best what it had not seen."""
+    nothing = np.zeros(x.shape[1])
+    if not scored.any() or not x.shape[1]:
+        return nothing
+    parts = [scored & (folds == k) for k in np.unique(folds)]
+    grams = np.array([x[p].T @ x[p] for p in parts])  # (folds, regressors, regressors)
+    moments = np.array([x[p].T @ target[p] for p in parts])
+    counts = np.array([p.sum() for p in parts])
+    gram, moment, count = grams.sum(0), moments.sum(0), int(counts.sum())
+    said = np.zeros((len(RIDGES), len(x)))
+    for k, fold in enumerate(np.unique(folds)):
+        here, others = folds == fold, count - int(counts[k])
+        for prediction, ridge in zip(said, RIDGES, strict=True):
+            prediction[here] = x[here] @ _ridge(gram - grams[k], moment - moments[k], others, ridge)
+    gains = target**2 - (target - said) ** 2  # (ridges, n)
+    best = int(np.argmax(gains[:, scored].sum(1)))
+    if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:
+        return nothing
+    return _ridge(gram, moment, count, RIDGES[best])
+
+
+def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
+    """Weights from sums over `count` samples; zero from none."""
+    if count < 1:
+        return np.zeros(len(moment))
+    return np.asarray(np.linalg.solve(gram / count + ridge * np.eye(len(gram)), moment / count))

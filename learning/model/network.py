@@ -1,0 +1,354 @@
+"""FC-MC-SVQ: per cluster of channels an LSTM, a codebook with soft assignment, an LSTM back.
+
+Every module has two forms that give the same numbers: `forward` over whole sequences (fused LSTM
+operators, for training and evaluation) and `step` for one sample (products, sums, sigmoid, tanh
+and softmax alone, for export). States are packed into one row: `[h, c]` of each layer, encoder
+before decoder, cluster after cluster; zero at the start.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.clustering import Clusters
+from ..preset import Preset, Protocol
+
+LOG_SPREAD_LIMIT = 6.0
+"""Predicted spreads stay within e^-6..e^6 of the scale: a head may not say nought or infinity."""
+
+
+@dataclass(frozen=True, slots=True)
+class Latent:
+    """What happens inside one cluster's quantiser, for the losses; leading shape (batch, time).
+
+    Attributes:
+        z: Latent, shape (..., D).
+        code: What the decoder gets, before any gradient trick, shape (..., D).
+        logits: Of the assignment; their exponentials sum up to anything, shape (..., K).
+        distance: |z - e|^2 of the nearest code e, |z|^2 without a quantiser, shape (...).
+    """
+
+    z: Tensor
+    code: Tensor
+    logits: Tensor
+    distance: Tensor
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkOut:
+    """Output of the network.
+
+    Attributes:
+        y: In units of what it was trained on, shape (..., 15).
+        log_spread: Logarithm of the predicted spread of `y`, 0 without a head, shape (..., 15).
+        distance: To the nearest code of each cluster, squared, shape (..., clusters).
+        latents: Per cluster; empty from `step`.
+    """
+
+    y: Tensor
+    log_spread: Tensor
+    distance: Tensor
+    latents: tuple[Latent, ...] = ()
+
+
+class LstmStack(nn.Module):
+    """LSTM layers one behind the other."""
+
+    def __init__(self, n_inputs: int, units: Sequence[int]) -> None:
+        super().__init__()
+        sizes = [n_inputs, *units]
+        self.layers = nn.ModuleList(nn.LSTM(a, b, batch_first=True) for a, b in pairwise(sizes))
+        self.units = tuple(units)
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the packed state."""
+        return 2 * sum(self.units)
+
+    def forward(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Outputs (batch, time, units) and next state of x (batch, time, inputs)."""
+        states = []
+        for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
+            x, (h, c) = layer(x, (h.unsqueeze(0).contiguous(), c.unsqueeze(0).contiguous()))
+            states += [h.squeeze(0), c.squeeze(0)]
+        return x, torch.cat(states, dim=-1)
+
+    def step(self, x: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Output (batch, units) and next state of one sample (batch, inputs)."""
+        states = []
+        for layer, (h, c) in zip(self.layers, self._unpacked(state), strict=True):
+            assert isinstance(layer, nn.LSTM)
+            of_input, of_state, bias_input, bias_state = layer.all_weights[0]
+            z = x @ of_input.T + h @ of_state.T + (bias_input + bias_state)
+            i, f, g, o = z.chunk(4, dim=-1)
+            c = torch.sigmoid(f) * c + torch.sigmoid(i) * torch.tanh(g)
+            x = torch.sigmoid(o) * torch.tanh(c)
+            states += [x, c]
+        return x, torch.cat(states, dim=-1)
+
+    def _unpacked(self, state: Tensor) -> list[tuple[Tensor, Tensor]]:
+        parts = torch.split(state, [n for n in self.units for _ in range(2)], dim=-1)
+        return list(zip(parts[::2], parts[1::2], strict=True))
+
+
+class Quantiser(nn.Module):
+    """Codebook of one cluster."""
+
+    codes: nn.Parameter
+    """Shape (K, D)."""
+
+    def __init__(self, preset: Preset) -> None:
+        super().__init__()
+        self.kind = preset.quantiser
+        self.temperature = preset.temperature
+        self.straight_through = preset.straight_through
+        codes = torch.empty(preset.n_codes, preset.code_size)
+        if preset.codebook_start == "uniform":
+            nn.init.uniform_(codes, -1 / preset.n_codes, 1 / preset.n_codes)
+        else:
+            nn.init.normal_(codes)
+            length = (preset.code_size * preset.temperature / 2) ** 0.5
+            codes = length * nn.functional.normalize(codes, dim=-1)
+        self.codes = nn.Parameter(codes)
+
+    def forward(self, z: Tensor) -> tuple[Tensor, Latent]:
+        """What the decoder gets of z (..., D), and what the losses need."""
+        squares = (self.codes * self.codes).sum(-1)
+        # |z - e|^2 = |z|^2 - (2 z.e - |e|^2): the same |z|^2 for every code cancels in a softmax
+        closeness = (2 * z) @ self.codes.T - squares  # (..., K)
+        distance = (z * z).sum(-1) - closeness.amax(-1)
+        logits = closeness / self.temperature
+        if self.kind == "none":
+            return z, Latent(z, z, logits, (z * z).sum(-1))
+        if self.kind == "soft":
+            code = torch.softmax(logits, dim=-1) @ self.codes
+        else:
+            nearest = (closeness == closeness.amax(-1, keepdim=True)).to(z.dtype)
+            code = (nearest / nearest.sum(-1, keepdim=True)) @ self.codes
+        passed = code
+        if self.kind == "hard" or self.straight_through:
+            passed = z + (code - z).detach()
+        return passed, Latent(z, code, logits, distance)
+
+    def response(self) -> Tensor:
+        """Change of the code per change of a small latent, shape (D, D)."""
+        if self.kind != "soft":
+            return torch.eye(self.codes.shape[1])
+        weights = torch.softmax(-(self.codes * self.codes).sum(-1) / self.temperature, dim=0)
+        about = self.codes - weights @ self.codes
+        return (about.T * weights) @ about * (2 / self.temperature)
+
+    def at_rest(self) -> Tensor:
+        """Code of the latent zero, shape (D,)."""
+        return self.forward(torch.zeros(self.codes.shape[1]))[1].code
+
+
+class ClusterNetwork(nn.Module):
+    """Encoder, codebook and decoder of one cluster of channels.
+
+    Args:
+        n_channels: Of the cluster.
+        n_seen: Numbers it sees per sample, besides the phase: known residuals, features.
+        copies: The first `n_channels` of what it sees are what it shall give: the linear path
+            starts as the identity; else as zero.
+        preset: Sizes and switches.
+    """
+
+    def __init__(self, n_channels: int, n_seen: int, copies: bool, preset: Preset) -> None:
+        super().__init__()
+        size, encoded, decoded = (
+            preset.code_size,
+            preset.encoder_units[-1],
+            preset.decoder_units[-1],
+        )
+        self.encoder = LstmStack(n_seen + preset.phase_size, preset.encoder_units)
+        self.to_latent = nn.Linear(encoded, size)
+        self.quantiser = Quantiser(preset)
+        self.decoder = LstmStack(size + preset.phase_size, preset.decoder_units)
+        self.to_output = nn.Linear(decoded, n_channels)
+        self.skip_in = nn.Linear(n_seen, size, bias=False) if preset.skip else None
+        self.skip_out = nn.Linear(size, n_channels) if preset.skip else None
+        self.to_spread = nn.Linear(decoded, n_channels) if preset.spread_head else None
+        if self.to_spread is not None:
+            nn.init.zeros_(self.to_spread.weight)
+            nn.init.zeros_(self.to_spread.bias)
+        if preset.skip:
+            self._start(n_channels, copies, preset.skip_gain)
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the packed state."""
+        return self.encoder.state_size + self.decoder.state_size
+
+    def forward(
+        self, seen: Tensor, phase: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor, Latent, Tensor]:
+        """Output, log spread, latent and next state.
+
+        Args:
+            seen: Shape (batch, time, n_seen).
+            phase: Its embedding, shape (batch, time, phase_size).
+            state: Shape (batch, state_size).
+        """
+        encoder_state, decoder_state = self._halves(state)
+        h, encoder_state = self.encoder(torch.cat([seen, phase], dim=-1), encoder_state)
+        code, latent = self.quantiser(self._latent(h, seen))
+        h, decoder_state = self.decoder(torch.cat([code, phase], dim=-1), decoder_state)
+        y, log_spread = self._output(h, code)
+        return y, log_spread, latent, torch.cat([encoder_state, decoder_state], dim=-1)
+
+    def step(
+        self, seen: Tensor, phase: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Output, log spread, distance and next state of one sample, shapes without time."""
+        encoder_state, decoder_state = self._halves(state)
+        h, encoder_state = self.encoder.step(torch.cat([seen, phase], dim=-1), encoder_state)
+        code, latent = self.quantiser(self._latent(h, seen))
+        h, decoder_state = self.decoder.step(torch.cat([code, phase], dim=-1), decoder_state)
+        y, log_spread = self._output(h, code)
+        next_state = torch.cat([encoder_state, decoder_state], dim=-1)
+        return y, log_spread, latent.distance, next_state
+
+    def _start(self, n_channels: int, copies: bool, gain: float) -> None:
+        """The code carries the sample, the LSTMs add context: they start at nothing."""
+        assert self.skip_in is not None and self.skip_out is not None
+        nn.init.orthogonal_(self.skip_in.weight, gain)
+        for layer in (self.to_latent, self.to_output, self.skip_out):
+            nn.init.zeros_(layer.bias)
+        nn.init.normal_(self.to_latent.weight, std=0.01 * gain)
+        nn.init.normal_(self.to_output.weight, std=0.01)
+        nn.init.zeros_(self.skip_out.weight)
+        if copies:
+            with torch.no_grad():
+                through = self.quantiser.response() @ self.skip_in.weight[:, :n_channels]
+                self.skip_out.weight.copy_(torch.linalg.pinv(through))
+                self.skip_out.bias.copy_(-self.skip_out.weight @ self.quantiser.at_rest())
+
+    def _halves(self, state: Tensor) -> tuple[Tensor, Tensor]:
+        sizes = [self.encoder.state_size, self.decoder.state_size]
+        encoder, decoder = torch.split(state, sizes, dim=-1)
+        return encoder, decoder
+
+    def _latent(self, h: Tensor, seen: Tensor) -> Tensor:
+        z: Tensor = self.to_latent(h)
+        return z if self.skip_in is None else z + self.skip_in(seen)
+
+    def _output(self, h: Tensor, code: Tensor) -> tuple[Tensor, Tensor]:
+        y: Tensor = self.to_output(h)
+        if self.skip_out is not None:
+            y = y + self.skip_out(code)
+        if self.to_spread is None:
+            return y, torch.zeros_like(y)
+        # the spread learns from the error, never the other way round
+        log_spread = self.to_spread(h.detach())
+        return y, log_spread.clamp(-LOG_SPREAD_LIMIT, LOG_SPREAD_LIMIT)
+
+
+class SvqNetwork(nn.Module):
+    """All clusters side by side, conditioned on the phase.
+
+    Args:
+        preset: Sizes and switches.
+        protocol: In `free` no residual is seen, in `reconstruct` no feature.
+        clusters: Channels of each cluster.
+        n_features: Virtual signals and commands.
+    """
+
+    order: Tensor
+
+    def __init__(
+        self, preset: Preset, protocol: Protocol, clusters: Clusters, n_features: int
+    ) -> None:
+        super().__init__()
+        self.clusters = clusters
+        self.sees_known = protocol != "free"
+        self.sees_features = preset.sees_features(protocol)
+        self.phase_embedding = nn.Parameter(torch.randn(N_PHASES, preset.phase_size))
+        seen = n_features if self.sees_features else 0
+        self.networks = nn.ModuleList(
+            ClusterNetwork(
+                len(c),
+                seen + (len(c) if self.sees_known else 0),
+                protocol == "reconstruct",
+                preset,
+            )
+            for c in clusters
+        )
+        places = [c for cluster in clusters for c in cluster]
+        order = [places.index(c) for c in range(len(CHANNELS))]
+        self.register_buffer("order", torch.tensor(order), persistent=False)
+
+    @property
+    def state_size(self) -> int:
+        """Numbers of the packed state."""
+        return sum(self._sizes())
+
+    def forward(
+        self, known: Tensor, features: Tensor, phase: Tensor, state: Tensor
+    ) -> tuple[NetworkOut, Tensor]:
+        """Output over a sequence, and the state behind it.
+
+        Args:
+            known: Standardised residuals, shape (batch, time, 15); not looked at in `free`.
+            features: Standardised, shape (batch, time, features).
+            phase: One-hot, shape (batch, time, phases).
+            state: Shape (batch, state_size).
+        """
+        embedded = phase @ self.phase_embedding
+        ys, spreads, latents, states = [], [], [], []
+        parts = torch.split(state, self._sizes(), dim=-1)
+        for network, cluster, part in zip(self.networks, self.clusters, parts, strict=True):
+            y, spread, latent, after = network(self._seen(known, features, cluster), embedded, part)
+            ys.append(y)
+            spreads.append(spread)
+            latents.append(latent)
+            states.append(after)
+        out = NetworkOut(
+            self._in_order(ys),
+            self._in_order(spreads),
+            torch.stack([latent.distance for latent in latents], dim=-1),
+            tuple(latents),
+        )
+        return out, torch.cat(states, dim=-1)
+
+    def step(
+        self, known: Tensor, features: Tensor, phase: Tensor, state: Tensor
+    ) -> tuple[NetworkOut, Tensor]:
+        """As `forward` for one sample: shapes without time, no latents."""
+        embedded = phase @ self.phase_embedding
+        ys, spreads, distances, states = [], [], [], []
+        parts = torch.split(state, self._sizes(), dim=-1)
+        for network, cluster, part in zip(self.networks, self.clusters, parts, strict=True):
+            assert isinstance(network, ClusterNetwork)
+            y, spread, distance, after = network.step(
+                self._seen(known, features, cluster), embedded, part
+            )
+            ys.append(y)
+            spreads.append(spread)
+            distances.append(distance)
+            states.append(after)
+        out = NetworkOut(
+            self._in_order(ys), self._in_order(spreads), torch.stack(distances, dim=-1)
+        )
+        return out, torch.cat(states, dim=-1)
+
+    def fill_unseen(self, seen: Sequence[bool]) -> None:
+        """Give phases without training data the mean embedding of those that have some."""
+        rows = torch.tensor(list(seen), dtype=torch.bool)
+        if rows.any():
+            with torch.no_grad():
+                self.phase_embedding[~rows] = self.phase_embedding[rows].mean(0)
+
+    def _sizes(self) -> list[int]:
+        return [n.state_size for n in self.networks if isinstance(n, ClusterNetwork)]
+
+    def _seen(self, known: Tensor, features: Tensor, cluster: Sequence[int]) -> Tensor:
+        parts = [known[..., list(cluster)]] if self.sees_known else []
+        return torch.cat([*parts, features] if self.sees_features else parts, dim=-1)
+
+    def _in_order(self, parts: Sequence[Tensor]) -> Tensor:
+        return torch.cat(list(parts), dim=-1)[..., self.order]

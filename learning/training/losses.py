@@ -1,0 +1,123 @@
+"""What training makes small: Eqs. 10-15 and Algorithm 1 of the paper, by the preset's switches."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..data.clustering import Clusters
+from ..model.network import Latent, NetworkOut, Quantiser
+from ..preset import Preset
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """Parts of the loss, weighted; each a scalar.
+
+    Attributes:
+        reconstruction: Mean square error, summed over the clusters.
+        quantiser: Distance between latent and codes, summed over the clusters.
+        distribution: Difference of mean and spread, mean over the channels.
+        spread: Of the predicted spread: its negative log likelihood; moves no other output.
+    """
+
+    reconstruction: Tensor
+    quantiser: Tensor
+    distribution: Tensor
+    spread: Tensor
+
+    @property
+    def total(self) -> Tensor:
+        """What the gradient is taken of."""
+        return self.reconstruction + self.quantiser + self.distribution + self.spread
+
+
+def losses(
+    out: NetworkOut,
+    target: Tensor,
+    scored: Tensor,
+    clusters: Clusters,
+    quantisers: list[Quantiser],
+    preset: Preset,
+) -> Losses:
+    """All parts over one window.
+
+    Args:
+        out: Of the network, leading shape (batch, time).
+        target: What `out.y` should be, shape (batch, time, 15).
+        scored: 1 where the target counts, else 0, shape (batch, time, 15).
+        clusters: Channels of each cluster.
+        quantisers: One per cluster.
+        preset: Weights and switches.
+    """
+    error = (out.y - target) * scored
+    nought = error.new_zeros(())
+    reconstruction, quantiser = nought, nought
+    for cluster in clusters:
+        columns = list(cluster)
+        reconstruction = reconstruction + _mean(error[..., columns] ** 2, scored[..., columns])
+    if preset.quantiser != "none" and preset.weight_quantiser:
+        for latent, codebook in zip(out.latents, quantisers, strict=True):
+            quantiser = quantiser + quantiser_loss(latent, codebook.codes, preset)
+    distribution = nought
+    if preset.distribution == "moments" and preset.weight_distribution:
+        distribution = moments_loss(out.y, target, scored)
+    spread = nought
+    if preset.spread_head:
+        shrunk = error.detach() * torch.exp(-out.log_spread)
+        spread = _mean((out.log_spread + shrunk**2 / 2) * scored, scored)
+    return Losses(
+        preset.weight_reconstruction * reconstruction,
+        preset.weight_quantiser * quantiser,
+        preset.weight_distribution * distribution,
+        spread,
+    )
+
+
+def quantiser_loss(latent: Latent, codes: Tensor, preset: Preset) -> Tensor:
+    """Codebook drawn to the latent and latent to the codebook, Eqs. 10 and 11.
+
+    Args:
+        latent: Shape (batch, time, D) and (batch, time, K).
+        codes: Shape (K, D).
+        preset: `codebook_target`, `swapped_stop`, `beta`.
+    """
+    if preset.codebook_target == "every":
+        to_codes, to_latent = _every(latent.z.detach(), codes), _every(latent.z, codes.detach())
+    else:
+        code = latent.code
+        if preset.codebook_target == "nearest":
+            code = codes[latent.logits.argmax(-1)]
+        to_codes = torch.mean((latent.z.detach() - code) ** 2)
+        to_latent = torch.mean((latent.z - code.detach()) ** 2)
+    if preset.swapped_stop:
+        return preset.beta * to_codes + to_latent
+    return to_codes + preset.beta * to_latent
+
+
+def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
+    """|difference of means| + |difference of spreads| per channel, Algorithm 1 line 20.
+
+    Args:
+        y: Shape (batch, time, 15).
+        target: Shape (batch, time, 15).
+        scored: 1 where it counts, else 0, shape (batch, time, 15).
+    """
+    count = scored.sum((0, 1)).clamp(min=1)
+    parts = []
+    for values in (y, target):
+        mean = (values * scored).sum((0, 1)) / count
+        variance = (((values - mean) * scored) ** 2).sum((0, 1)) / count
+        parts.append((mean, torch.sqrt(variance + 1e-8)))
+    (mean, spread), (target_mean, target_spread) = parts
+    return (torch.abs(mean - target_mean) + torch.abs(spread - target_spread)).mean()
+
+
+def _every(z: Tensor, codes: Tensor) -> Tensor:
+    """Mean over all codes and numbers of (z - e)^2, without a tensor of all differences."""
+    spread = codes.var(dim=0, unbiased=False)
+    return torch.mean((z - codes.mean(0)) ** 2 + spread)
+
+
+def _mean(values: Tensor, scored: Tensor) -> Tensor:
+    return values.sum() / scored.sum().clamp(min=1)

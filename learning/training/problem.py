@@ -1,0 +1,157 @@
+"""What a training works on: standardised sequences, linear prediction, calibration."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..data.channels import CHANNELS, N_PHASES
+from ..data.clustering import clusters_of
+from ..data.flights import ResidualFlight
+from ..data.scaling import fit_scaling, in_spans
+from ..data.sequences import sequences
+from ..model.compensator import Compensator, ModelInfo
+from ..model.linear_predictor import fit_base, gates, predict_base, time_blocks
+from ..model.network import NetworkOut, SvqNetwork
+from ..preset import Preset, Protocol
+from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ANOMALY_QUANTILE = 0.99
+ENOUGH = 20
+"""Samples of a channel in a phase from which a spread is told."""
+
+
+class Workpiece:
+    """One model and what it is trained on; all closed forms are done from the start.
+
+    Args:
+        flights: For training, some of it held back for validation.
+        preset: Hyper-parameters.
+        protocol: What the model sees.
+        horizon: Samples, in `track`; else 0.
+        seed: Of what is held back and of the clusters.
+
+    Attributes:
+        preset: As given, without what does not go with the protocol.
+        seed: As given.
+        compensator: Its network is to be trained; `calibrate` completes it.
+        samples: Windows for the training.
+    """
+
+    def __init__(
+        self,
+        flights: Sequence[ResidualFlight],
+        preset: Preset,
+        protocol: Protocol,
+        horizon: int,
+        seed: int,
+    ) -> None:
+        self.preset, self.seed = preset, seed
+        # `free` sees no measurement, so what it learns of one flight is worth what others say of it
+        least = 2 if protocol == "free" else MANY_FLIGHTS
+        held_back = validation_rows(flights, preset.validation_share, seed, least)
+        usable = [in_spans(f) for f in flights]
+        clusters = clusters_of(preset, flights, usable, seed)
+        rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]
+        self.compensator = Compensator(
+            ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
+        )
+        scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
+        self.compensator.set_scaling(scaling)
+        self.spans = sequences(flights, self.compensator.scaling(), protocol, horizon)
+        held = [held_back[s.flight][s.rows, None] for s in self.spans]
+        self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
+        self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
+        self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
+        base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
+        self.compensator.base.copy_(torch.from_numpy(base))
+        self.left = [s.d - predict_base(s, base, protocol) for s in self.spans]
+        self.leftover = np.ones(len(CHANNELS))
+        if protocol != "reconstruct":
+            square = _mean_square(self.left, self.train)
+            self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
+            # what a linear prediction leaves of a residual changed at will is not known
+            self.preset = replace(preset, augment=0.0)
+        self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
+        self.samples = TrainingSamples(
+            self.spans, [e / self.leftover for e in self.left], self.train
+        )
+
+    @property
+    def network(self) -> SvqNetwork:
+        """That which is trained."""
+        return self.compensator.network
+
+    def validation_error(self) -> float:
+        """Mean over the channels of the mean square error on validation time, standardised."""
+        errors = [
+            left / self.leftover - out.y.double().numpy()
+            for left, out in zip(self.left, self.compensator.outputs(self.spans), strict=True)
+        ]
+        square = _mean_square(errors, self.validate)
+        known = np.any([m.any(0) for m in self.validate], axis=0)
+        return float(square[known].mean()) if known.any() else math.nan
+
+    def calibrate(self) -> None:
+        """Gates, spreads and the anomaly's scale, from the validation time."""
+        model = self.compensator
+        phases = np.concatenate([s.phase for s in self.spans])
+        trained = phases[np.concatenate(self.train).any(1)]
+        self.network.fill_unseen([bool(np.any(trained == p)) for p in range(N_PHASES)])
+        outs = model.outputs(self.spans)
+        y = np.concatenate([self.leftover * o.y.double().numpy() for o in outs])
+        left, validate = np.concatenate(self.left), np.concatenate(self.validate)
+        gate = self.measured.astype(np.float64)
+        if model.info.protocol != "reconstruct":
+            gate *= gates(y, left, validate, time_blocks(self.spans, model.info.rate_hz))
+        model.gate.copy_(torch.from_numpy(gate))
+        self.error_without = _mean_square([left], [validate])
+        self.error_with = _mean_square([left - gate * y], [validate])
+        scored = np.where(validate.any(0), validate, np.concatenate(self.train))
+        model.spread_factor.copy_(
+            torch.from_numpy(_spread_factor(left - gate * y, outs, scored, phases))
+        )
+        distance = torch.cat([o.distance for o in outs])
+        quantile = torch.quantile(distance[_some(len(distance))], ANOMALY_QUANTILE, dim=0)
+        model.anomaly_scale.copy_(quantile.clamp(min=1e-12))
+
+    def validation_mse(self) -> dict[str, dict[str, float]]:
+        """Per channel what the linear prediction leaves, and what the network does besides."""
+        rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
+        return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
+
+
+def _spread_factor(
+    error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: NDArray[np.intp]
+) -> Array:
+    """Rms of error over predicted spread per phase and channel, shape (phases, 15).
+
+    A phase without enough samples of a channel gets that of all phases, a channel without any 0.
+    """
+    log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
+    square = np.where(scored, (error * np.exp(-log_spread)) ** 2, 0.0)
+    count = scored.sum(0)
+    factor = np.tile(np.sqrt(square.sum(0) / np.maximum(count, 1)), (N_PHASES, 1))
+    for p in range(N_PHASES):
+        here = phases == p
+        count = scored[here].sum(0)
+        enough = count >= ENOUGH
+        factor[p, enough] = np.sqrt(square[here].sum(0) / np.maximum(count, 1))[enough]
+    return factor
+
+
+def _mean_square(errors: Sequence[Array], scored: Sequence[BoolArray]) -> Array:
+    """Per channel over all spans, 0 without samples, shape (15,)."""
+    error, count = np.concatenate(errors), np.concatenate(scored)
+    return np.asarray(np.sum(error**2, axis=0, where=count) / np.maximum(count.sum(0), 1))
+
+
+def _some(n: int, most: int = 100_000) -> slice:
+    """Every k-th sample, so that at most so many are sorted."""
+    return slice(0, n, -(-n // most))

@@ -1,0 +1,238 @@
+"""Training: flights in, compensator out; the same seed gives the same bytes.
+
+A training that was cut off goes on from its last checkpoint and ends with the bytes that it would
+have had uninterrupted. One torch thread: small matrices gain nothing from two, and lose a lot when
+the machine is shared.
+"""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from twin.errors import ModelError
+
+from ..data.flights import ResidualFlight
+from ..data.scaling import in_spans
+from ..data.sequences import check_protocol
+from ..model.compensator import Compensator
+from ..model.folder import CURVE, MODEL, load, save, write_json
+from ..model.network import ClusterNetwork, SvqNetwork
+from ..preset import Preset, Protocol, preset_json
+from ..threads import one_thread
+from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from .losses import Losses, losses
+from .problem import Workpiece
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+Progress = Callable[[float, float | None], None]
+"""Called with the share done, 0..1, and the seconds left, None while not known."""
+
+SLOWEST_RATE = 0.01
+"""Share of the learning rate at the end of its schedule."""
+
+
+def train(
+    flights: Sequence[ResidualFlight],
+    preset: Preset,
+    protocol: Protocol,
+    horizon: int,
+    seed: int,
+    folder: Path,
+    progress: Progress | None = None,
+    resume: bool = True,
+    vehicle: str = "",
+    vehicle_sha256: str = "",
+    checkpoint_s: float = 15.0,
+) -> Compensator:
+    """Train on all flights and write the model's folder: weights, description, learning curve.
+
+    Args:
+        flights: At one rate and with one number of commands.
+        preset: Hyper-parameters.
+        protocol: What the model sees.
+        horizon: Samples, in `track`; else 0.
+        seed: Of everything that is drawn.
+        folder: Made if it does not exist.
+        progress: Called after each epoch.
+        resume: Go on from the folder's checkpoint, or take its model if it is this training's.
+        vehicle: Name of the twin's vehicle, to be written down.
+        vehicle_sha256: Of its file.
+        checkpoint_s: Seconds between two checkpoints.
+
+    Raises:
+        ModelError: The flights do not fit together, or the folder belongs to another training.
+    """
+    _check_flights(flights)
+    check_protocol(protocol, horizon)
+    about = [_flight_about(f) for f in flights]
+    training = _hash([preset_json(preset), protocol, horizon, seed, about])
+    folder.mkdir(parents=True, exist_ok=True)
+    if resume and (folder / MODEL).is_file():
+        done = load(folder)
+        if done.info.training == training:
+            return done
+    if not resume:
+        (folder / CHECKPOINT).unlink(missing_ok=True)
+    with one_thread(), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        piece = Workpiece(flights, preset, protocol, horizon, seed)
+        standing = _fit(piece, training, folder, progress or (lambda *_: None), checkpoint_s)
+        piece.calibrate()
+    compensator = piece.compensator
+    compensator.info = replace(
+        compensator.info,
+        vehicle=vehicle,
+        vehicle_sha256=vehicle_sha256,
+        flights=tuple(about),
+        training=training,
+        metrics={
+            "epochs": standing.epoch,
+            "best_epoch": standing.best_epoch,
+            "validation_mse": piece.validation_mse(),
+        },
+    )
+    write_json(folder / CURVE, standing.curve)
+    save(compensator, folder)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    return compensator.eval()
+
+
+def _fit(
+    piece: Workpiece, training: str, folder: Path, progress: Progress, checkpoint_s: float
+) -> Standing:
+    """Run the epochs that are left; the network ends with its best weights."""
+    preset, network = piece.preset, piece.network
+    optimiser = _optimiser(network, preset)
+    standing, best = Standing(training), _copy(network)
+    found = load_checkpoint(folder, training, optimiser)
+    if found is not None:
+        standing, weights, best = found
+        network.load_state_dict(weights)
+    began, done_before = time.monotonic(), standing.epoch
+    saved = began
+    while standing.epoch < preset.epochs and not _tired(standing, preset):
+        entry = _epoch(piece, optimiser, standing.epoch)
+        standing.epoch += 1
+        if standing.epoch % preset.validate_every == 0 or standing.epoch == preset.epochs:
+            error = piece.validation_error()
+            entry["validation"] = error if math.isfinite(error) else None
+            better = standing.best_error is None or error < standing.best_error
+            if better or not math.isfinite(error):
+                standing.best_error, standing.best_epoch = entry["validation"], standing.epoch
+                best = _copy(network)
+        standing.curve.append(entry)
+        now = time.monotonic()
+        if now - saved >= checkpoint_s:
+            save_checkpoint(folder, standing, network.state_dict(), best, optimiser)
+            saved = time.monotonic()
+        per_epoch = (now - began) / (standing.epoch - done_before)
+        progress(standing.epoch / preset.epochs, per_epoch * (preset.epochs - standing.epoch))
+    network.load_state_dict(best)
+    progress(1.0, 0.0)
+    return standing
+
+
+def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> dict[str, Any]:
+    """One pass over the training windows; mean losses."""
+    preset, network = piece.preset, piece.network
+    rate = preset.learning_rate * _schedule(preset, epoch)
+    for group in optimiser.param_groups:
+        group["lr"] = rate
+    quantisers = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
+    state = torch.zeros(0)
+    sums, steps = np.zeros(4), 0
+    for window in piece.samples.windows(preset, piece.seed, epoch):
+        if window.begins:
+            state = torch.zeros(len(window.known), network.state_size)
+        out, state = network(window.known, window.features, window.phase, state.detach())
+        if not bool(window.scored.any()):
+            continue
+        parts = losses(out, window.target, window.scored, network.clusters, quantisers, preset)
+        optimiser.zero_grad(set_to_none=True)
+        parts.total.backward()  # type: ignore[no-untyped-call]
+        if preset.clip is not None:
+            torch.nn.utils.clip_grad_norm_(network.parameters(), preset.clip)
+        optimiser.step()
+        sums += _numbers(parts)
+        steps += 1
+    means = sums / max(steps, 1)
+    if not np.all(np.isfinite(means)):
+        raise ModelError(
+            f"training: the loss is not finite in epoch {epoch + 1}; lower the preset's "
+            f"learning_rate ({preset.learning_rate:g})"
+        )
+    names = ("reconstruction", "quantiser", "distribution", "spread")
+    entry = dict(zip(names, (float(m) for m in means), strict=True))
+    return {"epoch": epoch + 1, "learning_rate": rate, **entry, "validation": None}
+
+
+def _numbers(parts: Losses) -> Array:
+    values = (parts.reconstruction, parts.quantiser, parts.distribution, parts.spread)
+    return np.array([float(v.detach()) for v in values])
+
+
+def _schedule(preset: Preset, epoch: int) -> float:
+    if preset.schedule == "constant":
+        return 1.0
+    share = (1 + math.cos(math.pi * epoch / preset.epochs)) / 2
+    return SLOWEST_RATE + (1 - SLOWEST_RATE) * share
+
+
+def _tired(standing: Standing, preset: Preset) -> bool:
+    if preset.patience is None or standing.best_error is None:
+        return False
+    return standing.epoch - standing.best_epoch >= preset.patience
+
+
+def _optimiser(network: SvqNetwork, preset: Preset) -> torch.optim.Optimizer:
+    rate, parameters = preset.learning_rate, list(network.parameters())
+    if preset.optimiser == "adamw":
+        return torch.optim.AdamW(parameters, lr=rate, weight_decay=preset.weight_decay, fused=True)
+    return torch.optim.Adam(parameters, lr=rate, fused=True)
+
+
+def _copy(network: SvqNetwork) -> dict[str, Tensor]:
+    return {k: v.detach().clone() for k, v in network.state_dict().items()}
+
+
+def _check_flights(flights: Sequence[ResidualFlight]) -> None:
+    if not flights:
+        raise ModelError("training needs at least one flight")
+    kinds = {(f.rate_hz, f.commands.shape[1]) for f in flights}
+    if len(kinds) > 1:
+        said = ", ".join(f"{r:g} Hz with {m} motor commands" for r, m in sorted(kinds))
+        raise ModelError(f"training flights differ: {said}; train on flights of one kind")
+    for flight in flights:
+        if not flight.spans or not flight.fresh[in_spans(flight)].any():
+            raise ModelError(
+                f"{flight.name}: no span with a measured residual; leave this flight out"
+            )
+
+
+def _flight_about(flight: ResidualFlight) -> dict[str, Any]:
+    digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
+    arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
+    for array in (*arrays, flight.fresh, flight.phase.astype(np.int64)):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    samples = int(in_spans(flight).sum())
+    return {
+        "name": flight.name,
+        "sha256": digest.hexdigest(),
+        "samples": samples,
+        "seconds": samples / flight.rate_hz,
+    }
+
+
+def _hash(content: object) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

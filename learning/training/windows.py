@@ -1,0 +1,157 @@
+"""Training samples: what is held back for validation, and random windows of the rest."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..data.channels import N_PHASES
+from ..data.flights import ResidualFlight
+from ..data.scaling import in_spans
+from ..data.sequences import SpanSequence
+from ..model.compensator import network_inputs
+from ..preset import Preset
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+MANY_FLIGHTS = 4
+"""From here on whole flights are held back for validation, whatever the protocol."""
+SHORTEST_STRETCH = 20
+"""Samples of a phase, below which nothing of it is held back."""
+
+
+def validation_rows(
+    flights: Sequence[ResidualFlight], share: float, seed: int, least: int = MANY_FLIGHTS
+) -> list[BoolArray]:
+    """Samples held back for validation, per flight, shape (n,).
+
+    With `least` flights or more some whole ones, since within one flight a network is soon at home;
+    but none that alone holds a phase. Of phases that are then in no flight held back, and of all
+    phases where there are fewer flights, the end of each stretch.
+    """
+    chosen: set[int] = set()
+    if len(flights) >= least:
+        chosen = _whole_flights(flights, max(1, round(share * len(flights))), seed)
+    covered = np.zeros(N_PHASES, dtype=np.bool_)
+    for i in chosen:
+        covered |= _phases(flights[i])
+    return [
+        in_spans(f) if i in chosen else _ends(f, share, ~covered) for i, f in enumerate(flights)
+    ]
+
+
+def _whole_flights(flights: Sequence[ResidualFlight], count: int, seed: int) -> set[int]:
+    """At most so many flights in random order, each phase of which is in another one as well."""
+    left = np.sum([_phases(f) for f in flights], axis=0)
+    chosen: set[int] = set()
+    for i in np.random.default_rng(seed).permutation(len(flights)):
+        phases = _phases(flights[i])
+        if len(chosen) < count and np.all(left[phases] > 1):
+            chosen.add(int(i))
+            left = left - phases
+    return chosen
+
+
+def _phases(flight: ResidualFlight) -> BoolArray:
+    """Which phases a flight holds for long enough, shape (phases,)."""
+    count = np.bincount(flight.phase[in_spans(flight)], minlength=N_PHASES)
+    return np.asarray(count >= SHORTEST_STRETCH)
+
+
+def _ends(flight: ResidualFlight, share: float, wanted: BoolArray) -> BoolArray:
+    """The last share of each stretch of the wanted phases, shape (n,)."""
+    rows = np.zeros(len(flight.t_s), dtype=np.bool_)
+    for a, b in flight.spans:
+        edges = np.flatnonzero(np.diff(flight.phase[a:b])) + a + 1
+        for start, end in zip([a, *edges], [*edges, b], strict=True):
+            if wanted[flight.phase[start]] and end - start >= SHORTEST_STRETCH:
+                rows[end - round(share * (end - start)) : end] = True
+    return rows
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Samples for one step of the optimiser, shapes (batch, time, ...).
+
+    Attributes:
+        begins: The state is zero before it; else it follows on the window before.
+        known: (batch, time, 15).
+        features: (batch, time, features).
+        phase: One-hot, (batch, time, phases).
+        target: (batch, time, 15).
+        scored: 1 where the target counts, (batch, time, 15).
+    """
+
+    begins: bool
+    known: Tensor
+    features: Tensor
+    phase: Tensor
+    target: Tensor
+    scored: Tensor
+
+
+class TrainingSamples:
+    """All spans one behind the other, float32, with a row of zeros at the end as padding.
+
+    Args:
+        spans: Of all training flights.
+        left: Per span what the network shall give, shape (n, 15).
+        train: Per span the samples that count, shape (n, 15).
+    """
+
+    def __init__(
+        self,
+        spans: Sequence[SpanSequence],
+        left: Sequence[Array],
+        train: Sequence[BoolArray],
+    ) -> None:
+        inputs = [network_inputs(span) for span in spans]
+        self.known, self.features, self.phase = (_padded([i[k] for i in inputs]) for k in range(3))
+        self.target = _padded([torch.from_numpy(a.astype(np.float32)) for a in left])
+        self.scored = _padded([torch.from_numpy(a.astype(np.float32)) for a in train])
+        ends = np.cumsum([len(span.d) for span in spans])
+        self.bounds = [(int(e) - len(s.d), int(e)) for s, e in zip(spans, ends, strict=True)]
+
+    def windows(self, preset: Preset, seed: int, epoch: int) -> Iterator[Window]:
+        """The windows of one epoch, in random order: the same for the same seed and epoch."""
+        rng = np.random.default_rng([seed, epoch])
+        segments = self._segments(preset, rng)
+        segments = [segments[i] for i in rng.permutation(len(segments))]
+        for k in range(0, len(segments), preset.batch):
+            chosen = segments[k : k + preset.batch]
+            count = -(-max(b - a for a, b in chosen) // preset.window)
+            index = np.full((len(chosen), count * preset.window), len(self.known) - 1)
+            for row, (a, b) in zip(index, chosen, strict=True):
+                row[: b - a] = np.arange(a, b)
+            draws = rng.normal(0.0, preset.augment, (2, len(chosen), 1, self.known.shape[-1]))
+            amplitude, offset = torch.from_numpy(draws.astype(np.float32))
+            for w in range(count):
+                rows = torch.from_numpy(index[:, w * preset.window : (w + 1) * preset.window])
+                yield Window(
+                    begins=w == 0,
+                    known=self.known[rows] * (1 + amplitude) + offset,
+                    features=self.features[rows],
+                    phase=self.phase[rows],
+                    target=self.target[rows] * (1 + amplitude) + offset,
+                    scored=self.scored[rows],
+                )
+
+    def _segments(self, preset: Preset, rng: np.random.Generator) -> list[tuple[int, int]]:
+        """Rows [a, b) over which the state is carried on; only those with a sample that counts."""
+        length = preset.carry * preset.window
+        stride = preset.stride or length
+        segments = []
+        for a, b in self.bounds:
+            first = a - int(rng.integers(stride)) if b - a > length else a
+            starts = range(first, b, stride)
+            segments += [(max(s, a), min(s + length, b)) for s in starts]
+        return [(a, b) for a, b in segments if b > a and bool(self.scored[a:b].any())]
+
+
+def _padded(parts: Sequence[Tensor]) -> Tensor:
+    joined = torch.cat(list(parts))
+    return torch.cat([joined, torch.zeros_like(joined[:1])])

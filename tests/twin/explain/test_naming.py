@@ -1,0 +1,411 @@
+"""The rules by which hypotheses are compared, and what a log can hide from them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from twin.component.rows import OverRows
+from twin.component.sampled import noiseless_outputs
+from twin.effects import EFFECTS
+from twin.explain.inference import pool as hypotheses
+from twin.explain.inference import selection as search
+from twin.explain.inference.adequacy import LAW, coherent, credible
+from twin.explain.inference.edge import edges
+from twin.explain.inference.fit import Fitted, Ground
+from twin.explain.inference.likelihood import EXACT, Scores, White, believed
+from twin.explain.inference.pool import Pool, needless, worth_a_name
+from twin.explain.inference.robust_covariance import half_widths
+from twin.explain.inference.room import Room
+from twin.explain.inference.selection import Naming, _spoils, name_effects
+from twin.explain.model.channels import CHANNEL_HZ, ChannelData
+from twin.explain.model.model import model_of
+from twin.explain.model.numbers import at_voltage, numbers_of
+from twin.logs import Flight
+from twin.physics.airframe import airframe
+from twin.physics.sensors.barometer import barometer
+from twin.physics.sensors.magnetometer import magnetometer
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+
+COPTER, CRAZYFLIE = load_vehicle("copter_default"), load_vehicle("crazyflie")
+ROUND: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("tour", 2.0, (1.5, 0.0, -1.5)),
+    ("tour", 2.0, (1.5, 1.5, -2.0)),
+    ("tour", 2.0, (0.0, 0.0, -1.5)),
+)
+
+HOVER: Waypoints = (*ROUND[:2], ("hover", 8.0, (0.0, 0.0, -1.5)))
+
+
+@pytest.fixture(scope="module")
+def quiet() -> Flight:
+    """Nothing hidden."""
+    return fly(COPTER, COPTER, seed=4, name="quiet", waypoints=ROUND)
+
+
+def ground_of(flight: Flight, *effects: str) -> Ground:
+    """The flight against the model with some effects."""
+    return Ground.of(model_of([flight], COPTER, [EFFECTS[e] for e in effects]))
+
+
+def late(flight: Flight, columns: list[str], rows: int) -> Flight:
+    """The flight with some columns later by so many rows of the table."""
+    table = flight.table.copy()
+    known = table[columns].notna()
+    table[columns] = table[columns].ffill().shift(rows).bfill().where(known)
+    return replace(flight, table=table)
+
+
+def hypothesis(effects: tuple[str, ...], gains: list[float], raw: list[float]) -> Fitted:
+    """With one number per effect and these gains and powers per channel."""
+    values = {f"{e}.number": 1.0 for e in effects}
+    return Fitted(effects, values, (), np.zeros(0), np.array([gains]), len(values), np.array(raw),
+                  np.array(raw))  # fmt: skip
+
+
+def test_a_larger_set_has_to_explain_more_than_a_law_may_be_off() -> None:
+    one = hypothesis(("a",), [1e5, 0.0], [1.0, 1.0])
+    finer = hypothesis(("a", "b"), [1.02e5, 0.0], [1.0, 1.0])
+    elsewhere = hypothesis(("a", "c"), [1e5, 50.0], [1.0, 1.0])
+    assert needless(finer, [one, finer])  # 2,000 nats, but two percent of what one explains
+    assert not needless(elsewhere, [one, elsewhere])  # 50 nats in a channel of its own
+    assert not needless(one, [finer, elsewhere])
+
+
+def test_an_effect_that_spoils_a_channel_is_told(quiet: Flight) -> None:
+    ground = ground_of(quiet, "accel_bias")
+    best = ground.fit(["accel_bias"])
+    assert not _spoils(best, ground)
+    assert _spoils(replace(best, raw=2.0 * ground.raw), ground)
+
+
+def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
+    """The table has 200 rows a second: ten rows are 50 ms."""
+    place = [f"{stem}_{a}" for stem in ("pos", "vel") for a in "xyz"]
+    fitted = ground_of(late(quiet, place, 10), "position_delay").fit(["position_delay"])
+    assert fitted.values["position_delay.delay_s"] == pytest.approx(0.05, abs=0.006)
+    assert fitted.values["position_delay.attitude_s"] == pytest.approx(0.0, abs=0.004)
+    turned = late(quiet, [f"q_{a}" for a in "wxyz"], 10)
+    fitted = ground_of(turned, "position_delay").fit(["position_delay"])
+    assert fitted.values["position_delay.attitude_s"] == pytest.approx(0.05, abs=0.004)
+    assert fitted.values["position_delay.delay_s"] == pytest.approx(0.0, abs=0.006)
+
+
+def test_a_lag_is_seen_though_the_file_has_none() -> None:
+    instant = replace(COPTER, rotors=replace(COPTER.rotors, lag_up_s=0.0, lag_down_s=0.0))
+    flight = fly(instant, COPTER, seed=4, name="lagging", waypoints=ROUND)
+    ground = Ground.of(model_of([flight], instant, [EFFECTS["motor_lag"]]))
+    fitted = ground.fit(["motor_lag"])
+    true = 0.5 * (COPTER.rotors.lag_up_s + COPTER.rotors.lag_down_s)
+    assert fitted.values["motor_lag.tau_s"] == pytest.approx(true, rel=0.1)
+
+
+def test_a_delay_that_the_file_has_already_is_not_counted_twice() -> None:
+    known, true = 0.02, 0.05
+    plant = COPTER.with_effects({"command_delay": {"delay_s": true}})
+    model = COPTER.with_effects({"command_delay": {"delay_s": known}})
+    flight = fly(COPTER, plant, seed=4, name="late", waypoints=ROUND)
+    for vehicle in (model, COPTER, plant):
+        ground = Ground.of(model_of([flight], vehicle, [EFFECTS["command_delay"]]))
+        fitted = ground.fit(["command_delay"])
+        assert fitted.values["command_delay.delay_s"] == pytest.approx(true, abs=4e-3)
+
+
+def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
+    table, rng = quiet.table.copy(), np.random.default_rng(0)
+    for a in "xyz":
+        noise = pd.Series(0.03 * rng.standard_normal(len(table)), index=table.index)
+        table[f"vel_{a}"] += noise
+    ground = ground_of(replace(quiet, table=table), "accel_scale")
+    fitted = ground.fit(["accel_scale"])
+    for n, width in zip(fitted.numbers, fitted.half_widths, strict=True):
+        assert abs(fitted.values[n.full] - 1.0) < max(2.0 * width, 0.01), n.full
+
+
+def test_nothing_hidden_is_nothing(quiet: Flight) -> None:
+    naming = name_effects([quiet], COPTER)
+    assert naming.verdict == "nothing"
+    assert naming.best.effects == ()
+
+
+def test_an_aircraft_that_nobody_has_calibrated_lacks_more_than_three_effects() -> None:
+    """Two in the body, one each in compass and barometer, which have nothing to do with those."""
+    plant = COPTER.with_effects({"thrust_scale": {"scale": 0.9}, "rotor_drag": {"k_xy_1_s": 0.4}})
+    flight = fly(COPTER, plant, seed=6, name="new", waypoints=ROUND)
+    table, rng = flight.table.copy(), np.random.default_rng(1)
+    t = table["time"].to_numpy()
+    quaternion = table[["q_w", "q_x", "q_y", "q_z"]].interpolate(limit_direction="both").to_numpy()
+    sensor = magnetometer(COPTER)
+    rows = np.tile(sensor.input_values(), (len(t), 1))
+    for i, a in enumerate("wxyz"):
+        rows[:, sensor.input_names.index(f"q_{a}")] = quaternion[:, i]
+    field = noiseless_outputs(sensor, rows, 0.005) + 2e-7 * rng.standard_normal((len(t), 3))
+    table[["mag_x", "mag_y", "mag_z"]] = field + np.array([2e-5, -1e-5, 3e-5])
+    down = table["pos_z"].interpolate(limit_direction="both").to_numpy()
+    meter = barometer(COPTER)
+    rows = np.tile(meter.input_values(), (len(t), 1))
+    rows[:, meter.input_names.index("pos_z")] = down
+    pressure = noiseless_outputs(meter, rows, 0.005)[:, 0]
+    table["baro_pa"] = pressure + 300.0 + 2.0 * rng.standard_normal(len(t))
+    naming = name_effects([replace(flight, table=table)], COPTER)
+    assert naming.verdict == "named"
+    assert {"thrust_scale", "baro_bias", "rotor_drag"} <= set(naming.best.effects)
+    assert any(e.startswith("mag_") for e in naming.best.effects)
+
+
+def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flight) -> None:
+    (number,) = (n for n in numbers_of([EFFECTS["battery_sag"]], COPTER) if n.shape)
+    flight = replace(quiet, table=quiet.table.assign(vbat_v=11.6))
+    found = at_voltage(number, [flight], COPTER)
+    assert found.now == pytest.approx(11.6)
+    assert found.about.prior[0] < 11.0 < 12.0 < found.about.prior[1]
+    battery = replace(COPTER, battery=CRAZYFLIE.battery)
+    assert at_voltage(number, [flight], battery) is number
+    dead = replace(quiet, table=quiet.table.assign(vbat_v=0.0))
+    assert at_voltage(number, [dead], COPTER) is number
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [
+        ("battery_sag", {"slope": 1.5, "reference_v": 11.6}),
+        ("command_delay", {"delay_s": 0.02}),
+    ],
+)
+def test_a_vehicle_with_an_effect_has_a_hover_trim(effect: str, values: dict[str, float]) -> None:
+    plain, changed = (airframe(v) for v in (COPTER, COPTER.with_effects({effect: values})))
+    assert changed.inputs[0].name == plain.inputs[0].name == "cmd_1"
+    assert changed.inputs[0].start == pytest.approx(plain.inputs[0].start)
+
+
+def test_a_moved_centre_of_mass_leaves_the_imu_where_it_is() -> None:
+    """Turning at 3 rad/s about the vertical, 2 cm before the centre of mass: 0.18 m/s2."""
+    shift = {"x_m": 0.02, "y_m": 0.0}
+    body = airframe(COPTER.with_effects({"cog_offset": shift}))
+    x = np.asarray(body.initial(body.input_values(), body.parameter_values())).ravel()
+    x[[s.name for s in body.states].index("omega_z")] = 3.0
+    y = np.asarray(body.outputs(x, body.input_values(), body.parameter_values())).ravel()
+    felt = y[body.output_names.index("specific_force_x")]
+    assert felt == pytest.approx(0.02 * 3.0**2, rel=1e-3)
+
+
+def test_rows_one_by_one_and_all_at_once_are_the_same() -> None:
+    body = airframe(COPTER)
+    rng = np.random.default_rng(1)
+    x = np.asarray(body.initial(body.input_values(), body.parameter_values())).ravel()
+    xs = x + 0.01 * rng.standard_normal((5, len(x)))
+    us = np.tile(body.input_values(), (5, 1))
+    p = body.parameter_values()
+    whole = OverRows(body.outputs, rows=2)(xs, us, p)
+    for row, a, u in zip(whole, xs, us, strict=True):
+        np.testing.assert_array_equal(row, np.asarray(body.outputs(a, u, p)).ravel())
+    assert OverRows(body.outputs, rows=2)(xs[:0], us[:0], p).shape == (0, whole.shape[1])
+
+
+# -- what no law being exact means -------------------------------------------------------------
+
+
+def test_log_likelihood_counts_in_full_at_first_and_by_its_ratio_later() -> None:
+    assert believed(np.array([-3.0, 0.0, 1e-3])) == pytest.approx([-3.0, 0.0, 1e-3], rel=1e-3)
+    small, large = believed(np.array([1e6, 1e8]))
+    twice = believed(np.array([2e6, 2e8])) - [small, large]
+    assert twice == pytest.approx(EXACT * np.log(2), rel=1e-3)
+
+
+def samples(slopes: np.ndarray) -> White:
+    """Rows of one channel in one block, with these slopes."""
+    n = len(slopes)
+    none = np.zeros(n, dtype=np.intp)
+    return White(np.zeros(n), slopes, none, none, ((0, 0),), 1)
+
+
+def test_only_numbers_that_change_what_is_explained_are_told() -> None:
+    """Prior deviation 1: the first number moves the residual by 30, the second by 1."""
+    scores = Scores(samples(np.array([[30.0, 0.0], [0.0, 1.0]])), np.ones(2))
+    assert scores.told([0], np.zeros(1)) == pytest.approx(900 / 901)
+    assert scores.told([0, 1], np.zeros(1)) == pytest.approx(900 / 901 + 1 / 2)
+    assert scores.told([0, 1], np.array([100 * EXACT])) == pytest.approx(0.899 + 0.0098, abs=1e-3)
+
+
+def turned(heading_steps: int) -> Flight:
+    """Hard iron on a flight in hover, with the nose north or turning."""
+    rng = np.random.default_rng(3)
+    flight = fly(COPTER, COPTER, seed=4, name="hover", waypoints=HOVER)
+    table = flight.table.copy()
+    yaw = heading_steps * np.pi / 2 * np.clip((table["time"] - 3) / 6, 0, 1).to_numpy()
+    q = np.column_stack([np.cos(yaw / 2), 0 * yaw, 0 * yaw, np.sin(yaw / 2)])
+    sensor = magnetometer(COPTER)
+    rows = np.tile(sensor.input_values(), (len(q), 1))
+    for i, a in enumerate("wxyz"):
+        rows[:, sensor.input_names.index(f"q_{a}")] = q[:, i]
+        table[f"q_{a}"] = q[:, i]
+    field = noiseless_outputs(sensor, rows, 0.005) + 2e-7 * rng.standard_normal((len(q), 3))
+    table[["mag_x", "mag_y", "mag_z"]] = field + np.array([6e-6, -4e-6, 3e-6])
+    return replace(flight, table=table[[c for c in table if not c.startswith(("acc", "gyro"))]])
+
+
+@pytest.fixture
+def compass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search knows two faults of a compass alone."""
+    known = [EFFECTS["mag_hard_iron"], EFFECTS["mag_soft_iron"]]
+    monkeypatch.setattr(search, "candidates", lambda _: known)
+
+
+def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) -> None:
+    naming = name_effects([turned(0)], COPTER)
+    assert naming.verdict == "cannot_tell"
+    assert naming.probability_of("mag_hard_iron") > 0.2 < naming.probability_of("mag_soft_iron")
+
+
+def test_hard_iron_is_told_from_soft_iron_once_the_nose_turns(compass: None) -> None:
+    naming = name_effects([turned(4)], COPTER)
+    assert naming.verdict == "named"
+    assert naming.best.effects == ("mag_hard_iron",)
+
+
+# -- what is left by a name --------------------------------------------------------------------
+
+
+def channel(residual: np.ndarray) -> ChannelData:
+    n = len(residual)
+    t = np.arange(n) / CHANNEL_HZ
+    none = np.zeros(n, dtype=np.intp)
+    return ChannelData("acc_x", "m/s²", t, residual, residual, np.zeros((n, 0)), none)
+
+
+def test_what_is_not_forgotten_is_told_from_noise() -> None:
+    """A sine of amplitude 1 has the power 1/2, white noise is forgotten."""
+    rng, t = np.random.default_rng(0), np.arange(5000) / CHANNEL_HZ
+    slow = np.sin(2 * np.pi * 0.2 * t)
+    assert coherent([channel(slow)])[0] == pytest.approx(0.5, rel=0.02)
+    noisy, _ = coherent([channel(slow + rng.standard_normal(5000))])
+    assert noisy == pytest.approx(0.5, rel=0.1)
+    none, chance = coherent([channel(rng.standard_normal(5000))])
+    assert none < 2 * chance < 0.1
+
+
+def test_a_name_is_believed_less_the_more_it_leaves() -> None:
+    beliefs = [credible(x * LAW) for x in (0, 1, 2, 3, 7)]
+    assert beliefs == sorted(beliefs, reverse=True)
+    assert beliefs[0] > 0.95 > 0.9 > beliefs[2] > 0.5 > beliefs[3]
+    assert beliefs[-1] < 1e-6
+
+
+def test_a_delay_below_a_sample_is_no_name() -> None:
+    numbers = numbers_of([EFFECTS["imu_delay"], EFFECTS["mass_offset"]], COPTER)
+    values = {"imu_delay.delay_s": 0.002, "mass_offset.mass_kg": 0.1}
+    late, heavy = (
+        hypothesis(("imu_delay",), [9.0], [1.0]),
+        hypothesis(("mass_offset",), [9.0], [1.0]),
+    )
+    both = replace(late, effects=("imu_delay", "mass_offset"), values=values, numbers=numbers)
+    alone = replace(heavy, values=values, numbers=numbers[1:])
+    assert worth_a_name(both) == ("mass_offset",)
+    given = search._without_trifles([both, alone], np.array([0.7, 0.3]))
+    np.testing.assert_allclose(given, [0.0, 1.0])
+
+
+def test_a_set_without_room_for_another_effect_is_exchanged_for_its_parts(
+    quiet: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hypotheses, "_with_one_more", lambda *_: {})
+    ab, a, b = (hypothesis(e, [9.0], [1.0]) for e in (("a", "b"), ("a",), ("b",)))
+    pool = Pool(ground_of(quiet, "accel_bias"))
+    monkeypatch.setattr(pool, "fit", lambda effects: {"ab": ab, "a": a, "b": b}["".join(effects)])
+    pool.add("ab")
+    hypotheses._exchange(pool)
+    assert [f.effects for f in pool.fitted] == [("a", "b"), ("b",), ("a",)]
+
+
+def weighed(
+    flight: Flight, fitted: list[Fitted], chances: list[float], credible: dict[str, float]
+) -> Naming:
+    """Hypotheses with these probabilities."""
+    ground = ground_of(flight, "accel_bias")
+    return Naming(tuple(fitted), tuple(chances), tuple(chances), credible, ground)
+
+
+def test_a_name_whose_cause_is_likely_another_is_not_given(quiet: Flight) -> None:
+    one = hypothesis(("a",), [1e4], [1.0])
+    assert weighed(quiet, [one], [0.99], {"a": 0.9}).verdict == "named"
+    assert weighed(quiet, [one], [0.99], {"a": 0.3}).verdict == "cannot_tell"
+
+
+def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
+    ab, ac, bc = (hypothesis(tuple(pair), [1e4], [1.0]) for pair in ("ab", "ac", "bc"))
+    sure = dict.fromkeys("abc", 0.95)
+    one = weighed(quiet, [ab, ac], [0.6, 0.4], sure)
+    assert (one.verdict, one.undecided, one.sure) == ("named", ("b",), False)
+    assert one.together("ab") == pytest.approx(0.6 * 0.95**2)
+    all_tied = weighed(quiet, [ab, ac, bc], [0.4, 0.3, 0.3], sure)
+    assert (all_tied.verdict, all_tied.undecided) == ("cannot_tell", ("a", "b"))
+
+
+# -- where numbers may lie ---------------------------------------------------------------------
+
+
+def test_moments_of_inertia_obey_the_triangle_inequality() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"]], COPTER)
+    room = Room.of(numbers, COPTER)
+    moments = np.diag(COPTER.inertia_kg_m2)
+    now = np.array([n.now for n in numbers])
+    assert room.inside(now, np.eye(3)) == pytest.approx(now)  # a body that there is
+    x, y, z = room.inside(np.array([1.0, 1.0, 2.0]), np.diag([1e-9, 1e-9, 1.0])) * moments
+    assert z == pytest.approx(x + y, rel=1e-6)
+    assert (x, y) == pytest.approx(tuple(moments[:2]), rel=1e-6)  # what is known best stays
+    many = room.inside(np.array([[3.0, 1.0, 0.3], [1.0, 1.0, 1.0]]), np.stack(2 * [np.eye(3)]))
+    assert np.all(many @ room.rows.T >= -1e-9)
+    assert many[1] == pytest.approx(1.0)
+
+
+def test_a_limit_holds_where_all_its_numbers_are_asked_for_and_elsewhere_the_ranges() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"], EFFECTS["mass_offset"]], COPTER)
+    room = Room.of(numbers, COPTER)
+    assert len(room.rows) == 3
+    mass = [i for i, n in enumerate(numbers) if n.effect == "mass_offset"]
+    alone = room.part(mass)
+    assert len(alone.rows) == 0
+    assert alone.inside(np.array([1e3]), np.eye(1)) == numbers[mass[0]].about.prior[1]
+
+
+def test_a_fit_at_the_limit_of_a_rigid_body_is_warned_of() -> None:
+    numbers = numbers_of([EFFECTS["inertia_error"]], COPTER)
+    x, y, z = np.diag(COPTER.inertia_kg_m2)
+    values = {f"inertia_error.scale_{a}": 1.0 for a in "xyz"}
+    assert list(edges(numbers, values, COPTER)) == []
+    flat = values | {"inertia_error.scale_z": (x + y) / z}
+    ((effect, warning),) = edges(numbers, flat, COPTER)
+    assert effect == "inertia_error"
+    assert "moment of inertia about z" in warning
+    at_edge = values | {"inertia_error.scale_x": 3.0, "inertia_error.scale_y": 3.0}
+    told = [text for _, text in edges(numbers, at_edge, COPTER)]
+    assert any("inertia_error.scale_x = 3 is at the edge" in text for text in told)
+
+
+# -- intervals ---------------------------------------------------------------------------------
+
+
+def test_blocks_and_channels_that_agree_leave_the_interval_of_the_noise() -> None:
+    grams = np.ones((50, 4, 1, 1))
+    width = half_widths(np.array([[1 / 200]]), grams, np.zeros((50, 4, 1)))
+    assert width == pytest.approx([1.96 / np.sqrt(200)], rel=1e-3)
+
+
+def test_intervals_cover_where_channels_ask_for_different_numbers() -> None:
+    """Truth 0, noise 1; each channel has its own offset of deviation 1, as with a law that is off.
+
+    By the noise alone, the interval would hold the truth in a seventh of the draws.
+    """
+    rng, inside, draws = np.random.default_rng(5), 0, 400
+    blocks, channels = 25, 4
+    inverse = np.array([[1 / (blocks * channels)]])
+    for _ in range(draws):
+        said = rng.standard_normal(channels) + rng.standard_normal((blocks, channels))
+        scores = (said - said.mean())[:, :, None]
+        width = half_widths(inverse, np.ones((blocks, channels, 1, 1)), scores)
+        inside += abs(said.mean()) <= width[0]
+    assert 0.90 < inside / draws < 0.99

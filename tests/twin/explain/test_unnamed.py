@@ -1,0 +1,148 @@
+"""Equations for what the library lacks: the right term, coefficient and unit, or none."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from twin.effects import EFFECTS
+from twin.explain.inference.fit import Ground
+from twin.explain.inference.likelihood import Block
+from twin.explain.model.model import model_of
+from twin.explain.unnamed.equations import _band, _spectrum, better_unnamed, covered, unnamed
+from twin.explain.unnamed.regression import fold_of, sparse
+from twin.explain.unnamed.terms import over
+from twin.frames import to_body
+from twin.logs import Flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+
+Array = NDArray[np.float64]
+COPTER = load_vehicle("copter_default")
+LEGS: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("forward", 2.0, (3.0, 1.0, -1.5)),
+    ("forward", 2.0, (0.0, -2.0, -2.0)),
+    ("forward", 2.0, (2.5, -2.0, -1.5)),
+    ("hover", 1.5, (2.5, -2.0, -1.5)),
+)
+CUBIC_S_M2 = -0.06
+TONE_HZ = 1.37
+
+
+def ground_of(flight: Flight) -> Ground:
+    """The flight against the model with a small library."""
+    library = [EFFECTS[e] for e in ("rotor_drag", "accel_bias", "thrust_scale")]
+    return Ground.of(model_of([flight], COPTER, library))
+
+
+def planted(flight: Flight, force: Callable[[Array, Array], Array]) -> Flight:
+    """The flight with a specific force along body x, of time and body velocity, as it reads."""
+    table = flight.table.copy()
+    t = table["time"].to_numpy()
+    q, v = (
+        table[[f"{stem}_{a}" for a in letters]].interpolate(limit_direction="both").to_numpy().T
+        for stem, letters in (("q", "wxyz"), ("vel", "xyz"))
+    )
+    v_b = np.stack([np.asarray(x) for x in to_body(list(q), list(v))])
+    table["acc_x"] += force(t, v_b)
+    return without_gyro(replace(flight, table=table))
+
+
+def without_gyro(flight: Flight) -> Flight:
+    """The flight with the channels of the accelerometer alone, which is faster."""
+    return replace(flight, table=flight.table.drop(columns=[f"gyro_{a}" for a in "xyz"]))
+
+
+@pytest.fixture(scope="module")
+def quiet() -> Flight:
+    return fly(COPTER, COPTER, seed=2, name="quiet", waypoints=LEGS)
+
+
+def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> None:
+    drag = planted(quiet, lambda _, v: CUBIC_S_M2 * (v * v).sum(axis=0) * v[0])
+    ground = ground_of(drag)
+    found = unnamed(ground, ground.nothing())
+    assert found is not None
+    (equation,) = found.equations
+    assert equation.channel == "acc_x"
+    term, coefficient, unit = equation.terms[0]
+    assert (term, unit) == ("|v|² v_x", "s/m²")
+    assert coefficient == pytest.approx(CUBIC_S_M2, rel=0.05)
+    assert equation.expression.startswith(f"acc_x = {coefficient:g} s/m² * |v|² v_x")
+    assert equation.share > 0.9
+    assert len(found.gains) == len(ground.nothing().gains)
+    assert found.gain == pytest.approx(equation.gain)
+    assert better_unnamed(ground, [ground.nothing(), ground.fit(["accel_bias"])], found)
+
+
+def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
+    ground = ground_of(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
+    found = unnamed(ground, ground.nothing())
+    assert found is not None
+    (equation,) = found.equations
+    hz = [float(term.split()[1]) for term, _, _ in equation.terms if "Hz" in term]
+    assert hz
+    assert np.allclose(hz, TONE_HZ, atol=0.03)
+    size = np.hypot(*([c for term, c, _ in equation.terms if "Hz" in term] + [0.0])[:2])
+    assert size == pytest.approx(0.4, rel=0.1)
+
+
+def test_no_equation_where_nothing_is_missing(quiet: Flight) -> None:
+    ground = ground_of(quiet)
+    assert unnamed(ground, ground.nothing()) is None
+    assert not better_unnamed(ground, [ground.nothing()], None)
+
+
+def test_an_effect_of_the_library_is_not_called_unnamed() -> None:
+    drag = COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0])
+    dragged = fly(COPTER, replace(COPTER, drag_linear_n_s_m=drag), 1, "drag", LEGS)
+    ground = ground_of(without_gyro(dragged))
+    right = ground.fit(["rotor_drag"])
+    alone = unnamed(ground, ground.nothing())
+    assert alone is not None
+    assert covered(ground, right, alone) > 0.9
+    assert not better_unnamed(ground, [ground.nothing(), right], alone)
+
+
+def test_only_columns_that_pay_out_of_sample_are_picked() -> None:
+    rng = np.random.default_rng(0)
+    x, keys = rng.standard_normal((40, 50, 30)), [(0, k) for k in range(40)]
+    noise = rng.standard_normal((40, 50))
+    true = np.zeros(30)
+    true[[3, 17]] = 0.5, -0.4
+    for coefficients, picked in ((true, (3, 17)), (0 * true, None)):
+        y = x @ coefficients + noise
+        blocks = {
+            k: Block(a.T @ a, a.T @ b, float(b @ b)) for k, a, b in zip(keys, x, y, strict=True)
+        }
+        found = sparse(blocks, fold_of(keys, 0))
+        assert (found and found.picked) == picked
+        if found:
+            assert found.coefficients == pytest.approx([0.5, -0.4], abs=0.1)
+            assert found.gain == pytest.approx(0.5 * 2000 * 0.41, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("channel", "term", "text"),
+    [
+        ({"m": 1, "s": -2}, {"m": 3, "s": -3}, "s/m²"),
+        ({"m": 1, "s": -2}, {}, "m/s²"),
+        ({"rad": 1, "s": -2}, {"rad": 1, "s": -1}, "1/s"),
+        ({"m": 1, "s": -2}, {"m": 1, "s": -2}, "1"),
+        ({"m": 1, "s": -2}, {"V": 1}, "m/(s² V)"),
+    ],
+)
+def test_units_of_coefficients(channel: dict[str, int], term: dict[str, int], text: str) -> None:
+    assert over(channel, term) == text
+
+
+@pytest.mark.parametrize("n", [400, 401])
+def test_power_by_frequency_is_the_power(n: int) -> None:
+    values = np.random.default_rng(0).standard_normal(n) + 2
+    assert _spectrum(values)[1].sum() == pytest.approx(values @ values)
+    slow = np.sin(2 * np.pi * 1.5 * np.arange(n) / 50)
+    assert _band([slow]) == pytest.approx(1.5, abs=0.2)

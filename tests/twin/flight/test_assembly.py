@@ -1,0 +1,113 @@
+"""The whole twin as parts and connections: who feeds whom, start values, what is refused."""
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+from rig import BUILTIN
+
+from twin.component import ComponentBuilder
+from twin.effects import EFFECTS
+from twin.errors import ModelError
+from twin.flight.assembly import CONTROLLERS, Assembly, connected_by_name, flying_twin
+from twin.flight.mission import mission_names
+from twin.vehicle.file import load_vehicle
+
+
+@cache
+def twin() -> Assembly:
+    return flying_twin(load_vehicle("crazyflie"), "tour")
+
+
+@pytest.mark.parametrize("control", CONTROLLERS)
+@pytest.mark.parametrize("vehicle", BUILTIN)
+def test_every_input_has_a_source_of_its_name_and_unit(vehicle: str, control: str) -> None:
+    parts = flying_twin(load_vehicle(vehicle), "tour", control, ["battery_sag"])
+    variables = {f"{k}.{v.name}": v for k, part in parts.parts.items() for v in part.variables}
+    fed = {target for _, target in parts.connections}
+    for source, target in parts.connections:
+        assert source.split(".")[1] == target.split(".")[1]
+        assert variables[source].unit == variables[target].unit
+    free = {k for k, v in variables.items() if v.causality == "input"} - fed
+    # Without a battery nobody gives its voltage, and nobody draws its current.
+    lone = () if "battery" in parts.parts else ("airframe.vbat_v", "magnetometer.ibat_a")
+    assert free == set(lone) & variables.keys()
+
+
+def test_a_battery_is_a_part_where_the_vehicle_has_one() -> None:
+    assert "battery" in twin().parts
+    bare = flying_twin(replace(load_vehicle("crazyflie"), battery=None), effects=())
+    assert "battery" not in bare.parts
+
+
+def test_all_effects_are_built_in_and_off() -> None:
+    parts = twin().parts
+    for name, effect in EFFECTS.items():
+        (switch,) = (v for v in parts[effect.component].parameters if v.name == f"{name}.enabled")
+        assert switch.start == 0.0
+
+
+@pytest.mark.parametrize("name", mission_names())
+def test_missions_say_how_long_they_take(name: str) -> None:
+    assert flying_twin(load_vehicle("crazyflie"), name, effects=()).duration_s > 5.0
+
+
+def start(assembly: Assembly, name: str) -> float:
+    part, _, variable = name.partition(".")
+    (found,) = (v for v in assembly.parts[part].variables if v.name == variable)
+    return found.start
+
+
+def test_seed_wind_and_starts_reach_their_parts() -> None:
+    before = twin()
+    after = before.with_wind((1.0, 2.0, -0.5), gusts=True).with_seed(7)
+    after = after.with_starts({"airframe.mass": 0.03, "airframe.cmd_1": 0.5})
+    seeded = [k for k, p in before.parts.items() if any(v.name == "seed" for v in p.parameters)]
+    assert {"environment", "imu", "magnetometer", "barometer", "position"} <= set(seeded)
+    assert all(start(after, f"{part}.seed") == 7 for part in seeded)
+    assert [start(after, f"environment.wind.{a}") for a in "xyz"] == [1.0, 2.0, -0.5]
+    assert start(after, "environment.gust.enabled") == 1
+    assert (start(after, "airframe.mass"), start(after, "airframe.cmd_1")) == (0.03, 0.5)
+    assert start(before, "imu.seed") == 0  # the first one is as it was
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("airfame.mass", 1.0, "there is no part 'airfame'. Did you mean 'airframe'?"),
+        ("mass", 1.0, "there is no part 'mass'"),
+        ("airframe", 1.0, "there is no part 'airframe'"),
+        ("airframe.mas", 1.0, "there is no parameter or input 'mas'. Did you mean 'mass'?"),
+        ("airframe.mass", -1.0, "mass = -1 kg is outside its range"),
+        ("airframe.pos_x", 0.0, "there is no parameter or input 'pos_x'"),
+    ],
+)
+def test_wrong_start_values_are_refused(name: str, value: float, text: str) -> None:
+    with pytest.raises(ModelError) as refused:
+        twin().with_starts({name: value})
+    assert text in str(refused.value)
+
+
+def test_wrong_names_are_refused() -> None:
+    vehicle = load_vehicle("crazyflie")
+    with pytest.raises(ModelError, match=r"no controller 'lqg'. Did you mean 'lqr'\?"):
+        flying_twin(vehicle, control="lqg")
+    with pytest.raises(ModelError, match="tuor"):
+        flying_twin(vehicle, "tuor")
+
+
+def test_two_sources_of_a_name_are_refused() -> None:
+    def part(*outputs: str, takes: str | None = None) -> ComponentBuilder:
+        m = ComponentBuilder("part", "Gives a constant")
+        for name in outputs:
+            m.output(name, "1", "A constant", 1.0)
+        if takes is not None:
+            m.output("rest", "1", "What comes in", m.input(takes, "1", "What comes in"))
+        return m
+
+    a, b, c = part("x", "y"), part("x"), part(takes="y")
+    assert connected_by_name({"a": a.build(), "b": b.build(), "c": c.build()}) == (("a.y", "c.y"),)
+    with pytest.raises(ModelError, match="a and b both give x"):
+        connected_by_name(
+            {"a": part("x").build(), "b": part("x").build(), "c": part(takes="x").build()}
+        )

@@ -1,0 +1,114 @@
+"""Every built-in vehicle flies every mission, in still air and in wind, under its controller."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rig import BUILTIN
+
+from twin.component import Run
+from twin.flight.closed_loop import SETPOINTS, STEP_S, Flown, closed_loop, standing, table
+from twin.flight.control.lqr_cascade import controller
+from twin.flight.mission import mission, mission_names
+from twin.physics.airframe import AXES, airframe
+from twin.physics.environment import environment
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+
+WIND_M_S = (3.0, 4.0, 0.0)
+"""5 m/s from the south-west."""
+ROTOR_DRAG_1_S = 0.3
+"""Where the vehicle file gives no drag, that of rotors of this size, or the wind would not be felt.
+Order of magnitude of Förster, System Identification of the Crazyflie 2.0, ETH 2015: 0.27 1/s."""
+
+
+def real(vehicle: Vehicle) -> Vehicle:
+    """The vehicle with drag, which its controller does not know."""
+    if vehicle.drag_linear_n_s_m.any():
+        return vehicle
+    return replace(vehicle, drag_linear_n_s_m=np.full(3, ROTOR_DRAG_1_S * vehicle.mass_kg))
+
+
+@cache
+def flown(name: str, plan: str, windy: bool) -> Flown:
+    vehicle = load_vehicle(name)
+    return closed_loop(vehicle, plan, WIND_M_S if windy else (0.0, 0.0, 0.0), plant=real(vehicle))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("windy", [False, True])
+@pytest.mark.parametrize("plan", mission_names())
+@pytest.mark.parametrize("name", BUILTIN)
+def test_flies_every_mission(name: str, plan: str, windy: bool) -> None:
+    flight = flown(name, plan, windy)
+    print(table({(name, plan, 5.0 * windy): flight}).splitlines()[-1])
+    miss = flight.miss_m
+    assert np.sqrt(np.mean(miss**2)) < (0.15 if windy else 0.06)
+    assert miss.max() < (0.4 if windy else 0.15)
+    assert flight.saturated_s < 0.2
+    assert np.degrees(flight.tilt_rad.max()) < 45.0
+    end, speed = (flight.state(*(f"{s}_{a}" for a in AXES))[-1] for s in ("pos", "vel"))
+    assert np.linalg.norm(speed) < 0.02
+    if plan in ("takeoff", "hover"):
+        assert miss[-1] < 0.02
+    else:  # landed: on its feet, not far from where it was to be
+        legs = load_vehicle(name).leg_height_m
+        assert end[2] == pytest.approx(-legs, abs=3e-3)
+        assert np.linalg.norm(end[:2] - flight.setpoints[-1, :2]) < 0.15
+
+
+@pytest.mark.slow
+def test_same_flight_component_by_component() -> None:
+    """The compiled loop against `Run` of each component, as a co-simulation would step them."""
+    name, seconds = "crazyflie", 6.0
+    reference = flown(name, "hover", True)
+    vehicle = load_vehicle(name)
+    body = airframe(real(vehicle))
+    body = body.with_starts(standing(body, vehicle))
+    parts = {"body": body, "plan": mission(vehicle, "hover"), "control": controller(vehicle)}
+    u = {k: c.input_values() for k, c in parts.items()}
+    for axis, wind in zip(AXES, WIND_M_S, strict=True):
+        u["body"][body.input_names.index(f"wind_{axis}")] = wind
+    runs = {k: Run(c, u[k], c.parameter_values()) for k, c in parts.items()}
+    for k in range(round(seconds / STEP_S)):
+        values = {}
+        for source in ("body", "plan"):
+            values |= dict(
+                zip(parts[source].output_names, runs[source].outputs(u[source]), strict=True)
+            )
+        u["control"] = np.array([values[n] for n in parts["control"].input_names])
+        commands = runs["control"].outputs(u["control"])
+        drives = [body.input_names.index(n) for n in parts["control"].output_names]
+        u["body"][drives] = commands
+        for part, run in runs.items():
+            run.step(k * STEP_S, STEP_S, u[part])
+    np.testing.assert_allclose(runs["body"].x, reference.states[round(seconds / STEP_S)], atol=1e-9)
+    assert [n for n in parts["control"].input_names if n in SETPOINTS] == list(SETPOINTS)
+
+
+def test_names_fit_together() -> None:
+    """What one component reads is what another one gives, under the same name and unit."""
+    for name in BUILTIN:
+        vehicle = load_vehicle(name)
+        body, control = airframe(vehicle), controller(vehicle)
+        plan, air = mission(vehicle, "tour"), environment(vehicle)
+        given = {v.name: v.unit for c in (body, plan) for v in c.output_variables}
+        for variable in (*control.inputs, *air.inputs):
+            assert given[variable.name] == variable.unit
+        wanted = {v.name: v.unit for v in body.inputs}
+        for variable in control.output_variables:
+            assert wanted[variable.name] == variable.unit
+        for axis in AXES:
+            assert f"wind_{axis}" in air.output_names
+            assert f"wind_{axis}" in wanted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BUILTIN)
+def test_flies_with_a_heavier_vehicle_than_it_was_designed_for(name: str) -> None:
+    vehicle = load_vehicle(name)
+    flight = closed_loop(vehicle, "hover", plant=vehicle.with_mass(1.2 * vehicle.mass_kg))
+    assert flight.miss_m[-1] < 0.02
+    assert flight.miss_m.max() < 0.5
+    assert flight.saturated_s < 0.2

@@ -1,0 +1,314 @@
+"""The command line as a user meets it: exit codes, messages, files."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from twin.logs import write_flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.cli.main import main
+from uavtwin.demo.flights import fly
+
+VEHICLE = "copter_default"
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of one call of `uavtwin`."""
+    argv, sys.argv = sys.argv, ["uavtwin", *map(str, arguments)]
+    try:
+        main()
+        code = 0
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    finally:
+        sys.argv = argv
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return code, captured.out, captured.err
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A flight table of a built-in flight."""
+    path = tmp_path_factory.mktemp("flight") / "flight.parquet"
+    vehicle = load_vehicle(VEHICLE)
+    write_flight(fly(vehicle, vehicle.with_mass(1.1 * vehicle.mass_kg), seed=3), path)
+    return path
+
+
+def test_gap_writes_its_three_files(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    code, said, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", out)
+    assert code == 0
+    assert "acc_z" in said.splitlines()[0]
+    assert {p.name for p in out.iterdir()} == {"gap.json", "report.html", "run.json"}
+    gap = json.loads((out / "gap.json").read_text())
+    # To hover 10 % heavier takes 10 % more thrust: the twin expects 0.1 g too much of it.
+    assert gap["channels"]["acc_z"]["mean"] == pytest.approx(0.1 * 9.80665, rel=0.05)
+    assert set(gap) >= {"flights", "channels", "warnings"}
+    record = json.loads((out / "run.json").read_text())
+    assert record["verb"] == "gap"
+    assert [i["name"] for i in record["inputs"]] == ["flight.parquet"]
+    assert len(record["inputs"][0]["sha256"]) == 64
+
+
+def test_the_same_run_gives_the_same_bytes(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    for name in ("a", "b"):
+        run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / name)
+    for file in ("gap.json", "report.html", "run.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_gap_prints_strict_json(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    code, said, _ = run(
+        capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / "o", "--json"
+    )
+    assert code == 0
+    assert json.loads(said, parse_constant=pytest.fail) == json.loads(
+        (tmp_path / "o" / "gap.json").read_text()
+    )
+
+
+def test_an_output_folder_that_holds_files_is_kept(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "precious.txt").write_text("mine")
+    code, _, said = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path)
+    assert code == 2
+    assert "--force" in said
+    assert [p.name for p in tmp_path.iterdir()] == ["precious.txt"]
+    code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path, "--force")
+    assert code == 0
+    assert (tmp_path / "precious.txt").read_text() == "mine"
+
+
+def test_an_interrupted_gap_writes_nothing(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    table: Path,
+    tmp_path: Path,
+) -> None:
+    def interrupt(_: object, path: Path) -> None:
+        """Half a report, then Ctrl-C."""
+        path.write_text("<html>")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("uavtwin.report.gap.write_gap_report", interrupt)
+    code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / "o")
+    assert code == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_demo_needs_a_vehicle_driven_by_commands(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    document = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
+    path = tmp_path / "paper.toml"
+    path.write_text(document.split("```toml\n")[1].split("```")[0])
+    code, _, said = run(capsys, "demo", "--vehicle", path, "--out", tmp_path / "o")
+    assert code == 2
+    assert "paper_quad" in said
+    assert "rotors.speed_from_command" in said
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.slow
+def test_demo_names_the_effect_it_hid(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """On shorter flights, and with one mission at the end."""
+    start = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.0)))
+    there, back = (*start, ("forward", 2.0, (3.0, 1.0, -1.0))), ("forward", 2.0, (0.0, 0.0, -1.3))
+    across = (*start, ("forward", 2.0, (-1.0, 2.0, -1.0)), back)
+    monkeypatch.setattr("uavtwin.demo.chain.FIT", {"fit_1": (*there, back), "fit_2": across})
+    monkeypatch.setattr("uavtwin.demo.chain.HOLDOUT", {"holdout": across})
+    monkeypatch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
+    code, said, told = run(capsys, "demo", "--seed", 4, "--out", tmp_path / "d")
+    truth = json.loads((tmp_path / "d" / "truth.json").read_text())
+    assert code == 0
+    assert truth["effect"] == "rotor_drag"
+    assert truth["named_rightly"] is True
+    assert truth["text"] in told
+    assert "The name is right." in told
+    gap, name = said.splitlines()[:2]
+    assert "disagree most in acc_x" in gap
+    assert name.startswith("The model lacks rotor drag: ")
+    assert json.loads((tmp_path / "d" / "explain.json").read_text())["verdict"] == "named"
+    files = {str(p.relative_to(tmp_path / "d")) for p in (tmp_path / "d").rglob("*.*")}
+    assert files == {
+        "airframe.fmu", "explain.json", "gap.html", "gap.json", "report.html", "run.json",
+        "truth.json", "vehicle.toml", *(f"flights/{n}.parquet" for n in ("fit_1", "fit_2",
+                                                                         "holdout"))
+    }  # fmt: skip
+    code, _, _ = run(capsys, "check", tmp_path / "d" / "flights" / "fit_1.parquet")
+    assert code == 0
+
+
+def test_export_lists_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    arguments = ("airframe", "imu", "battery", "--vehicle", "crazyflie", "--fmi", "2,3", "--json")
+    code, said, _ = run(capsys, "export", *arguments, "--out", tmp_path / "f")
+    assert code == 0
+    rows = json.loads(said)
+    assert len(rows) == 6
+    for row in rows:
+        assert (tmp_path / "f" / row["file"]).stat().st_size == row["bytes"]
+        code, said, _ = run(capsys, "check", tmp_path / "f" / row["file"])
+        assert code == 0, said
+
+
+def test_exported_start_values_are_baked_in(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    import fmpy
+
+    code, _, _ = run(capsys, "export", "airframe", "--start", "initial.pos_z=-3", "--out", tmp_path)
+    assert code == 0
+    starts = {
+        v.name: v.start
+        for v in fmpy.read_model_description(tmp_path / "airframe.fmu").modelVariables
+    }
+    assert float(starts["initial.pos_z"]) == -3.0
+
+
+def _broken_tables(table: Path, folder: Path) -> dict[str, tuple[Path, str]]:
+    good = pd.read_parquet(table)
+    frames = {
+        "backward time": good.assign(time=good["time"].where(good.index != 100, 0.0)),
+        "no time": good.drop(columns="time"),
+        "no commands": good.drop(columns=[f"cmd_{i}" for i in range(1, 5)]),
+        "infinite": good.assign(acc_x=good["acc_x"].where(good.index != 7, np.inf)),
+        "text": good.assign(acc_x="fast"),
+    }
+    words = {
+        "backward time": "time",
+        "no time": "time",
+        "no commands": "cmd_1",
+        "infinite": "acc_x",
+        "text": "acc_x",
+    }
+    paths = {}
+    for name, frame in frames.items():
+        path = folder / f"{name.replace(' ', '_')}.csv"
+        frame.to_csv(path, index=False)
+        paths[name] = (path, words[name])
+    return paths
+
+
+def test_bad_flights_get_one_clear_error(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    cases = _broken_tables(table, tmp_path)
+    for name, content in (("empty", b""), ("not a log", b"hello, pilot"), ("zip", b"PK\x03\x04")):
+        path = tmp_path / f"{name}.ulg"
+        path.write_bytes(content)
+        cases[name] = (path, path.name)
+    cases["missing"] = (tmp_path / "nowhere.ulg", "nowhere.ulg")
+    cases["a folder"] = (tmp_path, tmp_path.name)
+    for name, (path, word) in cases.items():
+        code, _, said = run(capsys, "gap", path, "--vehicle", VEHICLE, "--out", tmp_path / "o")
+        assert code == 2, name
+        assert said.startswith("error: "), (name, said)
+        assert word in said, (name, said)
+        assert not (tmp_path / "o").exists(), name
+
+
+def test_wrong_use_of_options(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    out = ("--out", tmp_path / "o")
+    cases = {
+        ("gap", table, "--vehicle", "copter_defaul", *out): "copter_default",
+        ("gap", table, "--vehicle", VEHICLE, "--horizon", "0", *out): "horizon",
+        ("gap", table, "--vehicle", VEHICLE, "--horizon", "nan", *out): "horizon",
+        ("export", "airfame", *out): "airframe",
+        ("export", "airframe", "--fmi", "1", *out): "--fmi",
+        ("export", "airframe", "--start", "mas=1", *out): "mass",
+        ("export", "airframe", "--start", "mass=-1", *out): "mass",
+        ("export", "airframe", "--start", "mass", *out): "NAME=NUMBER",
+        ("export", "replay", *out): "--flight",
+        ("export", "airframe", "--drive", "magic", *out): "rotor_speed",
+        (
+            "export",
+            "airframe",
+            "--vehicle",
+            "feisi_x150",
+            "--drive",
+            "rotor_speed",
+            *out,
+        ): "thrust_from_speed",
+        ("export", "battery", "--vehicle", "feisi_x150", *out): "[battery]",
+        ("check", tmp_path / "nothing.ulg"): "nothing.ulg",
+        ("frobnicate",): "frobnicate",
+    }
+    for arguments, word in cases.items():
+        code, _, said = run(capsys, *arguments)
+        assert code == 2, arguments
+        assert word in said, (arguments, said)
+        assert not (tmp_path / "o").exists(), arguments
+
+
+def test_a_cut_log_is_a_counted_finding(
+    capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path
+) -> None:
+    whole = (data_dir / "rflysimdt" / "real_3.ulg").read_bytes()
+    cut = tmp_path / "cut.ulg"
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    code, _, said = run(capsys, "gap", cut, "--vehicle", "feisi_x150", "--out", tmp_path / "o")
+    assert code == 1
+    assert "finding: cut" in said
+    assert (tmp_path / "o" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("log", "vehicle"),
+    [("real_1", "feisi_x150"), ("real_2", "feisi_x150"), ("real_3", "feisi_x150"),
+     ("sim_1", VEHICLE), ("sim_2", VEHICLE), ("sim_3", VEHICLE)],
+)  # fmt: skip
+def test_real_logs(
+    capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path, log: str, vehicle: str
+) -> None:
+    path = data_dir / "rflysimdt" / f"{log}.ulg"
+    code, said, _ = run(capsys, "gap", path, "--vehicle", vehicle, "--out", tmp_path / "o")
+    assert code == 0
+    assert "us of pulse width per motor" in said
+    gap = json.loads((tmp_path / "o" / "gap.json").read_text())
+    assert set(gap["channels"]["acc_z"]["by_phase"]) == {"takeoff", "hover", "land"}
+    if vehicle == VEHICLE:  # the simulator's own parameters: the twin explains most of what moves
+        assert gap["channels"]["acc_z"]["share"] < 0.35
+        assert gap["channels"]["angacc_x"]["share"] < 0.5
+
+
+def test_nanobench_through_the_example(
+    capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path
+) -> None:
+    converter = Path(__file__).parents[2] / "examples" / "nanobench_to_flight_table.py"
+    source = data_dir / "nanobench" / "B2_circle_slow_rep2.parquet"
+    path = tmp_path / "circle.parquet"
+    subprocess.run([sys.executable, converter, source, path], check=True, capture_output=True)
+    code, said, _ = run(capsys, "gap", path, "--vehicle", "crazyflie", "--out", tmp_path / "o")
+    assert code == 0
+    assert "acc_z" in said
+    gap = json.loads((tmp_path / "o" / "gap.json").read_text())
+    assert gap["channels"]["acc_x"]["n"] > 3000
+
+
+@pytest.mark.parametrize("word", ["version", "--version"])
+def test_the_installed_command_runs(word: str) -> None:
+    command = Path(sys.executable).with_name("uavtwin")
+    result = subprocess.run(
+        [command, word], capture_output=True, text=True, check=True, env={**os.environ}
+    )
+    assert result.stdout.strip() == version("uavtwin")

@@ -1,0 +1,324 @@
+"""`uavtwin explain` on short flights with and without a hidden effect: files, page, exit codes."""
+
+import io
+import json
+import re
+import sys
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fmpy import read_model_description
+
+from twin.errors import TwinError
+from twin.explain.design.designer import Suggestion
+from twin.explain.explanation import Explanation
+from twin.explain.result_json import explain_json
+from twin.explain.unnamed.equations import Equation
+from twin.logs import read_flight, write_flight
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin import explanation as explain_files
+from uavtwin.cli import main
+from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.report.explain import write_explain_report
+from uavtwin.report.words import certainty, claim
+
+pytestmark = pytest.mark.slow
+COPTER = load_vehicle("copter_default")
+DRAG_1_S = 0.5
+DRAGGED = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m
+    + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+Place = tuple[float, float, float]
+
+
+def legs(first: Place, second: Place, seconds: float) -> Waypoints:
+    """Take off, fly to two places, hover."""
+    return (
+        ("ground", 0.5, (0.0, 0.0, 0.0)),
+        ("takeoff", 3.0, (0.0, 0.0, -1.0)),
+        ("forward", seconds, first),
+        ("forward", seconds, second),
+        ("hover", 1.5, second),
+    )
+
+
+ONE, TWO = ((2.0, 1.0, -1.0), (0.0, 0.0, -1.3)), ((-1.0, 2.0, -1.0), (0.0, 0.0, -1.3))
+
+
+def flights(folder: Path, plant: Vehicle, seconds: float) -> list[Path]:
+    """Two flights to fit on and one to hold out."""
+    paths = []
+    for seed, (name, places) in enumerate((("one", ONE), ("two", TWO), ("three", TWO)), start=1):
+        flight = fly(COPTER, plant, seed, name, legs(*places, seconds))
+        paths.append(folder / f"{name}.parquet")
+        write_flight(flight, paths[-1])
+    return paths
+
+
+@dataclass(frozen=True)
+class Run:
+    """One call of the verb."""
+
+    code: int
+    stdout: str
+    stderr: str
+    out: Path
+    found: Explanation | None
+
+    @property
+    def json(self) -> dict[str, Any]:
+        content = json.loads((self.out / "explain.json").read_text(), parse_constant=pytest.fail)
+        assert isinstance(content, dict)
+        return content
+
+
+def run(out: Path, *arguments: object) -> Run:
+    """Call `uavtwin explain`, flying one mission only."""
+    kept: list[Explanation] = []
+    real = explain_files.write_explanation
+
+    def keep(found: Explanation, *rest: Any) -> list[str]:
+        kept.append(found)
+        return real(found, *rest)
+
+    argv = ["uavtwin", "explain", *map(str, arguments), "--out", str(out)]
+    stdout, stderr, code = io.StringIO(), io.StringIO(), 0
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(stdout), redirect_stderr(stderr):
+        patch.setattr(sys, "argv", argv)
+        patch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
+        patch.setattr(explain_files, "write_explanation", keep)
+        try:
+            main.main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+    return Run(code, stdout.getvalue(), stderr.getvalue(), out, kept[0] if kept else None)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("explain")
+
+
+@pytest.fixture(scope="module")
+def dragged(folder: Path) -> list[Path]:
+    """Flights with rotor drag that the twin lacks."""
+    place = folder / "dragged"
+    place.mkdir()
+    return flights(place, DRAGGED, 2.0)
+
+
+@pytest.fixture(scope="module")
+def named(folder: Path, dragged: list[Path]) -> Run:
+    """The verb on flights with rotor drag."""
+    one, two, three = dragged
+    return run(folder / "named", one, two, "--holdout", three, "--vehicle", "copter_default")
+
+
+def test_the_hidden_effect_is_named_and_its_number_lies_in_its_interval(named: Run) -> None:
+    assert named.code == 1, named.stderr
+    content = named.json
+    assert content["verdict"] == "named"
+    (effect,) = content["effects"]
+    assert effect["name"] == "rotor_drag"
+    assert effect["probability"] > 0.95
+    number = effect["parameters"]["k_xy_1_s"]
+    assert number["unit"] == "1/s"
+    assert number["value"] == pytest.approx(DRAG_1_S, rel=0.02)
+    low, high = number["ci95"]  # given the law, and that of the plant does not know rotor speed
+    assert low < number["value"] < high
+    assert {"acc_x", "acc_y"} <= set(effect["channels"])
+    assert effect["phases"][0] == "forward"
+    assert "nothing" not in [r["name"] for r in effect["rivals"][:1]]
+    assert all(r["probability"] < 0.05 for r in effect["rivals"])
+    assert re.match(r"The model lacks rotor drag: 0\.(49|50)", named.stdout.splitlines()[0])
+
+
+def test_the_gap_shrinks_to_the_noise_on_the_held_out_flight(named: Run) -> None:
+    content = named.json
+    assert content["holdout"] == [{"flight": "three", "spans_s": None}]
+    for name in ("acc_x", "acc_y"):
+        gap = content["gap"][name]
+        assert gap["before"] > 5 * gap["noise_floor"]
+        assert gap["after"] < 1.1 * gap["noise_floor"]
+        assert gap["shrink_ci95"][0] > 0.5
+        assert gap["n"] > 200
+    assert content["where"][0]["channel"] in ("acc_x", "acc_y")
+    assert content["closed_loop"]["stable"]
+    assert content["closed_loop"]["worst_tracking_m"] < 0.2
+
+
+def test_json_has_what_the_design_asks_for(named: Run) -> None:
+    content = named.json
+    assert {"verdict", "effects", "unnamed", "where", "gap", "holdout", "next_manoeuvre"} <= set(
+        content
+    )
+    assert {"name", "probability", "parameters", "channels", "phases", "rivals"} <= set(
+        content["effects"][0]
+    )
+    gap = content["gap"]["acc_x"]
+    assert {"unit", "before", "after", "noise_floor", "shrink_ci95", "n"} <= set(gap)
+
+
+def test_the_new_vehicle_is_the_old_one_with_the_effect_on(named: Run) -> None:
+    new = load_vehicle(named.out / "vehicle.toml")
+    parameters = named.json["effects"][0]["parameters"]
+    values = {k: p["value"] for k, p in parameters.items()}
+    assert new.effects == {"rotor_drag": pytest.approx(values, rel=1e-5)}
+    low, high = parameters["k_xy_1_s"]["ci95"]
+    source = new.sources["effects.rotor_drag.k_xy_1_s"]
+    assert source == f"uavtwin explain, one and two, 95 % interval {low:.4g} to {high:.4g}"
+    assert new.mass_kg == COPTER.mass_kg
+    assert new.rotors.thrust_n == COPTER.rotors.thrust_n
+    assert np.array_equal(new.drag_linear_n_s_m, COPTER.drag_linear_n_s_m)
+
+
+def test_the_fmu_has_the_effect_on(named: Run) -> None:
+    description = read_model_description(str(named.out / "airframe.fmu"))
+    starts = {v.name: v.start for v in description.modelVariables}
+    assert (starts["rotor_drag.enabled"], starts["thrust_scale.enabled"]) == ("true", "false")
+    value = named.json["effects"][0]["parameters"]["k_xy_1_s"]["value"]
+    assert float(starts["rotor_drag.k_xy_1_s"]) == pytest.approx(value, rel=1e-5)
+
+
+def test_run_json_lists_every_input(named: Run) -> None:
+    record = json.loads((named.out / "run.json").read_text())
+    assert record["verb"] == "explain"
+    assert [i["name"] for i in record["inputs"]] == ["one.parquet", "two.parquet", "three.parquet"]
+
+
+def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
+    page = (named.out / "report.html").read_text()
+    order = ("<h1>The model lacks rotor drag", 'id="evidence', "why they lost", 'id="time-acc_',
+             "The gap on held-out flights", "Where model and flights")  # fmt: skip
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+    assert "Does the new model fly?" in page
+    assert "src=" not in page.split("<body>")[1].split("<script>")[0]
+
+
+def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
+    assert named.found is not None
+    naming = named.found.naming
+    assert naming is not None
+    chances = (0.6, 0.4, *(0.0 for _ in naming.probabilities[2:]))
+    tied = replace(
+        named.found,
+        verdict="cannot_tell",
+        naming=replace(naming, probabilities=chances),
+        next_manoeuvre=Suggestion(
+            "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
+        ),
+    )
+    content = explain_json(tied)
+    assert content["effects"][0]["name"] == "rotor_drag"
+    assert content["effects"][0]["rivals"][0]["probability"] == pytest.approx(0.4)
+    assert {e["name"] for e in content["effects"]} == {
+        e for f in naming.fitted[:2] for e in f.effects
+    }
+    assert claim(tied).startswith("These flights cannot tell what the model lacks: rotor drag")
+    assert tied.added is None
+    write_explain_report(tied, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "they cannot tell the two apart" in page
+    assert "Fly fast and straight." in page
+
+
+def test_nothing_hidden_nothing_named(folder: Path) -> None:
+    place = folder / "quiet"
+    place.mkdir()
+    one, two, three = flights(place, COPTER, 3.0)
+    out = run(place / "out", one, two, "--vehicle", "copter_default", "--holdout", three)
+    assert out.code == 0, out.stderr
+    assert out.json["verdict"] == "nothing"
+    assert out.json["effects"] == []
+    assert out.json["nothing_probability"] > 0.9
+    assert all(g["before"] == g["after"] for g in out.json["gap"].values())
+    assert {p.name for p in out.out.iterdir()} == {"explain.json", "report.html", "run.json"}
+    assert "lacks nothing" in out.stdout
+
+
+def test_without_a_holdout_blocks_of_time_stand_in_and_that_is_said(
+    folder: Path, dragged: list[Path]
+) -> None:
+    out = run(folder / "blocks", dragged[0], "--vehicle", "copter_default", "--no-fmus", "--json")
+    content = json.loads(out.stdout)
+    assert content == out.json
+    assert content["holdout"] == [{"flight": "one", "spans_s": [[4.0, pytest.approx(8.0)]]}]
+    assert any("weaker" in w for w in content["warnings"])
+    gap = content["gap"]["acc_y"]
+    assert gap["after"] < 0.5 * gap["before"]
+    assert not list(out.out.glob("*.fmu"))
+
+
+def test_an_unusable_flight_is_a_verdict_and_no_crash(folder: Path, dragged: list[Path]) -> None:
+    flight = read_flight(dragged[0])
+    path = folder / "flipped.parquet"
+    write_flight(replace(flight, table=flight.table.assign(acc_z=-flight.table["acc_z"])), path)
+    out = run(folder / "unusable", path, "--vehicle", "copter_default")
+    assert out.code == 1
+    assert out.json["verdict"] == "unusable"
+    assert "check the axes" in out.json["reasons"][0]
+    assert out.json["gap"] == {}
+    assert "cannot be used" in out.stdout
+
+
+def test_a_flight_cannot_be_its_own_holdout(folder: Path, dragged: list[Path]) -> None:
+    one = dragged[0]
+    out = run(folder / "twice", one, "--holdout", one, "--vehicle", "copter_default")
+    assert out.code == 2
+    assert "--holdout takes others" in out.stderr
+    assert not out.out.exists()
+
+
+def test_what_the_library_lacks_has_a_place(named: Run, tmp_path: Path) -> None:
+    assert named.found is not None
+    terms = (("sin(yaw)", 0.3, "m/s²"),)
+    equation = Equation("acc_x", "m/s²", terms, "0.3 m/s² * sin(yaw)", 0.85, 18.0, 0.2, 400.0)
+    unnamed = replace(named.found, verdict="unnamed", shown=None, unnamed=(equation,))
+    content = explain_json(unnamed)
+    (told,) = content["unnamed"]
+    assert told["channel"] == "acc_x"
+    assert told["expression"] == "0.3 m/s² * sin(yaw)"
+    assert told["share"] == 0.85
+    assert told["terms"] == [{"product": "sin(yaw)", "coefficient": 0.3, "unit": "m/s²"}]
+    assert content["effects"] == []
+    write_explain_report(unnamed, tmp_path / "report.html")
+    assert "0.3 m/s² * sin(yaw)" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("probability", "words"),
+    [(1.0, "more than 99 %"), (0.992, "99 %"), (0.9, "90 %"), (1e-9, "less than 1 %")],
+)
+def test_certainty_is_never_complete(probability: float, words: str) -> None:
+    assert certainty(probability) == words
+
+
+def test_a_payload_is_told_by_flight() -> None:
+    flights = ("one", "two=b")
+    assert explain_files.flight_payloads(["one=0.2", "two=b=1"], flights) == {
+        "one": 0.2,
+        "two=b": 1.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("one", "write FLIGHT=KG, e.g. one=0.2"),
+        ("one=heavy", "write FLIGHT=KG"),
+        ("one=-1", "write FLIGHT=KG"),
+        ("one=nan", "write FLIGHT=KG"),
+        ("ond=0.2", "there is no flight 'ond'. Did you mean 'one'"),
+    ],
+)
+def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
+    with pytest.raises(TwinError, match=re.escape(says)):
+        explain_files.flight_payloads([text], ("one",))

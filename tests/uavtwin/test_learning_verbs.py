@@ -1,0 +1,128 @@
+"""`uavtwin train` and `uavtwin evaluate` on short flights: files, pages, errors, going on."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learning.training.checkpoint import CHECKPOINT
+from twin.errors import TwinError
+from twin.logs import write_flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.cli import main
+from uavtwin.demo.flights import fly
+
+COPTER = load_vehicle("copter_default")
+PLANT = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+PLACES = {"one": (2.0, 1.0, -1.0), "two": (1.0, -2.0, -1.2), "three": (2.0, -1.0, -1.0)}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Three flights of a vehicle with more drag than its file says."""
+    folder = tmp_path_factory.mktemp("flights")
+    paths = {}
+    for seed, (name, place) in enumerate(PLACES.items(), start=1):
+        legs = (
+            ("ground", 0.5, (0.0, 0.0, 0.0)),
+            ("takeoff", 2.5, (0.0, 0.0, -1.0)),
+            ("forward", 2.5, place),
+            ("hover", 1.5, place),
+        )
+        paths[name] = folder / f"{name}.parquet"
+        write_flight(fly(COPTER, PLANT, seed, name, legs), paths[name])
+    return paths
+
+
+def _run(*arguments: object) -> None:
+    main.app([str(a) for a in arguments], standalone_mode=False)
+
+
+def _train(logs: dict[str, Path], out: Path, *more: object) -> None:
+    _run("train", logs["one"], logs["two"], "--vehicle", "copter_default", "--rate", 50,
+         "--epochs", 2, "--out", out, *more)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model of two epochs."""
+    folder = tmp_path_factory.mktemp("trained") / "model"
+    _train(logs, folder)
+    return folder
+
+
+def test_training_leaves_a_model_with_its_page(model: Path) -> None:
+    names = {p.name for p in model.iterdir()}
+    assert names >= {
+        "report.html", "model.onnx", "weights.safetensors", "model.json", "learning_curve.json",
+        "vehicle.toml", "training.parquet", "run.json",
+    }  # fmt: skip
+    assert CHECKPOINT not in names
+    page = (model / "report.html").read_text("utf-8")
+    assert "track, 1 samples (20 ms) ahead" in page
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="http', page)
+    run = json.loads((model / "run.json").read_text("utf-8"))
+    assert run["options"]["epochs"] == 2 and len(run["inputs"]) == 2
+
+
+def test_evaluation_scores_the_model_beside_baselines(
+    model: Path, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    explained = tmp_path / "explained.toml"
+    explained.write_text((model / "vehicle.toml").read_text("utf-8"), "utf-8")
+    _run("evaluate", model, logs["three"], "--explained", explained, "--out", tmp_path / "e",
+         "--json")  # fmt: skip
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
+    assert printed["protocol"] == "track" and printed["horizon_s"] == 0.02
+    models = {row["model"] for row in printed["groups"]}
+    assert {"none", "mean", "last", "linear AR(8)", "model"} <= models
+    groups = {row["group"] for row in printed["groups"]}
+    assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
+    page = (tmp_path / "e" / "report.html").read_text("utf-8")
+    assert "explained twin" in page and "corrected twin" in page
+
+
+def test_a_flight_of_the_training_is_refused(
+    model: Path, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    with pytest.raises(TwinError, match=r"one: .* was trained on a flight of this name"):
+        _run("evaluate", model, logs["one"], "--out", tmp_path / "e")
+    assert not (tmp_path / "e").exists()
+
+
+def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Path) -> None:
+    with pytest.raises(TwinError, match="no preset 'bset'; there are paper"):
+        _train(logs, tmp_path / "m", "--preset", "bset")
+    with pytest.raises(TwinError, match=r"rate 30 Hz: needs 1000 Hz over a whole number"):
+        _train(logs, tmp_path / "m", "--rate", 30)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "precious.txt").write_text("mine", "utf-8")
+    with pytest.raises(TwinError, match="exists and is not empty"):
+        _train(logs, tmp_path / "full")
+    with pytest.raises(TwinError, match=r"no model\.json; a model is what `uavtwin train`"):
+        _run("evaluate", tmp_path / "full", logs["three"], "--out", tmp_path / "e")
+
+
+def test_the_same_seed_gives_the_same_bytes(
+    model: Path, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    _train(logs, tmp_path / "again")
+    for path in sorted(model.iterdir()):
+        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_a_machine_without_torch_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "uavtwin.evaluation", None)
+    with pytest.raises(TwinError, match=r"extra `learn`: pip install 'uavtwin\[learn\]'"):
+        _run("evaluate", tmp_path, tmp_path / "log.ulg")

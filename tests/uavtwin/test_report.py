@@ -1,0 +1,158 @@
+"""The gap report opens offline, says the claim first and is the same file every time."""
+
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from twin.residuals.gap import Channel, FlightGap, rank, summaries
+from uavtwin.report.figures import MAX_POINTS, channel_figure
+from uavtwin.report.gap import claim, describe, write_gap_report
+
+HOSTILE = "</script><script>alert('x')</script><b>&"
+
+
+def flight(name: str = "real_2", n: int = 2000) -> FlightGap:
+    """The twin lacks three quarters of a second of vertical push in the takeoff."""
+    t_s = np.arange(n) / 200.0
+    phase = np.where(t_s < 4.0, "takeoff", "hover").astype(np.str_)
+    measured = -9.81 + 0.5 * np.sin(2 * np.pi * 0.4 * t_s)
+    lacking = np.where(t_s < 4.0, np.sin(np.pi * t_s / 4.0), 0.0)
+    acc = Channel("acc_z", "m/s2", 0.0, t_s, measured, measured - lacking, phase)
+    every = slice(100, None, 100)
+    position = Channel("pos_x", "m", 0.5, t_s[every], t_s[every], t_s[every] + 0.01, phase[every])
+    other = replace(acc, name="acc_x", simulated=measured - 0.01)
+    spans = (("takeoff", 0.0, 4.0), ("hover", 4.0, n / 200.0))
+    return FlightGap(name, "feisi_x150", (other, acc, position), spans, ("beware",), {"rate": "1"})
+
+
+class _Loads(HTMLParser):
+    """Addresses a browser would fetch, scripts, identifiers and the text of the page."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+        self.scripts = 0
+        self.ids: list[str] = []
+        self.heading = ""
+        self._in_heading = False
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if tag in {"script", "img", "iframe", "source", "video", "link", "object", "embed"}:
+            address = values.get("src") or values.get("href") or values.get("data")
+            if address and not address.startswith("data:"):
+                self.fetched.append(address)
+        self.scripts += tag == "script"
+        self._in_heading = tag == "h1"
+        if values.get("id"):
+            self.ids.append(str(values["id"]))
+
+    def handle_data(self, data: str) -> None:
+        if self._in_heading:
+            self.heading += data
+
+    def handle_endtag(self, tag: str) -> None:
+        self._in_heading = False
+
+
+def written(path: Path, *gaps: FlightGap) -> tuple[str, _Loads]:
+    write_gap_report(gaps, path)
+    text = path.read_text(encoding="utf-8")
+    page = _Loads()
+    page.feed(text)
+    return text, page
+
+
+def test_report_opens_offline_and_embeds_plotly_once(tmp_path: Path) -> None:
+    text, page = written(tmp_path / "report.html", flight(), flight("real_3"))
+    assert page.fetched == []
+    assert "@import" not in text.split("</style>")[0]
+    assert text.count("* plotly.js v") == 1
+    assert len(page.ids) == len(set(page.ids))
+    assert "flight1-acc-0ms" in page.ids
+    assert len(text) < 12e6
+
+
+def test_no_button_uploads_the_flight(tmp_path: Path) -> None:
+    """plotly.js 4 offers "send chart to cloud" unless the buttons are named one by one."""
+    text, _ = written(tmp_path / "report.html", flight())
+    page_script = text[text.rindex("<script>") :]
+    assert 'modeBarButtons: [["toImage", "zoom2d", "pan2d", "resetScale2d"]]' in page_script
+
+
+def test_claim_comes_first_and_names_channel_phase_and_size(tmp_path: Path) -> None:
+    _, page = written(tmp_path / "report.html", flight())
+    # rms of half a sine of amplitude 1: 0.707 m/s2; signal 0.5 / sqrt 2
+    assert page.heading == (
+        "Twin and flight disagree most in acc_z (specific force, down axis) during takeoff: "
+        "0.707 m/s² rms, 200 % of the signal."
+    )
+
+
+def test_a_bar_cut_at_100_percent_says_so_and_the_number_is_not_cut(tmp_path: Path) -> None:
+    text, _ = written(tmp_path / "report.html", flight())
+    assert '<i class="cut" style="width:80px"></i>200 %' in text
+    assert '<i style="width:80px">' not in text
+    assert "cut at 100 %" in text
+
+
+def test_claim_when_they_agree_and_when_there_is_nothing() -> None:
+    gap = flight()
+    same = tuple(replace(c, simulated=c.measured - 1e-3) for c in gap.channels)
+    assert claim(rank(summaries([replace(gap, channels=same)]))).startswith("Twin and flight agree")
+    assert claim([]).startswith("There is nothing to compare")
+
+
+def test_horizons_are_labelled(tmp_path: Path) -> None:
+    text, _ = written(tmp_path / "report.html", flight())
+    assert "teacher-forced" in text
+    assert "short horizon, 0.5 s" in text
+
+
+def test_same_flights_give_the_same_bytes(tmp_path: Path) -> None:
+    write_gap_report([flight()], tmp_path / "a.html")
+    write_gap_report([flight()], tmp_path / "b.html")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+
+
+def test_hostile_names_stay_text(tmp_path: Path) -> None:
+    gap = flight(HOSTILE)
+    evil = tuple(replace(c, name=c.name + HOSTILE, unit=HOSTILE) for c in gap.channels)
+    gap = replace(
+        gap,
+        vehicle=HOSTILE,
+        channels=evil,
+        phases=((HOSTILE, 0.0, 10.0),),
+        warnings=(HOSTILE,),
+        facts={HOSTILE: HOSTILE},
+    )
+    text, page = written(tmp_path / "hostile.html", gap)
+    assert "<script>alert" not in text
+    plain = written(tmp_path / "plain.html", flight())[1]
+    assert page.scripts == plain.scripts
+
+
+def test_long_flight_is_thinned_in_the_plot_and_says_so() -> None:
+    channel = flight(n=2 * MAX_POINTS + 10).channels[1]
+    figure, note = channel_figure([channel], ())
+    assert "acc_z: 1 in 3 of 40010 samples drawn" in note
+    assert len(figure.data[0].x) <= MAX_POINTS
+
+
+def test_empty_channels_do_not_break_the_page(tmp_path: Path) -> None:
+    gap = flight()
+    none = np.empty(0)
+    empty = Channel("gyro_x", "rad/s", 0.5, none, none, none, np.empty(0, dtype=np.str_))
+    nan = replace(gap.channels[0], simulated=np.full(2000, np.nan))
+    text, page = written(tmp_path / "empty.html", replace(gap, channels=(empty, nan), facts={}))
+    assert page.heading.startswith("There is nothing to compare")
+    assert "gyro_x" in text
+    written(tmp_path / "none.html")
+
+
+@pytest.mark.parametrize("name", ["acc_z", "angacc_x", "pos_y@0.5s", "baro_pa", "odd"])
+def test_channel_names_have_words(name: str) -> None:
+    assert "_" not in describe(name)

@@ -1,0 +1,264 @@
+"""How a component is written: symbols and equations collected in reading order.
+
+`ComponentBuilder` is the authoring side of `twin.component`: it hands out CasADi symbols, takes
+equations, and turns both into a `Component`.
+"""
+
+import zlib
+from collections.abc import Iterable, Sequence
+
+import casadi as ca
+
+from ..errors import ModelError
+from .component import Component, DelayLine, Sampling, Shortcut, State, Variable, check_range
+
+
+class ComponentBuilder:
+    """Collects the interface table and the equations of one component, in reading order."""
+
+    def __init__(self, name: str, description: str, max_step_s: float = 1e-3) -> None:
+        self._name, self._description, self._max_step_s = name, description, max_step_s
+        self._variables: dict[str, tuple[Variable, ca.SX]] = {}
+        self._states: dict[str, tuple[State, ca.SX, ca.SX]] = {}
+        self._rates: dict[str, ca.SX] = {}
+        self._projections: dict[str, ca.SX] = {}
+        self._idle: list[tuple[ca.SX, ca.SX, Sequence[ca.SX]]] = []
+        self._updates: dict[str, ca.SX] = {}
+        self._period: str | None = None
+        self._noise: list[tuple[ca.SX, ca.SX]] = []
+        self._delayed: list[tuple[DelayLine, ca.SX, ca.SX, ca.SX]] = []
+
+    def parameter(
+        self,
+        name: str,
+        start: float,
+        unit: str,
+        description: str,
+        *,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        fixed: bool = False,
+        boolean: bool = False,
+    ) -> ca.SX:
+        """Declare a parameter and return its symbol."""
+        variable = Variable(
+            name, "parameter", unit, description, start, minimum, maximum, fixed, boolean
+        )
+        check_range(self._name, variable, start)
+        return self._declare(variable, ca.SX.sym(name))
+
+    def input(self, name: str, unit: str, description: str, start: float = 0.0) -> ca.SX:
+        """Declare an input and return its symbol."""
+        return self._declare(Variable(name, "input", unit, description, start), ca.SX.sym(name))
+
+    def output(self, name: str, unit: str, description: str, expression: ca.SX | float) -> None:
+        """Declare an output and its equation."""
+        self._declare(Variable(name, "output", unit, description), ca.SX(expression))
+
+    def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
+        """Declare a state with its initial value: of inputs, parameters, states with their own."""
+        symbol = ca.SX.sym(name)
+        self._states[name] = (State(name, unit, description), symbol, ca.SX(initial))
+        return symbol
+
+    def derivative(self, name: str, rate: ca.SX | float) -> None:
+        """Give the time derivative of a state."""
+        self._rates[name] = ca.SX(rate)
+
+    def projection(self, name: str, expression: ca.SX) -> None:
+        """Replace a state after each step by an expression of the states."""
+        self._projections[name] = expression
+
+    def sampled(self, period_s: float, description: str) -> ca.SX:
+        """Make the component sampled, with the parameter `sample_period`.
+
+        A component that draws noise gets the parameter `seed` next to it.
+
+        Returns:
+            Symbol of the sample period, s.
+        """
+        self._period = "sample_period"
+        period = self.parameter(
+            "sample_period", period_s, "s", description, minimum=1e-5, fixed=True
+        )
+        self.parameter(
+            "seed",
+            0.0,
+            "1",
+            "Seed of the noise, an integer",
+            minimum=0,
+            maximum=2.0**53,
+            fixed=True,
+        )
+        return period
+
+    def memory(self, name: str, unit: str, description: str, initial: ca.SX | float = 0.0) -> ca.SX:
+        """Declare a state that changes at sample instants only."""
+        return self.state(name, unit, description, initial)
+
+    def update(self, name: str, expression: ca.SX | float) -> None:
+        """Give the value of a memory from each sample instant on."""
+        self._updates[name] = ca.SX(expression)
+
+    def noise(self, size: ca.SX | float = 1.0) -> ca.SX:
+        """A normal draw, new at each sample instant; for use in updates.
+
+        Args:
+            size: Standard deviation, an expression of parameters; what has none is not drawn.
+        """
+        symbol = ca.SX.sym(f"noise_{len(self._noise)}")
+        self._noise.append((symbol, ca.SX(size)))
+        return size * symbol
+
+    def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
+        """What a signal was a while before each sample instant; for use in updates.
+
+        Between sample instants the signal counts as a straight line, before the start as having
+        always had its first value.
+
+        Args:
+            name: Of the delay, for messages.
+            signal: Scalar expression of states, inputs and parameters, taken before the update.
+            delay_s: Expression of parameters, s, from 0 to `samples` - 1 sample periods; any other
+                value stops the simulation.
+            samples: How many samples are remembered, the present one among them.
+
+        Returns:
+            Symbol of the delayed signal.
+
+        Raises:
+            ModelError: `samples` is below 1.
+        """
+        if samples < 1:
+            raise ModelError(
+                f"{self._name}: delay {name!r} needs at least 1 sample, not {samples}."
+            )
+        symbol = ca.SX.sym(f"delayed_{name}")
+        line = DelayLine(name, samples)
+        self._delayed.append((line, ca.SX(signal), ca.SX(delay_s), symbol))
+        return symbol
+
+    def idle_while(self, condition: ca.SX, step: ca.SX, switches: Sequence[ca.SX]) -> None:
+        """Say when parameters that switch equations on are as good as 0.
+
+        Said several times, the first condition that holds counts.
+
+        Args:
+            condition: Expression of states, parameters and `step`.
+            step: Symbol of the step length, s; 0 where the outputs are asked for.
+            switches: The parameters' symbols.
+        """
+        self._idle.append((condition, step, switches))
+
+    def build(self) -> Component:
+        """Turn the collected equations into a component."""
+        if self._period is not None and not self._noise:
+            self._variables.pop("seed", None)
+        table = {
+            c: [(v, e) for v, e in self._variables.values() if v.causality == c]
+            for c in ("parameter", "input", "output")
+        }
+        x = _column(symbol for _, symbol, _ in self._states.values())
+        u = _column(symbol for _, symbol in table["input"])
+        p = _column(symbol for _, symbol in table["parameter"])
+        x0 = _column(initial for _, _, initial in self._states.values())
+        x0 = ca.substitute(x0, x, x0)  # a state that starts at another's value
+        rates = _column(self._rates.get(name, ca.SX(0)) for name in self._states)
+        projected = _column(
+            self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+        y = _column(expression for _, expression in table["output"])
+        project = ca.Function("project", [x], [projected])
+        f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
+
+        sampling = self._sampling(x, u, p)
+
+        def shortcut(
+            i: int, condition: ca.SX, length: ca.SX, switches: Sequence[ca.SX]
+        ) -> Shortcut:
+            """The component's functions with some switches at zero."""
+            on, off = list(switches), [ca.SX(0.0)] * len(switches)
+            dx, cheap_y = ca.substitute([rates, y], on, off)
+            cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
+            update = None
+            if sampling is not None:
+                (after,) = ca.substitute([self._after()], on, off)
+                update = self._update(f"cheap_update_{i}", after, x, u, p)
+            return Shortcut(
+                holds=ca.Function(f"holds_{i}", [x, p, length], [condition]),
+                step=_rk4(f"cheap_step_{i}", cheap, project),
+                outputs=ca.Function(f"cheap_outputs_{i}", [x, u, p], [ca.cse(cheap_y)]),
+                update=update,
+            )
+
+        return Component(
+            name=self._name,
+            description=self._description,
+            parameters=tuple(v for v, _ in table["parameter"]),
+            inputs=tuple(v for v, _ in table["input"]),
+            output_variables=tuple(v for v, _ in table["output"]),
+            states=tuple(state for state, _, _ in self._states.values()),
+            initial=ca.Function("initial", [u, p], [ca.cse(x0)], ["u", "p"], ["x"]),
+            derivatives=f,
+            step=_rk4("step", f, project),
+            outputs=ca.Function("outputs", [x, u, p], [ca.cse(y)], ["x", "u", "p"], ["y"]),
+            max_step_s=self._max_step_s,
+            shortcuts=tuple(shortcut(i, *idle) for i, idle in enumerate(self._idle)),
+            sampling=sampling,
+        )
+
+    def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
+        if self._period is None:
+            if self._updates or self._noise or self._delayed:
+                raise ModelError(f"{self._name}: updates need a sample period: call sampled().")
+            return None
+        signals = _column(signal for _, signal, _, _ in self._delayed)
+        delays = _column(delay for _, _, delay, _ in self._delayed)
+        sizes = _column(size for _, size in self._noise)
+        return Sampling(
+            period=self._period,
+            seed="seed" if self._noise else None,
+            channels=len(self._noise),
+            sizes=ca.Function("noise_sizes", [p], [ca.cse(sizes)], ["p"], ["sd"]),
+            stream=zlib.crc32(self._name.encode()),
+            lines=tuple(line for line, *_ in self._delayed),
+            signals=ca.Function("signals", [x, u, p], [ca.cse(signals)], ["x", "u", "p"], ["s"]),
+            delays=ca.Function("delays", [p], [ca.cse(delays)], ["p"], ["s"]),
+            update=self._update("update", self._after(), x, u, p),
+        )
+
+    def _after(self) -> ca.SX:
+        """States after a sample instant."""
+        return _column(
+            self._updates.get(name, symbol) for name, (_, symbol, _) in self._states.items()
+        )
+
+    def _update(self, name: str, after: ca.SX, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.Function:
+        w = _column(symbol for symbol, _ in self._noise)
+        d = _column(symbol for _, _, _, symbol in self._delayed)
+        arguments = [x, u, p, w, d]
+        return ca.Function(name, arguments, [ca.cse(after)], ["x", "u", "p", "w", "d"], ["x_next"])
+
+    def _declare(self, variable: Variable, expression: ca.SX) -> ca.SX:
+        if variable.name in self._variables:
+            raise ModelError(f"{self._name}: {variable.name!r} is declared twice.")
+        self._variables[variable.name] = (variable, expression)
+        return expression
+
+
+def _column(parts: Iterable[ca.SX]) -> ca.SX:
+    parts = list(parts)
+    # Dense: C source would leave out the entries that are constant zero, and pack the others.
+    return ca.densify(ca.vertcat(*parts)) if parts else ca.SX(0, 1)
+
+
+def _rk4(name: str, f: ca.Function, project: ca.Function) -> ca.Function:
+    """`(x, u, p, h) -> x`: one classical Runge-Kutta step of fourth order, then the projection."""
+    x, u, p = f.sx_in()
+    h = ca.SX.sym("h")
+    k1 = f(x, u, p)
+    k2 = f(x + h / 2 * k1, u, p)
+    k3 = f(x + h / 2 * k2, u, p)
+    k4 = f(x + h * k3, u, p)
+    x_next = ca.cse(project(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)))
+    return ca.Function(name, [x, u, p, h], [x_next], ["x", "u", "p", "h"], ["x_next"])

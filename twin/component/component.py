@@ -1,0 +1,373 @@
+"""A component of the twin: equations written once in CasADi, with an interface table.
+
+From one `Component` come the Python evaluation (one sample or a batch), the C source of a
+native FMU, and the Jacobians. Equations have the form
+
+    x(0) = initial(u, p),   dx/dt = derivatives(x, u, p),   y = outputs(x, u, p)
+
+and are integrated by the classical Runge-Kutta method of fourth order (RK4) with the inputs
+held over the step, followed by an optional projection (a quaternion back to unit length).
+
+A sampled component also has memory that changes at the instants t_k = t_0 + k T alone, k = 0, 1,
+...: x(t_k+) = update(x(t_k-), u, p, w_k, d_k). Here w_k are standard normal draws, a function of
+seed, component and k (`twin.component.noise`), and d_k is what some signals(x, u, p) were a while
+before. `Run` is the reference of how all this is put together.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from .noise import normal
+
+Array = NDArray[np.float64]
+Causality = Literal["parameter", "input", "output"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One row of a component's interface table: a scalar that an FMI tool sees.
+
+    Attributes:
+        name: FMI name, dots for structure (`rotor_1.x`).
+        causality: Who sets it.
+        unit: SI unit; "1" for a pure number.
+        description: One line.
+        start: Value before anybody sets it; an output has none.
+        minimum: Smallest allowed value, itself allowed.
+        maximum: Largest allowed value, itself allowed.
+        fixed: A parameter that counts only until initialisation ends.
+        boolean: A truth value, held as 0 or 1.
+    """
+
+    name: str
+    causality: Causality
+    unit: str
+    description: str
+    start: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    fixed: bool = False
+    boolean: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A state, integrated by the component or, as memory, changed at its sample instants."""
+
+    name: str
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shortcut:
+    """Step, outputs and update with some equations left out, exact while they would come to zero.
+
+    Attributes:
+        holds: `(x, p, h) -> 0 or 1`: whether the cheap ones are as good over the next h seconds;
+            h = 0 for the outputs.
+        step: `(x, u, p, h) -> x`, the same numbers as the full step then.
+        outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
+        update: `(x, u, p, w, d) -> x`, the same numbers as the full update then, h = 0; None: the
+            component is not sampled.
+    """
+
+    holds: ca.Function
+    step: ca.Function
+    outputs: ca.Function
+    update: ca.Function | None
+
+
+@dataclass(frozen=True, slots=True)
+class DelayLine:
+    """A signal remembered over its last sample instants.
+
+    Attributes:
+        samples: How many, the present one among them: the longest delay is samples - 1 periods.
+    """
+
+    name: str
+    samples: int
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """What a component does at its sample instants: signals enter the lines, then it updates.
+
+    Attributes:
+        period: Name of the parameter that holds T, s.
+        seed: Name of the parameter that seeds the noise; None without noise.
+        channels: Number of standard normal draws per instant.
+        sizes: `p -> sd`, by what each is multiplied; a draw without size is left out, at 0.
+        stream: Tells the draws of this component from those of others with the same seed.
+        lines: Delay lines.
+        signals: `(x, u, p) -> s`, what enters each line.
+        delays: `p -> s`, how far each line is looked back.
+        update: `(x, u, p, w, d) -> x` with the delayed signals d.
+    """
+
+    period: str
+    seed: str | None
+    channels: int
+    sizes: ca.Function
+    stream: int
+    lines: tuple[DelayLine, ...]
+    signals: ca.Function
+    delays: ca.Function
+    update: ca.Function
+
+
+@dataclass(frozen=True)
+class Component:
+    """Equations and interface table, made by `component_builder.ComponentBuilder`.
+
+    Attributes:
+        initial: `(u, p) -> x`.
+        derivatives: `(x, u, p) -> dx/dt`.
+        step: `(x, u, p, h) -> x` one RK4 step of h seconds, projection included.
+        outputs: `(x, u, p) -> y`.
+        sampling: What happens at sample instants; None: nothing does.
+        shortcuts: Cheaper ways to the same numbers, tried in this order.
+        max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
+
+    The CasADi functions take columns; a matrix with one column per sample is a batch.
+    """
+
+    name: str
+    description: str
+    parameters: tuple[Variable, ...]
+    inputs: tuple[Variable, ...]
+    output_variables: tuple[Variable, ...]
+    states: tuple[State, ...]
+    initial: ca.Function
+    derivatives: ca.Function
+    step: ca.Function
+    outputs: ca.Function
+    max_step_s: float
+    shortcuts: tuple[Shortcut, ...] = ()
+    sampling: Sampling | None = None
+
+    @property
+    def variables(self) -> tuple[Variable, ...]:
+        """Interface table in value-reference order: parameters, inputs, outputs."""
+        return self.parameters + self.inputs + self.output_variables
+
+    @cached_property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return tuple(v.name for v in self.inputs)
+
+    @cached_property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+        return tuple(v.name for v in self.output_variables)
+
+    def parameter_values(self, changes: Mapping[str, float] | None = None) -> Array:
+        """Start values of the parameters, some of them changed; shape (n_p,).
+
+        Raises:
+            ModelError: A name is not a parameter, or a value is outside its range.
+        """
+        return _values(self.name, self.parameters, changes or {})
+
+    def input_values(self, changes: Mapping[str, float] | None = None) -> Array:
+        """Start values of the inputs, some of them changed; shape (n_u,)."""
+        return _values(self.name, self.inputs, changes or {})
+
+    def outputs_along(
+        self, states: Array, inputs: Array, changes: Mapping[str, float] | None = None
+    ) -> Array:
+        """Outputs at each of n rows, shape (n, n_y).
+
+        Args:
+            states: Shape (n, n_x).
+            inputs: Shape (n, n_u).
+            changes: Parameters that differ from their start values.
+        """
+        p = np.tile(self.parameter_values(changes)[:, None], len(states))
+        return np.asarray(self.outputs(states.T, inputs.T, p), dtype=np.float64).T
+
+    def with_starts(self, starts: Mapping[str, float]) -> "Component":
+        """The same equations with other start values of parameters or inputs.
+
+        Raises:
+            ModelError: A name is neither, or a value is outside its range.
+        """
+        known = {v.name: v for v in self.parameters + self.inputs}
+        for name, value in starts.items():
+            if name not in known:
+                raise ModelError(unknown_name(self.name, "parameter or input", name, known))
+            check_range(self.name, known[name], value)
+        return replace(
+            self,
+            parameters=tuple(
+                replace(v, start=starts.get(v.name, v.start)) for v in self.parameters
+            ),
+            inputs=tuple(replace(v, start=starts.get(v.name, v.start)) for v in self.inputs),
+        )
+
+    def advance(self, x: Array, u: Array, p: Array, duration_s: float) -> Array:
+        """Integrate over one communication step exactly as the FMU does; shape (n_x,)."""
+        n, h = substeps(duration_s, self.max_step_s)
+        for _ in range(n):
+            x = np.asarray(self.step(x, u, p, h), dtype=np.float64).ravel()
+        return x
+
+
+class Run:
+    """One simulation of a component in Python, step for step what its FMU does.
+
+    Attributes:
+        x: State, shape (n_x,).
+    """
+
+    def __init__(self, component: Component, u: Array, p: Array, time_s: float = 0.0) -> None:
+        self.component, self.p = component, p
+        self.x = np.asarray(component.initial(u, p), dtype=np.float64).ravel()
+        self._start_s, self._count = time_s, 0
+        lines = () if component.sampling is None else component.sampling.lines
+        self._records = tuple(np.zeros(line.samples) for line in lines)
+        self._sample(u)
+
+    def step(self, time_s: float, step_s: float, u: Array) -> None:
+        """One communication step from a time on, with the inputs held."""
+        sampling, left_s = self.component.sampling, step_s
+        if sampling is None:
+            self.x = self.component.advance(self.x, u, self.p, step_s)
+            return
+        period_s = self._parameter(sampling.period)
+        slack_s = SAMPLE_TOLERANCE * period_s
+        now_s = time_s
+        while True:
+            ahead_s = self._start_s + (self._count + 1) * period_s - now_s
+            due = ahead_s <= left_s + slack_s
+            part_s = ahead_s if due and ahead_s < left_s - slack_s else left_s
+            if part_s > slack_s:
+                self.x = self.component.advance(self.x, u, self.p, part_s)
+            now_s, left_s = now_s + part_s, left_s - part_s
+            if not due:
+                break
+            self._count += 1
+            self._sample(u)
+
+    def outputs(self, u: Array) -> Array:
+        """Present outputs, shape (n_y,)."""
+        return np.asarray(self.component.outputs(self.x, u, self.p), dtype=np.float64).ravel()
+
+    def saved(self) -> Array:
+        """All of it as one array, from which `restored` goes on to the last bit."""
+        return np.concatenate([[self._start_s, self._count], self.x, *self._records])
+
+    @classmethod
+    def restored(cls, component: Component, p: Array, saved: Array) -> "Run":
+        """The run of a component with these parameters that was `saved`."""
+        run = cls.__new__(cls)
+        run.component, run.p = component, p
+        (start_s, count), run.x, *records = np.split(saved, np.cumsum(cls._sizes(component))[:-1])
+        run._start_s, run._count, run._records = float(start_s), int(count), tuple(records)
+        return run
+
+    @staticmethod
+    def saved_size(component: Component) -> int:
+        """Length of what `saved` returns."""
+        return sum(Run._sizes(component))
+
+    @staticmethod
+    def _sizes(component: Component) -> list[int]:
+        lines = component.sampling.lines if component.sampling else ()
+        return [2, len(component.states), *(line.samples for line in lines)]
+
+    def _sample(self, u: Array) -> None:
+        sampling = self.component.sampling
+        if sampling is None:
+            return
+        w = np.zeros(0)
+        if sampling.seed is not None:
+            seed = int(self._parameter(sampling.seed))
+            w = normal(seed, sampling.stream, sampling.channels, self._count, 1)[0]
+            w[np.asarray(sampling.sizes(self.p)).ravel() == 0] = 0.0
+        d = self._look_back(sampling, u)
+        self.x = np.asarray(sampling.update(self.x, u, self.p, w, d), dtype=np.float64).ravel()
+
+    def _look_back(self, sampling: Sampling, u: Array) -> Array:
+        """Remember the signals of this instant and return each at its delay before.
+
+        Sample j of a line is at j modulo its length; before the first one a signal counts as having
+        always had that value.
+        """
+        signals = np.asarray(sampling.signals(self.x, u, self.p), dtype=np.float64).ravel()
+        delays_s = np.asarray(sampling.delays(self.p), dtype=np.float64).ravel()
+        period_s, k = self._parameter(sampling.period), self._count
+        records, delayed = [], []
+        for line, record, signal, delay_s in zip(
+            sampling.lines, self._records, signals, delays_s, strict=True
+        ):
+            n = line.samples
+            periods = float(delay_s) / period_s
+            if not 0 <= periods <= n - 1 + SAMPLE_TOLERANCE:
+                raise ModelError(
+                    f"{self.component.name}: delay {line.name} = {delay_s:g} s must be from 0 to "
+                    f"{(n - 1) * period_s:g} s: make it shorter or {sampling.period} longer."
+                )
+            periods = min(periods, n - 1.0)
+            back = int(periods)
+            record = record.copy()  # so that a copy of the run has its own
+            record[k % n] = signal
+            after, before = (record[max(k - j, 0) % n] for j in (back, back + 1))
+            delayed.append(after + (periods - back) * (before - after))
+            records.append(record)
+        self._records = tuple(records)
+        return np.array(delayed)
+
+    def _parameter(self, name: str) -> float:
+        names = [v.name for v in self.component.parameters]
+        return float(self.p[names.index(name)])
+
+
+SAMPLE_TOLERANCE = 1e-6
+"""A sample instant that many periods from the end of a step lies at its end: communication points
+carry rounding errors."""
+
+
+def substeps(duration_s: float, max_step_s: float) -> tuple[int, float]:
+    """Number and length of the equal RK4 steps in one communication step."""
+    n = max(1, int(np.ceil(duration_s / max_step_s - 1e-6)))
+    return n, duration_s / n
+
+
+def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
+    """Text of the error for a misspelt name, with the nearest known one."""
+    known = sorted(known)
+    near = get_close_matches(name, known, n=1, cutoff=0.5)
+    hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(known)}."
+    return f"{owner}: there is no {kind} {name!r}. {hint}"
+
+
+def check_range(owner: str, variable: Variable, value: float) -> None:
+    """Raise `ModelError` if the value is not finite or outside the variable's range."""
+    low, high = variable.minimum, variable.maximum
+    if not np.isfinite(value):
+        raise ModelError(f"{owner}: {variable.name} = {value} must be a finite number.")
+    if (low is not None and value < low) or (high is not None and value > high):
+        span = f"[{'-inf' if low is None else low:}, {'inf' if high is None else high}]"
+        raise ModelError(
+            f"{owner}: {variable.name} = {value:g} {variable.unit} is outside its range {span}."
+        )
+
+
+def _values(owner: str, table: tuple[Variable, ...], changes: Mapping[str, float]) -> Array:
+    by_name = {v.name: v for v in table}
+    for name, value in changes.items():
+        if name not in by_name:
+            kind = table[0].causality if table else "variable"
+            raise ModelError(unknown_name(owner, kind, name, by_name))
+        check_range(owner, by_name[name], value)
+    return np.array([changes.get(v.name, v.start) for v in table], dtype=np.float64)

@@ -1,0 +1,1 @@
+"""What to fly next to learn more."""

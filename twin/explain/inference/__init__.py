@@ -1,0 +1,1 @@
+"""Which effects, with which numbers, the residuals ask for: likelihood, fit, selection."""

@@ -1,0 +1,74 @@
+"""Where the numbers of a hypothesis may lie: prior ranges, and limits that nature sets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS
+from ...vehicle import Vehicle
+from ..model.numbers import Number
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Room:
+    """Ranges and linear limits of k numbers.
+
+    Attributes:
+        low: Smallest value of each, shape (k,).
+        high: Largest value of each, shape (k,).
+        rows: Weights of each limit, shape (m, k).
+        least: Smallest value of each weighted sum, shape (m,).
+    """
+
+    low: Array
+    high: Array
+    rows: Array
+    least: Array
+
+    @classmethod
+    def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Room":
+        """What priors and the effects' own limits leave; a model as it stands is always inside."""
+        place = {n.full: i for i, n in enumerate(numbers)}
+        now = np.array([n.now for n in numbers])
+        rows = []
+        for effect in dict.fromkeys(n.effect for n in numbers):
+            for limit in EFFECTS[effect].limits(vehicle):
+                row = np.zeros(len(numbers))
+                row[[place[f"{effect}.{k}"] for k in limit.weights]] = [*limit.weights.values()]
+                rows.append(row)
+        every = np.array(rows).reshape(-1, len(numbers))
+        low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
+        return cls(low, high, every, np.minimum(0.0, every @ now))
+
+    def around(self, values: Array) -> "Room":
+        """Of changes from some values."""
+        return Room(
+            self.low - values, self.high - values, self.rows, self.least - self.rows @ values
+        )
+
+    def part(self, columns: Sequence[int]) -> "Room":
+        """Of some of the numbers, while the others do not change."""
+        c = np.asarray(columns, dtype=np.intp)
+        reach = np.any(self.rows[:, c], axis=1)
+        return replace(
+            self, low=self.low[c], high=self.high[c], rows=self.rows[reach][:, c],
+            least=self.least[reach],
+        )  # fmt: skip
+
+    def inside(self, values: Array, covariance: Array) -> Array:
+        """The nearest values inside, in the metric of a fit.
+
+        Args:
+            values: Shape (..., k).
+            covariance: Of the fit, shape (..., k, k).
+        """
+        values = np.clip(values, self.low, self.high)
+        for row, least in zip(self.rows, self.least, strict=True):
+            short = np.maximum(least - values @ row, 0.0)
+            way = covariance @ row
+            values = values + (short / (way @ row))[..., None] * way
+        return np.clip(values, self.low, self.high)

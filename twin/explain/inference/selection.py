@@ -1,0 +1,217 @@
+"""Name what a model lacks: one effect, some, none, or a tie that the flights cannot break."""
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS
+from ...logs import Flight
+from ...vehicle import Vehicle
+from ..model.flight import in_equations
+from ..model.model import candidates, model_of
+from ..model.payload import Payloads
+from .adequacy import credible, misfits
+from .fit import Fitted, Ground
+from .pool import MOST, Pool, grow, needless, pool_of, price, worth_a_name
+from .search import Hypothesis, weights
+
+Array = NDArray[np.float64]
+Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
+SMALLEST_SHARE = 0.03
+"""An effect that takes less than this share of the power of every channel is none to speak of."""
+IMPOSSIBLE = 1e6
+SURE = 0.8
+"""Probability from which on a name is given."""
+CREDIBLE = 0.5
+"""Probability that its cause is of the library at all, from which on a name is given."""
+LEAST = 0.05
+"""Probability below which a hypothesis or an effect is no candidate."""
+SPOILT = 1.5
+"""Times the power that a channel has without any effect."""
+CHECKED = 0.02
+"""Probability from which on a hypothesis is held against the rules."""
+
+
+@dataclass(frozen=True, slots=True)
+class Naming:
+    """What the flights say about a model.
+
+    Attributes:
+        fitted: Hypotheses at their best, most probable first, `nothing` among them.
+        probabilities: Of each.
+        shares: Largest share of the power of a channel that each explains.
+        credible: Of the effects of likely hypotheses, the probability that their cause is of the
+            library at all, see `misfit`.
+        ground: What they were fitted against.
+    """
+
+    fitted: tuple[Fitted, ...]
+    probabilities: tuple[float, ...]
+    shares: tuple[float, ...]
+    credible: Mapping[str, float]
+    ground: Ground
+
+    @property
+    def best(self) -> Fitted:
+        """The most probable hypothesis."""
+        return self.fitted[0]
+
+    def probability_of(self, effect: str) -> float:
+        """That an effect is missing, alone or with others."""
+        return self.together([effect])
+
+    @property
+    def verdict(self) -> Verdict:
+        """In a word: something is named where one effect is sure, whatever else is not."""
+        if not self.best.effects:
+            return "nothing" if self.probabilities[0] >= SURE else "cannot_tell"
+        return "cannot_tell" if self.undecided == self.best.effects else "named"
+
+    @property
+    def undecided(self) -> tuple[str, ...]:
+        """Effects of the most probable hypothesis that are not sure."""
+        return tuple(e for e in self.best.effects if not self._is_sure(e))
+
+    def _is_sure(self, effect: str) -> bool:
+        believable = self.credible[effect]
+        return believable >= CREDIBLE and self.together([effect]) >= SURE * believable
+
+    @property
+    def sure(self) -> bool:
+        """Whether there is nothing left to tell apart."""
+        return self.verdict != "cannot_tell" and not self.undecided
+
+    def together(self, effects: Collection[str]) -> float:
+        """That some effects are missing, all of them, and each cause is of the library."""
+        pairs = zip(self.fitted, self.probabilities, strict=True)
+        among = float(sum(p for f, p in pairs if set(effects) <= set(f.effects)))
+        return among * math.prod(self.credible.get(e, 1.0) for e in effects)
+
+    @property
+    def outside(self) -> float:
+        """That a cause is none of the library, though the best hypothesis gives it a name."""
+        return 1 - math.prod(self.credible[e] for e in self.best.effects)
+
+
+def name_effects(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+    payloads: Payloads | None = None,
+) -> Naming:
+    """Fit every effect that the flights can show, alone and together.
+
+    Args:
+        flights: To fit on.
+        vehicle: The model as it stands.
+        seed: Of the bootstrap.
+        progress: Called with the share done.
+        payloads: Known masses aboard.
+    """
+    model = model_of(
+        flights, vehicle, candidates(flights), lambda done: progress(0.2 * done), payloads
+    )
+    ground = Ground.of(model)
+    pool = pool_of(ground, lambda done: progress(0.2 + 0.7 * done))
+    chance = _weighed(pool, seed)
+    fitted = pool.fitted
+    order = np.argsort(-chance)
+    ranked = tuple(fitted[i] for i in order)
+    probabilities = tuple(float(chance[i]) for i in order)
+    likely = [f for f, p in zip(ranked, probabilities, strict=True) if p >= LEAST] or [ranked[0]]
+    return Naming(
+        ranked,
+        probabilities,
+        tuple(share(f, ground.nothing()) for f in ranked),
+        _credible(pool, likely),
+        ground,
+    )
+
+
+def _weighed(pool: Pool, seed: int) -> Array:
+    """Probabilities of what competes; what is likely is held against the rules first."""
+    out: dict[tuple[str, ...], bool] = {}
+    while True:
+        fitted = pool.fitted
+        allowed = [f for f in fitted if not out.get(f.effects)]
+        ruled_out = [out.get(f.effects, False) or needless(f, allowed) for f in fitted]
+        prior = -np.array([price(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)
+        chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
+        likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= CHECKED]
+        new = next((f for f in likely if f.effects not in out), None)
+        if new is None:
+            return _without_trifles(fitted, chance)
+        pool.add(worth_a_name(new))
+        out[new.effects] = (
+            _spoils(new, pool.ground) or not _material(pool, new) or _hangs(pool, new)
+        )
+
+
+def _without_trifles(fitted: Sequence[Fitted], chance: Array) -> Array:
+    """Probabilities given to the names alone: a delay below a sample may stand in a hypothesis, so
+    that nothing else has to stand in for it."""
+    place = {f.effects: i for i, f in enumerate(fitted)}
+    given = np.zeros_like(chance)
+    for f, p in zip(fitted, chance, strict=True):
+        given[place.get(worth_a_name(f), place[f.effects])] += p
+    return given
+
+
+def _hangs(pool: Pool, fitted: Fitted) -> bool:
+    """Whether one of several effects is not credible; then the others compete without it.
+
+    A name must not hang on one beside it that leaves what it should explain.
+    """
+    believable = {e: p for e, p in _credible(pool, [fitted]).items() if e in worth_a_name(fitted)}
+    if len(believable) < 2 or min(believable.values()) >= CREDIBLE:
+        return False
+    worst = min(believable, key=lambda e: believable[e])
+    rest = pool.add(pool.without(fitted, worst).effects)
+    if len(fitted.effects) > MOST:
+        grow(pool, rest, worst)
+    return True
+
+
+def _credible(pool: Pool, likely: Sequence[Fitted]) -> dict[str, float]:
+    """Of each effect, in the most probable hypothesis with it, what `misfit.credible` says."""
+    found: dict[str, float] = {}
+    for fitted in likely:
+        left = misfits(
+            pool.ground.model, fitted, {e: pool.without(fitted, e) for e in fitted.effects}
+        )
+        found = {e: credible(m) for e, m in left.items()} | found
+    return found
+
+
+def _spoils(fitted: Fitted, ground: Ground) -> bool:
+    """Whether a channel is left clearly worse than without any effect.
+
+    White noise hardly counts what is slow: an offset that a hypothesis brings in.
+    """
+    return bool(np.any(fitted.raw > SPOILT * ground.raw))
+
+
+def _material(pool: Pool, fitted: Fitted) -> bool:
+    """Whether each effect of a hypothesis is large enough to speak of, and adds to the others.
+
+    Every log has its delays below a sample: they are allowed, but no names.
+    """
+    names = worth_a_name(fitted)
+    if any(in_equations(EFFECTS[e]) for e in fitted.effects if e not in names):
+        return False
+    return all(share(fitted, pool.without(fitted, e)) >= SMALLEST_SHARE for e in names)
+
+
+def share(fitted: Fitted, beyond: Fitted) -> float:
+    """Largest share of the power of a channel, as the noise model weighs it, that is explained.
+
+    Args:
+        fitted: What explains.
+        beyond: What has explained some of it already.
+    """
+    return float(np.max(1 - fitted.left / np.maximum(beyond.left, 1e-300)))

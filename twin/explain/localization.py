@@ -1,0 +1,170 @@
+"""Where twin and flights disagree: channel and phase, band, and the quantity it goes along with."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..frames import to_body
+from ..residuals.spectra import spectrum
+from .model.channels import GRID_HZ, ChannelData
+from .model.flight import FlightModel
+from .model.model import Model
+
+Array = NDArray[np.float64]
+MOST = 8
+"""Places that are listed."""
+ABOVE_FLOOR = 1.2
+"""A residual over its noise floor by less is noise."""
+FEWEST = 25
+BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
+BINS = 10
+TELLING = 0.2
+"""Share of a residual that a quantity must account for to be worth telling."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A channel in a phase of flight.
+
+    Attributes:
+        channel: See `flight_model`.
+        phase: Of flight, "" where unknown.
+        unit: Of the rms.
+        n: Samples.
+        rms: Of the residual with the model as it stands.
+        over_floor: The same over the noise floor of the channel.
+        explained: Share of its power that the named effects take.
+        band_hz: Where most of its power lies.
+        goes_with: Quantity that it depends on most, and the share of its power that a curve over
+            that quantity takes; None where no quantity tells.
+    """
+
+    channel: str
+    phase: str
+    unit: str
+    n: int
+    rms: float
+    over_floor: float
+    explained: float
+    band_hz: tuple[float, float]
+    goes_with: tuple[str, float] | None
+
+
+def places(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
+    """The places where residuals stand out most above their noise floor, the worst first.
+
+    Args:
+        model: Flights, against the model as it stands.
+        values: Numbers of the named effects, "effect.number" -> value.
+        floors: Noise floor by channel; channels without one are left out.
+    """
+    before, after = model.channels([]), model.channels([], values)
+    found = []
+    for i, channel in enumerate(before[0]):
+        if channel.name not in floors:
+            continue
+        parts = [
+            _rows(flight, b[i], a[i])
+            for flight, b, a in zip(model.flights, before, after, strict=True)
+        ]
+        phase = np.concatenate([p.phase for p in parts])
+        for name in np.unique(phase):
+            if np.sum(phase == name) >= FEWEST:
+                found.append(_place(channel, str(name), parts, floors[channel.name]))
+    found = [p for p in found if p.over_floor > ABOVE_FLOOR]
+    return sorted(found, key=lambda p: -p.over_floor)[:MOST]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """Samples of one channel of one flight."""
+
+    t_s: Array
+    phase: NDArray[np.str_]
+    before: Array
+    after: Array
+    quantities: Mapping[str, Array]
+
+
+def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows:
+    grid = flight.twin.inputs.t_s
+    rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
+    quantities = {name: values[rows] for name, values in _quantities(flight).items()}
+    return _Rows(
+        before.t_s, flight.twin.phases[rows], before.residual, after.residual, quantities
+    )  # fmt: skip
+
+
+def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:
+    masks = [p.phase == phase for p in parts]
+    before = np.concatenate([p.before[m] for p, m in zip(parts, masks, strict=True)])
+    after = np.concatenate([p.after[m] for p, m in zip(parts, masks, strict=True)])
+    power = float(np.mean(before**2))
+    return Place(
+        channel=channel.name,
+        phase=phase,
+        unit=channel.unit,
+        n=len(before),
+        rms=power**0.5,
+        over_floor=power**0.5 / floor if floor > 0 else np.inf,
+        explained=1 - float(np.mean(after**2)) / power if power > 0 else 0.0,
+        band_hz=_band(parts, masks),
+        goes_with=_goes_with(parts, masks, before),
+    )
+
+
+def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, float]:
+    """Band with most of the power; the mean counts as the slowest."""
+    power = np.zeros(len(BANDS_HZ))
+    for part, mask in zip(parts, masks, strict=True):
+        values = part.before[mask]
+        density = spectrum(part.t_s[mask], values)
+        rms = np.array([density.band_rms(low, high) for low, high in BANDS_HZ])
+        power += len(values) * np.nan_to_num(rms) ** 2
+        power[0] += len(values) * float(np.mean(values)) ** 2 if len(values) else 0.0
+    return BANDS_HZ[int(np.argmax(power))]
+
+
+def _goes_with(
+    parts: list[_Rows], masks: list[NDArray[np.bool_]], residual: Array
+) -> tuple[str, float] | None:
+    """Quantity over which a curve takes most of the residual, about its mean."""
+    about = residual - residual.mean()
+    power, best = float(about @ about), ("", TELLING)
+    for name in set.intersection(*(set(p.quantities) for p in parts)):
+        x = np.concatenate([p.quantities[name][m] for p, m in zip(parts, masks, strict=True)])
+        if not np.all(np.isfinite(x)) or np.ptp(x) == 0 or power == 0:
+            continue
+        edges = np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1])
+        number = np.searchsorted(edges, x)
+        count = np.bincount(number, minlength=BINS)
+        total = np.bincount(number, about, minlength=BINS)
+        share = float(np.sum(total**2 / np.maximum(count, 1))) / power - (BINS - 1) / len(x)
+        if (share, name) > (best[1], best[0]):
+            best = (name, share)
+    return best if best[0] else None
+
+
+def _quantities(flight: FlightModel) -> dict[str, Array]:
+    """What a residual may depend on, on the grid."""
+    twin = flight.twin
+    t, motion = twin.inputs.t_s, twin.motion
+    found = {"time": t}
+    drives = [
+        i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
+    ]
+    found["throttle"] = twin.inputs.u[:, drives].mean(axis=1)
+    if motion.position is not None:
+        found["height"] = -motion.position.at(t)[:, 2]
+    if motion.velocity is not None and motion.attitude is not None:
+        speed = to_body(list(motion.attitude.at(t).T), list(motion.velocity.at(t).T))
+        names = ("forward speed", "speed to the right", "sink rate")
+        found |= dict(zip(names, map(np.asarray, speed), strict=True))
+    if motion.rates is not None:
+        rates = motion.rates.at(t).T
+        found |= dict(zip(("roll rate", "pitch rate", "yaw rate"), rates, strict=True))
+    if "vbat_v" in twin.airframe.input_names and flight.flight.has("vbat_v"):
+        found["voltage"] = twin.inputs.u[:, twin.airframe.input_names.index("vbat_v")]
+    return found

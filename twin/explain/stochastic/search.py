@@ -1,0 +1,40 @@
+"""Effects that change no mean, found by repeats and by spectra.
+
+| effect | seen in | told from others by |
+|---|---|---|
+| stuck_sensor | a reading that repeats exactly | the other axes go on meanwhile |
+| sensor_noise_level | flat part of the spectrum, all axes | same level in every part of the band |
+| vibration | lines that follow the rotors, or stand | level over the neighbouring frequencies |
+| gust | slow part of the accelerometer residual | no curve explains it, falls with frequency |
+
+Every claim rests on a ratio and on how far such ratios go astray without the effect: noise given
+in a vehicle file, smoothness of a spectrum, motion that no model has quite right.
+"""
+
+from collections.abc import Mapping, Sequence
+
+from ..model.model import Model
+from .finding import PRIOR_ODDS, Unsteady
+from .gust import gust
+from .noise_level import noise_level
+from .stuck import Stuck, stuck_numbers
+from .vibration import vibration
+
+
+def unsteady(model: Model, values: Mapping[str, float]) -> list[Unsteady]:
+    """Effects without a mean that the flights show, the surest first.
+
+    Args:
+        model: Flights, stuck readings taken out.
+        values: Numbers of the effects that have been named, "effect.number" -> value.
+    """
+    found = [noise_level(model), vibration(model), gust(model, values)]
+    return sorted((u for u in found if u is not None), key=lambda u: -u.log_odds)
+
+
+def stuck_effect(stuck: Sequence[Stuck]) -> list[Unsteady]:
+    """The effect of readings that stand still; none where all go on."""
+    if not stuck:
+        return []
+    channels = tuple(dict.fromkeys(s.channel for s in stuck))
+    return [Unsteady("stuck_sensor", -PRIOR_ODDS, stuck_numbers(stuck), {}, channels, 1.0)]

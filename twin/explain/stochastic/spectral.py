@@ -1,0 +1,88 @@
+"""Readings of a sensor at its own rate, and their spectrograms.
+
+Cells of a spectrogram of white noise are exponential; their quantiles measure its level whatever
+few cells hold besides (Percival & Walden, Spectral Analysis for Physical Applications, ch. 6).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import spectrogram
+
+from ..model.channels import GRID_HZ
+from ..model.flight import FlightModel
+
+Array = NDArray[np.float64]
+LINE_WINDOW_S = 0.5
+"""Long enough to tell a line from its neighbours, short enough for a rotor to keep its speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Uninterrupted readings of one sensor in the air, each a new one.
+
+    Attributes:
+        t_s: Times, shape (n,), nearly even.
+        values: Shape (n, 3).
+    """
+
+    t_s: Array
+    values: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Spectrogram of one piece.
+
+    Attributes:
+        t_s: Middle of each window, shape (m,).
+        f_hz: Shape (n,).
+        power: Density per window, axis and frequency, unit^2/Hz, shape (m, 3, n).
+    """
+
+    t_s: Array
+    f_hz: Array
+    power: Array
+
+
+def pieces_of(flight: FlightModel, columns: Sequence[str]) -> list[Piece]:
+    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out."""
+    if not flight.flight.has(*columns):
+        return []
+    t, x = flight.flight.signal(columns)
+    grid = flight.twin.inputs.t_s
+    near = np.clip(np.rint((t - grid[0]) * GRID_HZ).astype(np.intp), 0, len(grid) - 1)
+    t, x = t[flight.twin.airborne[near]], x[flight.twin.airborne[near]]
+    if len(t) < 2:
+        return []
+    repeated = np.all(x[1:] == x[:-1], axis=1)
+    if np.mean(repeated) > 0.2:
+        fresh = np.concatenate([[True], ~repeated])
+        t, x = t[fresh], x[fresh]
+    if len(t) < 2:
+        return []
+    gaps = np.flatnonzero(np.diff(t) > 2.5 * np.median(np.diff(t))) + 1
+    whole = (Piece(a, b) for a, b in zip(np.split(t, gaps), np.split(x, gaps), strict=True))
+    return [p for p in whole if len(p.t_s) > 16 and p.t_s[-1] - p.t_s[0] >= 4 * LINE_WINDOW_S]
+
+
+def rate_of(pieces: Sequence[Piece]) -> float:
+    """Samples per second; 0 without a piece."""
+    steps = [np.diff(p.t_s) for p in pieces]
+    return 1.0 / float(np.median(np.concatenate(steps))) if steps else 0.0
+
+
+def cells_of(piece: Piece, rate_hz: float, window_s: float, window: str) -> Cells:
+    """Spectrogram with half-overlapping windows, each about its own straight line."""
+    n = min(len(piece.t_s), round(window_s * rate_hz))
+    f, t, power = spectrogram(
+        piece.values, rate_hz, window, n, n // 2, detrend="linear", axis=0, mode="psd"
+    )
+    return Cells(piece.t_s[0] + t, f, np.moveaxis(power, 2, 0).transpose(0, 2, 1))
+
+
+def level(power: Array, axis: int | tuple[int, ...]) -> Array:
+    """Mean of the cells of noise, told from their median: lines and bumps do not count."""
+    return np.asarray(np.median(power, axis=axis) / np.log(2.0), dtype=np.float64)

@@ -1,0 +1,197 @@
+"""Readings that stand still while the rest of the flight goes on.
+
+Noise alone changes the last bit of a reading at nearly every sample. A reading that repeats exactly
+for a long time is stuck, unless there is another reason for it: nothing moves, the sensor is slower
+than the table, its last bit is coarse, or the column was never measured. Each of these also shows
+in the other axes of the sensor, or in the reading at other times, and is told apart by them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects.inertial import IMU_CHANNELS
+from ...logs import Flight
+from ...logs.columns import ACC, GYRO, MAG
+from ...vehicle import GRAVITY_M_S2
+
+Array = NDArray[np.float64]
+SENSORS = (ACC, GYRO, MAG, ("baro_pa",))
+SHORTEST_S = 0.5
+"""Shorter stand-stills are lost packets, and harm no fit."""
+LONGER = 10.0
+"""Times the longest stand-still that the reading has elsewhere, and its neighbours meanwhile."""
+MOVING_BITS = 3.0
+"""Last bits by which a neighbour varies meanwhile (standard deviation); less hides in one bit."""
+SMOOTH = 0.1
+"""A signal whose second difference is less than this share of its first has no noise to speak of:
+it may come to rest, where one with noise never does."""
+PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
+"""Magnitudes that fill columns of what was never measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """One channel that stands still.
+
+    Attributes:
+        flight: Its name.
+        channel: Column of the flight table.
+        from_s: Time of the first sample that is repeated, s.
+        to_s: Time of the last one, s.
+        value: At which it stands.
+        to_the_end: Whether it never moves again.
+    """
+
+    flight: str
+    channel: str
+    from_s: float
+    to_s: float
+    value: float
+    to_the_end: bool
+
+
+@dataclass(frozen=True, slots=True)
+class _Runs:
+    """Exact repetitions of a reading: samples `first[k]` to `last[k]` are all the same."""
+
+    first: NDArray[np.intp]
+    last: NDArray[np.intp]
+
+    @property
+    def steps(self) -> NDArray[np.intp]:
+        """Repetitions in each."""
+        return self.last - self.first
+
+
+def stuck_channels(flight: Flight) -> list[Stuck]:
+    """Every long stand-still of a reading that nothing but a fault explains, in order of time."""
+    found = [
+        stuck
+        for columns in SENSORS
+        for channel in columns
+        if flight.has(channel)
+        for stuck in _of_channel(flight, channel, [c for c in columns if c != channel])
+    ]
+    return sorted(found, key=lambda s: (s.from_s, s.channel))
+
+
+def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
+    """The flight with the sensor unknown (NaN) while one of its axes is stuck.
+
+    All axes, since the flight table samples a vector whole. A sensor that is stuck from the start
+    is gone for good.
+
+    Args:
+        flight: As read.
+        stuck: Of this and perhaps other flights.
+    """
+    own = [s for s in stuck if s.flight == flight.name]
+    if not own:
+        return flight
+    table = flight.table.copy()
+    time = table["time"].to_numpy(dtype=np.float64)
+    for s in own:
+        sensor = next(columns for columns in SENSORS if s.channel in columns)
+        rows = (time >= s.from_s) & (time <= s.to_s)
+        table.loc[rows, [c for c in sensor if c in table]] = np.nan
+    return Flight(flight.name, table, flight.findings, flight.facts, flight.source)
+
+
+def stuck_numbers(stuck: Sequence[Stuck]) -> Mapping[str, float]:
+    """Numbers of the effect `stuck_sensor`, "effect.number" -> value; empty without a stuck IMU.
+
+    The effect has one channel, stuck to the end: the one stuck so for longest.
+
+    Args:
+        stuck: Of all flights.
+    """
+    of_imu = [s for s in stuck if s.channel in IMU_CHANNELS and s.to_the_end]
+    if not of_imu:
+        return {}
+    worst = max(of_imu, key=lambda s: s.to_s - s.from_s).channel
+    times = [s.from_s for s in of_imu if s.channel == worst]
+    return {
+        "stuck_sensor.channel": 1.0 + IMU_CHANNELS.index(worst),
+        "stuck_sensor.time_s": float(np.median(times)),
+    }
+
+
+def _of_channel(flight: Flight, channel: str, others: Sequence[str]) -> list[Stuck]:
+    """Faults of one channel."""
+    t, x = _samples(flight, channel)
+    runs = _runs(x)
+    bit = _last_bit(x)
+    if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
+        others = (*ACC, *GYRO)
+        bit = 0.0 if float(np.std(np.diff(x))) > MOVING_BITS * bit else np.inf
+    neighbours = [_samples(flight, c) for c in others if flight.has(c)]
+    found = []
+    for k in np.flatnonzero(t[runs.last] - t[runs.first] >= SHORTEST_S):
+        first, last = int(runs.first[k]), int(runs.last[k])
+        elsewhere = np.delete(runs.steps, k).max(initial=1)
+        if runs.steps[k] < LONGER * elsewhere:
+            continue
+        if _never_measured(x, first, last) or _comes_to_rest(x, first):
+            continue
+        inside = [y[(ty >= t[first]) & (ty <= t[last])] for ty, y in neighbours]
+        if not any(_goes_on(y, bit, runs.steps[k]) for y in inside):
+            continue
+        found.append(
+            Stuck(flight.name, channel, float(t[first]), float(t[last]), float(x[first]),
+                  last == len(x) - 1)
+        )  # fmt: skip
+    return found
+
+
+def _samples(flight: Flight, channel: str) -> tuple[Array, Array]:
+    """Times and finite readings of one column, shape (n,) each."""
+    t, x = flight.signal([channel])
+    return t, x[:, 0]
+
+
+def _runs(x: Array) -> _Runs:
+    """Runs of equal samples, single samples included."""
+    edges = np.flatnonzero(np.diff(x) != 0)
+    return _Runs(np.concatenate([[0], edges + 1]), np.concatenate([edges, [len(x) - 1]]))
+
+
+def _last_bit(x: Array) -> float:
+    """Smallest step between two different readings; 0 for a constant."""
+    steps = np.abs(np.diff(x))
+    return float(steps[steps > 0].min(initial=np.inf)) if np.any(steps > 0) else 0.0
+
+
+def _never_measured(x: Array, first: int, last: int) -> bool:
+    """Whether it rests at a value that stands for no measurement."""
+    return bool(np.isclose(abs(x[first]), PLACEHOLDERS, rtol=0, atol=1e-9).any()) and (
+        last - first + 1 == len(x) or x[first] == 0.0
+    )
+
+
+def _comes_to_rest(x: Array, first: int) -> bool:
+    """Whether a reading without noise glides into its rest, or begins there."""
+    moving = x[np.flatnonzero(np.diff(x))]
+    if len(moving) < 8:
+        return first == 0 and len(np.unique(x)) > 1
+    steps, bends = np.diff(moving), np.diff(moving, 2)
+    size = float(np.sqrt(np.mean(steps**2)))
+    if float(np.median(np.abs(bends))) > SMOOTH * float(np.median(np.abs(steps))):
+        return False
+    return first == 0 or abs(x[first] - x[first - 1]) < SMOOTH * size
+
+
+def _goes_on(y: Array, bit: float, steps: int) -> bool:
+    """Whether a neighbour changes meanwhile as a living sensor does.
+
+    Args:
+        y: Its readings meanwhile, shape (n,).
+        bit: Last bit of the reading that stands still.
+        steps: Repetitions of the latter.
+    """
+    if len(y) < 8:
+        return False
+    runs = _runs(y)
+    return bool(LONGER * runs.steps.max() <= steps and np.std(y) > MOVING_BITS * bit)

@@ -1,0 +1,223 @@
+"""Vibration: lines above the body's motion, which follow the rotors or stand still."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects.inertial import VIBRATION
+from ...logs.columns import ACC, GYRO
+from ...residuals.measured import Signal
+from ..model.channels import GRID_HZ
+from ..model.model import Model
+from .finding import PRIOR_ODDS, SURE, Unsteady
+from .spectral import LINE_WINDOW_S, Cells, Piece, cells_of, level, pieces_of, rate_of
+
+Array = NDArray[np.float64]
+LINE_FROM_HZ = 25.0
+"""Below it the body moves and controllers oscillate."""
+NEIGHBOURS = 0.12
+"""Half width of what counts as neighbourhood of a line, over the sample rate."""
+LOG_MEAN, LOG_SD = -0.5772156649 - np.log(np.log(2.0)), np.pi / np.sqrt(6.0)
+"""Of the logarithm of an exponential variate over its median."""
+OVERLAP = 0.6
+"""Independent windows per window at an overlap of a half, Hann: Welch, IEEE Trans. AU-15 (1967)."""
+LINE_BINS = 6
+"""Bins on either side that belong to a line that wanders."""
+MOTION_SHARE = 0.25
+"""A line of which the twin predicts this share of the power is motion."""
+SMALLEST_SHAKE = {"acc": 0.02, "gyro": 0.002}
+"""Rms of a line that is worth a name, m/s2 and rad/s."""
+LINE_SHARE = 0.05
+"""Share of the power above `LINE_FROM_HZ` that it has at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Shaken:
+    """One sensor in all flights.
+
+    Attributes:
+        kind: Sensor.
+        rate_hz: Samples per second.
+        cells: Of every piece.
+        logs: Log level of each cell over its neighbourhood, mean 0 in noise, like the power.
+        spins: Speed of each rotor over that in hover at each window, shape (m, r).
+        predicted: Density that the twin predicts, shape (3, n_f); NaN where it cannot say.
+    """
+
+    kind: Literal["acc", "gyro"]
+    rate_hz: float
+    cells: tuple[Cells, ...]
+    logs: tuple[Array, ...]
+    spins: tuple[Array, ...]
+    predicted: Array
+
+
+def vibration(model: Model) -> Unsteady | None:
+    """Lines above the body's motion, which follow the rotors or stand still."""
+    sensors = [s for s in (_shaken(model, "acc", ACC), _shaken(model, "gyro", GYRO)) if s]
+    hover_hz = next(p for p in VIBRATION.parameters if p.name == "frequency_hz").sized(
+        model.vehicle
+    )
+    if not sensors:
+        return None
+    rel = np.exp(np.arange(np.log(hover_hz.prior[0]), np.log(hover_hz.prior[1]), 0.005))
+    tracks = [(f, True) for f in rel.tolist()]
+    top = max(s.rate_hz for s in sensors) / 2
+    tracks += [(f, False) for f in np.arange(LINE_FROM_HZ, 0.97 * top, 1.0).tolist()]
+    best: tuple[float, float, bool, _Shaken] | None = None
+    for sensor in sensors:
+        scores = np.array([_score(sensor, f, moves) for f, moves in tracks])
+        if not np.isfinite(scores).any():
+            continue
+        k = int(np.nanargmax(scores))
+        if best is None or scores[k] > best[0]:
+            best = (float(scores[k]), *tracks[k], sensor)
+    if best is None:
+        return None
+    z, frequency, moves, sensor = best
+    log_odds = 0.5 * z * z - np.log(len(tracks)) + PRIOR_ODDS if z > 0 else PRIOR_ODDS
+    if log_odds <= 0:
+        return None
+    return _named_vibration(model, sensors, float(log_odds), frequency, moves)
+
+
+def _shaken(model: Model, kind: Literal["acc", "gyro"], columns: Sequence[str]) -> _Shaken | None:
+    """Spectrograms of one sensor."""
+    cells, spins, predicted = [], [], []
+    pieces = [(f, p) for f in model.flights for p in pieces_of(f, columns)]
+    rate = rate_of([p for _, p in pieces])
+    if rate / 2 < 1.2 * LINE_FROM_HZ:
+        return None
+    stems = ("spin_", "specific_force_", "angular_acceleration_")
+    answers = {id(f): f.twin.predicted(*stems) for f in model.flights}
+    for flight, piece in pieces:
+        c = cells_of(piece, rate, LINE_WINDOW_S, "hann")
+        spin, force, alpha = answers[id(flight)]
+        grid = flight.twin.inputs.t_s
+        cells.append(c)
+        spins.append(Signal(grid, _smooth(spin)).at(c.t_s))
+        motion = np.nan_to_num(force if kind == "acc" else alpha)
+        m = cells_of(Piece(grid, motion), GRID_HZ, LINE_WINDOW_S, "hann")
+        density = level(m.power, 0)
+        if kind == "gyro":
+            density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
+        predicted.append([np.interp(c.f_hz, m.f_hz, v, right=0.0) for v in density])
+    return _Shaken(kind, rate, tuple(cells), tuple(_logs(c, rate) for c in cells), tuple(spins),
+                   np.mean(predicted, axis=0))  # fmt: skip
+
+
+def _smooth(spin: Array) -> Array:
+    """Mean over a window."""
+    n = round(LINE_WINDOW_S / 2 * GRID_HZ)
+    kernel = np.ones(n) / n
+    return np.stack([np.convolve(s, kernel, mode="same") for s in spin.T], axis=-1)
+
+
+def _logs(cells: Cells, rate_hz: float) -> Array:
+    """Log level of each cell over the higher of its two neighbourhoods, shape as the power.
+
+    Both sides count: a spectrum that falls steeply is no line. Beyond zero and half the rate a
+    spectrum is its own mirror image.
+    """
+    f = cells.f_hz
+    half = max(4, round(NEIGHBOURS * rate_hz / (f[1] - f[0])))
+    mirrored = np.pad(cells.power, ((0, 0), (0, 0), (half, half)), mode="reflect")
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(mirrored, half, axis=2), axis=3)
+    below, above = middle[:, :, : len(f)], middle[:, :, half + 1 :][:, :, : len(f)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logs = np.log(cells.power / np.maximum(below, above)) - LOG_MEAN
+    logs[:, :, (f < LINE_FROM_HZ) | (f > 0.485 * rate_hz)] = np.nan
+    return np.asarray(logs, dtype=np.float64)
+
+
+def _bins(sensor: _Shaken, k: int, frequency_hz: float, moves: bool) -> NDArray[np.intp]:
+    """Bin of each rotor's line in each window of a piece, folded at half the rate, shape (m, r)."""
+    c, rate = sensor.cells[k], sensor.rate_hz
+    f = frequency_hz * (sensor.spins[k] if moves else np.ones((len(c.t_s), 1)))
+    folded = np.abs((np.nan_to_num(f) + rate / 2) % rate - rate / 2)
+    return np.asarray(np.rint(folded / (c.f_hz[1] - c.f_hz[0])), dtype=np.intp)
+
+
+def _score(sensor: _Shaken, frequency_hz: float, moves: bool) -> float:
+    """Mean log level along lines of a frequency, in standard deviations of that of noise."""
+    sums, counts = np.zeros(3), np.zeros(3)
+    for k, logs in enumerate(sensor.logs):
+        at = _bins(sensor, k, frequency_hz, moves)
+        found = logs[np.arange(len(logs))[:, None], :, at]  # (windows, rotors, 3)
+        known = np.isfinite(found)
+        several = np.maximum(known.sum(axis=1), 1)
+        sums += (np.where(known, found, 0.0).sum(axis=1) / several).sum(axis=0)
+        counts += known.any(axis=1).sum(axis=0)
+    if counts.min() < 8:
+        return float("nan")
+    together = sums[:2].sum() / (LOG_SD * np.sqrt(counts[:2].sum() / OVERLAP))
+    across = sums[2] / (LOG_SD * np.sqrt(counts[2] / OVERLAP))
+    return float(max(together, across))
+
+
+def _named_vibration(
+    model: Model, sensors: Sequence[_Shaken], log_odds: float, frequency_hz: float, moves: bool
+) -> Unsteady | None:
+    """The line with its sizes, or None where it is too small or predicted as motion."""
+    values = {"vibration.frequency_hz": frequency_hz}
+    doubt = 0.02 * frequency_hz if moves else 0.5 / LINE_WINDOW_S
+    intervals = {"vibration.frequency_hz": (frequency_hz - doubt, frequency_hz + doubt)}
+    channels: list[str] = []
+    shares: list[float] = []
+    cutoffs = {"acc": model.vehicle.accel_cutoff_hz, "gyro": model.vehicle.gyro_cutoff_hz}
+    names = {"acc": "vibration.accel_m_s2", "gyro": "vibration.gyro_rad_s"}
+    for sensor in sensors:
+        power, share, motion, lift = _line_power(sensor, frequency_hz, moves)
+        cutoff = cutoffs[sensor.kind]
+        passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
+        plane = power[:, :2].mean(axis=1)  # (pieces,)
+        sizes = np.sqrt(2 * np.maximum(plane, 0.0) / lift) / passed
+        values[names[sensor.kind]] = float(np.mean(sizes))
+        spread = SURE * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
+        intervals[names[sensor.kind]] = (
+            max(0.0, float(np.mean(sizes)) - spread), float(np.mean(sizes)) + spread,
+        )  # fmt: skip
+        mean = power.mean(axis=0)
+        large = (np.sqrt(np.maximum(mean, 0.0)) > SMALLEST_SHAKE[sensor.kind]) & (
+            share > LINE_SHARE
+        )
+        for axis in np.flatnonzero(large & (motion < MOTION_SHARE)):
+            channels.append(f"{sensor.kind}_{'xyz'[axis]}")
+            shares.append(float(share[axis]))
+    if not channels:
+        return None
+    return Unsteady("vibration", log_odds, values, intervals, tuple(channels), max(shares))
+
+
+def _line_power(
+    sensor: _Shaken, frequency_hz: float, moves: bool
+) -> tuple[Array, Array, Array, Array]:
+    """Power of the lines over their neighbourhood.
+
+    Returns:
+        Power per piece and axis, unit^2, shape (p, 3); share of all above `LINE_FROM_HZ`, and
+        what the twin predicts over it, shape (3,); sum over rotors of spin^4, shape (p,).
+    """
+    powers, totals, motions, lifts = [], [], [], []
+    for k, c in enumerate(sensor.cells):
+        usable = np.isfinite(sensor.logs[k][0, 0])
+        at = _bins(sensor, k, frequency_hz, moves)
+        mine = np.min(np.abs(np.arange(len(c.f_hz))[None, None] - at[:, :, None]), axis=1)
+        line = (mine <= LINE_BINS) & usable
+        floor = np.stack([
+            level(p[:, usable & ~m] if np.any(usable & ~m) else p[:, usable], 1)
+            for p, m in zip(c.power, line, strict=True)
+        ])  # (m, 3)  # fmt: skip
+        width = c.f_hz[1] - c.f_hz[0]
+        excess = (c.power - floor[:, :, None]) * line[:, None, :] * width
+        powers.append(excess.sum(axis=2).mean(axis=0))
+        totals.append((c.power * usable).sum(axis=2).mean(axis=0) * width)
+        motions.append((sensor.predicted[None] * line[:, None, :]).sum(axis=2).mean(axis=0) * width)
+        spin = sensor.spins[k]
+        lifts.append(max(float(np.mean(np.nansum(spin**4, axis=1))), 1e-3))
+    power, total = np.stack(powers), np.stack(totals)
+    mean = np.maximum(power.mean(axis=0), 1e-300)
+    return power, mean / total.mean(axis=0), np.mean(motions, axis=0) / mean, np.array(lifts)

@@ -1,0 +1,1 @@
+"""Something outside the library: equations for what no effect explains."""

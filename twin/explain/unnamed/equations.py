@@ -1,0 +1,355 @@
+"""Something outside the library: an equation for what is left of each channel.
+
+Sparse regression over products of physical quantities, on residuals that are as white as the
+regressors' noise model makes them; checked on time that neither picked nor fitted the terms.
+
+Source: Brunton, Proctor & Kutz, PNAS 113 (2016), with the optimizer of pysindy.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...vehicle import GRAVITY_M_S2
+from ..inference.fit import Fitted, Ground
+from ..inference.likelihood import AR_ORDER, BLOCK_S, Block, Key, Noise, blocks_of, noise_of
+from ..model.channels import CHANNEL_HZ, ChannelData, Measured
+from .quantities import Quantity, quantities
+from .regression import Sparse, fold_of, longest, sparse
+from .terms import CHANNEL_UNITS, Term, over, terms
+
+Array = NDArray[np.float64]
+STEMS = ("acc_", "gyro_rate_", "mag_", "baro_")
+"""Channels that get an equation; what the pose implies has its own noise in every regressor."""
+DIGITS = 3
+"""Significant ones of a coefficient."""
+TONES_HZ = (0.3, 10.0)
+"""Where a shaking is looked for."""
+IN_BAND = 0.95
+"""Share of the power of an equation that its band holds."""
+WORTH = 0.5
+"""An equation that explains less than half of what is there explains nothing."""
+SMALLEST = 0.005
+"""Nor is one worth having that takes less than this share of the weight, or of the moment of the
+weight at the arm, or of the field: what every model lacks in fineness."""
+SMALLEST_BARO_PA = 1.0
+"""The same for the barometer: 8 cm of height."""
+FIELD_T = 5e-5
+"""Of the earth, roughly."""
+COVERS = 0.4
+"""A library effect that covers this share of what an equation explains is an imperfect law of the
+right cause: laws of nature are finer than those of a library, and equations more pliable."""
+ENOUGH = 20.0
+"""Log likelihood below which equations say nothing: many products are tried in many channels."""
+FINER = 4
+"""Trial frequencies per resolution of the flight."""
+
+
+@dataclass(frozen=True, slots=True)
+class Equation:
+    """What is missing in one channel.
+
+    Attributes:
+        channel: See `flight_model`.
+        unit: Of the channel.
+        terms: Product of quantities, coefficient, unit of the coefficient; the largest first.
+        expression: The same for people.
+        share: Of the power of the residual that `fitted` leaves, out of sample, in the band in
+            which the equation has its own power: noise beyond it is nobody's to explain.
+        band_hz: Where that band ends.
+        rms: Of what it explains, in the unit of the channel.
+        gain: Log likelihood over that of `fitted` alone, out of sample.
+    """
+
+    channel: str
+    unit: str
+    terms: tuple[tuple[str, float, str], ...]
+    expression: str
+    share: float
+    band_hz: float
+    rms: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unnamed:
+    """Equations on top of a hypothesis.
+
+    Attributes:
+        equations: One per channel where there is one worth having, the largest share first.
+        gains: Log likelihood over that of the hypothesis alone, per block, out of sample, as the
+            noise after the equations weighs it, shape (n,).
+        terms: Coefficients in all equations, frequencies among them.
+        noise: By channel with an equation, what is left then.
+    """
+
+    equations: tuple[Equation, ...]
+    gains: Array
+    terms: int
+    noise: Mapping[str, Noise]
+
+    @property
+    def gain(self) -> float:
+        """Over all blocks."""
+        return float(self.gains.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class _Channel:
+    """One channel of all flights with candidate columns as slopes."""
+
+    name: str
+    unit: str
+    columns: tuple[Term, ...]
+    flights: tuple[ChannelData, ...]
+
+
+def unnamed(ground: Ground, fitted: Fitted, seed: int = 0) -> Unnamed | None:
+    """Equations for what a hypothesis leaves; None where none is worth having.
+
+    Args:
+        ground: Flights and noise.
+        fitted: The hypothesis; no effects: what the model as it stands leaves.
+        seed: Draws which blocks of time are left out together.
+    """
+    left = ground.model.channels([], fitted.values)
+    keys = list(blocks_of(left, ground.noise))
+    folds = fold_of(keys, seed)
+    known = _shared([quantities(f) for f in ground.model.flights], left)
+    tones = _tones(left)
+    equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
+    for i, first in enumerate(left[0]):
+        if not first.name.startswith(STEMS):
+            continue
+        made = _channel(ground, [f[i] for f in left], known, tones)
+        found = _found(made, folds)
+        if found is None:
+            continue
+        equation, best, noise = found
+        if not _worth(equation, ground):
+            continue
+        equations.append(equation)
+        noises[first.name] = noise
+        for key, gain in best.gains.items():
+            gains[key] += gain
+    if not equations:
+        return None
+    equations.sort(key=lambda e: -e.share)
+    waves = {t for e in equations for t, _, _ in e.terms if t.startswith(("sin", "cos"))}
+    count = sum(len(e.terms) for e in equations) + len({w[3:] for w in waves})
+    return Unnamed(tuple(equations), np.array([gains[k] for k in keys]), count, noises)
+
+
+def _found(channel: _Channel, folds: Mapping[Key, int]) -> tuple[Equation, Sparse, Noise] | None:
+    """Equation of a channel, and the noise that is left then.
+
+    At first the noise is taken for white: an autoregression takes a steady shaking, or an offset,
+    for a noise of its own.
+    """
+    unexplained = [c.residual for c in channel.flights]
+    white = noise_of(channel.flights, unexplained, 0)
+    most = longest(_blocks(channel, white))
+    unexplained = [c.residual - c.slopes @ most for c in channel.flights]
+    noise = noise_of(channel.flights, unexplained, AR_ORDER)
+    best = sparse(_blocks(channel, noise), folds)
+    return None if best is None else (_equation(channel, best, folds), best, noise)
+
+
+def _blocks(channel: _Channel, noise: Noise) -> dict[Key, Block]:
+    return blocks_of([[c] for c in channel.flights], [noise])
+
+
+def _equation(channel: _Channel, best: Sparse, folds: Mapping[Key, int]) -> Equation:
+    before, after, said = [], [], []
+    for f, c in enumerate(channel.flights):
+        fold = np.array([folds[(f, int(k))] for k in np.floor(c.t_s / BLOCK_S)], dtype=np.intp)
+        value = np.einsum("np,np->n", c.slopes, best.by_fold[fold])
+        for k in np.unique(c.piece):
+            rows = c.piece == k
+            before.append(c.residual[rows])
+            after.append((c.residual - value)[rows])
+            said.append(value[rows])
+    band = _band(said)
+    power = _power(before, band)
+    unit = CHANNEL_UNITS[channel.unit]
+    made = tuple(
+        (channel.columns[i].text, float(f"{c:.{DIGITS}g}"), over(unit, channel.columns[i].unit))
+        for i, c in zip(best.picked, best.coefficients, strict=True)
+    )
+    return Equation(
+        channel=channel.name,
+        unit=channel.unit,
+        terms=made,
+        expression=f"{channel.name} = {_sum_of(made, channel.unit)}",
+        share=1 - _power(after, band) / power if power > 0 else 0.0,
+        band_hz=band,
+        rms=float(np.sqrt(np.mean(np.concatenate(said) ** 2))),
+        gain=best.gain,
+    )
+
+
+def _band(pieces: Sequence[Array]) -> float:
+    """Frequency below which `IN_BAND` of the power lies, Hz."""
+    hz, power = (np.concatenate(v) for v in zip(*map(_spectrum, pieces), strict=True))
+    order = np.argsort(hz, kind="stable")
+    below = np.cumsum(power[order])
+    return float(hz[order][min(int(np.searchsorted(below, IN_BAND * below[-1])), len(hz) - 1)])
+
+
+def _power(pieces: Sequence[Array], below_hz: float) -> float:
+    """Power up to a frequency."""
+    return float(sum(p[f <= below_hz].sum() for f, p in map(_spectrum, pieces)))
+
+
+def _spectrum(values: Array) -> tuple[Array, Array]:
+    """Frequencies and the power at each; its sum is that of the values (Parseval)."""
+    power: Array = np.abs(np.fft.rfft(values)).astype(np.float64) ** 2 / len(values)
+    power[1 : (len(values) + 1) // 2] *= 2
+    hz: Array = np.fft.rfftfreq(len(values), 1 / CHANNEL_HZ).astype(np.float64)
+    return hz, power
+
+
+def _sum_of(made: Sequence[tuple[str, float, str]], unit: str) -> str:
+    text = ""
+    for term, value, of in made:
+        sign = (" - " if value < 0 else " + ") if text else ("-" if value < 0 else "")
+        size = f"{abs(value):g}" + ("" if of == "1" else f" {of}")
+        text += sign + (f"{size} * {term}" if term != "1" else f"{abs(value):g} {unit}")
+    return text
+
+
+# -- regressors -------------------------------------------------------------------------------
+
+
+def _shared(
+    each: Sequence[dict[str, Quantity]], left: Sequence[Sequence[ChannelData]]
+) -> list[dict[str, Quantity]]:
+    """Quantities that every flight has, known wherever a residual is, and not at rest in all."""
+    names = [k for k in each[0] if all(k in e for e in each)]
+    kept = []
+    for k in names:
+        values = np.concatenate([e[k].values for e in each])
+        if np.ptp(values[np.isfinite(values)], axis=0) > 0:
+            kept.append(k)
+    return [{k: _bridged(e[k]) for k in kept} for e in each]
+
+
+def _bridged(quantity: Quantity) -> Quantity:
+    """Without unknown values: no residual is known where one is, so any will do."""
+    values, known = quantity.values, np.isfinite(quantity.values)
+    rows = np.arange(len(values))
+    return replace(quantity, values=np.interp(rows, rows[known], values[known]))
+
+
+def _channel(
+    ground: Ground,
+    flights: Sequence[ChannelData],
+    known: Sequence[dict[str, Quantity]],
+    tones_hz: tuple[float, ...],
+) -> _Channel:
+    """The channel with every candidate, low-passed as the channel is."""
+    name = flights[0].name
+    made, columns = [], []
+    for channel, own, flight in zip(flights, known, ground.model.flights, strict=True):
+        columns = terms(own, name, tones_hz if name.startswith(("acc_", "gyro_")) else ())
+        readings = next(p.readings for p in flight._parts if name in p.readings.names)
+        made.append(replace(channel, slopes=_filtered(readings, columns)))
+    return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
+
+
+def _filtered(readings: Measured, columns: Sequence[Term]) -> Array:
+    values = np.stack([t.values for t in columns], axis=-1)
+    return readings.filtered(values, readings.filters_hz)
+
+
+def _tones(left: Sequence[Sequence[ChannelData]]) -> tuple[float, ...]:
+    """The frequency that stands out most in force, and that in turning."""
+    found = []
+    for stem in ("acc_", "gyro_rate_"):
+        rows = [i for i, c in enumerate(left[0]) if c.name.startswith(stem)]
+        if rows:
+            found.append(_tone([[f[i] for f in left] for i in rows]))
+    return tuple(found)
+
+
+def _tone(channels: Sequence[Sequence[ChannelData]]) -> float:
+    """Frequency whose sine and cosine, from the start of each flight, take most.
+
+    Residuals are differenced, so that a drift does not hide a shaking, and weighed by their rms.
+    """
+    longest = max(float(np.ptp(c.t_s)) for c in channels[0])
+    low, high = TONES_HZ
+    trial = np.arange(low, high, 1 / (FINER * longest))
+    power = np.zeros(len(trial))
+    for flights in channels:
+        parts = [_differenced(c) for c in flights]
+        rms = max(float(np.sqrt(np.mean(np.concatenate([v for _, v in parts]) ** 2))), 1e-300)
+        wave = sum(_transform(trial, t, v / rms) for t, v in parts)
+        power += np.abs(wave) ** 2
+    return float(trial[int(np.argmax(power))])
+
+
+def _differenced(c: ChannelData) -> tuple[Array, Array]:
+    same = np.diff(c.piece) == 0
+    return (c.t_s[1:] + c.t_s[:-1])[same] / 2, np.diff(c.residual)[same]
+
+
+def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
+    return np.array([values @ np.exp(-2j * np.pi * hz * t_s) for hz in trial_hz])
+
+
+# -- decision ---------------------------------------------------------------------------------
+
+
+def _worth(equation: Equation, ground: Ground) -> bool:
+    """Whether an equation explains enough, of something large enough to speak of."""
+    return equation.share >= WORTH and equation.rms >= smallest(equation.channel, ground)
+
+
+def smallest(channel: str, ground: Ground) -> float:
+    """What is too little to speak of, rms in the unit of a channel."""
+    vehicle = ground.model.vehicle
+    if channel.startswith("acc_"):
+        return SMALLEST * GRAVITY_M_S2
+    if channel.startswith("gyro_rate_"):
+        moment = vehicle.mass_kg * GRAVITY_M_S2 * vehicle.arm_m
+        i = "xyz".index(channel[-1])
+        return SMALLEST * moment / float(vehicle.inertia_kg_m2[i, i])
+    return SMALLEST * FIELD_T if channel.startswith("mag_") else SMALLEST_BARO_PA
+
+
+def better_unnamed(ground: Ground, named: Sequence[Fitted], alone: Unnamed | None) -> bool:
+    """Whether something outside the library is the better account of the flights.
+
+    Args:
+        ground: Flights.
+        named: Hypotheses of the library that are worth considering; none of them may cover what
+            the equations explain. No effects: nothing.
+        alone: Equations for what the model as it stands leaves, see `unnamed`.
+    """
+    return (
+        alone is not None
+        and alone.gain > ENOUGH
+        and all(covered(ground, f, alone) < COVERS for f in named)
+    )
+
+
+def covered(ground: Ground, named: Fitted, alone: Unnamed) -> float:
+    """Share of what equations explain, in their channels, that a hypothesis explains as well.
+
+    Both in log likelihood, under the noise that the equations leave: the noise of the ground has
+    learnt what the library cannot explain, and would forgive it.
+    """
+    before, after = (ground.model.channels([], v) for v in ({}, named.values))
+    taken = 0.0
+    for i, channel in enumerate(before[0]):
+        if channel.name in alone.noise:
+            noise = alone.noise[channel.name]
+            power, left = (
+                sum(b.power for b in blocks_of([[f[i]] for f in flights], [noise]).values())
+                for flights in (before, after)
+            )
+            taken += 0.5 * (power - left)
+    return taken / alone.gain

@@ -1,0 +1,145 @@
+"""The whole twin: components of one vehicle, and who feeds whom.
+
+One definition serves the fused FMU, the `.ssp` with one FMU per part, and the scenarios.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from ..component import Component, unknown_name
+from ..effects import EFFECTS
+from ..errors import ModelError
+from ..physics.airframe import airframe
+from ..physics.battery import battery
+from ..physics.environment import environment
+from ..physics.sensors.barometer import barometer
+from ..physics.sensors.imu import imu
+from ..physics.sensors.magnetometer import magnetometer
+from ..physics.sensors.position import position_sensor
+from ..vehicle import Vehicle
+from .closed_loop import standing
+from .control.lqr_cascade import controller
+from .control.px4.cascade import px4_controller
+from .mission import mission, mission_duration_s
+
+CONTROLLERS: dict[str, Callable[[Vehicle], Component]] = {
+    "lqr": controller,
+    "px4": px4_controller,
+}
+"""Flight controllers by the name a user gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly:
+    """Components stepped together.
+
+    Attributes:
+        parts: By name.
+        connections: ("part.output", "part.input") pairs.
+        duration_s: How long it is worth watching.
+    """
+
+    parts: Mapping[str, Component]
+    connections: tuple[tuple[str, str], ...]
+    duration_s: float
+
+    def with_starts(self, starts: Mapping[str, float]) -> "Assembly":
+        """The same with other start values, "part.variable" -> value.
+
+        Raises:
+            ModelError: There is no such part or variable, or a value is outside its range.
+        """
+        parts = dict(self.parts)
+        for name, value in starts.items():
+            part, _, variable = name.partition(".")
+            if part not in parts or not variable:
+                raise ModelError(unknown_name("start value", "part", part, parts))
+            parts[part] = parts[part].with_starts({variable: value})
+        return replace(self, parts=parts)
+
+    def with_seed(self, seed: int) -> "Assembly":
+        """The same with the seed of every part that draws noise."""
+        noisy = (
+            name
+            for name, part in self.parts.items()
+            if any(v.name == "seed" for v in part.parameters)
+        )
+        return self.with_starts({f"{name}.seed": float(seed) for name in noisy})
+
+    def with_wind(self, wind_m_s: Iterable[float], gusts: bool = False) -> "Assembly":
+        """The same in a steady wind, velocity of the air NED, with gusts or without."""
+        names = (f"environment.wind.{a}" for a in "xyz")
+        starts = dict(zip(names, wind_m_s, strict=True))
+        return self.with_starts(starts | {"environment.gust.enabled": float(gusts)})
+
+
+def flying_twin(
+    vehicle: Vehicle,
+    scenario: str = "hover",
+    control: str = "lqr",
+    effects: Iterable[str] = tuple(EFFECTS),
+) -> Assembly:
+    """A vehicle with its sensors that flies a mission from standing on the ground.
+
+    The controller reads the true motion; the sensors are there for whoever watches.
+
+    Args:
+        vehicle: Numbers of the aircraft, and the effects that are switched on.
+        scenario: Name of the mission.
+        control: Name of the controller, of `CONTROLLERS`.
+        effects: Effects to build in, switched off, as blocks of parameters.
+
+    Raises:
+        ModelError: There is no such mission or controller.
+    """
+    if control not in CONTROLLERS:
+        raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
+    effects = tuple(effects)
+    body = airframe(vehicle, effects=effects)
+    parts = {
+        "environment": environment(vehicle),
+        "mission": mission(vehicle, scenario),
+        "controller": CONTROLLERS[control](vehicle),
+        "airframe": body.with_starts(standing(body, vehicle)),
+        "imu": imu(vehicle, effects),
+        "magnetometer": magnetometer(vehicle, effects),
+        "barometer": barometer(vehicle, effects),
+        "position": position_sensor(vehicle, effects),
+    }
+    if vehicle.battery is not None:
+        parts["battery"] = battery(vehicle)
+    return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
+
+
+class Ports(Protocol):
+    """What has inputs and outputs with names: a component, the model of an FMU."""
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the outputs, in order."""
+
+
+def connected_by_name(parts: Mapping[str, Ports]) -> tuple[tuple[str, str], ...]:
+    """Each input fed by the one other part that has an output of its name, if there is one.
+
+    Raises:
+        ModelError: Two parts have an output of the name of an input.
+    """
+    giver: dict[str, str] = {}
+    wanted = {name for part in parts.values() for name in part.input_names}
+    for key, part in parts.items():
+        for output in part.output_names:
+            if output in wanted and output in giver:
+                raise ModelError(f"{giver[output]} and {key} both give {output}; connect by hand.")
+            giver[output] = key
+    return tuple(
+        (f"{giver[name]}.{name}", f"{key}.{name}")
+        for key, part in parts.items()
+        for name in part.input_names
+        if name in giver and giver[name] != key
+    )

@@ -1,0 +1,280 @@
+"""A vehicle, its controller and a mission flown together in Python, without FMUs.
+
+All steps run inside one CasADi function, so a minute of flight takes seconds. Each step is that of
+a Jacobi co-simulation in which the controller answers at once: outputs of the airframe, then the
+controller's, then both advance with their inputs held.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..component import Component
+from ..errors import ModelError
+from ..physics.airframe import AXES, airframe
+from ..vehicle import Vehicle
+from .control.hover import drives, thrust_inverse
+from .control.lqr_cascade import controller
+from .mission import PHASES, mission, mission_duration_s, mission_names
+
+Array = NDArray[np.float64]
+STEP_S = 1e-3
+SETPOINTS = (
+    *(f"setpoint_{kind}_{a}" for kind in ("pos", "vel", "acc") for a in AXES),
+    "setpoint_yaw",
+    "armed",
+)
+"""Inputs of a controller that a mission gives, in order."""
+AT_BOUND = 1e-6
+"""A command that close to a bound is at it."""
+_CHUNK = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """A closed-loop flight, one row per step.
+
+    Attributes:
+        t_s: Shape (n,).
+        states: Of the airframe, shape (n, n_x).
+        inputs: Of the airframe, shape (n, n_u).
+        setpoints: In the order of `SETPOINTS`, shape (n, 11).
+        phase: Codes of `mission.PHASES`, shape (n,).
+        body: The airframe that flew.
+        bounds: Lower and upper bound of the rotor inputs.
+    """
+
+    t_s: Array
+    states: Array
+    inputs: Array
+    setpoints: Array
+    phase: Array
+    body: Component
+    bounds: tuple[float, float]
+
+    def state(self, *names: str) -> Array:
+        """States by name, shape (n, len(names))."""
+        known = [s.name for s in self.body.states]
+        return self.states[:, [known.index(n) for n in names]]
+
+    @property
+    def drives(self) -> Array:
+        """Rotor inputs, shape (n, n_rotors)."""
+        return self.inputs[:, [self.body.input_names.index(n) for n in drives(self.body)]]
+
+    @property
+    def flying(self) -> NDArray[np.bool_]:
+        """Where the mission is off the ground, shape (n,)."""
+        return np.asarray(self.phase != PHASES["ground"])
+
+    @property
+    def miss_m(self) -> Array:
+        """Distance from the setpoint while flying, shape (k,)."""
+        off = self.state("pos_x", "pos_y", "pos_z") - self.setpoints[:, :3]
+        return np.asarray(np.linalg.norm(off[self.flying], axis=1))
+
+    @property
+    def saturated_s(self) -> float:
+        """Longest time that any one rotor spends at a bound while flying."""
+        low, high = self.bounds
+        at = (self.drives <= low + AT_BOUND) | (self.drives >= high - AT_BOUND)
+        at &= self.flying[:, None]
+        longest = 0
+        for column in at.T:
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], column.astype(int), [0]])))
+            longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
+        return longest * float(self.t_s[1] - self.t_s[0])
+
+    @property
+    def tilt_rad(self) -> Array:
+        """Angle between thrust and vertical, shape (n,)."""
+        x, y = self.state("q_x", "q_y").T
+        return np.asarray(np.arccos(np.clip(1 - 2 * (x * x + y * y), -1, 1)))
+
+
+def closed_loop(
+    vehicle: Vehicle,
+    name: str,
+    wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
+    plant: Vehicle | None = None,
+    control: Component | None = None,
+) -> Flown:
+    """Fly a mission from standing on the ground to its end.
+
+    Args:
+        vehicle: What the controller is designed for.
+        name: Of the mission.
+        wind_m_s: Steady wind, NED.
+        plant: What really flies; default: the vehicle.
+        control: Another controller than `controller(vehicle)`.
+    """
+    plan, plant = mission(vehicle, name), plant or vehicle
+    t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
+    rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
+    setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
+    phase = rows[:, plan.output_names.index("phase")]
+    body = airframe(plant)
+    body = body.with_starts(standing(body, plant))
+    bounds = (0.0, 1.0) if control is not None else thrust_inverse(vehicle).bounds
+    wind = {f"wind_{a}": float(w) for a, w in zip(AXES, wind_m_s, strict=True)}
+    states, inputs = fly(body, control or controller(vehicle), setpoints, wind)
+    return Flown(t_s, states, inputs, setpoints, phase, body, bounds)
+
+
+def standing(body: Component, vehicle: Vehicle) -> dict[str, float]:
+    """Start values of an airframe that stands on the ground with its rotors at rest.
+
+    Args:
+        body: The airframe.
+        vehicle: Which it is of.
+    """
+    known = [v.name for v in body.parameters]
+    rest = {n: 0.0 for n in known if n.startswith(("initial.rotor_", "initial.effort_"))}
+    return {**rest, "initial.pos_z": -vehicle.leg_height_m}
+
+
+def fly(
+    body: Component,
+    control: Component,
+    setpoints: Array,
+    held: Mapping[str, float] | None = None,
+) -> tuple[Array, Array]:
+    """Fly setpoints at one per `STEP_S`, from the airframe's own start.
+
+    Args:
+        body: Airframe.
+        control: Controller; a sampled one must have a period of a whole number of steps.
+        setpoints: In the order of `SETPOINTS`, shape (n, 11).
+        held: Other inputs of the airframe, such as the wind.
+
+    Returns:
+        States before each step, shape (n, n_x), and the inputs over it, shape (n, n_u).
+    """
+    every, line = _every(control), _Memory(body)
+    u0, p_body, p_control = (
+        body.input_values(held), body.parameter_values(), control.parameter_values()
+    )  # fmt: skip
+    x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
+    past = ca.SX.sym("past", line.size)
+    setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")
+    measured = body.outputs(x, u0, p_body)
+    sources = {n: measured[i] for i, n in enumerate(body.output_names)}
+    sources |= {n: setpoint[i] for i, n in enumerate(SETPOINTS)}
+    sensed = ca.vertcat(*[sources[n] for n in control.input_names])
+    after = c
+    if control.sampling is not None:
+        after = ca.if_else(due > 0.5, control.sampling.update(c, sensed, p_control, [], []), c)
+    answer = control.outputs(after, sensed, p_control)
+    u = ca.SX(u0)
+    u[[body.input_names.index(n) for n in control.output_names]] = answer
+    moved, later = line.sampled(body.step(x, u, p_body, STEP_S), u, past)
+    both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
+    everything = ca.vertcat(x, c, past)
+    step = ca.Function("closed_loop", [everything, setpoint, due], [both, ca.cse(u)])
+    run, n = step.mapaccum("flight", _CHUNK), len(setpoints)
+    start = [body.initial(u0, p_body), control.initial(control.input_values(), p_control)]
+    _, first_u = step(ca.vertcat(*start, np.zeros(line.size)), setpoints[0], True)
+    start[:1], begun = line.begun(body.initial(first_u, p_body), first_u)
+    state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
+    states, inputs = [], []
+    for first in range(0, n, _CHUNK):
+        rows = np.minimum(np.arange(first, first + _CHUNK), n - 1)
+        after_step, given = run(state, setpoints[rows].T, (rows % every == 0)[None, :])
+        trail = np.asarray(after_step, dtype=np.float64).T
+        states.append(np.vstack([state, trail[:-1]]))
+        inputs.append(np.asarray(given, dtype=np.float64).T)
+        state = trail[-1]
+    return np.vstack(states)[:n, : len(body.states)], np.vstack(inputs)[:n]
+
+
+class _Memory:
+    """What an airframe does at its sample instants, one per step; its delay lines are a state.
+
+    Each line holds its last samples, the newest first, and looks back between the last two.
+
+    Attributes:
+        size: Samples of all lines.
+    """
+
+    def __init__(self, body: Component) -> None:
+        self._sampling, self._p = body.sampling, body.parameter_values()
+        self._back: Array = np.zeros(0)
+        if self._sampling is not None:
+            if _every(body) != 1:
+                raise ModelError(f"{body.name}: needs a sample period of {STEP_S:g} s to be flown.")
+            delays_s = np.asarray(self._sampling.delays(self._p), dtype=np.float64).ravel()
+            self._back = delays_s / STEP_S
+        self.size = sum(int(k) + 2 for k in self._back)
+
+    def sampled(self, x: ca.SX, u: ca.SX, past: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """State after a sample instant, and what is remembered from it on."""
+        if self._sampling is None:
+            return x, past
+        signals = self._sampling.signals(x, u, self._p)
+        lines: list[ca.SX] = []
+        delayed = []
+        for i, back in enumerate(self._back):
+            whole, first = int(back), sum(line.numel() for line in lines)
+            line = ca.vertcat(signals[i], past[first : first + whole + 1])
+            delayed.append(line[whole] + (back - whole) * (line[whole + 1] - line[whole]))
+            lines.append(line)
+        nothing = np.zeros(self._sampling.channels)
+        after = self._sampling.update(x, u, self._p, nothing, ca.vertcat(*delayed))
+        return after, ca.vertcat(*lines)
+
+    def begun(self, x: ca.DM, u: ca.DM) -> tuple[list[ca.DM], ca.DM]:
+        """State and memory after the first sample instant: signals count as having been so."""
+        if self._sampling is None:
+            return [x], ca.DM(0, 1)
+        signals = self._sampling.signals(x, u, self._p)
+        past = [ca.repmat(signals[i], int(k) + 2) for i, k in enumerate(self._back)]
+        nothing = np.zeros(self._sampling.channels)
+        return [self._sampling.update(x, u, self._p, nothing, signals)], ca.vertcat(*past)
+
+
+def table(rows: Mapping[tuple[str, str, float], Flown]) -> str:
+    """Figures of flights by vehicle, mission and wind speed, one line each."""
+    lines = [
+        "| vehicle | mission | wind m/s | rms m | worst m | tilt deg | saturated s | end m |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for (vehicle, name, wind), flown in rows.items():
+        miss, tilt = flown.miss_m, np.degrees(flown.tilt_rad.max())
+        end = flown.state("pos_x", "pos_y", "pos_z")[-1] - flown.setpoints[-1, :3]
+        lines.append(
+            f"| {vehicle} | {name} | {wind:g} | {np.sqrt(np.mean(miss**2)):.3f} "
+            f"| {miss.max():.3f} | {tilt:.1f} | {flown.saturated_s:.3f} "
+            f"| {np.linalg.norm(end):.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def tracking_table(vehicles: Sequence[Vehicle], wind_m_s: Sequence[float] = (0.0, 5.0)) -> str:
+    """Every mission with every vehicle in still air and in wind from the south-west."""
+    rows = {
+        (v.name, name, w): closed_loop(v, name, (0.6 * w, 0.8 * w, 0.0))
+        for v in vehicles
+        for name in mission_names()
+        for w in wind_m_s
+    }
+    return table(rows)
+
+
+def _every(control: Component) -> int:
+    """Steps between two sample instants of a controller."""
+    if control.sampling is None:
+        return 1
+    values = dict(
+        zip((v.name for v in control.parameters), control.parameter_values(), strict=True)
+    )
+    period = float(values[control.sampling.period])
+    every = round(period / STEP_S)
+    if every < 1 or abs(every * STEP_S - period) > 1e-9:
+        raise ModelError(
+            f"{control.name}: a sample period of {period:g} s is not a whole number of steps of "
+            f"{STEP_S:g} s."
+        )
+    return every

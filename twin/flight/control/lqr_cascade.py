@@ -1,0 +1,218 @@
+"""Position controller derived from the airframe's own equations: LQR gains in a cascade.
+
+    a   = a_sp + d v_sp + k_p (p_sp - p) + k_v (v_sp - v) + I,   dI/dt = k_i (p_sp - p)
+    R_d = thrust along a - g, nose at the yaw setpoint
+    dω/dt = k_θ θ(R -> R_d) - k_ω ω - k_α α,   lift = (a - g) . thrust axis
+
+For small errors this is the state feedback of `control.lqr` (dividing its position gains by that
+of the tilt gives k_p, k_v, k_i), so hover is optimal in its sense; the detour by a desired
+attitude makes it hold at any heading and any tilt. α and the lift behind the rotors' lag are
+modelled in the controller. Limits: tilt, climb, sink and pull of the position error, with
+back-calculation for the integral; the mixer gives up yaw first.
+
+Source: cascade on the thrust vector, Lee, Leok & McClamroch, CDC 2010; back-calculation, Astrom &
+Murray, Feedback Systems, sec. 10.4.
+"""
+
+import casadi as ca
+import numpy as np
+
+from ...component import Component, ComponentBuilder
+from ...physics.airframe import AXES
+from ...vehicle import GRAVITY_M_S2, Vehicle
+from .geometry import (
+    attitude_error,
+    clamp,
+    desired_axes,
+    dot,
+    length,
+    limit_acceleration,
+    shorten,
+    thrust_axis,
+)
+from .hover import Hover, linearise, thrust_inverse
+from .lqr import Chain, Gains, design
+from .mixer import mix
+from .signals import Signals, declare_drives, declare_signals
+
+TILT_LIMIT_RAD = 0.7
+CLIMB_LIMIT_M_S2 = 4.0
+SINK_LIMIT_M_S2 = 4.0
+LIFT_RESERVE = 0.8
+"""Share of the full thrust that level flight and tilt may use; the rest is for turning."""
+LEAST_LIFT = 1.05
+"""Thrust over weight that a weak vehicle uses all the same. All made up."""
+RELEASE_1_S = 20.0
+"""Rate at which integrals are forgotten while disarmed. Made up."""
+Vector = list[ca.SX]
+
+
+def controller(vehicle: Vehicle) -> Component:
+    """The flight controller of a vehicle as a component, its gains designed for the vehicle."""
+    hover = linearise(vehicle)
+    gains = design(hover)
+    inverse = thrust_inverse(vehicle)
+    m = ComponentBuilder("controller", f"Position controller of {vehicle.name}, LQR in a cascade")
+    s = declare_signals(m)
+    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
+    wanted = _acceleration(m, s, gravity, hover, gains, _limits(hover, inverse.full_n))
+    up = [wanted[0], wanted[1], wanted[2] - gravity]
+    lift = ca.fmax(dot(up, thrust_axis(s.q_nb)), 0.0)
+    turn = _angular(m, s, up, gains)
+    lag = _Lag(m, hover.lag_s) if hover.lag_s > 0 else None
+    if lag is not None:
+        lift, *turn = lag.led([lift, *turn], gains)
+    unit = "rad/s" if vehicle.drive == "rotor_speed" else "1"
+    mixed = mix(m, gains.mixer_n, inverse, unit, lift, turn)
+    if lag is not None:
+        settled = [mixed.lift, *mixed.angular]
+        lag.follow([ca.if_else(s.armed, v, 0.0) for v in settled])
+    declare_drives(m, vehicle.drive, [ca.if_else(s.armed, v, 0.0) for v in mixed.inputs])
+    return m.build()
+
+
+class _Lag:
+    """Lift and angular acceleration as they come out of the lagging rotors, modelled."""
+
+    def __init__(self, m: ComponentBuilder, lag_s: float) -> None:
+        self._m = m
+        self._time = m.parameter(
+            "lag.time", lag_s, "s", "Time constant of the rotors", minimum=1e-3
+        )
+        self._names = ["lift", *(f"turn_{a}" for a in AXES)]
+        units = ["m/s2", "rad/s2", "rad/s2", "rad/s2"]
+        self._now = [
+            m.state(n, u, f"Modelled {n} behind the lag", 0.0)
+            for n, u in zip(self._names, units, strict=True)
+        ]
+
+    def led(self, wanted: Vector, gains: Gains) -> Vector:
+        """Wanted lift and angular acceleration with the feedback of the modelled ones."""
+        lead = _gain(self._m, "lift", "lag", "1", "lift against the wanted", _lead(gains.vertical))
+        tilt, yaw = (
+            _gain(self._m, name, "lag", "1", "angular acceleration", chain.gain[-1])
+            for name, chain in (("tilt", gains.horizontal), ("yaw", gains.heading))
+        )
+        lift, *turn = wanted
+        led = [t - k * b for t, k, b in zip(turn, (tilt, tilt, yaw), self._now[1:], strict=True)]
+        return [lift + lead * (lift - self._now[0]), *led]
+
+    def follow(self, settled: Vector) -> None:
+        """Let the modelled ones follow what the rotors are asked for."""
+        for name, now, then in zip(self._names, self._now, settled, strict=True):
+            self._m.derivative(name, (then - now) / self._time)
+
+
+def _limits(hover: Hover, full_n: float) -> dict[str, float]:
+    """Limits that the thrust over weight of the vehicle allows."""
+    most = max(LIFT_RESERVE * full_n / hover.thrust_n.mean(), LEAST_LIFT)
+    return {
+        "tilt": float(min(TILT_LIMIT_RAD, np.arccos(min(1.0 / most, 1.0)))),
+        "climb": min(CLIMB_LIMIT_M_S2, (most - 1.0) * GRAVITY_M_S2),
+        "sink": SINK_LIMIT_M_S2,
+    }
+
+
+def _acceleration(
+    m: ComponentBuilder,
+    s: Signals,
+    gravity: ca.SX,
+    hover: Hover,
+    gains: Gains,
+    start: dict[str, float],
+) -> Vector:
+    """Outer loop: wanted acceleration NED from position and velocity."""
+    tilt = m.parameter("limit.tilt", start["tilt"], "rad", "Largest tilt", minimum=0, maximum=1.4)
+    climb = m.parameter(
+        "limit.climb", start["climb"], "m/s2", "Largest upward acceleration", minimum=0
+    )
+    sink = m.parameter(
+        "limit.sink", start["sink"], "m/s2", "Largest downward acceleration", minimum=0, maximum=9.0
+    )
+    pull = m.parameter(
+        "limit.pull",
+        0.5 * GRAVITY_M_S2 * float(np.tan(start["tilt"])),
+        "m/s2",
+        "Largest acceleration that a position error asks for",
+        minimum=0,
+    )
+    ways = (("xy", _outer(gains.horizontal, hover)), ("z", _inner(gains.vertical)))
+    gain = {
+        f"{name}_{way}": _gain(m, name, f"k_{way}", unit, meaning, value)
+        for way, values in ways
+        for (name, unit, meaning), value in zip(_OUTER, values, strict=True)
+    }
+    drag = m.parameter(
+        "drag", float(hover.drag_1_s[:2].mean()), "1/s", "Deceleration per horizontal speed"
+    )
+    off = [sp - p for sp, p in zip(s.pos_sp, s.pos, strict=True)]
+    ahead = [a + drag * v for a, v in zip(s.acc_sp[:2], s.vel_sp[:2], strict=True)]
+    far_xy, far_z = pull / gain["position_xy"], pull / gain["position_z"]
+    # What is far off is a way to go, not an offset to integrate.
+    near = [length(off[:2]) < far_xy] * 2 + [ca.fabs(off[2]) < far_z]
+    off = [*shorten(off[:2], far_xy), clamp(off[2], -far_z, far_z)]
+    raw, integrals = [], []
+    for i, axis in enumerate(AXES):
+        way = "z" if axis == "z" else "xy"
+        integral = m.state(f"integral_{axis}", "m/s2", f"Integral of the position error, {axis}", 0)
+        feedback = gain[f"position_{way}"] * off[i] + gain[f"velocity_{way}"] * (
+            s.vel_sp[i] - s.vel[i]
+        )
+        raw.append((s.acc_sp[2] if axis == "z" else ahead[i]) + feedback + integral)
+        integrals.append(integral)
+    limited = limit_acceleration(raw, gravity, climb, sink, tilt)
+    for i, axis in enumerate(AXES):
+        way = "z" if axis == "z" else "xy"
+        back = gain[f"position_{way}"] / gain[f"velocity_{way}"]
+        rate = gain[f"integral_{way}"] * ca.if_else(near[i], off[i], 0.0)
+        rate += back * (limited[i] - raw[i])
+        m.derivative(f"integral_{axis}", ca.if_else(s.armed, rate, -RELEASE_1_S * integrals[i]))
+    return limited
+
+
+def _angular(m: ComponentBuilder, s: Signals, up: Vector, gains: Gains) -> Vector:
+    """Inner loop: wanted angular acceleration from attitude and body rates."""
+    tilt, tilt_rate = gains.horizontal.gain[3:5]
+    k_tilt = _gain(m, "attitude", "k_tilt", "1/s2", "tilt", tilt)
+    k_tilt_rate = _gain(m, "rate", "k_tilt", "1/s", "rate of roll and pitch", tilt_rate)
+    i_yaw, yaw, yaw_rate = gains.heading.gain[:3]
+    k_yaw = _gain(m, "attitude", "k_yaw", "1/s2", "heading", yaw)
+    k_yaw_rate = _gain(m, "rate", "k_yaw", "1/s", "yaw rate", yaw_rate)
+    k_i = _gain(m, "integral", "k_yaw", "1/s3", "integral of the heading", i_yaw)
+    error = attitude_error(s.q_nb, *desired_axes(up, s.yaw_sp))
+    integral = m.state("integral_yaw", "rad/s2", "Integral of the heading error", 0.0)
+    small = clamp(error[2], -_FAR_RAD, _FAR_RAD)  # what is far off is a turn, not an offset
+    m.derivative("integral_yaw", ca.if_else(s.armed, k_i * small, -RELEASE_1_S * integral))
+    return [
+        k_tilt * error[0] - k_tilt_rate * s.omega_b[0],
+        k_tilt * error[1] - k_tilt_rate * s.omega_b[1],
+        k_yaw * error[2] - k_yaw_rate * s.omega_b[2] + integral,
+    ]
+
+
+_FAR_RAD = 0.2
+_OUTER = (
+    ("integral", "1/s3", "integral of the position"),
+    ("position", "1/s2", "position"),
+    ("velocity", "1/s", "velocity"),
+)
+
+
+def _outer(chain: Chain, hover: Hover) -> list[float]:
+    """Gains from integral, position, velocity to acceleration, out of those to the tilt."""
+    return [float(hover.gravity_m_s2 / chain.gain[3] * k) for k in chain.gain[:3]]
+
+
+def _inner(chain: Chain) -> list[float]:
+    """The same of the vertical chain, its lead against the lag taken out."""
+    return [float(k / (1.0 + _lead(chain))) for k in chain.gain[:3]]
+
+
+def _lead(chain: Chain) -> float:
+    return float(chain.gain[3]) if len(chain.gain) > 3 else 0.0
+
+
+def _gain(
+    m: ComponentBuilder, stem: str, leaf: str, unit: str, meaning: str, value: float
+) -> ca.SX:
+    return m.parameter(f"{stem}.{leaf}", float(value), unit, f"Feedback of the {meaning}")

@@ -1,0 +1,1 @@
+"""PX4's multicopter control: cascade, mixer, parameters."""

@@ -1,0 +1,266 @@
+"""Missions: smooth setpoints for a controller as a function of the mission's clock.
+
+A mission starts and ends standing on the ground. It is a list of legs, each a displacement that
+begins at zero with its part of the time; the setpoint is the sum of all displacements, and its
+velocity and acceleration are the derivatives of that sum. Straight legs are minimum-jerk
+polynomials; circle, eight and cruise ramp their speed up and down by the same polynomial.
+
+| mission | after the takeoff | duration |
+|---|---|---|
+| `takeoff` | hovers for 3 s, then stays | 8 s |
+| `hover` | hovers for 20 s, then stays | 25 s |
+| `land` | hovers for 2 s, lands | 14 s |
+| `forward` | out at cruise speed, turns round, back, lands | 46 s |
+| `tour` | waypoints with changes of heading, circle, figure eight, lands | 51 s |
+
+Source: minimum-jerk polynomial, Flash & Hogan, J. Neuroscience 5 (1985).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ..component import Component, ComponentBuilder
+from ..component.portable import cosine, sine
+from ..errors import ModelError
+from ..physics.airframe import AXES
+from ..vehicle import Vehicle
+
+PHASES = {"ground": 0, "takeoff": 1, "hover": 2, "forward": 3, "tour": 4, "land": 5}
+"""Codes of the output `phase`."""
+SMALL_ARM_M = 0.06
+"""Vehicles with shorter arms fly everything at half the size and speed."""
+WAYPOINTS = (
+    (4.0, 0.0, 0.0, 0.0),
+    (4.0, 4.0, -1.0, 1.5),
+    (0.0, 4.0, 0.5, 3.0),
+    (0.0, 0.0, 0.0, 0.0),
+)
+"""North, east, down (m) and heading (rad) of the tour's waypoints from the first hover."""
+TURN_S = 4.0
+_NED = ("north", "east", "down")
+_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class _Leg:
+    """One part of a mission.
+
+    Attributes:
+        phase: Name of its phase.
+        duration: s.
+        move: Time since its start, within its duration -> displacement north, east, down (m) and
+            change of heading (rad).
+    """
+
+    phase: str
+    duration: ca.SX
+    move: Callable[[ca.SX], list[ca.SX]]
+
+
+def mission(vehicle: Vehicle, name: str) -> Component:
+    """A mission as a component without inputs; sizes and speeds are its parameters.
+
+    Args:
+        vehicle: Its leg height is where the mission starts, its size scales the defaults.
+        name: One of `mission_names()`.
+
+    Raises:
+        ModelError: There is no such mission.
+    """
+    m = ComponentBuilder("mission", f"Mission {name} for {vehicle.name}")
+    legs, lands = _legs(_Sizes(m, 0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0), name)
+    rest = [
+        m.parameter(f"start.{a}", start, "m", f"Where the vehicle stands at the start, NED {d}")
+        for a, d, start in zip(AXES, _NED, (0.0, 0.0, -vehicle.leg_height_m), strict=True)
+    ]
+    rest.append(m.parameter("start.yaw", 0.0, "rad", "Heading at the start"))
+    clock = m.state("clock", "s", "Time since the start of the mission", 0.0)
+    m.derivative("clock", 1.0)
+
+    where, phase, begin = rest, ca.SX(PHASES["ground"]), ca.SX(0)
+    armed = clock >= legs[0].duration
+    for leg, before in zip(legs, [None, *legs], strict=False):
+        since = ca.fmin(ca.fmax(clock - begin, 0.0), leg.duration)
+        where = [w + d for w, d in zip(where, leg.move(since), strict=True)]
+        change = PHASES[leg.phase] - PHASES[before.phase if before else "ground"]
+        phase = phase + ca.if_else(clock >= begin, change, 0.0)
+        if leg is legs[-1] and lands:
+            armed = ca.logic_and(armed, clock < begin)
+        begin = begin + leg.duration
+    speed = [ca.jacobian(w, clock) for w in where]
+    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+        m.output(f"setpoint_pos_{a}", "m", f"Position setpoint, NED {d}", where[i])
+    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+        m.output(f"setpoint_vel_{a}", "m/s", f"Velocity setpoint, NED {d}", speed[i])
+    for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
+        m.output(
+            f"setpoint_acc_{a}",
+            "m/s2",
+            f"Acceleration setpoint, NED {d}",
+            ca.jacobian(speed[i], clock),
+        )
+    m.output("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east", where[3])
+    m.output("armed", "1", "Whether the motors may turn, 0 or 1", armed)
+    codes = ", ".join(f"{code} {phase}" for phase, code in PHASES.items())
+    m.output("phase", "1", f"Phase of the flight: {codes}", phase)
+    return m.build()
+
+
+def mission_names() -> tuple[str, ...]:
+    """The missions there are."""
+    return tuple(_MISSIONS)
+
+
+def mission_duration_s(name: str) -> float:
+    """How long a mission takes at the default sizes, the same for every vehicle, s."""
+    sizes = _Sizes(ComponentBuilder("mission", name), 1.0)
+    legs, _ = _legs(sizes, name)
+    total = sum((leg.duration for leg in legs), start=ca.SX(0))
+    symbols, values = list(sizes.symbols.values()), list(sizes.starts.values())
+    return float(ca.Function("duration", symbols, [total])(*values))
+
+
+class _Sizes:
+    """Parameters of a mission, declared when first asked for; lengths and speeds scaled."""
+
+    def __init__(self, m: ComponentBuilder, scale: float) -> None:
+        self._m, self._scale = m, scale
+        self.symbols: dict[str, ca.SX] = {}
+        self.starts: dict[str, float] = {}
+
+    def __call__(self, name: str, start: float, unit: str, meaning: str) -> ca.SX:
+        """Symbol of a parameter."""
+        if name not in self.symbols:
+            start *= self._scale if unit.startswith("m") else 1.0
+            least = 1e-3 if unit in ("s", "m/s", "m/s2") else None
+            self.symbols[name] = self._m.parameter(name, start, unit, meaning, minimum=least)
+            self.starts[name] = start
+        return self.symbols[name]
+
+
+def _legs(size: _Sizes, name: str) -> tuple[list[_Leg], bool]:
+    """Legs of a mission, and whether it ends on the ground with the motors off."""
+    if name not in _MISSIONS:
+        raise ModelError(f"there is no mission {name!r}. Known: {', '.join(_MISSIONS)}.")
+    make, lands = _MISSIONS[name]
+    wait = _hold("ground", size("wait", 1.0, "s", "Time on the ground before the takeoff"))
+    legs = [wait, *_takeoff(size), *make(size)]
+    return legs + (_land(size) if lands else []), lands
+
+
+def _takeoff(size: _Sizes) -> list[_Leg]:
+    height = size("height", 1.5, "m", "Height of the takeoff")
+    time = size("takeoff_time", 4.0, "s", "Duration of the takeoff")
+    return [_straight("takeoff", [ca.SX(0), ca.SX(0), -height, ca.SX(0)], time)]
+
+
+def _land(size: _Sizes) -> list[_Leg]:
+    height = size("height", 1.5, "m", "Height of the takeoff")
+    time = size("land_time", 5.0, "s", "Duration of the descent")
+    settle = size("settle", 1.0, "s", "Time on the ground before the motors stop, and after")
+    down = _straight("land", [ca.SX(0), ca.SX(0), height, ca.SX(0)], time)
+    return [down, _hold("land", settle), _hold("ground", settle)]
+
+
+def _hover(start_s: float) -> Callable[[_Sizes], list[_Leg]]:
+    def legs(size: _Sizes) -> list[_Leg]:
+        return [_hold("hover", size("hover_time", start_s, "s", "Duration of the hover"))]
+
+    return legs
+
+
+def _forward(size: _Sizes) -> list[_Leg]:
+    pause = _hold("hover", size("hover_time", 2.0, "s", "Duration of each hover"))
+    distance = size("distance", 40.0, "m", "Length of the way out")
+    speed = size("speed", 5.0, "m/s", "Cruise speed")
+    ramp = size("ramp_time", 4.0, "s", "Time to reach the cruise speed, and to stop")
+    turn = _straight("hover", [ca.SX(0)] * 3 + [ca.SX(np.pi)], ca.SX(TURN_S))
+
+    def cruise(sign: float) -> _Leg:
+        """Out with +1, back with -1."""
+
+        def move(t: ca.SX) -> list[ca.SX]:
+            return [sign * _ramped(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
+
+        return _Leg("forward", distance / speed + ramp, move)
+
+    return [pause, cruise(1.0), pause, turn, cruise(-1.0), pause]
+
+
+def _tour(size: _Sizes) -> list[_Leg]:
+    pause = _hold("hover", size("hover_time", 1.0, "s", "Duration of each hover"))
+    speed = size("speed", 2.0, "m/s", "Top speed of the tour")
+    strongest = size("acceleration", 2.0, "m/s2", "Largest acceleration between waypoints")
+    radius = size("radius", 1.5, "m", "Radius of the circle, half the length of the eight")
+    ramp = size("ramp_time", 2.0, "s", "Time to reach the top speed of circle and eight")
+    legs, before = [pause], [ca.SX(0)] * 4
+    for k, place in enumerate(WAYPOINTS, start=1):
+        here = [
+            size(f"waypoint_{k}.{n}", v, unit, f"Waypoint {k} from the first hover, {d}")
+            for n, v, unit, d in zip(
+                (*AXES, "yaw"), place, ("m", "m", "m", "rad"), (*_NED, "heading"), strict=True
+            )
+        ]
+        way = [b - a for a, b in zip(before, here, strict=True)]
+        far = ca.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
+        # Peaks of a minimum-jerk leg of length L in time T: 15/8 L/T and 10/sqrt(3) L/T^2.
+        fast = ca.sqrt(10 / np.sqrt(3) * far / strongest)
+        legs.append(_straight("tour", way, ca.fmax(ca.fmax(15 / 8 * far / speed, fast), 0.1)))
+        before = here
+    rate = speed / radius
+    circle = _Leg(
+        "tour", _TURN / rate + ramp, lambda t: _circle(_ramped(t, _TURN, rate, ramp), radius)
+    )
+    # The eight is fastest in its middle, sqrt(2) times the radius per radian.
+    slow = rate / np.sqrt(2)
+    eight = _Leg(
+        "tour", _TURN / slow + ramp, lambda t: _eight(_ramped(t, _TURN, slow, ramp), radius)
+    )
+    home = [-b for b in before]
+    return [*legs, pause, circle, pause, eight, pause, _straight("tour", home, ca.SX(TURN_S))]
+
+
+_MISSIONS: dict[str, tuple[Callable[[_Sizes], list[_Leg]], bool]] = {
+    "takeoff": (_hover(3.0), False),
+    "hover": (_hover(20.0), False),
+    "land": (_hover(2.0), True),
+    "forward": (_forward, True),
+    "tour": (_tour, True),
+}
+
+
+def _hold(phase: str, duration: ca.SX) -> _Leg:
+    return _Leg(phase, duration, lambda t: [ca.SX(0)] * 4)
+
+
+def _straight(phase: str, way: list[ca.SX], duration: ca.SX) -> _Leg:
+    return _Leg(phase, duration, lambda t: [_smooth(t / duration) * w for w in way])
+
+
+def _circle(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
+    """To the right, starting north."""
+    return [radius * sine(angle), radius * (1 - cosine(angle)), ca.SX(0), ca.SX(0)]
+
+
+def _eight(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
+    """Lemniscate of Gerono along north, from its middle."""
+    return [radius * sine(angle), radius * sine(angle) * cosine(angle), ca.SX(0), ca.SX(0)]
+
+
+def _smooth(s: ca.SX) -> ca.SX:
+    """From 0 to 1 with vanishing speed and acceleration at both ends."""
+    return s * s * s * (10 + s * (-15 + 6 * s))
+
+
+def _ramped(t: ca.SX, total: ca.SX | float, rate: ca.SX, ramp: ca.SX) -> ca.SX:
+    """Way covered when the rate rises, holds and falls smoothly, `total / rate + ramp` in all."""
+    return rate * ramp * (_area(t / ramp) - _area((t - total / rate) / ramp))
+
+
+def _area(s: ca.SX) -> ca.SX:
+    """Integral of the smooth step from -infinity to s."""
+    inside = ca.fmin(ca.fmax(s, 0.0), 1.0)
+    return inside**4 * (2.5 + inside * (-3 + inside)) + ca.fmax(s - 1, 0.0)

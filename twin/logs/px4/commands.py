@@ -1,0 +1,106 @@
+"""Motor commands of a PX4 log: logged, or rebuilt at full rate."""
+
+import numpy as np
+
+from ..flight import Array
+from .log import Px4Log
+from .outputs import MotorCommands, Outputs, logged_outputs
+from .rebuild import MATCH_GOAL_US, CannotRebuildError, rebuild
+
+_ENOUGH_HZ = 100.0
+
+
+def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
+    """Motor commands of a log.
+
+    Args:
+        log: The log; findings are added to it.
+        rebuild: As in `read_flight`.
+    """
+    return _from_motors(log) or _from_outputs(log, rebuild)
+
+
+def _from_motors(log: Px4Log) -> MotorCommands | None:
+    """`actuator_motors` (PX4 1.13 and later): commands as they are."""
+    topic = log.topic("actuator_motors", 0, "control[0]", "control[1]", "control[2]")
+    if topic is None:
+        return None
+    fields = [f"control[{k}]" for k in range(12) if topic.has(f"control[{k}]")]
+    control = topic.columns(fields)
+    used = [k for k in range(len(fields)) if np.isfinite(control[:, k]).any()]
+    if len(used) < 3:
+        log.note("warning", "cmd", f"actuator_motors has values for {len(used)} motors: not used")
+        return None
+    control = control[:, used]
+    stopped = np.isnan(control)
+    if stopped.any():
+        log.note(
+            "info",
+            "cmd",
+            "values NaN in actuator_motors mean stopped, taken as 0",
+            int(stopped.sum()),
+        )
+    cmd = _clipped(log, np.where(stopped, 0.0, control), "actuator_motors")
+    return MotorCommands(topic.t_us, cmd, {"commands": f"actuator_motors, {topic.rate_hz:.0f} Hz"})
+
+
+def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
+    """`actuator_outputs`, scaled by the PWM range."""
+    outputs = logged_outputs(log)
+    if outputs is None:
+        log.note(
+            "warning", "cmd", "no motor commands: neither actuator_motors nor actuator_outputs"
+        )
+        return None
+    rate = outputs.topic.rate_hz
+    if rebuild or (rebuild is None and rate < _ENOUGH_HZ):
+        rebuilt = _rebuilt(log, outputs)
+        if rebuilt is not None:
+            return rebuilt
+    if rate < _ENOUGH_HZ:
+        log.note(
+            "warning", "cmd", f"motor commands at {rate:.0f} Hz only, each holds until the next"
+        )
+    cmd = _clipped(log, outputs.cmd, "actuator_outputs")
+    return MotorCommands(outputs.topic.t_us, cmd, {"commands": f"actuator_outputs, {rate:.0f} Hz"})
+
+
+def _rebuilt(log: Px4Log, outputs: Outputs) -> MotorCommands | None:
+    """Commands rebuilt at full rate, None with a finding where that cannot be done."""
+    try:
+        commands, match = rebuild(log, outputs)
+    except CannotRebuildError as why:
+        log.note("warning", "cmd", f"not rebuilt at full rate: {why}")
+        return None
+    worst = float(np.max(match.rms_us))
+    each = ", ".join(f"{r:.1f}" for r in match.rms_us)
+    told = f"rms {each} us of pulse width per motor, n = {match.n} logged outputs while flying"
+    if match.n == 0:
+        log.note("warning", "cmd", "rebuilt commands have no logged output in flight to check them")
+    elif worst > MATCH_GOAL_US:
+        log.note("warning", "cmd", f"rebuilt commands miss the logged ones by over 10 us: {told}")
+    log.note(
+        "info",
+        "cmd",
+        "rebuilt by running the rate controller again on gyro and setpoints; its integral starts "
+        "from the logged one at every rate_ctrl_status; logged outputs only check the result",
+    )
+    rate = (len(commands.t_us) - 1) / ((commands.t_us[-1] - commands.t_us[0]) * 1e-6)
+    facts = {
+        "commands": f"rebuilt from gyro and rate setpoints, {rate:.0f} Hz",
+        "commands_match": told,
+    }
+    return MotorCommands(commands.t_us, commands.cmd, facts)
+
+
+def _clipped(log: Px4Log, cmd: Array, where: str) -> Array:
+    """Commands within 0..1, counting what lay outside."""
+    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6)))
+    if outside:
+        log.note(
+            "info",
+            "cmd",
+            f"values of {where} outside 0..1 (disarmed, or arming) set to its end",
+            outside,
+        )
+    return np.asarray(np.clip(cmd, 0.0, 1.0))

@@ -1,0 +1,310 @@
+"""Motor commands of a PX4 log rebuilt at full rate, and how well they match the logged ones."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..flight import Array
+from .control import (
+    Gyro,
+    Mixer,
+    RateGains,
+    blocked_by,
+    derivative,
+    integrals,
+    low_pass,
+    mix,
+    notch,
+    raw_times,
+    resample,
+)
+from .log import Px4Log, Topic
+from .mixers import airframe_mixer, mixer_names, mixer_scale
+from .outputs import MotorCommands, Outputs
+
+MATCH_GOAL_US = 10.0
+_AXES = ("ROLL", "PITCH", "YAW")
+_SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")
+_MIXER_TOLERANCE_US = 5.0
+_PAIRED_US = 1000
+_VERSIONS = ((1, 11), (1, 12), (1, 13))
+_DAMAGED = 100.0  # rad/s; larger values and NaN come from damaged logs
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Rebuilt against logged pulse widths while flying.
+
+    Attributes:
+        rms_us: Per motor, us, shape (motors,).
+        n: Number of logged samples compared.
+    """
+
+    rms_us: Array
+    n: int
+
+
+class CannotRebuildError(Exception):
+    """Why a log does not allow to rebuild the commands; becomes a finding."""
+
+
+def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
+    """Run the rate controller and the mixer again.
+
+    Args:
+        log: The log.
+        outputs: Logged pulse widths: they check the result and tell the mixer of an airframe that
+            is not known here; they do not enter the commands.
+
+    Raises:
+        CannotRebuildError: The log lacks something; the text says what.
+    """
+    _check_options(log)
+    gyro = _gyro(log)
+    controls = _topic(log, "actuator_controls_0", *(f"control[{k}]" for k in range(4)))
+    mixer = Mixer(
+        _scale(log, outputs, controls),
+        int(log.params.get("MC_AIRMODE", 0)),
+        log.params.get("THR_MDL_FAC", 0.0),
+    )
+    t_s = raw_times(gyro)
+    rates, acceleration = _filtered(log, gyro, t_s)
+    setpoint = _setpoint(log, t_s)
+    active, armed = _flying(log, t_s), _armed(log, t_s)
+    control = _controls(log, t_s, rates, acceleration, setpoint, active & armed, mixer)
+    ran = slice(None, None, max(round(gyro.raw_hz / gyro.rate_hz), 1))
+    cmd = np.where(armed[ran, None], mix(control[ran], mixer), 0.0)
+    t_us = np.round(t_s[ran] * 1e6).astype(np.int64) + _latency_us(outputs, controls)
+    match = compare(outputs, t_us, cmd, _flying(log, outputs.topic.t_s))
+    return MotorCommands(t_us, cmd), match
+
+
+def compare(
+    outputs: Outputs, t_us: NDArray[np.int64], cmd: Array, flying: NDArray[np.bool_]
+) -> Match:
+    """Root mean square of logged minus rebuilt pulse width, us per motor, while flying."""
+    inside = flying & np.isfinite(outputs.pwm_us).all(axis=1)
+    inside &= (outputs.topic.t_us >= t_us[0]) & (outputs.topic.t_us <= t_us[-1])
+    n_motors = cmd.shape[1]
+    if not inside.any():
+        return Match(np.full(n_motors, np.nan), 0)
+    at = outputs.topic.t_us[inside]
+    rebuilt = np.column_stack([np.interp(at, t_us, cmd[:, k]) for k in range(n_motors)])
+    width = outputs.low_us + rebuilt * (outputs.high_us - outputs.low_us)
+    residual = outputs.pwm_us[inside] - np.floor(width)
+    return Match(np.sqrt(np.mean(residual**2, axis=0)), int(inside.sum()))
+
+
+def _check_options(log: Px4Log) -> None:
+    """Refuse what is not rebuilt here."""
+    release = int(float(log.info.get("ver_sw_release", "0") or 0))
+    version = (release >> 24 & 0xFF, release >> 16 & 0xFF)
+    if version not in _VERSIONS:
+        raise CannotRebuildError(
+            f"the rate controller of PX4 {version[0]}.{version[1]} is not known here"
+        )
+    for name, meaning in (
+        ("IMU_GYRO_DYN_NF", "dynamic notch filters"),
+        ("MOT_SLEW_MAX", "a limit on how fast outputs change"),
+        ("MOT_ORDERING", "Betaflight's motor order"),
+        ("SYS_CTRL_ALLOC", "control allocation instead of a mixer"),
+        ("CBRK_RATE_CTRL", "the rate controller switched off"),
+    ):
+        if log.params.get(name, 0.0) != 0.0:
+            raise CannotRebuildError(f"{name} is {log.params[name]:g}: {meaning}")
+    needed = [f"MC_{axis}RATE_{gain}" for axis in _AXES for gain in "PID"]
+    lacking = [n for n in (*needed, "IMU_GYRO_CUTOFF", "IMU_DGYRO_CUTOFF") if n not in log.params]
+    if lacking:
+        raise CannotRebuildError(f"parameters not in the log: {', '.join(lacking)}")
+    moved = sorted(n for n in log.changed if n.startswith(("MC_", "IMU_GYRO", "IMU_DGYRO", "THR_")))
+    if moved:
+        log.note("warning", "cmd", f"{', '.join(moved)} changed in flight; the last value is used")
+
+
+def _topic(log: Px4Log, name: str, *fields: str) -> Topic:
+    """A topic that the rebuild cannot do without."""
+    topic = log.topic(name, 0, *fields)
+    if topic is None or len(topic.t_us) < 2:
+        raise CannotRebuildError(f"{name} is not in the log")
+    return topic
+
+
+def _gyro(log: Px4Log) -> Gyro:
+    """Logged gyro means, and how the on-board filters sample."""
+    topic = _topic(
+        log, "sensor_combined", "gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]", "gyro_integral_dt"
+    )
+    # windows of a damaged log may overlap; whole ones never do
+    room_s = np.diff(topic.t_s, prepend=-np.inf)
+    window_s = np.minimum(topic.data["gyro_integral_dt"] * 1e-6, room_s)
+    status = log.topic("vehicle_imu_status", 0, "gyro_rate_hz")
+    rates = topic.array("gyro_rad", 3)
+    good = (np.abs(rates) < _DAMAGED).all(axis=1) & (window_s > 0.0) & (window_s < 0.05)
+    if status is None or good.sum() < 10:
+        raise CannotRebuildError("the rate of the gyro (vehicle_imu_status) is not in the log")
+    rate_hz = float(np.median(status.data["gyro_rate_hz"]))
+    raw_hz = float(np.median(status.data.get("gyro_raw_rate_hz", np.array([rate_hz]))))
+    if not (50.0 <= rate_hz <= raw_hz * 1.01 <= 33000.0):
+        raise CannotRebuildError(f"a gyro rate of {rate_hz:.0f} Hz makes no sense")
+    # a driver that reads a FIFO publishes the mean of its samples, stamped with the last
+    delay_s = 0.5 * (1.0 / rate_hz - 1.0 / raw_hz)
+    return Gyro(topic.t_s[good], window_s[good], rates[good], raw_hz, rate_hz, delay_s)
+
+
+def _filtered(log: Px4Log, gyro: Gyro, t_s: Array) -> tuple[Array, Array]:
+    """Body rates and angular acceleration as the rate controller gets them, (n, 3) each."""
+    p = log.params
+    rates = notch(
+        resample(gyro, t_s),
+        gyro.raw_hz,
+        p.get("IMU_GYRO_NF_FREQ", 0.0),
+        p.get("IMU_GYRO_NF_BW", 0.0),
+    )
+    rates = low_pass(rates, gyro.raw_hz, p["IMU_GYRO_CUTOFF"])
+    acceleration = low_pass(derivative(rates, t_s), gyro.raw_hz, p["IMU_DGYRO_CUTOFF"])
+    bias = log.topic("estimator_sensor_bias", 0, *(f"gyro_bias[{k}]" for k in range(3)))
+    if bias is not None:
+        t_us = np.round(t_s * 1e6).astype(np.int64)
+        rates = rates - np.column_stack([bias.at(t_us, f"gyro_bias[{k}]") for k in range(3)])
+    return rates, acceleration
+
+
+def _setpoint(log: Px4Log, t_s: Array) -> Array:
+    """Roll, pitch, yaw rate setpoints (rad/s) and thrust (0..1) at every time, (n, 4).
+
+    Linear between the logged samples: on board they move several times between two of them.
+    """
+    topic = _topic(log, "vehicle_rates_setpoint", *_SETPOINT)
+    values = topic.columns(_SETPOINT) * (1.0, 1.0, 1.0, -1.0)
+    good = (np.abs(values) < _DAMAGED).all(axis=1)
+    if good.sum() < 2:
+        raise CannotRebuildError("vehicle_rates_setpoint has no finite sample")
+    t, values = topic.t_s[good], values[good]
+    return np.column_stack([np.interp(t_s, t, values[:, k]) for k in range(4)])
+
+
+def _armed(log: Px4Log, t_s: Array) -> NDArray[np.bool_]:
+    """Whether the motors are armed, as last logged."""
+    topic = log.topic("actuator_armed", 0, "armed")
+    return _held(topic, "armed", t_s) if topic is not None else np.ones(len(t_s), dtype=np.bool_)
+
+
+def _flying(log: Px4Log, t_s: Array) -> NDArray[np.bool_]:
+    """Whether the vehicle is off the ground, so that the integrators run."""
+    topic = log.topic("vehicle_land_detected", 0, "landed")
+    if topic is None:
+        return np.ones(len(t_s), dtype=np.bool_)
+    down = _held(topic, "landed", t_s)
+    if topic.has("maybe_landed"):
+        down |= _held(topic, "maybe_landed", t_s)
+    return ~down
+
+
+def _held(topic: Topic, name: str, t_s: Array) -> NDArray[np.bool_]:
+    """A flag held from its last sample."""
+    return topic.at(np.round(t_s * 1e6).astype(np.int64), name) > 0.5
+
+
+def _gains(log: Px4Log) -> RateGains:
+    """Gains per axis; K multiplies P, I and D."""
+    p = log.params
+    k = np.array([p.get(f"MC_{a}RATE_K", 1.0) for a in _AXES])
+
+    def each(gain: str) -> Array:
+        return np.array([p.get(f"MC_{a}RATE_{gain}", 0.0) for a in _AXES])
+
+    limit = np.array([p.get(f"MC_{a}R_INT_LIM", 0.3) for a in "RPY"])
+    return RateGains(k * each("P"), k * each("I"), k * each("D"), each("FF"), limit)
+
+
+def _controls(
+    log: Px4Log,
+    t_s: Array,
+    rates: Array,
+    acceleration: Array,
+    setpoint: Array,
+    active: NDArray[np.bool_],
+    mixer: Mixer,
+) -> Array:
+    """Roll, pitch, yaw and thrust controls, (n, 4).
+
+    Saturation of the mixer stops the integrators; found by a first pass without it.
+    """
+    gains = _gains(log)
+    error = setpoint[:, :3] - rates
+    steady = gains.p * error - gains.d * acceleration + gains.ff * setpoint[:, :3]
+    anchors_s, anchors = _anchors(log)
+    free = np.zeros((len(t_s), 3), dtype=np.bool_)
+    blocked = (free, free)
+    controls = np.zeros((len(t_s), 4))
+    for _ in range(2):
+        integral = integrals(t_s, error, gains, active, blocked, anchors_s, anchors)
+        controls = np.column_stack([steady + integral, setpoint[:, 3]])
+        blocked = blocked_by(mix(controls, mixer), mixer)
+    if log.params.get("MC_BAT_SCALE_EN", 0.0):
+        battery = log.topic("battery_status", 0, "scale")
+        if battery is not None:
+            scale = battery.at(np.round(t_s * 1e6).astype(np.int64), "scale")
+            controls *= np.where(scale > 0.0, scale, 1.0)[:, None]
+    return controls
+
+
+def _anchors(log: Px4Log) -> tuple[Array, Array]:
+    """Logged integrals: times, s, (m,), and values, (m, 3)."""
+    fields = ("rollspeed_integ", "pitchspeed_integ", "yawspeed_integ")
+    topic = log.topic("rate_ctrl_status", 0, *fields)
+    if topic is None:
+        log.note("info", "cmd", "no rate_ctrl_status in the log: the integrals start from zero")
+        return np.zeros(0), np.zeros((0, 3))
+    return topic.t_s, topic.columns(fields)
+
+
+def _paired(outputs: Outputs, controls: Topic) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Logged outputs with the logged controls they were mixed from: indices of both."""
+    published = controls.t_us
+    index = np.searchsorted(published, outputs.topic.t_us, side="right") - 1
+    age = outputs.topic.t_us - published[np.maximum(index, 0)]
+    pair = np.flatnonzero((index >= 0) & (age < _PAIRED_US))
+    return pair, index[pair]
+
+
+def _latency_us(outputs: Outputs, controls: Topic) -> int:
+    """Time from the gyro sample to the output that follows from it, us."""
+    pair, index = _paired(outputs, controls)
+    if not controls.by_sample_time or len(pair) == 0:
+        return 0
+    return int(np.median(outputs.topic.t_us[pair] - controls.t_us[index]))
+
+
+def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
+    """Mixer of the airframe, checked on logged controls and outputs of the same instant."""
+    motors = outputs.pwm_us.shape[1]
+    known = airframe_mixer(log.params.get("SYS_AUTOSTART", 0.0))
+    names: Sequence[str] = [known] if known else mixer_names(motors)
+    pair, index = _paired(outputs, controls)
+    control = controls.array("control", 4)[index]
+    pair, control = pair[control[:, 3] > 0.1], control[control[:, 3] > 0.1]
+    best, best_us = names[0] if known else "", np.inf
+    for name in names:
+        if len(mixer_scale(name)) != motors or len(pair) < 5:
+            continue
+        mixer = Mixer(
+            mixer_scale(name),
+            int(log.params.get("MC_AIRMODE", 0)),
+            log.params.get("THR_MDL_FAC", 0.0),
+        )
+        width = outputs.low_us + mix(control, mixer) * (outputs.high_us - outputs.low_us)
+        off_us = float(np.median(np.abs(outputs.pwm_us[pair] - np.floor(width))))
+        if off_us < best_us:
+            best, best_us = name, off_us
+    airframe = f"SYS_AUTOSTART {log.params.get('SYS_AUTOSTART', 0.0):.0f}"
+    if not best or (best_us > _MIXER_TOLERANCE_US and len(pair) >= 5):
+        raise CannotRebuildError(
+            f"no mixer known here turns the logged controls into the logged outputs ({airframe}, "
+            f"best {best or 'none'}: {best_us:.0f} us)"
+        )
+    if not known:
+        log.note("info", "cmd", f"{airframe} is not known; mixer {best} fits to {best_us:.1f} us")
+    return mixer_scale(best)

@@ -1,0 +1,367 @@
+"""PX4 ULog -> Flight. All conversions from PX4's units and names stand in this file."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ...errors import LogError
+from ..assemble import Rows
+from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
+from ..flight import Array, Finding, Flight
+from .commands import from_px4_commands
+from .log import Px4Log, Topic, open_px4
+from .outputs import MotorCommands
+from .phases import from_px4_phases, label
+
+_GAUSS_T = 1e-4
+_RPM_RAD_S = 2.0 * np.pi / 60.0
+_NO_RELATIVE_TIME = 2**31 - 1
+_SAME_ROW_US = 600
+_NORM_DOUBT = 1e-3
+_LIMITS = {  # beyond these a sample is damaged, not flown
+    "acc": 2e3,
+    "gyro": 1e2,
+    "mag": 1e-2,
+    "baro": 2e5,
+    "pos": 1e6,
+    "vel": 1e3,
+    "vbat_v": 1e3,
+    "ibat_a": 1e4,
+    "rotor": 1e5,
+}
+
+
+def read_ulog(path: Path, blob: bytes, rebuild_commands: bool | None = None) -> Flight:
+    """Read a PX4 ULog.
+
+    Args:
+        path: File name.
+        blob: Content of the file.
+        rebuild_commands: Re-run the rate controller to get the motor commands at full rate;
+            None: where the log holds them slower than 100 Hz and has what it takes.
+    """
+    log = open_px4(path, blob)
+    rows = Rows()
+    facts = _facts(log)
+    _imu(log, rows, facts)
+    _magnetometer(log, rows)
+    _barometer(log, rows)
+    _estimate(log, rows)
+    commands = from_px4_commands(log, rebuild_commands)
+    _end(log)
+    _battery(log, rows, commands)
+    _rotors(log, rows)
+    if commands is not None:
+        n = commands.cmd.shape[1]
+        _add(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
+        facts |= commands.facts
+    t_us, absurd = rows.times_us()
+    if absurd:
+        log.note("error", "time", "rows dropped, over a minute from all others", absurd)
+    table = rows.table(t_us)
+    if not any(c in table for c in MOTION):
+        raise LogError(
+            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, "
+            f"position or velocity within {len(t_us)} rows. Log the default topics "
+            "(SDLOG_PROFILE bit 0) and fly again."
+        )
+    phase = label(table["time"].to_numpy(), from_px4_phases(log))
+    table["phase"] = pd.Series(phase, dtype=object)
+    facts |= _coverage(rows, t_us)
+    return Flight(path.stem, table, tuple(log.findings), facts, path)
+
+
+def from_px4_gauss(field: Array) -> Array:
+    """Magnetic field, gauss -> T."""
+    return field * _GAUSS_T
+
+
+def from_px4_rpm(rpm: Array) -> Array:
+    """Rotor speed, rpm of either sign -> rad/s, not negative."""
+    return np.abs(rpm) * _RPM_RAD_S
+
+
+def _add(
+    log: Px4Log,
+    rows: Rows,
+    where: str,
+    names: tuple[str, ...],
+    t_us: NDArray[np.int64],
+    values: Array,
+) -> None:
+    """Add a signal and count what it loses."""
+    absurd = (np.abs(values) > _LIMITS.get(where, np.inf)).any(axis=1)
+    if absurd.any():
+        log.note(
+            "error",
+            where,
+            f"samples left out, a value is beyond {_LIMITS[where]:g} (SI)",
+            int(absurd.sum()),
+        )
+    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
+    if early:
+        log.note("info", where, "samples left out, taken before the log began", early)
+    if broken:
+        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
+
+
+def _facts(log: Px4Log) -> dict[str, str]:
+    """What the log says about the vehicle."""
+    release = int(log.info.get("ver_sw_release", "0") or 0)
+    version = ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
+    facts = {"format": "PX4 ULog", "firmware": f"PX4 {version}" if release else "PX4"}
+    if "ver_hw" in log.info:
+        facts["hardware"] = log.info["ver_hw"]
+    if "SYS_AUTOSTART" in log.params:
+        facts["airframe"] = f"SYS_AUTOSTART {log.params['SYS_AUTOSTART']:.0f}"
+    facts["clock"] = f"t = 0 is {log.start_us * 1e-6:.6f} s after boot, the start of the log"
+    return facts
+
+
+def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
+    """Accelerometer and gyro, stamped with the middle of the time that each sample averages."""
+    fields = [f"{s}[{k}]" for s in ("gyro_rad", "accelerometer_m_s2") for k in range(3)]
+    topic = log.topic("sensor_combined", 0, *fields)
+    if topic is None:
+        _filtered_imu(log, rows)
+        return
+    gyro_us, gyro_dt = _window(topic, "gyro_integral_dt", topic.t_us)
+    relative = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
+    has_acc = relative.astype(np.int64) != _NO_RELATIVE_TIME
+    acc_end = topic.t_us + np.where(has_acc, relative, 0).astype(np.int64)
+    acc_us, _ = _window(topic, "accelerometer_integral_dt", acc_end)
+    gyro, acc = topic.array("gyro_rad", 3), topic.array("accelerometer_m_s2", 3)
+    together = has_acc & (np.abs(acc_us - gyro_us) < _SAME_ROW_US)
+    acc_us = np.where(together, gyro_us, acc_us)
+    if not has_acc.all():
+        count = int(np.count_nonzero(~has_acc))
+        log.note("info", "acc", "rows of sensor_combined without an acceleration sample", count)
+    acc_us, acc = acc_us[has_acc], acc[has_acc]
+    log.note(
+        "info",
+        "sensor_combined",
+        f"samples are means over {np.median(gyro_dt) / 1e3:.1f} ms; their time is the middle of "
+        f"that, {np.median(topic.t_us - gyro_us) / 1e3:.1f} ms before the time stamp of the log",
+    )
+    for where, names, t_us, values in (("gyro", GYRO, gyro_us, gyro), ("acc", ACC, acc_us, acc)):
+        rising = np.concatenate([[True], np.diff(np.maximum.accumulate(t_us)) > 0])
+        if not rising.all():
+            count = int(np.count_nonzero(~rising))
+            log.note("error", where, "samples dropped whose averaging times overlap", count)
+        _add(log, rows, where, names, t_us[rising], values[rising])
+    _gaps(log, topic, gyro_dt, facts)
+    clipping = topic.data.get("accelerometer_clipping")
+    if clipping is not None and np.any(clipping):
+        count = int(np.count_nonzero(clipping))
+        log.note("warning", "acc", "samples in which the accelerometer was at its limit", count)
+
+
+def _window(
+    topic: Topic, field: str, end_us: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Middle and length of the averaging windows that end at `end_us`, us; length 0 if unknown."""
+    length = topic.data.get(field, np.zeros(len(end_us))).astype(np.int64)
+    length = np.where((length > 0) & (length < 100_000), length, 0)
+    return end_us - length // 2, length
+
+
+def _gaps(log: Px4Log, topic: Topic, window_us: NDArray[np.int64], facts: dict[str, str]) -> None:
+    """Count IMU samples that were taken but did not arrive in the log."""
+    steps = np.diff(topic.t_us)
+    if len(steps) == 0 or not window_us.any():
+        return
+    gaps = np.maximum(steps - window_us[1:], 0)
+    lost = int(np.round(gaps[gaps > 0.1 * window_us[1:]].sum() / window_us.mean()))
+    span_s = (topic.t_us[-1] - topic.t_us[0]) * 1e-6
+    facts["imu_rate"] = (
+        f"{(len(steps) + lost) / span_s:.0f} Hz sampled, {len(steps) / span_s:.0f} Hz in the log"
+    )
+    if lost:
+        log.note(
+            "warning",
+            "sensor_combined",
+            f"samples missing, {lost / (len(steps) + lost):.0%} of those taken; the longest gap is "
+            f"{steps.max() / 1e3:.1f} ms. Nothing is filled in",
+            lost,
+        )
+
+
+def _filtered_imu(log: Px4Log, rows: Rows) -> None:
+    """Second choice: the filtered signals that the controllers use."""
+    for name, where, names in (
+        ("vehicle_acceleration", "acc", ACC),
+        ("vehicle_angular_velocity", "gyro", GYRO),
+    ):
+        topic = log.topic(name, 0, "xyz[0]", "xyz[1]", "xyz[2]")
+        if topic is None:
+            log.note("warning", where, f"neither sensor_combined nor {name} is in the log")
+            continue
+        log.note("warning", where, f"from {name}: low-pass filtered on board, bias removed")
+        _add(log, rows, where, names, topic.t_us, topic.array("xyz", 3))
+
+
+def _magnetometer(log: Px4Log, rows: Rows) -> None:
+    """Magnetometer of the first instance."""
+    topic = log.topic("vehicle_magnetometer", 0, *(f"magnetometer_ga[{k}]" for k in range(3)))
+    if topic is None:
+        return
+    if len(log.instances("vehicle_magnetometer")) > 1:
+        log.note("info", "mag", "several magnetometers in the log, the first is used")
+    _add(log, rows, "mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
+
+
+def _barometer(log: Px4Log, rows: Rows) -> None:
+    """Static pressure."""
+    topic = log.topic("vehicle_air_data", 0, "baro_pressure_pa")
+    if topic is not None:
+        _add(log, rows, "baro", ("baro_pa",), topic.t_us, topic.columns(("baro_pressure_pa",)))
+
+
+def _end(log: Px4Log) -> None:
+    """Say so where the record stops before the flight does."""
+    topic = log.topic("actuator_armed", 0, "armed")
+    if topic is not None and topic.data["armed"][-1]:
+        log.note(
+            "error", "log", f"it ends at {topic.t_s[-1]:.1f} s with the motors armed: cut short?"
+        )
+
+
+def _estimate(log: Px4Log, rows: Rows) -> None:
+    """Position, velocity and attitude as the estimator had them."""
+    topic = log.topic("vehicle_local_position", 0, "x", "y", "z", "vx", "vy", "vz")
+    if topic is None:
+        log.note("warning", "pos", "no vehicle_local_position in the log: no position, no velocity")
+    else:
+        _position(log, rows, topic)
+    topic = log.topic("vehicle_attitude", 0, *(f"q[{k}]" for k in range(4)))
+    if topic is None:
+        log.note("warning", "q", "no vehicle_attitude in the log: no attitude")
+        return
+    q = topic.array("q", 4)
+    norm = np.linalg.norm(q, axis=1)
+    usable = np.isfinite(norm) & (norm > 0.5) & (norm < 2.0)
+    off = usable & (np.abs(norm - 1.0) > _NORM_DOUBT)
+    if not usable.all():
+        count = int(np.count_nonzero(~usable))
+        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
+    if off.any():
+        log.note(
+            "warning", "q", "quaternions off unit norm by over 0.001, normalised", int(off.sum())
+        )
+    _resets(log, "q", topic, ("quat_reset_counter",))
+    _add(log, rows, "q", QUAT, topic.t_us[usable], q[usable] / norm[usable, None])
+
+
+def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
+    """Estimated position and velocity, left out where the estimator calls them invalid."""
+    for where, names, fields, flags in (
+        ("pos", POS, ("x", "y", "z"), ("xy_valid", "z_valid")),
+        ("vel", VEL, ("vx", "vy", "vz"), ("v_xy_valid", "v_z_valid")),
+    ):
+        values = topic.columns(fields)
+        valid = np.ones(len(values), dtype=np.bool_)
+        for flag in flags:
+            if topic.has(flag):
+                valid &= topic.data[flag].astype(bool)
+        if not valid.all():
+            count = int(np.count_nonzero(~valid))
+            log.note("info", where, "samples left out, the estimator says they are invalid", count)
+        _add(log, rows, where, names, topic.t_us[valid], values[valid])
+    counters = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
+    _resets(log, "pos", topic, counters)
+    vision = int(log.params.get("EKF2_AID_MASK", 0)) & 8 or int(log.params.get("EKF2_EV_CTRL", 0))
+    delay = log.params.get("EKF2_EV_DELAY" if vision else "EKF2_GPS_DELAY")
+    source = "external vision" if vision else "GPS"
+    told = f"; it assumes {source} to be {delay:.0f} ms late" if delay is not None else ""
+    log.note(
+        "info",
+        "pos",
+        f"position and velocity are the estimator's, not a reference{told}. If the true delay "
+        "differs, they lead or lag the truth by the difference",
+    )
+
+
+def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) -> None:
+    """Steps that the estimator put into its own output."""
+    times: list[float] = []
+    for counter in counters:
+        if topic.has(counter):
+            stepped = np.flatnonzero(np.diff(topic.data[counter].astype(np.int64))) + 1
+            times += topic.t_s[stepped].tolist()
+    if times:
+        at = ", ".join(f"{t:.2f}" for t in sorted(set(times))[:8])
+        log.note("warning", where, f"the estimator reset itself at {at} s: steps there", len(times))
+
+
+def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> None:
+    """Battery voltage and, where it is worth anything, current."""
+    topic = log.topic("battery_status", 0, "voltage_v")
+    if topic is None:
+        return
+    volts = topic.columns(("voltage_v",))
+    if np.nanmax(volts, initial=0.0) < 1.0:
+        log.note("warning", "vbat_v", "left out: battery_status never exceeds 1 V")
+    else:
+        _add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+    if not topic.has("current_a"):
+        return
+    current = topic.columns(("current_a",))
+    reason = _current_doubt(topic, current[:, 0], commands)
+    if reason:
+        log.note("warning", "ibat_a", f"left out: {reason}", len(current))
+    else:
+        _add(log, rows, "ibat_a", ("ibat_a",), topic.t_us, current)
+
+
+def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) -> str:
+    """Why the logged current cannot be that of the motors, "" where it can."""
+    if not np.isfinite(amps).any():
+        return "battery_status has no current"
+    if np.nanmax(amps) <= 0.0:
+        return f"the current is never positive ({np.nanmin(amps):.2f} A): no current sensor"
+    if np.nanstd(amps) < 1e-4:
+        return f"the current is {np.nanmean(amps):.2f} A throughout: no current sensor"
+    if commands is None or len(commands.t_us) == 0:
+        return ""
+    mean_cmd = np.interp(topic.t_us, commands.t_us, commands.cmd.mean(axis=1))
+    idle, working = amps[mean_cmd < 0.05], amps[mean_cmd > 0.2]
+    if len(idle) and len(working) and np.nanmedian(working) < 1.5 * np.nanmedian(idle):
+        return (
+            f"{np.nanmedian(working):.2f} A while flying and {np.nanmedian(idle):.2f} A with the "
+            "motors idle: not the current of the motors"
+        )
+    return ""
+
+
+def _rotors(log: Px4Log, rows: Rows) -> None:
+    """Rotor speeds reported by the speed controllers."""
+    topic = log.topic("esc_status")
+    if topic is None:
+        return
+    names = [f"esc[{k}].esc_rpm" for k in range(8) if topic.has(f"esc[{k}].esc_rpm")]
+    alive = [n for n in names if np.ptp(topic.data[n].astype(np.float64)) > 0]
+    if len(alive) < 3:
+        log.note(
+            "warning",
+            "rotor",
+            f"left out: esc_status has a changing speed for {len(alive)} motors",
+            len(topic.t_us),
+        )
+        return
+    speeds = from_px4_rpm(topic.columns(alive))
+    _add(log, rows, "rotor", motor_columns("rotor", len(alive)), topic.t_us, speeds)
+
+
+def _coverage(rows: Rows, t_us: NDArray[np.int64]) -> dict[str, str]:
+    """Duration and mean rate of every signal."""
+    facts = {"duration": f"{(t_us[-1] - t_us[0]) * 1e-6:.2f} s"}
+    for names, t, _ in rows.signals:
+        if len(t) > 1:
+            group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
+            facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
+    return facts
+
+
+__all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]

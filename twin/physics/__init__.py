@@ -1,0 +1,1 @@
+"""What moves the vehicle: rigid body, rotors, ground, battery, and the air around it."""

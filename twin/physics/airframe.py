@@ -1,0 +1,398 @@
+"""Airframe: rigid body with six degrees of freedom, rotors, drag and ground contact.
+
+    m dv/dt   = m g e_z + R_nb F_b                               (NED)
+    J domega/dt = M_b - omega x (J omega) - G_a                  (body FRD)
+    dq/dt     = q * [0, omega] / 2
+
+Source: Eq. 5 of the paper the project builds on, "Physics-Aware Multichannel Vector Quantization
+for Hybrid Digital Twin Modeling of UAV Systems", with gravity left in NED where it belongs: the
+paper rotates it with the matrix that takes body velocity to earth. G_a is the gyroscopic torque
+of the spinning rotors.
+"""
+
+from collections.abc import Iterable, Sequence
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..component import Component, ComponentBuilder
+from ..effects import Blocks, Effect, effects_of
+from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
+from ..effects.timing import COMMAND_PERIOD_S
+from ..errors import ModelError
+from ..frames import carried, cross, quaternion_rate, to_body, to_ned
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from ..vehicle.thrust_map import first_reaching, hover_level
+from .ground import ground_contact
+from .rotors import Drive, rotor_equations, rotor_inputs
+
+Array = NDArray[np.float64]
+AXES = ("x", "y", "z")
+_FRD = ("forward", "right", "down")
+_NED = ("north", "east", "down")
+START_HEIGHT_M = 10.0
+"""Height at which the airframe starts, in hover, when no start value says otherwise."""
+
+
+def airframe(
+    vehicle: Vehicle, drive: Drive | None = None, effects: Iterable[str] = ()
+) -> Component:
+    """The airframe of a vehicle as a component; its start values are a hover at 10 m.
+
+    Args:
+        vehicle: Numbers of the aircraft, and the effects that are switched on.
+        drive: "command" (inputs `cmd_1..n`) or "rotor_speed" (inputs `rotor_1..n`, rad/s);
+            default: what the vehicle file describes.
+        effects: Effects to build in, switched off, as blocks of parameters: identifiers of
+            `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
+            the vehicle are always in, and on.
+
+    Raises:
+        ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
+    """
+    wanted = {*effects, *vehicle.effects}
+    chosen = [e for e in effects_of("airframe") if e.name in wanted]
+    component = _equations(vehicle, drive or vehicle.drive, chosen)
+    return component.with_starts(hover_trim(component, vehicle))
+
+
+def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Component:
+    m = ComponentBuilder(
+        "airframe", f"Six-degree-of-freedom airframe of {vehicle.name}, driven by {drive}"
+    )
+    blocks = Blocks(m, vehicle, effects)
+    inputs = rotor_inputs(m, vehicle, drive)
+    if blocks.include("command_delay"):
+        m.sampled(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay")
+    z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
+    motion = _motion(m, vehicle, blocks, z_ground)
+    rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
+    wrench = blocks.apply(_wrench(m, vehicle, rotors))
+    contact = ground_contact(
+        m, vehicle, z_ground, motion.pos_n, motion.vel_n, motion.q_nb, motion.omega_b
+    )
+    switches = [contact.enabled, *blocks.switches]
+    m.idle_while(ca.logic_and(blocks.off(), contact.out_of_reach), contact.step, switches)
+    blocks.idle()
+
+    specific_force_b = [
+        (f + c) / motion.body.mass for f, c in zip(wrench.force, contact.force, strict=True)
+    ]
+    acceleration_n = to_ned(motion.q_nb, specific_force_b)
+    acceleration_n[2] += motion.gravity
+    angular_acceleration_b = _angular_acceleration(
+        motion, [a + b for a, b in zip(wrench.moment, contact.moment, strict=True)]
+    )
+    for i, axis in enumerate(AXES):
+        m.derivative(f"pos_{axis}", motion.vel_n[i])
+        m.derivative(f"vel_{axis}", acceleration_n[i])
+        m.derivative(f"omega_{axis}", angular_acceleration_b[i])
+    for name, rate in zip("wxyz", quaternion_rate(motion.q_nb, motion.omega_b), strict=True):
+        m.derivative(f"q_{name}", rate)
+
+    for i, axis in enumerate(AXES):
+        m.output(f"pos_{axis}", "m", f"Position, NED {_NED[i]}", motion.pos_n[i])
+    for i, axis in enumerate(AXES):
+        m.output(f"vel_{axis}", "m/s", f"Velocity, NED {_NED[i]}", motion.vel_n[i])
+    for i, name in enumerate("wxyz"):
+        m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", motion.q_nb[i])
+    for i, axis in enumerate(AXES):
+        m.output(f"omega_{axis}", "rad/s", f"Body rate about {_FRD[i]}", motion.omega_b[i])
+    felt_b = carried(specific_force_b, motion.body.origin, motion.omega_b, angular_acceleration_b)
+    for i, axis in enumerate(AXES):
+        m.output(
+            f"specific_force_{axis}",
+            "m/s2",
+            f"Specific force where the vehicle file has the centre of mass, body {_FRD[i]}",
+            felt_b[i],
+        )
+    for i, axis in enumerate(AXES):
+        m.output(
+            f"angular_acceleration_{axis}",
+            "rad/s2",
+            f"Angular acceleration about {_FRD[i]}",
+            angular_acceleration_b[i],
+        )
+    for i, thrust in enumerate(rotors.thrust, start=1):
+        m.output(f"thrust_{i}", "N", f"Thrust of rotor {i}", thrust)
+    for i, spin in enumerate(rotors.spin, start=1):
+        m.output(f"spin_{i}", "1", f"Speed of rotor {i} over that in hover", spin)
+    if drive == "command" and vehicle.rotors.from_speed:
+        for i, spin in enumerate(rotors.spin, start=1):
+            speed = spin * hover_level(vehicle)
+            m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
+    if vehicle.battery is not None:
+        m.output("ibat_a", "A", "Battery current", _current(m, vehicle, rotors))
+    return m.build()
+
+
+def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
+    """Start values (inputs and initial rotor states) of an unaccelerated level hover.
+
+    Newton's method with the least-norm step on vertical and angular acceleration against the
+    rotor inputs, at steady rotors, with the derivatives of the component's own equations.
+
+    Raises:
+        ModelError: No command inside 0..1 (no positive speed) hovers.
+    """
+    names = [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
+    index = [component.input_names.index(n) for n in names]
+    steady = [i for i, s in enumerate(component.states) if s.name.startswith(("rotor_", "effort_"))]
+    v = ca.SX.sym("v", len(names))
+    r = ca.SX.sym("r", len(steady))
+    u = ca.SX(component.input_values())
+    u[index] = v
+    p = component.parameter_values()
+    x = component.initial(u, p)
+    if steady:
+        x[steady] = r
+    rates = component.derivatives(x, u, p)
+    wanted = [
+        i
+        for i, s in enumerate(component.states)
+        if s.name in ("vel_z", "omega_x", "omega_y", "omega_z")
+    ]
+    residual = ca.vertcat(rates[wanted], rates[steady])
+    unknown = ca.vertcat(v, r)
+    newton = ca.Function("newton", [unknown], [residual, ca.jacobian(residual, unknown)])
+    guess = _trim_guess(vehicle, component.input_names, len(steady))
+    for _ in range(50):
+        value, slope = (np.asarray(a, dtype=np.float64) for a in newton(guess))
+        step = np.linalg.pinv(slope) @ value.ravel()
+        guess = guess - step
+        if np.max(np.abs(step)) < 1e-15 * max(1.0, float(np.max(np.abs(guess)))):
+            break
+    value = np.asarray(newton(guess)[0], dtype=np.float64)
+    commands = guess[: len(names)]
+    too_high = component.input_names[index[0]].startswith("cmd_") and commands.max() > 1
+    if (
+        not np.all(np.isfinite(guess))
+        or np.max(np.abs(value)) > 1e-6
+        or commands.min() < 0
+        or too_high
+    ):
+        raise ModelError(
+            f"{vehicle.name}: no hover trim: rotor inputs {np.round(commands, 4).tolist()} leave "
+            f"an acceleration of {np.max(np.abs(value)):.3g}. Check mass, thrust map, rotor "
+            f"positions and directions."
+        )
+    levels = guess[len(names) :]
+    if steady and vehicle.rotors.lag_up_s == 0:
+        # The only lag is an effect; it may be off, and is then trimmed for the time it is not.
+        p = component.parameter_values({"motor_lag.enabled": 1.0, "motor_lag.tau_s": 1.0})
+        missing = ca.Function("missing", [unknown], [component.derivatives(x, u, p)[steady]])
+        levels = levels + np.asarray(missing(guess), dtype=np.float64).ravel()
+    trim = dict(zip(names, commands.tolist(), strict=True))
+    starts = [f"initial.{component.states[i].name}" for i in steady]
+    return trim | dict(zip(starts, levels.tolist(), strict=True))
+
+
+def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:
+    """Equal rotors that carry the weight: argument of the thrust map, then its state if any."""
+    rotors = vehicle.rotors
+    level = hover_level(vehicle)
+    command = level
+    if rotors.from_speed and rotors.speed_rad_s:
+        command = first_reaching(rotors.speed_rad_s, level, 1.0)
+    first = level if "rotor_1" in inputs else command
+    return np.array([first] * rotors.count + [level] * n_steady)
+
+
+def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX) -> Motion:
+    """Declare the states of the rigid body and its surroundings."""
+    wind_n = [
+        m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
+        for a, d in zip(AXES, _NED, strict=True)
+    ]
+    density = m.input("density", "kg/m3", "Air density", AIR_DENSITY_KG_M3)
+    voltage = ca.SX(vehicle.voltage_v)
+    if vehicle.rotors.reference_voltage_v is not None or blocks.include("battery_sag"):
+        voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
+    mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
+    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
+    body = blocks.apply(
+        Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
+    )
+    air = blocks.apply(Air(wind_n))
+    initial, pos_n, vel_n, q_nb, omega_b = _motion_states(m)
+    reference = m.parameter(
+        "reference_density",
+        AIR_DENSITY_KG_M3,
+        "kg/m3",
+        "Air density at which the numbers of rotors and drag hold",
+        minimum=1e-3,
+    )
+    return Motion(
+        body=body,
+        pos_n=pos_n,
+        vel_n=vel_n,
+        q_nb=q_nb,
+        omega_b=omega_b,
+        air_b=to_body(q_nb, [v - w for v, w in zip(vel_n, air.wind_n, strict=True)]),
+        height=z_ground - pos_n[2],
+        density=density / reference,
+        gravity=gravity,
+        voltage=voltage,
+        start_vel_n=[initial[f"vel_{a}"] for a in AXES],
+    )
+
+
+def _angular_acceleration(motion: Motion, moment_b: Sequence[ca.SX]) -> list[ca.SX]:
+    """Euler's equation: `J domega/dt = M - omega x (J omega)`."""
+    inertia, omega_b = motion.body.inertia, motion.omega_b
+    momentum = [
+        sum((j * w for j, w in zip(row, omega_b, strict=True)), start=ca.SX(0)) for row in inertia
+    ]
+    net = [a - b for a, b in zip(moment_b, cross(omega_b, momentum), strict=True)]
+    return [
+        sum((i * t for i, t in zip(row, net, strict=True)), start=ca.SX(0))
+        for row in _symmetric_inverse(inertia)
+    ]
+
+
+def _motion_states(
+    m: ComponentBuilder,
+) -> tuple[dict[str, ca.SX], list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
+    """Start values by name; position and velocity NED, attitude, body rates."""
+    start = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
+    rows = (
+        [(f"pos_{a}", "m", f"position, NED {d}") for a, d in zip(AXES, _NED, strict=True)]
+        + [(f"vel_{a}", "m/s", f"velocity, NED {d}") for a, d in zip(AXES, _NED, strict=True)]
+        + [(f"q_{a}", "1", f"attitude quaternion body to NED, {a}") for a in "wxyz"]
+        + [(f"omega_{a}", "rad/s", f"body rate about {d}") for a, d in zip(AXES, _FRD, strict=True)]
+    )
+    initial = {
+        name: m.parameter(
+            f"initial.{name}", start.get(name, 0.0), unit, f"Initial {meaning}", fixed=True
+        )
+        for name, unit, meaning in rows
+    }
+    q0 = [initial[f"q_{a}"] for a in "wxyz"]
+    norm = ca.sqrt(sum((c * c for c in q0), start=ca.SX(0)))
+    for a in "wxyz":
+        initial[f"q_{a}"] = initial[f"q_{a}"] / norm
+    x = {name: m.state(name, unit, meaning, initial[name]) for name, unit, meaning in rows}
+    q = [x[f"q_{a}"] for a in "wxyz"]
+    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
+    for a, c in zip("wxyz", q, strict=True):
+        m.projection(f"q_{a}", c / length)
+    return (
+        initial,
+        [x[f"pos_{a}"] for a in AXES],
+        [x[f"vel_{a}"] for a in AXES],
+        q,
+        [x[f"omega_{a}"] for a in AXES],
+    )
+
+
+def _inertia(m: ComponentBuilder, J: Array) -> list[list[ca.SX]]:
+    element = {
+        a + b: m.parameter(
+            f"inertia.{a}{b}",
+            float(J[i, j]),
+            "kg.m2",
+            f"Inertia matrix about the centre of mass, element {a}{b}",
+            minimum=1e-9 if i == j else None,
+        )
+        for i, a in enumerate(AXES)
+        for j, b in enumerate(AXES)
+        if i <= j
+    }
+    return [[element["".join(sorted(a + b))] for b in AXES] for a in AXES]
+
+
+def _symmetric_inverse(J: list[list[ca.SX]]) -> list[list[ca.SX]]:
+    """Inverse of a symmetric 3x3 matrix by its adjugate."""
+    (a, b, c), (_, d, e), (_, _, f) = J
+    adjugate = [
+        [d * f - e * e, c * e - b * f, b * e - c * d],
+        [c * e - b * f, a * f - c * c, b * c - a * e],
+        [b * e - c * d, b * c - a * e, a * d - b * b],
+    ]
+    determinant = a * adjugate[0][0] + b * adjugate[0][1] + c * adjugate[0][2]
+    return [[value / determinant for value in row] for row in adjugate]
+
+
+def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
+    """Linear and quadratic drag along the body axes.
+
+    Source: quadratic, Stevens, Lewis & Johnson, ch. 2; linear (rotor drag lumped into the body),
+    Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7.
+    """
+    force = []
+    for i, (axis, air) in enumerate(zip(AXES, motion.air_b, strict=True)):
+        linear = m.parameter(
+            f"drag.linear_{axis}",
+            float(vehicle.drag_linear_n_s_m[i]),
+            "N.s/m",
+            f"Linear drag along body {_FRD[i]}",
+            minimum=0,
+        )
+        quadratic = m.parameter(
+            f"drag.quadratic_{axis}",
+            float(vehicle.drag_quadratic_n_s2_m2[i]),
+            "N.s2/m2",
+            f"Quadratic drag along body {_FRD[i]}",
+            minimum=0,
+        )
+        force.append(-motion.density * (linear + quadratic * ca.fabs(air)) * air)
+    return force
+
+
+def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
+    """Rotor hubs from the centre of mass, one [x, y, z] per rotor."""
+    return [
+        [
+            m.parameter(
+                f"rotor_{n}.{a}", hub[k], "m", f"Hub of rotor {n} from the centre of mass, {d}"
+            )
+            for k, (a, d) in enumerate(zip(AXES, _FRD, strict=True))
+        ]
+        for n, hub in enumerate(vehicle.rotors.position_m.tolist(), start=1)
+    ]
+
+
+def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
+    """Drag of the body, thrust, reaction torque and gyroscopic torque of the rotors."""
+    motion = rotors.motion
+    force = _drag(m, vehicle, motion)
+    moment = [ca.SX(0)] * 3
+    for hub, direction, thrust, torque in zip(
+        motion.body.hubs, rotors.direction, rotors.thrust, rotors.torque, strict=True
+    ):
+        force[2] -= thrust
+        # +1 clockwise seen from above spins about +z; the body feels the reaction.
+        moment = [
+            moment[0] - hub[1] * thrust,
+            moment[1] + hub[0] * thrust,
+            moment[2] - direction * torque,
+        ]
+    if vehicle.rotors.from_speed:
+        inertia = m.parameter(
+            "spin_inertia",
+            vehicle.rotors.spin_inertia_kg_m2,
+            "kg.m2",
+            "Inertia of one rotor about its axis",
+            minimum=0,
+        )
+        spin = sum((d * s for d, s in zip(rotors.direction, rotors.spin, strict=True)), ca.SX(0))
+        momentum = [ca.SX(0), ca.SX(0), inertia * hover_level(vehicle) * spin]
+        gyroscopic = cross(motion.omega_b, momentum)
+        moment = [a - b for a, b in zip(moment, gyroscopic, strict=True)]
+    return Wrench(rotors, force, moment)
+
+
+def _current(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> ca.SX:
+    """Battery current: induced power grows with thrust^1.5 (momentum theory, Leishman ch. 2)."""
+    assert vehicle.battery is not None
+    hover = m.parameter(
+        "hover_current", vehicle.battery.hover_current_a, "A", "Battery current in hover", minimum=0
+    )
+    motion = rotors.motion
+    share = motion.body.mass * motion.gravity / len(rotors.thrust)
+    loads = [ca.if_else(t > 0, t, 0.0) / share for t in rotors.thrust]
+    # x sqrt(x), not x**1.5: the power function differs in the last bit between platforms.
+    # Bounded below: the root has no derivative at zero, where a rotor at rest is.
+    load = sum((x * ca.sqrt(ca.fmax(x, 1e-30)) for x in loads), start=ca.SX(0))
+    return hover * load / len(loads)

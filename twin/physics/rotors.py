@@ -1,0 +1,222 @@
+"""Rotors: from motor commands or rotor speeds to thrust and reaction torque.
+
+Three kinds, chosen by the vehicle file and by what the flight holds:
+
+| thrust map | driven by | state per rotor |
+|---|---|---|
+| of the speed | command, through `speed_from_command` and a lag | speed, rad/s |
+| of the speed | measured rotor speed | none |
+| of the command | command, through a lag | effective command, 0..1 |
+"""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import casadi as ca
+
+from ..component import ComponentBuilder
+from ..effects.definition import Blocks
+from ..effects.stages import Motion, Motors, Thrust
+from ..errors import ModelError
+from ..vehicle import Rotors, Vehicle
+from ..vehicle.thrust_map import hover_level, polynomial
+
+Drive = Literal["command", "rotor_speed"]
+
+
+def rotor_inputs(m: ComponentBuilder, vehicle: Vehicle, drive: Drive) -> list[ca.SX]:
+    """Declare what drives the rotors, one input each: `cmd_i`, 0..1, or `rotor_i`, rad/s.
+
+    Raises:
+        ModelError: The vehicle's maps do not allow this drive.
+    """
+    numbers = range(1, vehicle.rotors.count + 1)
+    if drive == "command":
+        return [m.input(f"cmd_{i}", "1", f"Command of motor {i}, 0..1") for i in numbers]
+    if not vehicle.rotors.from_speed:
+        raise ModelError(
+            "Measured rotor speeds cannot drive a vehicle whose thrust map is of the command; "
+            "give rotors.thrust_from_speed in the vehicle file."
+        )
+    # Hover trim is a start value of the inputs, set once the whole airframe is known.
+    return [m.input(f"rotor_{i}", "rad/s", f"Speed of rotor {i}") for i in numbers]
+
+
+def rotor_equations(
+    m: ComponentBuilder,
+    vehicle: Vehicle,
+    drive: Drive,
+    inputs: list[ca.SX],
+    motion: Motion,
+    blocks: Blocks,
+) -> Thrust:
+    """Declare parameters and states of the rotors; return what each gives."""
+    rotors = vehicle.rotors
+    argument, argument_unit = ("rotor speed", "rad/s") if rotors.from_speed else ("command", "1")
+    thrust = _coefficients(m, "thrust", "N", "Thrust", rotors.thrust_n, argument, argument_unit)
+    torque = _coefficients(
+        m, "torque", "N.m", "Reaction torque", rotors.torque_n_m, argument, argument_unit
+    )
+    if drive == "rotor_speed":
+        level, rate = inputs, _spin_rates(m, rotors, blocks)
+    else:
+        level, rate = _driven_by_command(m, vehicle, inputs, motion.voltage, blocks)
+    # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
+    pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
+    twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
+    spin, spin_rate = _spin(vehicle, level, rate)
+    return Thrust(
+        motion, rotors.direction.tolist(), vehicle.hover_thrust_n, spin, spin_rate, pushes, twists
+    )
+
+
+def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.SX]:
+    """Time derivatives of measured rotor speeds, an input where an effect asks for them."""
+    if not blocks.include("rotor_inertia_torque"):
+        return [ca.SX(0)] * rotors.count
+    return [
+        m.input(f"spin_rate_{i}", "rad/s2", f"Rate of change of the speed of rotor {i}")
+        for i in range(1, rotors.count + 1)
+    ]
+
+
+def _driven_by_command(
+    m: ComponentBuilder,
+    vehicle: Vehicle,
+    commands: list[ca.SX],
+    voltage: ca.SX,
+    blocks: Blocks,
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Rotor speed or effective command behind saturation, voltage and lag, and its rate."""
+    rotors = vehicle.rotors
+    if rotors.from_speed and not rotors.speed_rad_s:
+        raise ModelError(
+            f"Commands cannot drive {vehicle.name}: it is known by rotor speed only. Give "
+            f"rotors.speed_from_command in the vehicle file."
+        )
+    up, down = ca.SX(0), ca.SX(0)
+    if rotors.lag_up_s > 0:
+        up = m.parameter(
+            "lag.up", rotors.lag_up_s, "s", "Rotor time constant, rising", minimum=1e-3
+        )
+        down = m.parameter(
+            "lag.down", rotors.lag_down_s, "s", "Rotor time constant, falling", minimum=1e-3
+        )
+    motors = blocks.apply(Motors(commands, up, down))
+    steady = [ca.fmin(ca.fmax(c, 0.0), 1.0) for c in motors.command]
+    if rotors.reference_voltage_v is not None:
+        reference = m.parameter(
+            "reference_voltage",
+            rotors.reference_voltage_v,
+            "V",
+            "Battery voltage at which the maps of the command hold",
+            minimum=1e-3,
+        )
+        exponent = m.parameter(
+            "voltage_exponent",
+            rotors.voltage_exponent,
+            "1",
+            "Power of voltage over reference voltage that multiplies the command",
+        )
+        scale = ca.fmax(voltage / reference, 0.0) ** exponent
+        steady = [c * scale for c in steady]
+    if rotors.speed_rad_s:
+        speed = _coefficients(
+            m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
+        )
+        steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
+    if not blocks.include("motor_lag") and rotors.lag_up_s == 0:
+        return steady, [ca.SX(0)] * rotors.count
+    return _lagging(m, rotors, steady, motors)
+
+
+def _lagging(
+    m: ComponentBuilder, rotors: Rotors, steady: list[ca.SX], motors: Motors
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """First-order lag per rotor; where the model has none of its own, a lag of 0 s passes the
+    input through."""
+    state, unit, meaning = (
+        ("rotor", "rad/s", "speed of rotor")
+        if rotors.from_speed
+        else ("effort", "1", "effective command of motor")
+    )
+    levels, rates = [], []
+    for i, target in enumerate(steady, start=1):
+        start = m.parameter(f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True)
+        x = m.state(f"{state}_{i}", unit, meaning.capitalize() + f" {i}", start)
+        lag = ca.if_else(target > x, motors.lag_up, motors.lag_down)
+        if rotors.lag_up_s > 0:
+            level, rate = x, (target - x) / lag
+        else:
+            lags = lag > 0
+            level = ca.if_else(lags, x, target)
+            rate = ca.if_else(lags, (target - x) / ca.if_else(lags, lag, 1.0), 0.0)
+        m.derivative(f"{state}_{i}", rate)
+        levels.append(level)
+        rates.append(rate)
+    return levels, rates
+
+
+SLOWEST_SPIN = 0.1
+"""Rotor speed over that in hover below which its rate is not told from the thrust: there the map
+of the command has no slope."""
+
+
+def _spin(
+    vehicle: Vehicle, level: list[ca.SX], rate: list[ca.SX]
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Rotor speed over that in hover and its rate; thrust grows with its square where the map is
+    of the command."""
+    rotors = vehicle.rotors
+    if rotors.from_speed:
+        hover = hover_level(vehicle)
+        return [x / hover for x in level], [r / hover for r in rate]
+    x = ca.SX.sym("x")
+    share = _not_negative(polynomial(rotors.thrust_n, x)) / vehicle.hover_thrust_n
+    slope = ca.Function("slope", [x], [share, ca.jacobian(share, x)])
+    spins, rates = [], []
+    for value, change in zip(level, rate, strict=True):
+        load, steepness = slope(value)
+        # The root has no derivative at zero, where a rotor at rest is.
+        spin = ca.if_else(load > 0, ca.sqrt(ca.fmax(load, 1e-30)), 0.0)
+        spins.append(spin)
+        rates.append(steepness * change / (2 * ca.fmax(spin, SLOWEST_SPIN)))
+    return spins, rates
+
+
+def _coefficients(
+    m: ComponentBuilder,
+    prefix: str,
+    unit: str,
+    meaning: str,
+    values: Sequence[float],
+    argument: str,
+    argument_unit: str,
+) -> list[ca.SX]:
+    """Coefficients as parameters; those that are zero are left out of the equations."""
+    return [
+        m.parameter(
+            f"{prefix}.c{k}",
+            value,
+            per_power(unit, argument_unit, k),
+            f"{meaning} polynomial, coefficient of {argument}^{k}",
+        )
+        if value
+        else ca.SX(0)
+        for k, value in enumerate(values)
+    ]
+
+
+def _not_negative(value: ca.SX) -> ca.SX:
+    """Zero where a fitted polynomial is negative; compiles to no call, unlike fmax."""
+    return ca.if_else(value > 0, value, 0.0)
+
+
+def per_power(unit: str, argument_unit: str, power: int) -> str:
+    """Unit of the coefficient of `argument^power` in a polynomial with the given unit."""
+    if power == 0 or argument_unit == "1":
+        return unit
+    suffix = "" if power == 1 else str(power)
+    if unit == "rad/s":
+        raise ValueError("a speed is a polynomial of the command only")
+    return f"{unit}.s{suffix}/rad{suffix}"

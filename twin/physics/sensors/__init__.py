@@ -1,0 +1,1 @@
+"""Sensors, one file each, and what they have in common."""

@@ -1,0 +1,390 @@
+"""Residuals between a flight and its twin, and the numbers that sum them up.
+
+`residual = measured - simulated`, always.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ModelError
+from .spectra import SLOW_HZ, slow_part, spectrum
+
+Array = NDArray[np.float64]
+
+BAND_EDGES_HZ = (0.0, 1.0, SLOW_HZ, 40.0, math.inf)
+UNKNOWN_PHASE = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One scalar quantity, measured and simulated at the same instants.
+
+    Attributes:
+        name: Flight-table column or derived name (`acc_x`, `angacc_z`, `pos_z`, `att_x`).
+        unit: SI unit, as printed.
+        horizon_s: 0 for teacher-forced; else the time since the last restart from the
+            measured state, at the end of which the two are compared.
+        t_s: Times, s, shape (n,).
+        measured: Shape (n,).
+        simulated: Shape (n,).
+        phase: Flight phase of each sample, shape (n,), "" where unknown.
+    """
+
+    name: str
+    unit: str
+    horizon_s: float
+    t_s: Array
+    measured: Array
+    simulated: Array
+    phase: NDArray[np.str_]
+
+    @property
+    def residual(self) -> Array:
+        """Measured minus simulated, shape (n,)."""
+        return self.measured - self.simulated
+
+
+@dataclass(frozen=True, slots=True)
+class FlightGap:
+    """All channels of one flight.
+
+    Attributes:
+        flight: Name of the flight.
+        vehicle: Name of the vehicle model it was compared with.
+        channels: In report order.
+        phases: Spans (name, start s, end s) in order of time.
+        warnings: What a reader of the numbers must know.
+        facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
+    """
+
+    flight: str
+    vehicle: str
+    channels: tuple[Channel, ...]
+    phases: tuple[tuple[str, float, float], ...]
+    warnings: tuple[str, ...]
+    facts: dict[str, str]
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample of any channel to the last."""
+        spans = [(float(c.t_s[0]), float(c.t_s[-1])) for c in self.channels if len(c.t_s)]
+        return max(e for _, e in spans) - min(s for s, _ in spans) if spans else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Size of a residual over some samples; NaN where it is not defined.
+
+    Attributes:
+        n: Samples at which both sides are finite.
+        rms: Root mean square of the residual, in the channel's unit.
+        mean: Mean of the residual: what a constant would correct.
+        share: `rms` over the rms of the measured signal about its mean. The signal is always
+            that of the whole channel (each flight about its own mean), also for a phase: a
+            quiet phase cannot turn a small residual into a large share. At 1 over a whole flight
+            the twin is no better than a constant. NaN for a flat signal.
+        slow_rms: Rms of the residual below `SLOW_HZ`; mean included.
+        rms_ci95: 95 % interval of `rms`, bootstrap over blocks of time.
+        dropped: Samples left out because one side is not finite.
+    """
+
+    n: int
+    rms: float
+    mean: float
+    share: float
+    slow_rms: float
+    rms_ci95: tuple[float, float]
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """One channel, pooled over flights: whole and by phase (in order of appearance)."""
+
+    name: str
+    unit: str
+    horizon_s: float
+    total: Score
+    by_phase: Mapping[str, Score]
+
+
+@dataclass(frozen=True, slots=True)
+class Ranked:
+    """A place where twin and flight disagree: one channel in one phase.
+
+    Attributes:
+        weight: Residual below `SLOW_HZ`, rms, over the rms of the measured signal about its mean
+            on the largest axis of the channel's vector.
+    """
+
+    channel: str
+    phase: str
+    unit: str
+    horizon_s: float
+    score: Score
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """Finite samples of one channel in one flight."""
+
+    t_s: Array
+    about_mean: Array
+    residual: Array
+    slow: Array
+    phase: NDArray[np.str_]
+    dropped: NDArray[np.str_]  # phase of each dropped sample
+
+
+def pool(channels: Sequence[Channel], seed: int = 0) -> Summary:
+    """Sum up one channel over several flights.
+
+    Args:
+        channels: The same channel (name, unit, horizon) of each flight.
+        seed: Of the bootstrap behind `Score.rms_ci95`.
+
+    Raises:
+        ModelError: The channels differ in name, unit or horizon, or there are none.
+    """
+    kinds = sorted({(c.name, c.unit, c.horizon_s) for c in channels})
+    if len(kinds) != 1:
+        raise ModelError(
+            f"cannot pool {len(kinds)} kinds of channel: {kinds}. "
+            "Pool one name, unit and horizon at a time."
+        )
+    parts = [_samples(c) for c in channels]
+    n = sum(len(p.t_s) for p in parts)
+    signal_rms = math.nan
+    if n:
+        signal_rms = math.sqrt(sum(float(p.about_mean @ p.about_mean) for p in parts) / n)
+        largest = max(
+            float(np.max(np.abs(c.measured[np.isfinite(c.measured)]), initial=0.0))
+            for c in channels
+        )
+        if signal_rms <= 1e-9 * largest:  # flat to rounding: no share of it can be told
+            signal_rms = math.nan
+    phases = dict.fromkeys(str(p) for part in parts for p in part.phase)
+    name, unit, horizon_s = kinds[0]
+    return Summary(
+        name,
+        unit,
+        horizon_s,
+        _score(parts, None, signal_rms, horizon_s, seed),
+        {p or UNKNOWN_PHASE: _score(parts, p, signal_rms, horizon_s, seed) for p in phases},
+    )
+
+
+def summarise(channel: Channel) -> Summary:
+    """Sum up one channel of one flight."""
+    return pool([channel])
+
+
+def summaries(gaps: Sequence[FlightGap]) -> dict[str, Summary]:
+    """Every channel pooled over all flights, in report order.
+
+    The key is the channel's name, with `@HORIZONs` appended where one name comes with several
+    horizons or units.
+    """
+    kinds = _kinds(gaps)
+    names = [name for name, _, _ in kinds]
+    units = [(name, h) for name, _, h in kinds]
+    result = {}
+    for (name, unit, horizon_s), channels in kinds.items():
+        key = name if names.count(name) == 1 else f"{name}@{horizon_s:g}s"
+        if units.count((name, horizon_s)) > 1:
+            key += f" [{unit}]"
+        result[key] = pool(channels)
+    return result
+
+
+def rank(pooled: Mapping[str, Summary], min_n: int = 20) -> list[Ranked]:
+    """Where twin and flight disagree, the worst first.
+
+    Ordered by the residual *below `SLOW_HZ`* over the signal of the channel's vector (the
+    largest of its axes): an unmodelled force shows there, while vibration would put the noisiest
+    sensor first, and an axis that hardly moves the one with the least signal. Teacher-forced
+    places come before short-horizon ones: those show what an error in the former grows to. A
+    phase with fewer than `min_n` samples is left out (short-horizon channels: fewer than 4), and
+    so is a flat signal.
+    """
+    signal: dict[tuple[str, float], float] = {}
+    for key, s in pooled.items():
+        if math.isfinite(s.total.share) and s.total.share > 0:
+            vector = (key.split("_")[0], s.horizon_s)
+            signal[vector] = max(signal.get(vector, 0.0), s.total.rms / s.total.share)
+    places = [
+        Ranked(key, phase, s.unit, s.horizon_s, score, score.slow_rms / signal[vector])
+        for key, s in pooled.items()
+        if (vector := (key.split("_")[0], s.horizon_s)) in signal
+        for phase, score in (s.by_phase or {"": s.total}).items()
+        if score.n >= (min_n if s.horizon_s == 0 else 4) and math.isfinite(score.share)
+    ]
+    return sorted(places, key=lambda p: (p.horizon_s > 0, -p.weight))
+
+
+def gap_json(gaps: Sequence[FlightGap]) -> dict[str, Any]:
+    """`gap.json`: flights, channels and warnings; strict JSON, null for what is not defined.
+
+    Args:
+        gaps: One per flight.
+
+    Returns:
+        `flights` (name, vehicle, duration, phases, facts, n per channel), `channels` (unit,
+        horizon, n, rms, mean, share, 95 % interval, bands, by_phase), `worst` (ranked places)
+        and `warnings`.
+    """
+    pooled = summaries(gaps)
+    bands = _bands(gaps)
+    warnings = [f"{g.flight}: {w}" if len(gaps) > 1 else w for g in gaps for w in g.warnings]
+    for key, s in pooled.items():
+        if s.total.dropped:
+            warnings.append(f"{key}: {s.total.dropped} samples are not finite and were left out")
+        if s.total.n == 0:
+            warnings.append(f"{key}: no sample at which both flight and twin are finite")
+        elif not math.isfinite(s.total.share):
+            warnings.append(f"{key}: the measured signal is flat, no share of it can be told")
+    channels = {
+        key: {
+            "unit": s.unit,
+            "horizon_s": s.horizon_s,
+            **_score_json(s.total),
+            "bands": bands.get((s.name, s.unit, s.horizon_s), []),
+            "by_phase": {p: _score_json(score) for p, score in s.by_phase.items()},
+        }
+        for key, s in pooled.items()
+    }
+    worst = [
+        {"channel": r.channel, "phase": r.phase, "unit": r.unit, **_score_json(r.score)}
+        for r in rank(pooled)[:10]
+    ]
+    flights = [_flight_json(g) for g in gaps]
+    result: dict[str, Any] = _strict(
+        {"flights": flights, "channels": channels, "worst": worst, "warnings": warnings}
+    )
+    return result
+
+
+def _kinds(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[Channel]]:
+    """The same channel of all flights, by name, unit and horizon."""
+    kinds: dict[tuple[str, str, float], list[Channel]] = {}
+    for channel in (c for gap in gaps for c in gap.channels):
+        kinds.setdefault((channel.name, channel.unit, channel.horizon_s), []).append(channel)
+    return kinds
+
+
+def _samples(channel: Channel) -> _Samples:
+    ok = np.isfinite(channel.t_s) & np.isfinite(channel.measured) & np.isfinite(channel.simulated)
+    t_s, measured, residual = channel.t_s[ok], channel.measured[ok], channel.residual[ok]
+    about_mean = measured - measured.mean() if len(measured) else measured
+    slow = slow_part(t_s, residual)
+    return _Samples(t_s, about_mean, residual, slow, channel.phase[ok], channel.phase[~ok])
+
+
+def _score(
+    parts: Sequence[_Samples], phase: str | None, signal_rms: float, horizon_s: float, seed: int
+) -> Score:
+    """Score of one phase, or of all samples when `phase` is None."""
+    masks = [np.ones(len(p.t_s), bool) if phase is None else p.phase == phase for p in parts]
+    residual = np.concatenate([p.residual[m] for p, m in zip(parts, masks, strict=True)])
+    slow = np.concatenate([p.slow[m] for p, m in zip(parts, masks, strict=True)])
+    dropped = sum(
+        len(p.dropped) if phase is None else int((p.dropped == phase).sum()) for p in parts
+    )
+    if not len(residual):
+        return Score(0, math.nan, math.nan, math.nan, math.nan, (math.nan, math.nan), dropped)
+    blocks: list[tuple[float, int]] = []
+    for part, mask in zip(parts, masks, strict=True):
+        index = np.floor(part.t_s[mask] / max(1.0, 2 * horizon_s)).astype(np.int64)
+        _, inverse = np.unique(index, return_inverse=True)
+        squares = np.bincount(inverse, part.residual[mask] ** 2)
+        blocks += list(zip(squares.tolist(), np.bincount(inverse).tolist(), strict=True))
+    rms = math.sqrt(float(np.mean(residual**2)))
+    return Score(
+        n=len(residual),
+        rms=rms,
+        mean=float(residual.mean()),
+        share=rms / signal_rms,
+        slow_rms=math.sqrt(float(np.mean(slow**2))),
+        rms_ci95=_bootstrap_rms(np.array(blocks, dtype=np.float64), seed),
+        dropped=dropped,
+    )
+
+
+def _bootstrap_rms(blocks: Array, seed: int, draws: int = 500) -> tuple[float, float]:
+    """95 % interval of the rms from blocks (sum of squares, count), shape (blocks, 2)."""
+    if len(blocks) < 5:
+        return math.nan, math.nan
+    rng = np.random.default_rng(seed)
+    weights = rng.multinomial(len(blocks), np.full(len(blocks), 1 / len(blocks)), size=draws)
+    squares, counts = (weights @ blocks).T  # (draws,)
+    low, high = np.percentile(np.sqrt(squares / counts), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _bands(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[dict[str, Any]]]:
+    """Rms of measured and residual per frequency band, about the mean, pooled by duration."""
+    result = {}
+    for key, channels in _kinds(gaps).items():
+        spectra = [
+            (len(c.t_s), spectrum(c.t_s, c.measured), spectrum(c.t_s, c.residual)) for c in channels
+        ]
+        rows = []
+        for low, high in pairwise(BAND_EDGES_HZ):
+            powers = [
+                (n, m.band_rms(low, high) ** 2, r.band_rms(low, high) ** 2) for n, m, r in spectra
+            ]
+            powers = [p for p in powers if math.isfinite(p[1]) and math.isfinite(p[2])]
+            if powers:
+                n, m2, r2 = np.array(powers).T
+                rows.append(
+                    {
+                        "from_hz": low,
+                        "to_hz": high,  # null: up to half the sample rate
+                        "measured_rms": math.sqrt(float(n @ m2 / n.sum())),
+                        "residual_rms": math.sqrt(float(n @ r2 / n.sum())),
+                    }
+                )
+        result[key] = rows
+    return result
+
+
+def _score_json(score: Score) -> dict[str, Any]:
+    return {
+        "n": score.n,
+        "rms": score.rms,
+        "mean": score.mean,
+        "share": score.share,
+        "slow_rms": score.slow_rms,
+        "rms_ci95": list(score.rms_ci95),
+    }
+
+
+def _flight_json(gap: FlightGap) -> dict[str, Any]:
+    return {
+        "name": gap.flight,
+        "vehicle": gap.vehicle,
+        "duration_s": gap.duration_s,
+        "n": sum(len(c.t_s) for c in gap.channels),
+        "phases": [{"name": n, "start_s": a, "end_s": b} for n, a, b in gap.phases],
+        "facts": dict(gap.facts),
+    }
+
+
+def _strict(value: Any) -> Any:
+    """The same value with null for every number that JSON cannot hold."""
+    if isinstance(value, Mapping):
+        return {str(k): _strict(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

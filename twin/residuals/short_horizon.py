@@ -1,0 +1,178 @@
+"""Short windows of flight from measured states on, all of them in one batch.
+
+The same equations, steps and sample instants as the FMUs that `uavtwin gap` runs window by window.
+Commands that are late are so in the inputs, as in all of a `twin.residuals.aligned.Twin`.
+"""
+
+from collections.abc import Callable
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..component import Component, Sampling, substeps
+from ..component.rows import OverRows
+from .aligned import Twin
+from .teacher_forced import GRID_S
+
+Array = NDArray[np.float64]
+POSE = tuple(f"{stem}_{a}" for stem in ("pos", "vel") for a in "xyz")
+GYRO = tuple(f"gyro_{a}" for a in "xyz")
+WINDOWS_AT_ONCE = 1024
+"""More at once are no faster: their states no longer fit the cache."""
+
+
+def window_ends(
+    twin: Twin,
+    starts: NDArray[np.intp],
+    steps: int,
+    tail: int,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Array:
+    """What the twin reads at the end of windows that start at measured states.
+
+    Args:
+        twin: A flight on the grid of its twin.
+        starts: Grid points at which the windows start, shape (w,); all states known there.
+        steps: Grid steps per window.
+        tail: Grid points before the last one that are kept as well.
+        progress: Called with the share done, 0..1.
+
+    Returns:
+        Readings of the gyroscope, rad/s, position, m, and velocity, m/s, NED, over the last
+        `tail` + 1 grid points, shape (w, tail + 1, 9).
+    """
+    found = np.empty((len(starts), tail + 1, len(GYRO + POSE)))
+    windows = _Windows(twin)
+    for first in range(0, len(starts), WINDOWS_AT_ONCE):
+        part = slice(first, first + WINDOWS_AT_ONCE)
+        found[part] = windows.ends(starts[part], steps, tail)
+        progress(min(part.stop, len(starts)) / len(starts))
+    return found
+
+
+class _Windows:
+    """Airframe and IMU of a flight, ready to be started anywhere."""
+
+    def __init__(self, twin: Twin) -> None:
+        self._twin = twin
+        body, sensor = twin.airframe, twin.imu
+        self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
+        self._imu = _Batch(sensor, sensor.parameter_values())
+        self._felt = [body.output_names.index(n) for n in sensor.input_names]
+        self._gyro = [sensor.output_names.index(n) for n in GYRO]
+        self._pose = [body.output_names.index(n) for n in POSE]
+        self._remembers = any(_moves_gyro(s.name) for s in sensor.states)
+
+    def ends(self, starts: NDArray[np.intp], steps: int, tail: int) -> Array:
+        """See `window_ends`."""
+        body, sensor, u = self._body, self._imu, self._twin.inputs.u
+        kept = np.empty((len(starts), tail + 1, len(GYRO + POSE)))
+        body.start(self._twin.states[starts], u[starts])
+        sensed = self._sensed(u[starts])
+        sensor.start(sensor.initial(sensed), sensed)
+        for k in range(1, steps + 1):
+            # Both step from what they read at the start of the step, as under the master.
+            body.advance(u[starts + k - 1])
+            if self._remembers:
+                sensor.advance(sensed)
+                sensed = self._sensed(u[starts + k])
+            if k >= steps - tail:
+                outputs = body.outputs(u[starts + k])
+                readings = sensor.outputs(outputs[:, self._felt])
+                row = k - (steps - tail)
+                kept[:, row] = np.hstack([readings[:, self._gyro], outputs[:, self._pose]])
+        return kept
+
+    def _sensed(self, u: Array) -> Array:
+        return self._body.outputs(u)[:, self._felt]
+
+
+class _Batch:
+    """Many runs of one component side by side, without noise; see `twin.component.Run`.
+
+    Attributes:
+        x: States, shape (w, n_x).
+    """
+
+    def __init__(self, component: Component, p: Array) -> None:
+        x, u = ca.SX.sym("x", len(component.states)), ca.SX.sym("u", len(component.inputs))
+        n, h = substeps(GRID_S, component.max_step_s)
+        after = x
+        for _ in range(n):
+            after = component.step(after, u, p, h)
+        self._step = OverRows(ca.Function("step", [x, u], [ca.densify(after)]), 2)
+        y = component.outputs(x, u, p)
+        self._outputs = OverRows(ca.Function("outputs", [x, u], [ca.densify(y)]), 2)
+        start = component.initial(u, p)
+        self._initial = OverRows(ca.Function("initial", [u], [ca.densify(start)]), 1)
+        self._lines: _Lines | None = None
+        if component.sampling is not None:
+            self._lines = _Lines(component.sampling, p)
+            d = ca.SX.sym("d", len(component.sampling.lines))
+            quiet = np.zeros(component.sampling.channels)
+            later = component.sampling.update(x, u, p, quiet, d)
+            self._update = OverRows(ca.Function("update", [x, u, d], [ca.densify(later)]), 3)
+        self.x: Array = np.zeros((0, len(component.states)))
+
+    def initial(self, u: Array) -> Array:
+        """States with which the component itself would start, shape (w, n_x)."""
+        return self._initial(u)
+
+    def start(self, x: Array, u: Array) -> None:
+        """Begin anew at states and inputs, the first sample instant included."""
+        self.x = x
+        if self._lines is not None:
+            self._lines.clear(len(x))
+        self._sample(u)
+
+    def advance(self, u: Array) -> None:
+        """One grid step with the inputs held, and the sample instant at its end."""
+        self.x = self._step(self.x, u)
+        self._sample(u)
+
+    def outputs(self, u: Array) -> Array:
+        """Present outputs, shape (w, n_y)."""
+        return self._outputs(self.x, u)
+
+    def _sample(self, u: Array) -> None:
+        if self._lines is not None:
+            self.x = self._update(self.x, u, self._lines.look_back(self.x, u))
+
+
+class _Lines:
+    """Delay lines of many runs, a sample each grid step."""
+
+    def __init__(self, sampling: Sampling, p: Array) -> None:
+        x, u = (ca.SX.sym(n, sampling.signals.numel_in(i)) for i, n in enumerate("xu"))
+        signals = ca.densify(sampling.signals(x, u, p))
+        self._signals = OverRows(ca.Function("signals", [x, u], [signals]), 2)
+        self._delays = np.asarray(sampling.delays(p), dtype=np.float64).ravel() / GRID_S
+        self._record: list[Array] = []
+
+    def clear(self, runs: int) -> None:
+        """Forget everything."""
+        self._record = []
+        self._nothing = np.zeros((runs, 0))
+
+    def look_back(self, x: Array, u: Array) -> Array:
+        """Remember the signals of this instant and return each at its delay before, (w, lines).
+
+        Between samples they count as straight lines, before the first as having its value.
+        """
+        if not len(self._delays):
+            return self._nothing
+        self._record.append(self._signals(x, u))
+        delayed = np.empty_like(self._record[0])
+        for i, steps in enumerate(self._delays):
+            back = int(steps)
+            after, before = (
+                self._record[max(len(self._record) - 1 - j, 0)][:, i] for j in (back, back + 1)
+            )
+            delayed[:, i] = after + (steps - back) * (before - after)
+        return delayed
+
+
+def _moves_gyro(state: str) -> bool:
+    """Whether a state of the IMU is felt by the gyroscope when there is no noise."""
+    return not state.startswith("acc_") and not state.endswith((".drift", ".noise"))

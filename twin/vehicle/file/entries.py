@@ -1,0 +1,349 @@
+"""The entries of a vehicle file, each read by itself: keys, units, shapes, signs.
+
+`FIELDS` says what a key holds; `_SHAPES` says how each shape is read. What is wrong is collected,
+so that one run names every mistake of a file.
+"""
+
+import reprlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pint
+
+from ...errors import ModelError
+from .. import Array
+from .fields import FIELDS
+
+_HUGE = 1e60  # larger numbers overflow once multiplied with each other
+_TEXTS = ("name", "description")
+_PARTS = {"value", "coefficients", "unit", "source", "of"}
+_PER_MASS = ("body.drag_linear",)  # may be given per kilogram of the vehicle
+_Entry = dict[str, Any]
+
+
+@dataclass(slots=True)
+class Entries:
+    """What one vehicle file says.
+
+    Attributes:
+        given: Keys the file holds, the unreadable ones included.
+        texts: Name and description, where given.
+        values: By key, in SI units; polynomials as ascending coefficients, of the speed in rad/s
+            or of the raw command; directions as +1 (cw) and -1 (ccw).
+        sources: Pedigree by key; "default: ..." for a key that the file leaves out.
+        mistakes: What is wrong, a line each, with key and value.
+    """
+
+    given: set[str] = field(default_factory=set)
+    texts: dict[str, str] = field(default_factory=dict)
+    values: dict[str, Array] = field(default_factory=dict)
+    sources: dict[str, str] = field(default_factory=dict)
+    mistakes: list[str] = field(default_factory=list)
+
+    def number(self, key: str) -> float:
+        """The number of a key that is given."""
+        return float(self.values[key])
+
+    def optional(self, key: str, default: str) -> float | None:
+        """The number of a key, or None; `default` says in words what stands in."""
+        if key in self.values:
+            return self.number(key)
+        self.sources[key] = f"default: {default}"
+        return None
+
+    def vector(self, key: str, default: str, stand_in: tuple[float, ...]) -> Array:
+        """The numbers of a key, or what stands in for them; `default` says so in words."""
+        if key in self.values:
+            return self.values[key]
+        self.sources[key] = f"default: {default}"
+        return np.array(stand_in)
+
+
+def read_entries(tree: dict[str, Any]) -> Entries:
+    """Read every entry of a parsed vehicle file."""
+    entries = Entries(mistakes=list(_unknown_names(tree)))
+    for name in (n for n in _TEXTS if n in tree):
+        if isinstance(tree[name], str):
+            entries.texts[name] = tree[name]
+        else:
+            entries.mistakes.append(f"{name} = {_short(tree[name])} must be text.")
+    for key, what in FIELDS.items():
+        section, name = key.split(".")
+        table = tree.get(section)
+        entry = table.get(name) if isinstance(table, dict) else None
+        if entry is None:
+            if what.required:
+                entries.mistakes.append(f"{key} is missing: {what.meaning}")
+            continue
+        entries.given.add(key)
+        try:
+            _check_form(key, entry, what.unit.removeprefix("poly:"))
+            entries.sources[key] = entry["source"]
+            value = _SHAPES[what.shape](key, entry)
+            if key in _PER_MASS and _is_per_mass(key, entry):
+                value = value * entries.values.get("body.mass", 1.0)
+            _check_sign(key, value, what.positive)
+            entries.values[key] = value
+        except ModelError as mistake:
+            entries.mistakes.append(str(mistake))
+    return entries
+
+
+# -- keys -----------------------------------------------------------------------------------
+
+
+def _unknown_names(tree: dict[str, Any]) -> Iterator[str]:
+    known: dict[str, set[str]] = {}
+    for key in FIELDS:
+        section, name = key.split(".")
+        known.setdefault(section, set()).add(name)
+    for section, table in tree.items():
+        if section in _TEXTS:
+            continue
+        if section not in known:
+            yield _unknown("section", section, known.keys() | set(_TEXTS))
+        elif not isinstance(table, dict):
+            yield f"[{section}] must be a table of keys."
+        else:
+            for name in (n for n in table if n not in known[section]):
+                yield _unknown(f"key in [{section}]", name, known[section])
+
+
+def _unknown(kind: str, name: str, known: set[str]) -> str:
+    near = get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(sorted(known))}."
+    return f"unknown {kind}: {name!r}. {hint}"
+
+
+def read_number(key: str, entry: Any, unit: str) -> float:
+    """One number in braces, in `unit`; for entries that are not in `FIELDS`.
+
+    Raises:
+        ModelError: It has no value, unit or source, or the unit is of another kind.
+    """
+    _check_form(key, entry, unit)
+    value = _si(key, entry.get("value"), entry, unit)
+    if value.shape != ():
+        raise ModelError(f"{key} = {_short(entry.get('value'))} must be one number.")
+    return float(value)
+
+
+def _check_form(key: str, entry: Any, unit: str) -> None:
+    """Braces with a value and a source."""
+    if not isinstance(entry, dict) or not ({"value", "coefficients"} & set(entry)):
+        raise ModelError(
+            f"{key} = {_short(entry)} needs unit and source, as in "
+            f'{key.split(".")[1]} = {{ value = ..., unit = "{unit or "1"}", source = "..." }}.'
+        )
+    for part in sorted(entry.keys() - _PARTS):
+        raise ModelError(_unknown(f"part of {key}", part, _PARTS))
+    if not isinstance(entry.get("source"), str) or not entry["source"].strip():
+        raise ModelError(
+            f'{key} has no source. Say where the number comes from; "made up" is an honest source.'
+        )
+
+
+# -- numbers and units ----------------------------------------------------------------------
+
+
+def _numbers(key: str, raw: Any) -> Array:
+    if raw is None:
+        raise ModelError(f"{key} has no value. Write value = ... in its braces.")
+    try:
+        if any(isinstance(n, bool) or not isinstance(n, int | float) for n in _leaves(raw)):
+            raise TypeError
+        values = np.asarray(raw, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ModelError(f"{key} = {_short(raw)} must be numbers.") from None
+    if not np.all(np.abs(values) < _HUGE):
+        raise ModelError(f"{key} = {_short(raw)} must be finite, below {_HUGE:g}.")
+    return values
+
+
+def _si(key: str, raw: Any, entry: _Entry, unit: str) -> Array:
+    """Numbers in `unit`; those of `_PER_MASS` may stay per kilogram."""
+    values = _numbers(key, raw)
+    given = entry.get("unit")
+    if not isinstance(given, str):
+        raise ModelError(f'{key} has no unit. Add unit = "{unit}" or another one.')
+    factor = _factor(key, given, unit)
+    if factor is None and key in _PER_MASS:
+        factor = _factor(key, given, f"({unit})/kg")
+    if factor is None:
+        raise ModelError(f'{key} has unit "{given}", which is not a unit of the kind "{unit}".')
+    return values * factor
+
+
+def _is_per_mass(key: str, entry: _Entry) -> bool:
+    return _factor(key, entry["unit"], FIELDS[key].unit) is None
+
+
+def _factor(key: str, given: str, wanted: str) -> float | None:
+    """Factor from one unit to another, None if they are not of one kind."""
+    if given == wanted:
+        return 1.0
+    try:
+        zero, one = (_registry().Quantity(n, given).to(wanted).magnitude for n in (0.0, 1.0))
+        return float(one) if zero == 0 else None  # degrees Celsius take more than a factor
+    except (pint.DimensionalityError, pint.OffsetUnitCalculusError):
+        return None
+    except Exception as error:  # pint raises tokenizer and attribute errors for bad text
+        bad = wanted if given == "rad/s" else given
+        raise ModelError(
+            f"{key} has unit {_short(bad)}, which is not a unit: {_short(str(error))}."
+        ) from error
+
+
+def _check_sign(key: str, values: Array, positive: bool | None) -> None:
+    if positive is None:
+        return
+    if np.any(values <= 0) if positive else np.any(values < 0):
+        bound = "positive" if positive else "zero or positive"
+        raise ModelError(f"{key} = {values.tolist()} must be {bound}.")
+
+
+# -- shapes ---------------------------------------------------------------------------------
+
+
+def _scalar(key: str, entry: _Entry) -> Array:
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.shape != ():
+        raise ModelError(f"{key} = {_short(entry['value'])} must be one number.")
+    return values
+
+
+def _vector(key: str, entry: _Entry) -> Array:
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.shape != (3,):
+        raise ModelError(f"{key} = {_short(entry['value'])} must be a list of 3 numbers.")
+    return values
+
+
+def _inertia(key: str, entry: _Entry) -> Array:
+    """The matrix, shape (3, 3)."""
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.shape not in ((3,), (6,)):
+        raise ModelError(
+            f"{key} = {_short(entry['value'])} must be [Ixx, Iyy, Izz] or "
+            f"[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]."
+        )
+    xx, yy, zz, xy, xz, yz = [*values, 0.0, 0.0, 0.0][:6]
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    smallest = np.linalg.eigvalsh(matrix)[0]
+    if smallest <= 0:
+        raise ModelError(
+            f"{key} = {_short(entry['value'])} is not positive definite "
+            f"(smallest principal moment {smallest:g} kg*m^2)."
+        )
+    return matrix
+
+
+def _rows(key: str, entry: _Entry) -> Array:
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.ndim != 2 or values.shape[1] != 3 or not 3 <= len(values) <= 12:
+        raise ModelError(f"{key} must be 3 to 12 rows of [x, y, z]; it has shape {values.shape}.")
+    return values
+
+
+def _directions(key: str, entry: _Entry) -> Array:
+    words = entry.get("value")
+    if not isinstance(words, list) or any(w not in ("cw", "ccw") for w in words):
+        raise ModelError(
+            f'{key} = {_short(words)} must be a list of "cw" and "ccw", seen from above.'
+        )
+    return np.array([1.0 if w == "cw" else -1.0 for w in words])
+
+
+def _pair(key: str, entry: _Entry) -> Array:
+    values = _numbers(key, entry.get("value"))
+    if values.shape != (2,) or values[0] == values[1]:
+        raise ModelError(
+            f"{key} = {_short(entry.get('value'))} must be two different numbers: "
+            f"raw command at cmd = 0 and at cmd = 1."
+        )
+    return values
+
+
+def _lag(key: str, entry: _Entry) -> Array:
+    """Up and down, shape (2,)."""
+    values = np.atleast_1d(_si(key, entry.get("value"), entry, FIELDS[key].unit))
+    if values.shape not in ((1,), (2,)) or np.any(values < 1e-3):
+        raise ModelError(
+            f"{key} = {_short(entry['value'])} must be one time constant or [up, down], "
+            f"at least 1 ms; leave it out for none."
+        )
+    return values[[0, -1]]
+
+
+def _polynomial(key: str, entry: _Entry) -> Array:
+    """Ascending coefficients: of the speed in rad/s, or of the raw command."""
+    unit = FIELDS[key].unit.removeprefix("poly:")
+    of_speed = key.endswith("from_speed")
+    if "value" in entry and "coefficients" in entry:
+        raise ModelError(f"{key} has value and coefficients; give one of them.")
+    if "value" in entry:
+        if not of_speed:
+            raise ModelError(
+                f"{key} needs coefficients = [c0, c1, ...] in ascending powers of the command."
+            )
+        square = _si(key, entry["value"], entry, f"{unit}*s^2/rad^2")
+        if square.shape != ():
+            raise ModelError(
+                f"{key}: a single value k means k * speed^2; for a polynomial write "
+                f"coefficients = [c0, c1, c2]."
+            )
+        _check_sign(key, square, True)
+        return np.array([0.0, 0.0, float(square)])
+    c = _si(key, entry["coefficients"], entry, unit)
+    if c.ndim != 1 or not 1 <= len(c) <= 8:
+        raise ModelError(f"{key}: coefficients must be a list of 1 to 8 numbers.")
+    of = entry.get("of")
+    if not of_speed:
+        if of is not None:
+            raise ModelError(
+                f"{key} is a polynomial of the command; its raw range is rotors.command_range, "
+                f"so 'of' has no place here."
+            )
+        return c
+    if not isinstance(of, str):
+        raise ModelError(f'{key} needs of = "rad/s" (or "rpm"): the unit of the speed.')
+    per_rad_s = _factor(key, "rad/s", of)
+    if per_rad_s is None:
+        raise ModelError(f'{key}: of = "{of}" is not a rotor speed.')
+    return c * per_rad_s ** np.arange(len(c))
+
+
+_SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
+    "scalar": _scalar,
+    "vector": _vector,
+    "inertia": _inertia,
+    "n x 3": _rows,
+    "list": _directions,
+    "pair": _pair,
+    "lag": _lag,
+    "polynomial": _polynomial,
+}
+
+
+@lru_cache(maxsize=1)
+def _registry() -> pint.UnitRegistry[Any]:
+    return pint.UnitRegistry()
+
+
+def _leaves(raw: Any) -> Iterator[Any]:
+    """What nested lists hold at their ends."""
+    if isinstance(raw, list):
+        for part in raw:
+            yield from _leaves(part)
+    else:
+        yield raw
+
+
+def _short(value: object) -> str:
+    """A value as printed in an error, not longer than a line."""
+    text = reprlib.repr(value) if isinstance(value, int) else repr(value)
+    return text if len(text) <= 120 else text[:117] + "..."

@@ -1,0 +1,1 @@
+"""uavtwin: a hybrid digital twin of a multirotor UAV."""

@@ -1,0 +1,1 @@
+"""`uavtwin bench`: figures measured here and now."""

@@ -1,0 +1,119 @@
+"""Figures of the compensator for `uavtwin bench`: time and memory of one sample.
+
+The network has the paper's sizes (four clusters, D = 128, K = 512, 1.3 million weights in LSTM
+cells) and random weights. Each figure comes from a process of its own that has loaded nothing else;
+times are those of the best of ten runs.
+"""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+from fmus import build
+from fmus.compensator import FILE, compensator_model
+from learning.export.write import INT8_FILE, export_onnx
+from learning.model.compensator import Compensator, ModelInfo
+from learning.preset import PAPER
+from twin.errors import FmuError
+
+from .speed import Row
+
+SAMPLES = 5000
+RUNS = 10
+CLUSTERS = ((0, 1, 2, 3), (4, 5, 6, 7), (8, 9, 10, 11), (12, 13, 14))
+_HEAD = """
+import json, sys, time
+def resident():
+    try:
+        lines = open("/proc/self/status").read().splitlines()
+    except OSError:
+        return None
+    return next(int(x.split()[1]) / 1024 for x in lines if x.startswith("VmRSS"))
+path, samples = sys.argv[1], int(sys.argv[2])
+"""
+_TAIL = f"""
+n = samples // {RUNS}
+runs = [sorted(seconds[k : k + n]) for k in range(0, samples, n)]
+print(json.dumps([*(1e3 * min(r[int(q * n)] for r in runs) for q in (0.5, 0.99)), used]))
+"""
+_ONNXRUNTIME = f"""{_HEAD}
+import numpy as np, onnxruntime
+options = onnxruntime.SessionOptions()
+options.intra_op_num_threads = 1
+session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+rng, seconds = np.random.default_rng(0), []
+fed = {{i.name: rng.random(i.shape).astype(np.float32) for i in session.get_inputs()}}
+for _ in range(samples):
+    begin = time.perf_counter()
+    *said, fed["state"] = session.run(None, fed)
+    seconds.append(time.perf_counter() - begin)
+used = resident()
+{_TAIL}"""
+_FMU = f"""{_HEAD}
+import fmpy
+from fmpy.fmi2 import FMU2Slave
+description, seconds = fmpy.read_model_description(path), []
+before = resident()
+fmu = FMU2Slave(guid=description.guid, unzipDirectory=path, instanceName="one",
+                modelIdentifier=description.coSimulation.modelIdentifier)
+fmu.instantiate()
+fmu.setupExperiment()
+fmu.enterInitializationMode()
+inputs = [v for v in description.modelVariables if v.causality == "input" and v.type == "Real"]
+fmu.setReal([v.valueReference for v in inputs], [0.1 * (i % 9) for i in range(len(inputs))])
+fmu.exitInitializationMode()
+for k in range(samples):
+    begin = time.perf_counter()
+    fmu.doStep(k * 0.01, 0.01)
+    seconds.append(time.perf_counter() - begin)
+used = None if before is None else resident() - before
+{_TAIL}"""
+
+
+def compensator_rows(folder: Path) -> list[Row]:
+    """One sample in onnxruntime and in the native FMU, one thread.
+
+    Args:
+        folder: For the files.
+    """
+    import fmpy
+
+    torch.manual_seed(0)
+    model = Compensator(ModelInfo(PAPER, "reconstruct", 0, 100.0, 4, CLUSTERS))
+    export_onnx(model.eval(), folder)
+    fmu = build(compensator_model(folder), folder / "compensator.fmu")
+    unpacked = fmpy.extract(str(fmu), str(folder / "compensator"))
+    float32 = _measured(_ONNXRUNTIME, folder / FILE)
+    int8 = _measured(_ONNXRUNTIME, folder / INT8_FILE)
+    native = _measured(_FMU, unpacked)
+    return [
+        *_rows("one sample in onnxruntime", float32, ("<= 0.3", "<= 1"), "<= 80"),
+        *_rows("one sample in onnxruntime, int8", int8, ("", ""), ""),
+        *_rows("one sample in the native FMU", native, ("<= 0.2", ""), "<= 20"),
+    ]
+
+
+def _rows(
+    what: str, found: tuple[float, float, float | None], goals: tuple[str, str], memory: str
+) -> list[Row]:
+    median_ms, late_ms, mb = found
+    name = f"compensator of the paper's size, {what}"
+    whole = "memory beyond the host's" if "FMU" in what else "memory of the process"
+    rows = [
+        Row(f"{name}, median", median_ms, "ms", goals[0]),
+        Row(f"{name}, 99 %", late_ms, "ms", goals[1]),
+    ]
+    return rows if mb is None else [*rows, Row(f"{name}, {whole}", mb, "MB", memory)]
+
+
+def _measured(program: str, path: Path | str) -> tuple[float, float, float | None]:
+    """Median and 99th percentile, ms, and resident memory, MB (None where not told)."""
+    command = [sys.executable, "-c", program, str(path), str(SAMPLES)]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        raise FmuError(f"{Path(path).name}: the measurement failed:\n{result.stderr}")
+    median, late, memory = json.loads(result.stdout)
+    return median, late, memory

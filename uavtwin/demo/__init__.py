@@ -1,0 +1,1 @@
+"""`uavtwin demo`: a hidden effect found, named, added and shown."""

@@ -1,0 +1,127 @@
+"""What `uavtwin demo` does: built-in flights with a hidden effect, gap, name, vehicle, proof."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from twin.explain.explanation import Explanation, explain
+from twin.explain.result_json import explain_json
+from twin.logs import Flight
+from twin.logs.table import write_flight
+from twin.residuals.gap import FlightGap, gap_json
+from twin.vehicle import Vehicle
+
+from ..explanation import write_explanation
+from ..fmu_gap import flight_gap
+from ..output import write_json
+from ..report.gap import write_gap_report
+from ..report.words import title
+from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
+
+SIDEWAYS: Waypoints = tuple((p, t, (-0.8 * y, 0.8 * x, z)) for p, t, (x, y, z) in WAYPOINTS)
+"""The same shape flown sideways, a little slower."""
+DIAGONAL: Waypoints = (
+    ("ground", 1.0, (0.0, 0.0, 0.0)),
+    ("takeoff", 3.0, (0.0, 0.0, -2.0)),
+    ("hover", 3.0, (0.0, 0.0, -2.0)),
+    ("forward", 4.0, (5.0, 4.0, -1.5)),
+    ("forward", 3.0, (-1.0, 4.0, -2.5)),
+    ("hover", 2.0, (-1.0, 4.0, -2.5)),
+    ("forward", 3.0, (0.0, 0.0, -2.0)),
+    ("land", 3.0, (0.0, 0.0, 0.0)),
+    ("ground", 1.0, (0.0, 0.0, 0.0)),
+)
+"""A flight of another shape, to be held out."""
+FIT = {"fit_1": WAYPOINTS, "fit_2": SIDEWAYS}
+HOLDOUT = {"holdout": DIAGONAL}
+
+
+@dataclass(frozen=True, slots=True)
+class Demo:
+    """The chain, run.
+
+    Attributes:
+        hidden: What the flights really have.
+        flights: Two to fit on and one held out.
+        gap: Of the first flight.
+        found: What the search says.
+    """
+
+    hidden: Hidden
+    flights: tuple[Flight, ...]
+    gap: FlightGap
+    found: Explanation
+
+    @property
+    def right(self) -> bool:
+        """Whether the name is that of the hidden effect, alone."""
+        shown = self.found.shown
+        return (
+            self.found.verdict == "named"
+            and shown is not None
+            and shown.effects == (self.hidden.effect,)
+        )
+
+    @property
+    def ending(self) -> str:
+        """The truth, and whether it was found."""
+        truth = f"hidden in these flights: {self.hidden.text} ({title(self.hidden.effect)})"
+        return f"{truth}. The name is {'right' if self.right else 'wrong'}."
+
+
+def run_demo(
+    vehicle: Vehicle, seed: int, progress: Callable[[float], None] = lambda _: None
+) -> Demo:
+    """Hide an effect, fly, compare, and look for it.
+
+    Args:
+        vehicle: The twin.
+        seed: Draws the effect and the sensor noise.
+        progress: Called with the share done.
+    """
+    hidden = hide(vehicle, seed)
+    flights = tuple(
+        fly(vehicle, hidden.plant, len(FIT | HOLDOUT) * seed + i, name, waypoints)
+        for i, (name, waypoints) in enumerate((FIT | HOLDOUT).items())
+    )
+    progress(0.1)
+    gap = flight_gap(flights[0], vehicle, progress=lambda done: progress(0.1 + 0.2 * done))
+    fit, away = flights[: len(FIT)], flights[len(FIT) :]
+    found = explain(fit, away, vehicle, seed, lambda done: progress(0.3 + 0.7 * done))
+    return Demo(hidden, flights, gap, found)
+
+
+def write_demo(
+    demo: Demo, vehicle: str, folder: Path, progress: Callable[[float], None] = lambda _: None
+) -> list[str]:
+    """Write flights, gap, explanation and the truth; returns the names of the files.
+
+    Args:
+        demo: The chain, run.
+        vehicle: Vehicle file, or name of a built-in vehicle.
+        folder: To write into.
+        progress: Called with the share done.
+    """
+    (folder / "flights").mkdir()
+    for flight in demo.flights:
+        write_flight(flight, folder / "flights" / f"{flight.name}.parquet")
+    write_json(folder / "gap.json", gap_json([demo.gap]))
+    write_gap_report([demo.gap], folder / "gap.html")
+    hidden = demo.hidden
+    write_json(
+        folder / "truth.json",
+        {"effect": hidden.effect, "text": hidden.text, "named_rightly": demo.right},
+    )
+    written = write_explanation(demo.found, vehicle, folder, progress=progress)
+    return [*written, "flights/", "gap.html", "gap.json", "truth.json"]
+
+
+def demo_json(demo: Demo) -> dict[str, Any]:
+    """Everything for a program."""
+    return {
+        "gap": gap_json([demo.gap]),
+        "explain": explain_json(demo.found),
+        "truth": {"effect": demo.hidden.effect, "text": demo.hidden.text},
+        "named_rightly": demo.right,
+    }

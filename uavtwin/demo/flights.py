@@ -1,0 +1,196 @@
+"""Built-in flights with a hidden effect: what `uavtwin demo` flies.
+
+The plant is the airframe of a built-in vehicle with one thing changed that the twin does not
+know; a controller designed on the twin flies it, and noisy sensors record it as a flight table.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from twin.flight import closed_loop
+from twin.flight.control.lqr_cascade import controller
+from twin.logs import Flight
+from twin.physics.airframe import AXES, airframe
+from twin.physics.sensors.imu import imu
+from twin.residuals.teacher_forced import sensor_readings
+from twin.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+STEP_S = closed_loop.STEP_S
+IMU_EVERY, POSE_EVERY = 5, 10  # 200 Hz and 100 Hz
+ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
+POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
+
+Waypoints = tuple[tuple[str, float, tuple[float, float, float]], ...]
+WAYPOINTS: Waypoints = (
+    ("ground", 1.0, (0.0, 0.0, 0.0)),
+    ("takeoff", 3.0, (0.0, 0.0, -1.5)),
+    ("hover", 4.0, (0.0, 0.0, -1.5)),
+    ("forward", 3.0, (6.0, 0.0, -1.5)),
+    ("forward", 3.0, (6.0, 5.0, -2.0)),
+    ("forward", 3.0, (0.0, 5.0, -2.0)),
+    ("forward", 3.0, (0.0, 0.0, -1.5)),
+    ("hover", 3.0, (0.0, 0.0, -1.5)),
+    ("land", 3.0, (0.0, 0.0, 0.0)),
+    ("ground", 1.0, (0.0, 0.0, 0.0)),
+)
+"""Phase, duration in s, and place reached at its end (m NED from the resting place)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hidden:
+    """An effect put into the plant: its identifier, and what was changed, in words."""
+
+    effect: str
+    text: str
+    plant: Vehicle
+
+
+def hide(vehicle: Vehicle, seed: int) -> Hidden:
+    """Draw one effect and its size."""
+    rng = np.random.default_rng(seed)
+    effect = str(rng.choice(sorted(_HIDERS)))
+    return _HIDERS[effect](vehicle, rng)
+
+
+def fly(
+    vehicle: Vehicle,
+    plant: Vehicle,
+    seed: int,
+    name: str = "demo",
+    waypoints: Waypoints = WAYPOINTS,
+) -> Flight:
+    """Fly the waypoints with the plant under the twin's controller and record the sensors.
+
+    Args:
+        vehicle: What the controller was designed for.
+        plant: What really flies.
+        seed: Of the sensor noise.
+        name: Of the flight.
+        waypoints: Phase, duration and place of each leg.
+    """
+    body, sensor = airframe(plant, "command"), imu(plant)
+    setpoints, phases = _setpoints(plant, waypoints)
+    states, inputs = closed_loop.fly(
+        body.with_starts(closed_loop.standing(body, plant)), controller(vehicle), setpoints
+    )
+    truth = body.outputs_along(states, inputs)
+    sensed = truth[:, [body.output_names.index(n) for n in sensor.input_names]]
+    readings = sensor_readings(sensor, sensed)
+    return _record(name, body.output_names, truth, readings, inputs, phases, body.input_names, seed)
+
+
+def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
+    """Setpoints along waypoints (minimum-jerk, nose north), shape (n, 11), and phases."""
+    here = np.array([0.0, 0.0, -plant.leg_height_m])
+    rest = here.copy()
+    rows, phases = [], []
+    for phase, duration, place in waypoints:
+        there = rest + np.array(place)
+        s = np.arange(round(duration / STEP_S))[:, None] * STEP_S / duration
+        way = 10 * s**3 - 15 * s**4 + 6 * s**5
+        speed = (30 * s**2 - 60 * s**3 + 30 * s**4) / duration
+        push = (60 * s - 180 * s**2 + 120 * s**3) / duration**2
+        yaw, armed = np.zeros_like(s), np.full_like(s, phase != "ground")
+        leg = there - here
+        rows.append(np.hstack([here + way * leg, speed * leg, push * leg, yaw, armed]))
+        phases += [phase] * len(s)
+        here = there
+    return np.vstack(rows), phases
+
+
+def _record(
+    name: str,
+    outputs: tuple[str, ...],
+    truth: Array,
+    readings: Array,
+    inputs: Array,
+    phases: list[str],
+    input_names: tuple[str, ...],
+    seed: int,
+) -> Flight:
+    rng = np.random.default_rng(seed)
+    table = pd.DataFrame({"time": np.arange(len(truth)) * STEP_S})
+    for i, column in enumerate(input_names):
+        if column.startswith("cmd_"):
+            table[column] = inputs[:, i]
+
+    def sample(columns: list[str], values: Array, noise: float, every: int) -> None:
+        """Add noise to the truth, and keep every so many samples."""
+        noisy = values + noise * rng.standard_normal(values.shape)
+        if columns[0] == "q_w":
+            noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+        noisy[np.arange(len(values)) % every != 0] = np.nan
+        table[columns] = noisy
+
+    sample([f"acc_{a}" for a in AXES], readings[:, :3], ACC_NOISE_M_S2, IMU_EVERY)
+    sample([f"gyro_{a}" for a in AXES], readings[:, 3:6], GYRO_NOISE_RAD_S, IMU_EVERY)
+    for stem, letters, noise in (
+        ("pos", AXES, POS_NOISE_M), ("vel", AXES, VEL_NOISE_M_S), ("q", tuple("wxyz"), ATT_NOISE)
+    ):  # fmt: skip
+        columns = [f"{stem}_{a}" for a in letters]
+        sample(columns, truth[:, [outputs.index(c) for c in columns]], noise, POSE_EVERY)
+    table["phase"] = phases
+    return Flight(name, table.iloc[::IMU_EVERY].reset_index(drop=True))
+
+
+# -- effects --------------------------------------------------------------------------------
+
+
+def _mass_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
+    share = rng.uniform(0.05, 0.15)
+    plant = replace(vehicle, mass_kg=vehicle.mass_kg * (1 + share))
+    return Hidden("mass_offset", f"{share * vehicle.mass_kg * 1e3:.0f} g of extra mass", plant)
+
+
+def _rotor_drag(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
+    k = rng.uniform(0.3, 0.7)
+    drag = vehicle.drag_linear_n_s_m + k * vehicle.mass_kg * np.array([1.0, 1.0, 0.0])
+    return Hidden(
+        "rotor_drag",
+        f"rotor drag of {k:.2f} 1/s along x and y",
+        replace(vehicle, drag_linear_n_s_m=drag),
+    )
+
+
+def _cog_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
+    arm = float(np.linalg.norm(vehicle.rotors.position_m[0, :2]))
+    shift = rng.uniform(0.03, 0.08) * arm * np.array([1.0, rng.choice([-1.0, 1.0]), 0.0])
+    rotors = replace(vehicle.rotors, position_m=vehicle.rotors.position_m - shift)
+    text = f"centre of mass moved by {1e3 * shift[0]:.1f}, {1e3 * shift[1]:.1f} mm forward, right"
+    return Hidden("cog_offset", text, replace(vehicle, rotors=rotors))
+
+
+def _thrust_scale(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
+    share = rng.uniform(0.06, 0.15)
+    rotors = replace(
+        vehicle.rotors, thrust_n=tuple((1 - share) * c for c in vehicle.rotors.thrust_n)
+    )
+    return Hidden(
+        "thrust_scale",
+        f"rotors give {100 * share:.0f} % less thrust",
+        replace(vehicle, rotors=rotors),
+    )
+
+
+def _inertia_error(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
+    share = rng.uniform(0.3, 0.6)
+    inertia = vehicle.inertia_kg_m2 * (1 + share)
+    return Hidden(
+        "inertia_error",
+        f"{100 * share:.0f} % more inertia",
+        replace(vehicle, inertia_kg_m2=inertia),
+    )
+
+
+_HIDERS: dict[str, Callable[[Vehicle, np.random.Generator], Hidden]] = {
+    "mass_offset": _mass_offset,
+    "rotor_drag": _rotor_drag,
+    "cog_offset": _cog_offset,
+    "thrust_scale": _thrust_scale,
+    "inertia_error": _inertia_error,
+}

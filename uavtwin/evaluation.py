@@ -1,0 +1,256 @@
+"""What `uavtwin evaluate` does: a compensator and trivial baselines on flights of their own."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.table import Table
+
+from learning.data.channels import CHANNELS, UNITS
+from learning.data.flights import ResidualFlight, residual_flight
+from learning.data.residual_table import read_residuals
+from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
+from learning.model.compensator import Compensator
+from learning.model.corrected import Corrected
+from learning.model.folder import load
+from twin.errors import TwinError
+from twin.logs import Flight, read_flight
+from twin.vehicle.file import load_vehicle
+
+from .export import VEHICLE_FILE
+from .output import write_json
+from .report.figures import embedded, pretty_unit
+from .report.gap import number, percent
+from .report.learning_figures import anomaly_figure, correction_figure
+from .report.page import render
+from .training import RESIDUALS
+
+MODEL = "model"
+"""What the compensator is called beside the baselines."""
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """A model and what it makes of flights.
+
+    Attributes:
+        model: The compensator.
+        table: As `learning.evaluation.protocols.evaluate` gives it: a row per model, flight, phase,
+            channel.
+        flights: Residuals against the model's own vehicle.
+        explained: What another vehicle's sensors read on the same grid, by flight; or None.
+        corrected: By flight.
+    """
+
+    model: Compensator
+    table: pd.DataFrame
+    flights: tuple[ResidualFlight, ...]
+    explained: tuple[ResidualFlight, ...] | None
+    corrected: tuple[Corrected, ...]
+
+
+def evaluate_model(
+    folder: Path, paths: Sequence[Path], explained: str | None, progress: Progress
+) -> tuple[list[Flight], Evaluation]:
+    """Read, compare, correct and score.
+
+    Args:
+        folder: That `uavtwin train` wrote.
+        paths: Flights; none of the training.
+        explained: Vehicle file whose twin is drawn beside the model's.
+        progress: Called with the share done.
+
+    Raises:
+        TwinError: The folder is no model, a flight was trained on or cannot be compared.
+    """
+    model = load(folder)
+    train = read_residuals(folder / RESIDUALS)
+    vehicle = load_vehicle(folder / VEHICLE_FILE)
+    other = None if explained is None else load_vehicle(explained)
+    read = [read_flight(path) for path in paths]
+    _check_new(read, folder, train)
+    vehicles = [vehicle] if other is None else [vehicle, other]
+    residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
+    done, total = 0, len(read) * len(vehicles)
+    for flight in read:
+        for found, each in zip(residuals, vehicles, strict=True):
+
+            def share(part: float, done: int = done) -> None:
+                progress((done + part) / total)
+
+            found.append(residual_flight(flight, each, model.info.rate_hz, progress=share))
+            done += 1
+    flights = residuals[0]
+    task = Task(model.info.protocol, model.info.horizon)
+    return read, Evaluation(
+        model=model,
+        table=evaluate({MODEL: model}, train, flights, task),
+        flights=tuple(flights),
+        explained=tuple(residuals[1]) if len(residuals) > 1 else None,
+        corrected=tuple(model.run(f) for f in flights),
+    )
+
+
+def _check_new(flights: Sequence[Flight], folder: Path, train: Sequence[ResidualFlight]) -> None:
+    """Refuse flights of the training."""
+    names = {f.name for f in train}
+    for flight in flights:
+        if flight.name in names:
+            raise TwinError(
+                f"{flight.name}: {folder} was trained on a flight of this name; evaluate on others."
+            )
+
+
+def by_group(found: Evaluation) -> pd.DataFrame:
+    """All flights together, whole: one row per sensor and model."""
+    whole = found.table[found.table["phase"] == WHOLE]
+    return pooled(whole, ("group", "unit", "model"))
+
+
+def evaluation_claim(found: Evaluation) -> str:
+    """One sentence: where the model beats the best baseline, and where it does not."""
+    rows = by_group(found)
+    better, worse = [], []
+    for group, part in rows.groupby("group", sort=False):
+        own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
+        best = float(part.loc[part["model"] != MODEL, "rmse"].min())
+        if own < best:
+            better.append(f"{group} by {percent(1 - own / best)}")
+        elif own > best:
+            worse.append(f"{group} by {percent(own / best - 1)}")
+    what = _task(found.model)
+    if found.model.info.protocol == "reconstruct":
+        return (
+            f"{what}: the model sees the measurement it repeats; holding that measurement itself "
+            "leaves nothing, and no model can beat it."
+        )
+    text = f"better than the best trivial baseline for {', '.join(better)}" if better else ""
+    text += ("; " if better and worse else "") + (f"worse for {', '.join(worse)}" if worse else "")
+    return f"{what}: {text or 'as good as the best trivial baseline everywhere'}."
+
+
+def _task(model: Compensator) -> str:
+    info = model.info
+    if info.protocol != "track":
+        return info.protocol
+    return f"track, {info.horizon} samples ({1e3 * info.horizon / info.rate_hz:g} ms) ahead"
+
+
+def evaluation_table(found: Evaluation) -> Table:
+    """Rms left by each model, a row per sensor."""
+    rows = by_group(found)
+    names = list(dict.fromkeys(rows["model"]))
+    table = Table("rms left", "unit", "n", *names, box=None)
+    for group, part in rows.groupby("group", sort=False):
+        cells = part.set_index("model")
+        unit, n = str(cells["unit"].iloc[0]), str(int(cells["n"].iloc[0]))
+        table.add_row(str(group), unit, n, *(f"{cells['rmse'][k]:.3g}" for k in names))
+    return table
+
+
+def evaluation_json(found: Evaluation) -> dict[str, Any]:
+    """Everything for a machine; a figure that is not defined is null."""
+    info = found.model.info
+    return {
+        "protocol": info.protocol,
+        "horizon": info.horizon,
+        "horizon_s": info.horizon / info.rate_hz,
+        "rate_hz": info.rate_hz,
+        "vehicle": info.vehicle,
+        "flights": [f.name for f in found.flights],
+        "claim": evaluation_claim(found),
+        "groups": _records(by_group(found)),
+        "channels": _records(found.table),
+        "anomaly": [
+            {"flight": f.name, **_anomaly(f, c)}
+            for f, c in zip(found.flights, found.corrected, strict=True)
+        ],
+    }
+
+
+def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = table.to_dict("records")
+    return [
+        {k: None if isinstance(v, float) and not np.isfinite(v) else v for k, v in row.items()}
+        for row in rows
+    ]
+
+
+def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
+    """How often the score exceeds the level of one training sample in 100, and where most."""
+    inside = np.zeros(len(flight.t_s), dtype=np.bool_)
+    for a, b in flight.spans:
+        inside[a:b] = True
+    score = np.where(inside, corrected.anomaly, 0.0)
+    worst = int(np.argmax(score))
+    return {
+        "share_above_1": float(np.mean(score[inside] > 1)) if inside.any() else None,
+        "largest": float(score[worst]),
+        "at_s": float(flight.t_s[worst]),
+    }
+
+
+def write_evaluation(found: Evaluation, folder: Path) -> None:
+    """`evaluation.json` and the page."""
+    write_json(folder / "evaluation.json", evaluation_json(found))
+    rows = by_group(found)
+    page = render(
+        "evaluation.html.j2",
+        {"number": number, "percent": percent, "unit": pretty_unit},
+        claim=evaluation_claim(found),
+        info=found.model.info,
+        task=_task(found.model),
+        explained=found.explained is not None,
+        models=list(dict.fromkeys(rows["model"])),
+        groups=[
+            {"name": g, "unit": part["unit"].iloc[0], "n": int(part["n"].iloc[0]),
+             "rows": part.set_index("model").to_dict("index")}
+            for g, part in rows.groupby("group", sort=False)
+        ],
+        flights=[_flight(found, i) for i in range(len(found.flights))],
+    )  # fmt: skip
+    (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def _flight(found: Evaluation, i: int) -> dict[str, Any]:
+    """One flight as the template reads it."""
+    flight, corrected = found.flights[i], found.corrected[i]
+    figures = []
+    for c, channel in enumerate(CHANNELS):
+        fresh = flight.fresh[:, c]
+        if not fresh.any():
+            continue
+        virtual = flight.virtual[fresh, c]
+        lines = {"measured": virtual + flight.residual[fresh, c], "twin": virtual}
+        if found.explained is not None:
+            lines["explained twin"] = found.explained[i].virtual[fresh, c]
+        lines["corrected twin"] = virtual + corrected.correction[fresh, c]
+        figures.append(
+            _figure(
+                f"f{i}-{channel}",
+                correction_figure(
+                    channel, UNITS[c], flight.t_s[fresh], lines, corrected.spread[fresh, c]
+                ),
+            )
+        )
+    return {
+        "id": f"flight-{i}",
+        "name": flight.name,
+        "notes": flight.notes,
+        "inside": float(np.mean(corrected.inside[_airborne(flight)])),
+        "anomaly": _anomaly(flight, corrected),
+        "score": _figure(f"f{i}-anomaly", anomaly_figure(flight.t_s, corrected.anomaly)),
+        "figures": figures,
+    }
+
+
+def _airborne(flight: ResidualFlight) -> slice:
+    return slice(flight.spans[0][0], flight.spans[-1][1])
+
+
+def _figure(name: str, figure: Any) -> dict[str, Any]:
+    return {"id": name, "height": int(figure.layout.height), "json": embedded(figure)}

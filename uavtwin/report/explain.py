@@ -1,0 +1,104 @@
+"""The page that `uavtwin explain` leaves: one sentence, the picture that convinces, the proof."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from twin.explain.estimates import felt, listed, probability_of, rivals, told
+from twin.explain.explanation import Explanation
+
+from .explain_figures import before_after_figure, evidence_figure
+from .figures import embedded, pretty_unit
+from .gap import number, percent
+from .page import render
+from .words import certainty, claim, interval, meaning, shrink_words, shrinking, title, why_lost
+
+MOST_AFFECTED = 2
+"""Channels that are drawn over time."""
+
+
+def write_explain_report(found: Explanation, path: Path) -> None:
+    """Write the page; the same findings give the same bytes.
+
+    Args:
+        found: What was found.
+        path: HTML file to write; an existing one is replaced.
+    """
+    page = render(
+        "explain.html.j2",
+        {
+            "number": number,
+            "percent": percent,
+            "unit": pretty_unit,
+            "shrink_words": shrink_words,
+        },
+        claim=claim(found),
+        found=found,
+        shrinking=shrinking(found),
+        effects=[_effect(found, e) for e in listed(found)],
+        before_after=_before_after(found),
+        gaps=() if found.showing is None else found.showing.gaps,
+        stable=all(m.stable for m in found.missions),
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _effect(found: Explanation, effect: str) -> dict[str, Any]:
+    """One effect as the template reads it."""
+    channels, phases = felt(found, effect)
+    acts = next((a for a in found.acting if a.effect == effect), None)
+    figure: Mapping[str, Any] | None = None
+    if acts is not None and found.showing is not None:
+        drawn = evidence_figure(acts, found.showing.after)
+        figure = _figure(f"evidence-{effect}", drawn)
+    return {
+        "name": title(effect),
+        "meaning": meaning(effect),
+        "certainty": certainty(probability_of(found, effect)),
+        "numbers": [
+            {
+                "name": t.number.name,
+                "description": t.number.about.description,
+                "unit": t.number.about.unit,
+                "value": t.value,
+                "interval": interval(t.ci95),
+            }
+            for t in told(found, effect)
+        ],
+        "channels": channels,
+        "phases": phases,
+        "figure": figure,
+        "rivals": [
+            {
+                "name": title(r["name"]),
+                "meaning": meaning(r["name"]),
+                "certainty": certainty(r["probability"]),
+                "why": why_lost(r),
+            }
+            for r in rivals(found, effect)
+        ],
+    }
+
+
+def _before_after(found: Explanation) -> list[dict[str, Any]]:
+    """Figures over time of the most affected channels."""
+    showing = found.showing
+    if showing is None or not found.values:
+        return []
+    names = list(dict.fromkeys(c for a in found.acting for c in a.channels[:MOST_AFFECTED]))
+    flights = [f.flight.name for f in showing.model.flights]
+    figures = []
+    for name in names[: 2 * MOST_AFFECTED]:
+        before, after = (
+            [next(c for c in flight if c.name == name) for flight in channels]
+            for channels in (showing.before, showing.after)
+        )
+        figures.append(_figure(f"time-{name}", before_after_figure(name, before, after, flights)))
+    return figures
+
+
+def _figure(name: str, figure: Any) -> dict[str, Any]:
+    json: Markup = embedded(figure)
+    return {"id": name, "height": int(figure.layout.height), "json": json}

@@ -1,0 +1,245 @@
+"""The gap report: one HTML file, claim first, figures second, numbers in a table.
+
+The page embeds plotly.js once and fetches nothing. Figures are stored as JSON and drawn when
+they come into view, so a page with many flights opens at once.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from twin.residuals.gap import (
+    UNKNOWN_PHASE,
+    Channel,
+    FlightGap,
+    Ranked,
+    Summary,
+    rank,
+    summaries,
+    summarise,
+)
+from twin.residuals.spectra import SLOW_HZ
+
+from .figures import Phases, channel_figure, embedded, pretty_unit
+from .page import render
+
+AGREEMENT = 0.1
+"""Share of the signal below which the slow part of a residual is called agreement. With the noise
+of the built-in flights alone it reaches 0.08."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """A physical quantity: the channels whose name starts with `prefix`."""
+
+    prefix: str
+    title: str
+    axes: str = ""
+    words: str = ""
+    axis: Mapping[str, str] = field(default_factory=dict)
+
+
+_BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
+_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
+_EARTH = {"x": "north", "y": "east", "z": "down"}
+_FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
+_NED = "x north, y east, z down"
+_KINDS = (
+    _Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
+    _Kind("angacc_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
+    _Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
+    _Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
+    _Kind("pos_", "Position", _NED, "position", _EARTH),
+    _Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
+    _Kind("q_", "Attitude (quaternion)", "body to NED"),
+    _Kind("mag_", "Magnetic field", "body axes", "magnetic field", _BODY),
+    _Kind("baro_", "Air pressure", "", "air pressure"),
+    _Kind("", "Other channels"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Figure:
+    """What the template needs of one figure."""
+
+    id: str
+    title: str
+    axes: str
+    mode: str
+    note: str
+    height: int
+    json: Markup
+
+
+def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
+    """Write the report of one or more flights against their twin.
+
+    The same gaps give the same bytes: identifiers are counted, no time is written.
+
+    Args:
+        gaps: One per flight.
+        path: HTML file to write; an existing one is replaced.
+    """
+    pooled = summaries(gaps)
+    places = rank(pooled)
+    horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
+    page = render(
+        "report.html.j2",
+        {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
+        claim=claim(places),
+        detail=_detail(places),
+        places=places[:6],
+        slow_hz=SLOW_HZ,
+        horizons=horizons,
+        teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
+        pooled=pooled if len(gaps) > 1 else {},
+        flights=[_flight(i, gap) for i, gap in enumerate(gaps)],
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def claim(places: Sequence[Ranked]) -> str:
+    """The headline: the place where twin and flight disagree most, in one sentence.
+
+    Args:
+        places: Of `twin.residuals.gap.rank`, the worst first.
+    """
+    if not places:
+        return "There is nothing to compare: no channel has enough finite samples."
+    worst = places[0]
+    where = f"{worst.channel} ({describe(worst.channel)})"
+    if worst.phase and worst.phase != UNKNOWN_PHASE:
+        where += f" during {worst.phase}"
+    size = f"{number(worst.score.rms)} {pretty_unit(worst.unit)} rms, {percent(worst.score.share)}"
+    if worst.weight < AGREEMENT:
+        return (
+            "Twin and flight agree: the slow part of the residual stays below "
+            f"{percent(AGREEMENT)} of the signal "
+            f"in every channel and phase. The largest gap is in {where}: {size} of the signal."
+        )
+    return f"Twin and flight disagree most in {where}: {size} of the signal."
+
+
+def describe(channel: str) -> str:
+    """A channel's name in words: `acc_z` is the specific force on the down axis."""
+    name = channel.split("@")[0]
+    kind = _kind(name)
+    axis = kind.axis.get(name.removeprefix(kind.prefix))
+    return ", ".join(filter(None, (kind.words or name.replace("_", " "), axis)))
+
+
+def _kind(channel: str) -> _Kind:
+    return next(kind for kind in _KINDS if channel.startswith(kind.prefix))
+
+
+def _detail(places: Sequence[Ranked]) -> str:
+    """What a pilot should make of the headline: can a model mend it?"""
+    if not places or not places[0].score.rms > 0:
+        return ""
+    score = places[0].score
+    slow = min(1.0, (score.slow_rms / score.rms) ** 2)
+    text = (
+        f"{percent(slow)} of the power of that residual lies below {SLOW_HZ:g} Hz, where a model "
+        "of the flight can mend it; the rest is vibration and noise. "
+    )
+    if math.isfinite(score.rms_ci95[0]):
+        low, high = score.rms_ci95
+        text += f"95 % interval of the rms: {number(low)} to {number(high)}. "
+    text += f"n = {score.n}."
+    later = next((p for p in places if p.horizon_s > 0), None)
+    if later and places[0].horizon_s == 0:
+        text += (
+            f" Restarted from the measured state, the twin is off by {number(later.score.rms)} "
+            f"{pretty_unit(later.unit)} rms in {describe(later.channel)} "
+            f"after {later.horizon_s:g} s."
+        )
+    return text
+
+
+def _flight(index: int, gap: FlightGap) -> dict[str, Any]:
+    """Figures and tables of one flight, as the template reads them."""
+    summed = [summarise(c) for c in gap.channels]
+    return {
+        "id": f"flight{index}",
+        "name": gap.flight,
+        "vehicle": gap.vehicle,
+        "duration_s": gap.duration_s,
+        "phases": gap.phases,
+        "claim": claim(rank({s.name: s for s in summed})),
+        "figures": [
+            _figure(f"flight{index}", kind, members, gap.phases)
+            for kind, members in _grouped(gap.channels)
+        ],
+        "rows": _rows(summed),
+        "facts": gap.facts,
+        "warnings": gap.warnings,
+    }
+
+
+def _figure(flight: str, kind: _Kind, channels: Sequence[Channel], phases: Phases) -> _Figure:
+    """The figure of the channels of one kind and horizon."""
+    figure, note = channel_figure(channels, phases)
+    horizon_s = channels[0].horizon_s
+    return _Figure(
+        id=f"{flight}-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms",
+        title=kind.title,
+        axes=kind.axes,
+        mode=_mode(horizon_s),
+        note=note,
+        height=int(figure.layout.height),
+        json=embedded(figure),
+    )
+
+
+def _grouped(channels: Sequence[Channel]) -> list[tuple[_Kind, list[Channel]]]:
+    """Channels that share a figure: same quantity, same horizon; in the order of `_KINDS`."""
+    found: dict[tuple[int, float], list[Channel]] = {}
+    for channel in channels:
+        place = _KINDS.index(_kind(channel.name)), channel.horizon_s
+        found.setdefault(place, []).append(channel)
+    return [(_KINDS[i], found[i, horizon_s]) for i, horizon_s in sorted(found)]
+
+
+def _mode(horizon_s: float) -> str:
+    return "teacher-forced" if horizon_s == 0 else f"short horizon, {horizon_s:g} s"
+
+
+def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
+    """Lines of the table: the whole channel, then its phases."""
+    rows = []
+    for s in summed:
+        scores = {"whole flight": s.total, **s.by_phase}
+        for phase, score in scores.items():
+            rows.append(
+                {
+                    "span": len(scores) if score is s.total else 0,
+                    "name": s.name,
+                    "unit": s.unit,
+                    "mode": _mode(s.horizon_s),
+                    "phase": phase,
+                    "score": score,
+                }
+            )
+    return rows
+
+
+def number(value: float) -> str:
+    """Three significant figures; a dash where there is no number."""
+    if not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
+        text = f"{value:.2e}"
+    else:
+        text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def percent(share: float) -> str:
+    """Two significant figures below 10 %; a dash where there is no number."""
+    if not math.isfinite(share):
+        return "\N{EN DASH}"
+    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"

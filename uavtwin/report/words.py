@@ -1,0 +1,174 @@
+"""What was found about a model, in sentences that a pilot understands."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from twin.effects import EFFECTS
+from twin.explain.estimates import (
+    beside_mean,
+    listed,
+    nothing_probability,
+    probability_of,
+    told,
+    undecided,
+)
+from twin.explain.explanation import Explanation
+from twin.explain.holdout import ChannelGap
+from twin.explain.inference.fit import Fitted
+from twin.explain.inference.pool import PER_EFFECT
+from twin.explain.inference.selection import LEAST
+from twin.explain.model.numbers import Number
+
+from .figures import pretty_unit
+from .gap import number, percent
+
+MOST_NUMBERS = 3
+"""Numbers of an effect that the sentence on top gives; of several effects, one each."""
+CLEAR, SMALL = 1.5, 0.05
+"""It gives those that differ from no effect by more than so many half widths of their intervals,
+and by more than this share of the largest number of their unit."""
+
+
+def claim(found: Explanation) -> str:
+    """The answer in one sentence."""
+    naming = found.naming
+    if naming is None or found.verdict == "unusable":
+        return f"These flights cannot be used: {'; '.join(found.reasons)}"
+    if found.verdict == "nothing":
+        sure = certainty(nothing_probability(naming))
+        return f"The model lacks nothing that these flights can show, sure to {sure}."
+    if found.verdict == "named":
+        effects = [e for e in listed(found) if e not in undecided(found)]
+        most = MOST_NUMBERS if len(effects) == 1 else 1
+        parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
+        chance = naming.together([e for e in effects if beside_mean(found, e) is None])
+        chance *= math.prod(u.probability for u in found.unsteady)
+        lacks = f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
+        return f"{lacks}{_what_else(found, effects)}"
+    if found.verdict == "unnamed":
+        first = found.unnamed[0]
+        return (
+            f"The model lacks something that is not in the library of effects: in {first.channel} "
+            f"it is {first.expression}, {100 * first.share:.0f} % of the gap there."
+        )
+    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed(found)]
+    if nothing_probability(naming) > 0.01:
+        tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
+    if naming.outside > LEAST:
+        tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
+    return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
+
+
+def _what_else(found: Explanation, sure: list[str]) -> str:
+    """What is there beside the sure effects, where something is; begins with a blank."""
+    if not undecided(found):
+        return ""
+    assert found.naming is not None
+    every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
+    chance = {e: probability_of(found, e) for e in sorted(every)}
+    likely = sorted((e for e in chance if chance[e] >= LEAST), key=lambda e: -chance[e])
+    tied = _joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
+    return f" Beside that, these flights cannot tell what it lacks: {tied}."
+
+
+def title(effect: str) -> str:
+    """Name of an effect in words."""
+    return effect.replace("_", " ")
+
+
+def meaning(effect: str) -> str:
+    """What an effect is, in one line."""
+    return EFFECTS[effect].meaning if effect in EFFECTS else ""
+
+
+def _sizes(found: Explanation, effect: str, most: int) -> str:
+    """The numbers of an effect, with a colon before them; nothing where it has none."""
+    beside = beside_mean(found, effect)
+    if beside is None:
+        assert found.naming is not None
+        return f": {sizes(found.naming.best, effect, most)}"
+    texts = [f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in told(found, effect)]
+    return f" in {', '.join(beside.channels)}" + (f": {_joined(texts[:most])}" if texts else "")
+
+
+def _unit(of: Number) -> str:
+    """Unit behind a value."""
+    return "" if of.about.unit == "1" else f" {pretty_unit(of.about.unit)}"
+
+
+def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
+    """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
+    own = [n for n in fitted.numbers if n.effect == effect]
+    width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
+    away = {n.full: abs(fitted.values[n.full] - n.now) for n in own}
+    largest = {u: max(away[n.full] for n in own if n.about.unit == u)
+               for u in {n.about.unit for n in own}}  # fmt: skip
+    clear = [
+        n for n in own if away[n.full] > max(CLEAR * width[n.full], SMALL * largest[n.about.unit])
+    ]
+    clear = sorted(clear or own, key=lambda n: -away[n.full] / max(width[n.full], 1e-300))
+    texts = []
+    for n in clear[:most]:
+        index = n.name.removeprefix(n.about.name).lstrip("_")
+        which = f" of rotor {index}" if n.about.per_rotor else ""
+        value = number(fitted.values[n.full])
+        texts.append(f"{value}{_unit(n)} ({n.about.description}{which})")
+    return _joined(texts)
+
+
+def certainty(probability: float) -> str:
+    """A probability as people say it: never all, never nothing."""
+    if probability > 0.99:
+        return "99 %" if probability < 0.995 else "more than 99 %"
+    return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
+
+
+def interval(ci95: tuple[float, float] | None) -> str:
+    """95 % interval of a number; a dash where there is none."""
+    return "\N{EN DASH}" if ci95 is None else " to ".join(map(number, ci95))
+
+
+def why_lost(rival: Mapping[str, Any]) -> str:
+    """Why another explanation, of `rivals`, was not chosen."""
+    if rival["name"] == "nothing":
+        return "leaves the whole gap open" if "behind" in rival else "does not look like this"
+    if rival["probability"] >= LEAST:
+        return "explains the flights about as well: they cannot tell the two apart"
+    partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])
+    if rival["behind"] < PER_EFFECT:
+        return f"{partners}explains the flights about as well, but with more effects or numbers"
+    return (
+        f"{partners}takes {100 * rival['share']:.1f} % of the gap of a channel at best, but "
+        f"foretells time that it was not fitted on worse: log likelihood lower by "
+        f"{rival['behind']:.0f}"
+    )
+
+
+def shrinking(found: Explanation) -> str:
+    """What the held-out flights say, in one sentence."""
+    if found.showing is None or found.shown is None:
+        return ""
+    clear = [g for g in found.showing.gaps if g.shrink_ci95[0] > 0]
+    if not clear:
+        return "On the held-out flights no channel got clearly better."
+    best = max(clear, key=lambda g: g.before / g.noise_floor)
+    floor = number(best.noise_floor)
+    return (
+        f"On the held-out flights the gap in {best.name} falls from {number(best.before)} to "
+        f"{number(best.after)} {pretty_unit(best.unit)} rms; noise is {floor}."
+    )
+
+
+def shrink_words(gap: ChannelGap) -> str:
+    """Interval by which a gap shrank; a dash where it is not known, nothing where none is."""
+    if gap.before == gap.after:
+        return ""
+    low, high = gap.shrink_ci95
+    return f"{percent(low)} to {percent(high)}" if low == low else "\N{EN DASH}"
+
+
+def _joined(parts: list[str], word: str = "and") -> str:
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"

@@ -1,0 +1,184 @@
+"""What `uavtwin train` does: flights to residuals, residuals to a model folder with its page."""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from learning.data.channels import CHANNELS, UNITS
+from learning.data.flights import ResidualFlight, residual_flight
+from learning.data.residual_table import write_residuals
+from learning.export.write import export_onnx
+from learning.model.folder import CURVE, MODEL, WEIGHTS
+from learning.preset import Preset, Protocol, preset_named
+from learning.training.checkpoint import CHECKPOINT
+from learning.training.train import train
+from twin.errors import TwinError
+from twin.logs import Flight, read_flight
+from twin.vehicle.file import load_vehicle, vehicle_text
+
+from .export import VEHICLE_FILE
+from .output import check_folder
+from .report.figures import embedded, pretty_unit
+from .report.gap import number, percent
+from .report.learning_figures import curve_figure
+from .report.page import render
+
+RESIDUALS, REPORT = "training.parquet", "report.html"
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be trained."""
+
+    preset: Preset
+    protocol: Protocol
+    horizon: int
+    seed: int
+
+
+def plan_training(
+    preset: str, protocol: Protocol, horizon: int, epochs: int | None, seed: int, out: Path,
+    force: bool,
+) -> Plan:  # fmt: skip
+    """Check everything that can be wrong before the work begins.
+
+    Raises:
+        TwinError: An unknown preset, or a folder that holds something else than an interrupted
+            training.
+    """
+    chosen = preset_named(preset)
+    if epochs is not None:
+        chosen = replace(chosen, epochs=epochs)
+    interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
+    check_folder(out, force or interrupted)
+    return Plan(chosen, protocol, horizon if protocol == "track" else 0, seed)
+
+
+def prepare(
+    paths: Sequence[Path], vehicle: str, rate_hz: float, progress: Progress
+) -> tuple[list[Flight], list[ResidualFlight]]:
+    """Flights as they were read, and their residuals against the vehicle.
+
+    Raises:
+        TwinError: A flight or the vehicle cannot be used, or two flights have one name.
+    """
+    model = load_vehicle(vehicle)
+    names = [p.name for p in paths]
+    for path in paths:
+        if names.count(path.name) > 1:
+            raise TwinError(f"{path}: two flights are named {path.name}; rename one of them.")
+    flights = [read_flight(path) for path in paths]
+    residuals = []
+    for i, flight in enumerate(flights):
+
+        def share(done: float, i: int = i) -> None:
+            progress((i + done) / len(flights))
+
+        residuals.append(residual_flight(flight, model, rate_hz, progress=share))
+    return flights, residuals
+
+
+def run_training(
+    plan: Plan, residuals: Sequence[ResidualFlight], vehicle: str, out: Path, progress: Progress
+) -> list[str]:
+    """Train, export and write the page; a checkpoint in the folder is gone on from.
+
+    Returns:
+        Names of the files, the page first.
+    """
+    text, _ = vehicle_text(vehicle)
+    compensator = train(
+        residuals,
+        plan.preset,
+        plan.protocol,
+        plan.horizon,
+        plan.seed,
+        out,
+        lambda done, _: progress(done),
+        vehicle=load_vehicle(vehicle).name,
+        vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
+    )
+    export_onnx(compensator, out)
+    (out / VEHICLE_FILE).write_text(text, "utf-8")
+    write_residuals(residuals, out / RESIDUALS)
+    _write_page(out, residuals)
+    names = (REPORT, "model.onnx", "model_int8.onnx", "reference.npz", WEIGHTS, MODEL, CURVE,
+             VEHICLE_FILE, RESIDUALS)  # fmt: skip
+    return [n for n in names if (out / n).is_file()]
+
+
+def training_claim(out: Path) -> str:
+    """One sentence on a trained model, from its description."""
+    about = json.loads((out / MODEL).read_text("utf-8"))
+    rows = _validation(about)
+    helped = [r for r in rows if r["removed"] > 0]
+    task = _task(about)
+    if about["protocol"] == "reconstruct":
+        left = float(np.mean([r["after"] for r in rows])) if rows else float("nan")
+        return (
+            f"{task}: mean square error {number(left)} in standardised units on validation time; "
+            "it sees the measurement it repeats, so the raw residual would score 0."
+        )
+    if not helped:
+        return (
+            f"{task}: on validation time the network adds nothing to the linear prediction; "
+            "its gates are shut."
+        )
+    gain = percent(float(np.median([r["removed"] for r in helped])))
+    return (
+        f"{task}: on validation time the network lowers the error of the linear prediction in "
+        f"{len(helped)} of {len(rows)} channels, by {gain} at the median; in the others its "
+        "gates are shut."
+    )
+
+
+def _task(about: dict[str, Any]) -> str:
+    """Protocol and horizon in words."""
+    if about["protocol"] != "track":
+        return str(about["protocol"])
+    ahead_ms = 1e3 * about["horizon"] / about["rate_hz"]
+    return f"track, {about['horizon']} samples ({ahead_ms:g} ms) ahead"
+
+
+def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
+    """Channels with validation samples: error of the linear prediction and with the network."""
+    rows = []
+    for channel, unit in zip(CHANNELS, UNITS, strict=True):
+        errors = about["metrics"]["validation_mse"][channel]
+        before, after = errors["linear"], errors["with_network"]
+        if before > 0:
+            removed = 1 - float(np.sqrt(after / before))
+            rows.append({"channel": channel, "unit": unit, "before": before, "after": after,
+                         "removed": removed})  # fmt: skip
+    return rows
+
+
+def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
+    about = json.loads((out / MODEL).read_text("utf-8"))
+    curve = json.loads((out / CURVE).read_text("utf-8"))
+    figure = curve_figure(curve, about["metrics"]["best_epoch"])
+    page = render(
+        "training.html.j2",
+        {"number": number, "percent": percent, "unit": pretty_unit},
+        claim=training_claim(out),
+        about=about,
+        task=_task(about),
+        channels=_validation(about),
+        flights=[
+            {
+                "name": f.name,
+                "samples": int(f.fresh.any(axis=1).sum()),
+                "seconds": sum(b - a for a, b in f.spans) / f.rate_hz,
+                "notes": f.notes,
+            }
+            for f in residuals
+        ],
+        figure={"json": embedded(figure), "height": int(figure.layout.height)},
+    )
+    (out / REPORT).write_text(page, encoding="utf-8")
