@@ -38,10 +38,20 @@ def main() -> None:
     variants = (out / "paper.md").read_text("utf-8")
     predicted = given.work / "prediction"
     prediction.main(
-        ["--data", str(given.data), "--out", str(predicted), f"--epochs={PREDICTION_EPOCHS}",
-         f"--seeds={PREDICTION_SEEDS}", f"--aircraft={AIRCRAFT}",
-         "--simulated", str(given.work / "simulated"), "--jobs", str(given.jobs)]
-    )  # fmt: skip
+        [
+            "--data",
+            str(given.data),
+            "--out",
+            str(predicted),
+            f"--epochs={PREDICTION_EPOCHS}",
+            f"--seeds={PREDICTION_SEEDS}",
+            f"--aircraft={AIRCRAFT}",
+            "--simulated",
+            str(given.work / "simulated"),
+            "--jobs",
+            str(given.jobs),
+        ]
+    )
     write(table2, variants, (predicted / "prediction.md").read_text("utf-8"))
 
 
@@ -49,9 +59,12 @@ def write(table2: str, variants: str, predicted: str) -> None:
     """Put the tables into the page; what they say is written in the template."""
     template = Path(paper.__file__).with_name("results.md.j2").read_text("utf-8")
     filled = jinja2.Template(template, keep_trailing_newline=True).render(
-        table2=table2, variants=variants, predicted=predicted,
-        epochs=EPOCHS, prediction_epochs=PREDICTION_EPOCHS,
-    )  # fmt: skip
+        table2=table2,
+        variants=variants,
+        predicted=predicted,
+        epochs=EPOCHS,
+        prediction_epochs=PREDICTION_EPOCHS,
+    )
     Path(__file__).with_name("results.md").write_text(filled, "utf-8")
 
 

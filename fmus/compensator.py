@@ -244,11 +244,19 @@ def interface_model(
 ) -> FmuModel:
     """Names, units and dependencies of a compensator, with its code or without."""
     variables = (
-        Variable("sample_period", "parameter", "s", "Time between two samples, as trained",
-                 1 / network.rate_hz, 1 / network.rate_hz, 1 / network.rate_hz, fixed=True),
+        Variable(
+            "sample_period",
+            "parameter",
+            "s",
+            "Time between two samples, as trained",
+            1 / network.rate_hz,
+            1 / network.rate_hz,
+            1 / network.rate_hz,
+            fixed=True,
+        ),
         *_inputs(network),
         *_outputs(network),
-    )  # fmt: skip
+    )
     dependencies: dict[str, tuple[str, ...]] = {
         v.name: () for v in variables if v.causality == "output"
     }

@@ -207,12 +207,16 @@ def write_evaluation(found: Evaluation, folder: Path) -> None:
         explained=found.explained is not None,
         models=list(dict.fromkeys(rows["model"])),
         groups=[
-            {"name": g, "unit": part["unit"].iloc[0], "n": int(part["n"].iloc[0]),
-             "rows": part.set_index("model").to_dict("index")}
+            {
+                "name": g,
+                "unit": part["unit"].iloc[0],
+                "n": int(part["n"].iloc[0]),
+                "rows": part.set_index("model").to_dict("index"),
+            }
             for g, part in rows.groupby("group", sort=False)
         ],
         flights=[_flight(found, i) for i in range(len(found.flights))],
-    )  # fmt: skip
+    )
     (folder / "report.html").write_text(page, encoding="utf-8")
 
 

@@ -172,8 +172,10 @@ def summary(recording: Recording) -> dict[str, Any]:
         return recording.values[:, [columns[n] for n in names]]
 
     pos, wanted, q = (
-        vector("airframe.pos"), vector("mission.setpoint_pos"), vector("airframe.q", "wxyz")
-    )  # fmt: skip
+        vector("airframe.pos"),
+        vector("mission.setpoint_pos"),
+        vector("airframe.q", "wxyz"),
+    )
     if pos is None or wanted is None or q is None:
         return {}
     flying = recording.values[:, columns["mission.phase"]] > 0

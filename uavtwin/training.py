@@ -43,9 +43,14 @@ class Plan:
 
 
 def plan_training(
-    preset: str, protocol: Protocol, horizon: int, epochs: int | None, seed: int, out: Path,
+    preset: str,
+    protocol: Protocol,
+    horizon: int,
+    epochs: int | None,
+    seed: int,
+    out: Path,
     force: bool,
-) -> Plan:  # fmt: skip
+) -> Plan:
     """Check everything that can be wrong before the work begins.
 
     Raises:
@@ -108,8 +113,17 @@ def run_training(
     (out / VEHICLE_FILE).write_text(text, "utf-8")
     write_residuals(residuals, out / RESIDUALS)
     _write_page(out, residuals)
-    names = (REPORT, "model.onnx", "model_int8.onnx", "reference.npz", WEIGHTS, MODEL, CURVE,
-             VEHICLE_FILE, RESIDUALS)  # fmt: skip
+    names = (
+        REPORT,
+        "model.onnx",
+        "model_int8.onnx",
+        "reference.npz",
+        WEIGHTS,
+        MODEL,
+        CURVE,
+        VEHICLE_FILE,
+        RESIDUALS,
+    )
     return [n for n in names if (out / n).is_file()]
 
 
@@ -154,8 +168,15 @@ def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
         before, after = errors["linear"], errors["with_network"]
         if before > 0:
             removed = 1 - float(np.sqrt(after / before))
-            rows.append({"channel": channel, "unit": unit, "before": before, "after": after,
-                         "removed": removed})  # fmt: skip
+            rows.append(
+                {
+                    "channel": channel,
+                    "unit": unit,
+                    "before": before,
+                    "after": after,
+                    "removed": removed,
+                }
+            )
     return rows
 
 

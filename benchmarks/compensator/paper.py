@@ -82,11 +82,16 @@ def table2(options: Options) -> list[Run]:
 def folds(options: Options) -> list[Run]:
     """`best` with each flight held out in turn: flight 3 was looked at when it was made."""
     return [
-        Run(f"best, flight {k} held out", options.shortened(BEST), seed,
-            train=tuple(n for n in ALL if n != k), test=k)
+        Run(
+            f"best, flight {k} held out",
+            options.shortened(BEST),
+            seed,
+            train=tuple(n for n in ALL if n != k),
+            test=k,
+        )
         for k in ALL
         for seed in range(options.seeds)
-    ]  # fmt: skip
+    ]
 
 
 def ablations(options: Options) -> list[Run]:

@@ -89,9 +89,13 @@ def simulated_splits(folder: Path, seeds: int, jobs: int) -> dict[str, list[Spli
 def trained(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> Compensator:
     """The compensator of a split; one that is there already is taken."""
     return train(
-        split.train, preset, task.protocol, task.horizon, seed,  # type: ignore[arg-type]
+        split.train,
+        preset,
+        task.protocol,
+        task.horizon,
+        seed,  # type: ignore[arg-type]
         out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}",
-    )  # fmt: skip
+    )
 
 
 def score(
@@ -212,8 +216,10 @@ def generated_text(split: Split) -> str:
     ]
     for model, own in hover.groupby("model", sort=False):
         means = own.groupby("group")[["wasserstein_std", "log_spectral_db"]].mean()
-        cells = [f"{means['wasserstein_std'][g]:.2f}, {means['log_spectral_db'][g]:.1f} dB"
-                 for g in GROUPS]  # fmt: skip
+        cells = [
+            f"{means['wasserstein_std'][g]:.2f}, {means['log_spectral_db'][g]:.1f} dB"
+            for g in GROUPS
+        ]
         lines.append(f"| {model} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 

@@ -160,9 +160,15 @@ def _score(run: Run, data: Path, out: Path) -> str:
     clusters = [list(c) for c in model.info.clusters]
     write_json(
         _file(out, run),
-        {"run": asdict(run), "seconds": seconds, "epochs": epochs, "clusters": clusters,
-         "weights": sum(p.numel() for p in model.parameters()), "scores": found},
-    )  # fmt: skip
+        {
+            "run": asdict(run),
+            "seconds": seconds,
+            "epochs": epochs,
+            "clusters": clusters,
+            "weights": sum(p.numel() for p in model.parameters()),
+            "scores": found,
+        },
+    )
     shutil.rmtree(folder)
     shown = " | ".join(
         f"{m} " + " ".join(f"{found[m]['standardised'][k]:.4f}" for k in METRICS)

@@ -14,9 +14,15 @@ from .plants.sensing import accelerometer, barometer, gyroscope, magnetometer, s
 from .plants.vectors import rotation, to_body
 
 UNITS = {
-    "acc": "m/s^2", "angacc": "rad/s^2", "gyro": "rad/s", "mag": "T", "baro": "Pa", "pos": "m",
-    "vel": "m/s", "att": "rad",
-}  # fmt: skip
+    "acc": "m/s^2",
+    "angacc": "rad/s^2",
+    "gyro": "rad/s",
+    "mag": "T",
+    "baro": "Pa",
+    "pos": "m",
+    "vel": "m/s",
+    "att": "rad",
+}
 AIRBORNE_M = 0.1
 
 

@@ -53,9 +53,14 @@ def reliability(model: Model, flights: Sequence[ResidualFlight], bins: int = 10)
         curve = metrics.reliability(*_samples(flights, corrected, group), bins)
         for k, (predicted, left) in enumerate(curve):
             rows.append(
-                {"group": group, "unit": UNITS[columns][0], "part": k,
-                 "predicted": float(predicted), "left": float(left)}
-            )  # fmt: skip
+                {
+                    "group": group,
+                    "unit": UNITS[columns][0],
+                    "part": k,
+                    "predicted": float(predicted),
+                    "left": float(left),
+                }
+            )
     return pd.DataFrame(rows, columns=["group", "unit", "part", "predicted", "left"])
 
 

@@ -33,8 +33,17 @@ from .scores import WHOLE, Cell, cells, check_finite, check_flights, residual_sc
 
 __all__ = ["TASKS", "WHOLE", "Task", "evaluate", "fitted", "pooled"]
 
-_MEANS = ("mse", "mae", "wasserstein", "mse_std", "mae_std", "wasserstein_std", "inside",
-          "within_1", "within_2")  # fmt: skip
+_MEANS = (
+    "mse",
+    "mae",
+    "wasserstein",
+    "mse_std",
+    "mae_std",
+    "wasserstein_std",
+    "inside",
+    "within_1",
+    "within_2",
+)
 _ROOTS = ("rmse_before", "spread_before", "spread_left")
 
 

@@ -205,9 +205,14 @@ def _linear_in_inputs(train: Sequence[ResidualFlight], mean: Array) -> Predict:
     spread[spread <= 1e-9 * np.abs(centre) + 1e-15] = np.inf  # one that never varies says nothing
     x = [slow_features(f, centre, spread) for f in train]
     weights = np.stack(
-        [_ridge([a[f.fresh[:, c]] for a, f in zip(x, train, strict=True)],
-                [_targets([f], mean, c) for f in train]) for c in range(len(CHANNELS))]
-    )  # fmt: skip
+        [
+            _ridge(
+                [a[f.fresh[:, c]] for a, f in zip(x, train, strict=True)],
+                [_targets([f], mean, c) for f in train],
+            )
+            for c in range(len(CHANNELS))
+        ]
+    )
     return lambda flight: mean[flight.phase] + slow_features(flight, centre, spread) @ weights.T
 
 

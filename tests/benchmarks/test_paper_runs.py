@@ -27,8 +27,9 @@ def test_scores_in_three_systems_of_units(tables: Path) -> None:
     found = scores([away.residual + 0.1 * spread], [away], flights[:2], flights)
     for modality in ("takeoff", "hover"):
         said = found[modality]["standardised"]
-        np.testing.assert_allclose([said[m] for m in ("mse", "mae", "wasserstein")],
-                                   [0.01, 0.1, 0.1], rtol=1e-6)  # fmt: skip
+        np.testing.assert_allclose(
+            [said[m] for m in ("mse", "mae", "wasserstein")], [0.01, 0.1, 0.1], rtol=1e-6
+        )
     units = np.ones(15)
     units[GROUPS["mag"]] = 1e-4  # gauss in tesla
     expected = float(np.mean(0.1 * spread / units))

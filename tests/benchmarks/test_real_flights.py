@@ -92,8 +92,15 @@ def test_every_recording_is_there(data_dir: Path, scenario: Any) -> None:
 def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) -> dict[str, Any]:
     """A rotation; effects: name -> value, ci95, edge of its one number `n`, added per flight."""
     rms = {"none": 2.0, "effects": 1.0, "fit_mean": 1.5, "own_mean": 1.4, "floor": 0.9}
-    row = {"name": "acc_z", "unit": "m/s²", "n": 900, **rms, "last_20_ms": 0.5,
-           "last_500_ms": None, "shrink_ci95": [0.3, 0.6]}  # fmt: skip
+    row = {
+        "name": "acc_z",
+        "unit": "m/s²",
+        "n": 900,
+        **rms,
+        "last_20_ms": 0.5,
+        "last_500_ms": None,
+        "shrink_ci95": [0.3, 0.6],
+    }
     told = [
         {
             "name": name,
@@ -139,7 +146,7 @@ def test_an_effect_that_all_rotations_confirm_has_nothing_against_it() -> None:
         ({}, {"shrink_ci95": [None, None]}, "no channel .* shrinks beyond doubt on c"),
         ({}, {"fit_mean": 0.95}, "a constant does as well on c"),
     ],
-)  # fmt: skip
+)
 def test_each_fact_against_an_effect_is_told(
     change: dict[str, Any], more: dict[str, Any], said: str
 ) -> None:
@@ -155,8 +162,10 @@ def test_a_number_that_is_always_at_its_edge_is_told_once() -> None:
 
 
 def test_an_effect_of_one_rotation_is_told_with_those_that_miss_it() -> None:
-    cases = [case("a", {"gust": GOOD, "motor_lag": GOOD}), *(case(f, {"motor_lag": GOOD})
-             for f in "bc")]  # fmt: skip
+    cases = [
+        case("a", {"gust": GOOD, "motor_lag": GOOD}),
+        *(case(f, {"motor_lag": GOOD}) for f in "bc"),
+    ]
     assert against(cases) == {"motor_lag": "", "gust": "not named with b and c held out"}
 
 
@@ -242,8 +251,16 @@ def test_a_run_goes_on_where_it_stopped(
         said = case(Path(flight).stem, {"motor_lag": GOOD})
         (tmp_path / f"{name}.json").write_text(json.dumps(said))
     out = tmp_path / "page.md"
-    options = ["--data", str(tmp_path / "data"), "--out", str(out), "--cache", str(tmp_path),
-               "--only", "real"]  # fmt: skip
+    options = [
+        "--data",
+        str(tmp_path / "data"),
+        "--out",
+        str(out),
+        "--cache",
+        str(tmp_path),
+        "--only",
+        "real",
+    ]
     assert command.main(options) == 0
     assert "3 rotations, 3 there already" in capsys.readouterr().err
     assert "nothing speaks against it" in out.read_text()

@@ -172,8 +172,12 @@ def test_other_compilers_give_the_same_bits(
     """Exponentials and sums are our own: clang's library gives the bits of gcc's."""
     rows = rows_of(flight(model("track"), 200))
     there = tmp_path_factory.mktemp("zig")
-    path = build(compensator_model(folder_of("track")), there / "zig.fmu", 2,
-                 ["linux64", "aarch64-linux", "darwin-arm64"])  # fmt: skip
+    path = build(
+        compensator_model(folder_of("track")),
+        there / "zig.fmu",
+        2,
+        ["linux64", "aarch64-linux", "darwin-arm64"],
+    )
     other = Instance(unzip(path, there / "zig"))
     found = fly(other.start(), rows, range(200))
     other.close()
@@ -283,8 +287,19 @@ def test_library_and_sources(fmu_of: Fmu, tmp_path: Path) -> None:
     part = folder / "sources" / "part_compensator.c"
     assert "malloc" not in part.read_text()
     assert "\nextern" not in part.read_text()
-    command = ["cc", "-std=c99", "-Wall", "-Wextra", "-Wno-unused-function", "-Werror", "-O1",
-               "-c", str(part), "-o", str(tmp_path / "o.o")]  # fmt: skip
+    command = [
+        "cc",
+        "-std=c99",
+        "-Wall",
+        "-Wextra",
+        "-Wno-unused-function",
+        "-Werror",
+        "-O1",
+        "-c",
+        str(part),
+        "-o",
+        str(tmp_path / "o.o"),
+    ]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
     symbols = subprocess.run(
@@ -318,8 +333,9 @@ def test_corrected_twin_is_the_co_simulation_of_its_parts(
     network = compensator_model(folder_of("track"))
     whole = build(fused_model(assembly, VEHICLE, network), tmp_path / "whole.fmu")
     assert validate_fmu(str(whole)) == []
-    parts = read_ssp(write_ssp(system_of(assembly, tmp_path, compensator=network),
-                               tmp_path / "parts.ssp"))  # fmt: skip
+    parts = read_ssp(
+        write_ssp(system_of(assembly, tmp_path, compensator=network), tmp_path / "parts.ssp")
+    )
     starts = {"compensator.measured.acc_z": -9.0, "compensator.valid.acc": 1.0}
     with Master(replace(parts, starts=starts)) as master:
         names = master.record_names
@@ -348,8 +364,13 @@ def test_export_of_the_corrected_twin(
     assert [row["file"] for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
     parts = read_ssp(tmp_path / "out" / "corrected_twin.ssp")
     fed = {c.target: c.source for c in parts.connections if c.target.startswith("compensator.")}
-    givers = {"gyro": "imu", "acc": "imu", "mag": "magnetometer", "pos": "airframe",
-              "vel": "airframe"}  # fmt: skip
+    givers = {
+        "gyro": "imu",
+        "acc": "imu",
+        "mag": "magnetometer",
+        "pos": "airframe",
+        "vel": "airframe",
+    }
     wanted = {f"compensator.{c}": f"{givers[c[:-2]]}.{c}" for c in CHANNELS}
     wanted |= {f"compensator.cmd_{i}": f"controller.cmd_{i}" for i in range(1, 5)}
     assert fed == wanted | {"compensator.phase": "mission.phase"}
@@ -414,13 +435,20 @@ def test_start_values_are_baked_in(
     folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
-    export(["compensator"], tmp_path / "out", vehicle=VEHICLE, model=folder_of("track"),
-           starts=["phase=2", "valid.gyro=1"])  # fmt: skip
+    export(
+        ["compensator"],
+        tmp_path / "out",
+        vehicle=VEHICLE,
+        model=folder_of("track"),
+        starts=["phase=2", "valid.gyro=1"],
+    )
     description = fmpy.read_model_description(str(tmp_path / "out" / "compensator.fmu"))
     starts = {v.name: v.start for v in description.modelVariables}
     assert (float(starts["phase"]), starts["valid.gyro"], starts["valid.acc"]) == (
-        2.0, "true", "false",
-    )  # fmt: skip
+        2.0,
+        "true",
+        "false",
+    )
 
 
 # -- damaged, foreign, refused files --------------------------------------------------------
@@ -442,8 +470,13 @@ def test_damaged_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
     weights = onnx.load(folder_of("track") / FILE).graph.initializer
     numbers = max((t.raw_data for t in weights), key=len)
     at = content.index(numbers) + len(numbers) // 2
-    for damaged in (b"", b"PK", content[:-100], content[: len(content) // 2],
-                    content[:at] + b"\0\1\2\3" + content[at + 4 :]):  # fmt: skip
+    for damaged in (
+        b"",
+        b"PK",
+        content[:-100],
+        content[: len(content) // 2],
+        content[:at] + b"\0\1\2\3" + content[at + 4 :],
+    ):
         (tmp_path / FILE).write_bytes(damaged)
         with pytest.raises(FmuError, match=r"damaged|no compensator"):
             read_network(tmp_path)
@@ -453,11 +486,16 @@ def test_foreign_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
     graph = onnx.load(folder_of("track") / FILE)
     for i, said in enumerate(
         (
-            {"rate_hz": 0}, {"rate_hz": "fast"}, {"channels": ["gyro_x"]}, {"commands": ["cmd_1"]},
-            {"units": ["furlong"] * 15}, {"groups": ["gyro"]}, {"uncorrected_rms": None},
+            {"rate_hz": 0},
+            {"rate_hz": "fast"},
+            {"channels": ["gyro_x"]},
+            {"commands": ["cmd_1"]},
+            {"units": ["furlong"] * 15},
+            {"groups": ["gyro"]},
+            {"uncorrected_rms": None},
             {"phases": []},
         )
-    ):  # fmt: skip
+    ):
         folder = changed(graph, tmp_path / f"{i}", **said)
         with pytest.raises(FmuError, match="metadata do not fit"):
             read_network(folder)

@@ -50,8 +50,18 @@ def component(name: str) -> Component:
     return CONTROLLERS["px4"](load_vehicle(VEHICLE)) if name == "px4" else twin().parts[name]
 
 
-SINGLE = ("environment", "mission", "controller", "px4", "airframe", "imu", "magnetometer",
-          "barometer", "position", "battery")  # fmt: skip
+SINGLE = (
+    "environment",
+    "mission",
+    "controller",
+    "px4",
+    "airframe",
+    "imu",
+    "magnetometer",
+    "barometer",
+    "position",
+    "battery",
+)
 ALL = [(name, fmi) for name in (*SINGLE, FUSED) for fmi in (2, 3)]
 
 
@@ -68,8 +78,10 @@ def variables(name: str) -> list[Variable]:
 
 def starts(name: str) -> dict[str, float]:
     """Noise and effects on, of a component or of the whole."""
-    seeds = {f"{part}.seed": 7.0 for part in ("environment", "imu", "magnetometer", "barometer",
-                                              "position")}  # fmt: skip
+    seeds = {
+        f"{part}.seed": 7.0
+        for part in ("environment", "imu", "magnetometer", "barometer", "position")
+    }
     values = ON | seeds
     if name == FUSED:
         return values

@@ -178,9 +178,17 @@ def test_damaged_record_under_sanitizers(
     good = replay_example().resources["record.bin"]
     huge = b"\xff" * 8
     for content in (
-        b"", good[:15], good[:16], good[:24], good[:40], good[: len(good) // 2], good[:-8],
-        good[:-1], good[:16] + huge + good[24:], good[:8] + huge + good[16:],
-    ):  # fmt: skip
+        b"",
+        good[:15],
+        good[:16],
+        good[:24],
+        good[:40],
+        good[: len(good) // 2],
+        good[:-8],
+        good[:-1],
+        good[:16] + huge + good[24:],
+        good[:8] + huge + good[16:],
+    ):
         (folder / "resources/record.bin").write_bytes(content)
         result = host(program, folder, fmi, "replay", binary)
         assert result.returncode == 3, (len(content), result.stderr)

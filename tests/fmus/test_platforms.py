@@ -31,9 +31,12 @@ HEADERS = Path(fmpy.__file__).parent / "c-code"
 STEPS = 10_000
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")
 KINDS = [
-    ("airframe-copter_default", 2), ("airframe-crazyflie", 2), ("imu", 2), ("battery", 3),
+    ("airframe-copter_default", 2),
+    ("airframe-crazyflie", 2),
+    ("imu", 2),
+    ("battery", 3),
     ("replay", 2),
-]  # fmt: skip
+]
 
 
 def needs(present: bool, reason: str) -> pytest.MarkDecorator:
@@ -164,11 +167,19 @@ def test_fmpy_lists_and_accepts_them(everywhere: FmuPath) -> None:
     found = set(fmpy.supported_platforms(str(folder)))
     assert found == {"c-code", "linux64", "win64", "darwin64"}
     assert {p.name for p in (folder / "binaries").iterdir()} == {
-        "linux64", "aarch64-linux", "win64", "darwin64", "aarch64-darwin",
-    }  # fmt: skip
+        "linux64",
+        "aarch64-linux",
+        "win64",
+        "darwin64",
+        "aarch64-darwin",
+    }
     assert {p.name for p in (everywhere("replay", 3) / "binaries").iterdir()} == {
-        "x86_64-linux", "aarch64-linux", "x86_64-windows", "x86_64-darwin", "aarch64-darwin",
-    }  # fmt: skip
+        "x86_64-linux",
+        "aarch64-linux",
+        "x86_64-windows",
+        "x86_64-darwin",
+        "aarch64-darwin",
+    }
 
 
 def test_universal_binary_holds_both() -> None:
@@ -254,8 +265,21 @@ def host_program(folder: Path, fmi: int, platform: str) -> Path:
     # Stripped like the FMUs: else zig compiles the C runtime of Windows once more, in minutes.
     out = folder / f"host{fmi}{'.exe' if platform == 'win64' else '-' + platform}"
     run(
-        sys.executable, "-m", "ziglang", "cc", "-target", p.target, "-std=c99", "-O2",
-        "-ffp-contract=off", "-s", f"-DFMI={fmi}", f"-I{HEADERS}", HOST, "-o", out,
+        sys.executable,
+        "-m",
+        "ziglang",
+        "cc",
+        "-target",
+        p.target,
+        "-std=c99",
+        "-O2",
+        "-ffp-contract=off",
+        "-s",
+        f"-DFMI={fmi}",
+        f"-I{HEADERS}",
+        HOST,
+        "-o",
+        out,
         *([] if platform == "win64" else ["-ldl"]),
         cwd=folder,
         env={
@@ -263,7 +287,7 @@ def host_program(folder: Path, fmi: int, platform: str) -> Path:
             "ZIG_GLOBAL_CACHE_DIR": str(_cache().absolute() / "zig"),
             "ZIG_LOCAL_CACHE_DIR": str(folder / "zig"),
         },
-    )  # fmt: skip
+    )
     return out
 
 
@@ -297,9 +321,14 @@ def host_outputs(
         f"{'Z:' if windows else ''}{binary(folder, fmi, platform)}",
         token(folder),
         uri if fmi == 2 else f"{resources}/",
-        0, 0, outputs[0], len(outputs), STEPS, len(input_names(kind)),
+        0,
+        0,
+        outputs[0],
+        len(outputs),
+        STEPS,
+        len(input_names(kind)),
         env={**os.environ, "WINEPREFIX": str(hosts / "wine"), "WINEDEBUG": "-all", "DISPLAY": ""},
-    )  # fmt: skip
+    )
     return np.array([float(x) for x in text.split()]).reshape(STEPS, -1)
 
 

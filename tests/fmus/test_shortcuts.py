@@ -26,8 +26,13 @@ def test_the_first_that_holds_is_taken(tmp_path: Path, fmi: int) -> None:
     folder = unzip(build(component_model(m.build()), tmp_path / "s.fmu", fmi), tmp_path / "s")
     instance = Instance(folder)
     for start, rate, seen in (
-        (0, 111, 3), (15, 1, 0), (25, 101, 2), (35, 11, 3), (45, 11, 1), (55, 111, 3)
-    ):  # fmt: skip
+        (0, 111, 3),
+        (15, 1, 0),
+        (25, 101, 2),
+        (35, 11, 3),
+        (45, 11, 1),
+        (55, 111, 3),
+    ):
         instance.fmu.reset()
         instance.start({"initial.x": start})
         assert instance.get("seen") == seen

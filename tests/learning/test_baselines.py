@@ -46,8 +46,9 @@ def process(seed: int, n: int = 4000) -> Array:
     return 3 + lfilter([1.0], [1.0, -AR[0], -AR[1]], noise(seed, n), axis=0)
 
 
-def left(flight: ResidualFlight, name: str, train: list[ResidualFlight], protocol: str,
-         horizon: int = 0) -> Array:  # fmt: skip
+def left(
+    flight: ResidualFlight, name: str, train: list[ResidualFlight], protocol: str, horizon: int = 0
+) -> Array:
     correction = fit_baselines(train, protocol, horizon)[name].run(flight).correction
     return np.where(flight.fresh, flight.residual - correction, np.nan)
 

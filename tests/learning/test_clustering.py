@@ -20,8 +20,9 @@ def test_every_channel_has_one_network_and_the_same_again(clustering: str) -> No
     assert clusters == clusters_of(preset, FLIGHTS, ALL, seed=0)
 
 
-@pytest.mark.parametrize(("clustering", "sizes"), [("none", [15]), ("channels", [1] * 15),
-                                                   ("sensors", [3] * 5)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("clustering", "sizes"), [("none", [15]), ("channels", [1] * 15), ("sensors", [3] * 5)]
+)
 def test_sizes(clustering: str, sizes: list[int]) -> None:
     clusters = clusters_of(tiny(clustering=clustering), FLIGHTS, ALL, seed=0)
     assert [len(c) for c in clusters] == sizes

@@ -119,8 +119,11 @@ def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> No
     for number in range(len(model.features)):
         virtual, commands = FLIGHT.virtual.copy(), FLIGHT.commands.copy()
         values = virtual if number < 13 else commands
-        column = [c for c in range(15) if CHANNELS[c] not in ("pos_x", "pos_y")][number] \
-            if number < 13 else number - 13  # fmt: skip
+        column = (
+            [c for c in range(15) if CHANNELS[c] not in ("pos_x", "pos_y")][number]
+            if number < 13
+            else number - 13
+        )
         values[20, column] += 100 * np.ptp(values[:, column])
         values[21, column] = np.nan
         found = model.run(replace(FLIGHT, virtual=virtual, commands=commands))

@@ -80,10 +80,11 @@ def test_coefficients_of_a_known_process_from_several_pieces() -> None:
 @given(
     st.lists(
         st.lists(st.floats(-1e3, 1e3, width=32), min_size=0, max_size=40).map(np.array),
-        min_size=1, max_size=3,
+        min_size=1,
+        max_size=3,
     ),
     st.integers(0, 8),
-)  # fmt: skip
+)
 def test_synthesis_never_blows_up(pieces: list[Array], order: int) -> None:
     found = burg(pieces, order)
     assert len(found) == order

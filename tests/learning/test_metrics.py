@@ -39,10 +39,16 @@ def test_a_constant_is_no_achievement(values: np.ndarray) -> None:
 
 def test_of_nothing_nothing_is_known() -> None:
     nothing = np.zeros(0)
-    for value in (metrics.mse(nothing), metrics.rmse(nothing), metrics.mae(nothing),
-                  metrics.spread_of(nothing), metrics.wasserstein(nothing, nothing),
-                  metrics.coverage(nothing, nothing, 1), metrics.share_removed(1.0, 0.0),
-                  metrics.log_spectral_distance(nothing, nothing, nothing)):  # fmt: skip
+    for value in (
+        metrics.mse(nothing),
+        metrics.rmse(nothing),
+        metrics.mae(nothing),
+        metrics.spread_of(nothing),
+        metrics.wasserstein(nothing, nothing),
+        metrics.coverage(nothing, nothing, 1),
+        metrics.share_removed(1.0, 0.0),
+        metrics.log_spectral_distance(nothing, nothing, nothing),
+    ):
         assert np.isnan(value)
     assert metrics.reliability(nothing, nothing).shape == (0, 2)
     assert metrics.share_removed(0.25, 1.0) == 0.75

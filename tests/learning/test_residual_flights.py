@@ -154,8 +154,12 @@ def test_flight_of_the_twin_itself_leaves_nothing(clean: ResidualFlight) -> None
     assert clean.fresh[:, GROUPS["gyro"]].any()
     assert np.nanstd(clean.virtual[:, CHANNELS.index("vel_y")]) > 0.2
     for group, bound in (
-        ("gyro", 1e-5), ("acc", 1e-5), ("mag", 1e-12), ("pos", 1e-4), ("vel", 2e-4)
-    ):  # fmt: skip
+        ("gyro", 1e-5),
+        ("acc", 1e-5),
+        ("mag", 1e-12),
+        ("pos", 1e-4),
+        ("vel", 2e-4),
+    ):
         assert rms(clean, group) < bound, group
 
 
@@ -227,8 +231,10 @@ def test_missing_sensor_is_not_a_number_and_said(noisy_residual: ResidualFlight)
 def test_without_attitude_the_accelerometer_is_left(noisy: Flight) -> None:
     flight = residual_flight(without(noisy, *(f"q_{a}" for a in "wxyz")), FEISI)
     assert {c for i, c in enumerate(CHANNELS) if flight.fresh[:, i].any()} == {
-        "acc_x", "acc_y", "acc_z"
-    }  # fmt: skip
+        "acc_x",
+        "acc_y",
+        "acc_z",
+    }
     assert any("attitude" in note for note in flight.notes)
 
 
@@ -262,9 +268,14 @@ def test_ground_is_no_span_and_phases_have_codes() -> None:
 
 @pytest.mark.parametrize(
     ("rate_hz", "horizon_s", "says"),
-    [(30.0, 0.5, "rate 30 Hz"), (0.0, 0.5, "rate 0 Hz"), (100.0, 0.0055, "horizon 0.0055 s"),
-     (100.0, 0.005, "at least one interval"), (100.0, float("nan"), "horizon nan")],
-)  # fmt: skip
+    [
+        (30.0, 0.5, "rate 30 Hz"),
+        (0.0, 0.5, "rate 0 Hz"),
+        (100.0, 0.0055, "horizon 0.0055 s"),
+        (100.0, 0.005, "at least one interval"),
+        (100.0, float("nan"), "horizon nan"),
+    ],
+)
 def test_rates_and_horizons_that_are_refused(
     noisy: Flight, rate_hz: float, horizon_s: float, says: str
 ) -> None:

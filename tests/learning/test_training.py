@@ -60,8 +60,16 @@ def test_killed_and_resumed_is_uninterrupted(
     train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "whole")  # type: ignore[arg-type]
     for epochs in (1, 3):
         with pytest.raises(KilledError):
-            train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut",  # type: ignore[arg-type]
-                  progress=kill_after(epochs, preset), checkpoint_s=0)  # fmt: skip
+            train(
+                FLIGHTS,
+                preset,
+                protocol,
+                horizon,
+                3,
+                tmp_path / "cut",  # type: ignore[arg-type]
+                progress=kill_after(epochs, preset),
+                checkpoint_s=0,
+            )
         assert (tmp_path / "cut" / CHECKPOINT).is_file()
     train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut")  # type: ignore[arg-type]
     for name in FILES:

@@ -149,10 +149,16 @@ def test_demo_names_the_effect_it_hid(
     assert json.loads((tmp_path / "d" / "explain.json").read_text())["verdict"] == "named"
     files = {str(p.relative_to(tmp_path / "d")) for p in (tmp_path / "d").rglob("*.*")}
     assert files == {
-        "airframe.fmu", "explain.json", "gap.html", "gap.json", "report.html", "run.json",
-        "truth.json", "vehicle.toml", *(f"flights/{n}.parquet" for n in ("fit_1", "fit_2",
-                                                                         "holdout"))
-    }  # fmt: skip
+        "airframe.fmu",
+        "explain.json",
+        "gap.html",
+        "gap.json",
+        "report.html",
+        "run.json",
+        "truth.json",
+        "vehicle.toml",
+        *(f"flights/{n}.parquet" for n in ("fit_1", "fit_2", "holdout")),
+    }
     code, _, _ = run(capsys, "check", tmp_path / "d" / "flights" / "fit_1.parquet")
     assert code == 0
 
@@ -274,9 +280,15 @@ def test_a_cut_log_is_a_counted_finding(
 
 @pytest.mark.parametrize(
     ("log", "vehicle"),
-    [("real_1", "feisi_x150"), ("real_2", "feisi_x150"), ("real_3", "feisi_x150"),
-     ("sim_1", VEHICLE), ("sim_2", VEHICLE), ("sim_3", VEHICLE)],
-)  # fmt: skip
+    [
+        ("real_1", "feisi_x150"),
+        ("real_2", "feisi_x150"),
+        ("real_3", "feisi_x150"),
+        ("sim_1", VEHICLE),
+        ("sim_2", VEHICLE),
+        ("sim_3", VEHICLE),
+    ],
+)
 def test_real_logs(
     capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path, log: str, vehicle: str
 ) -> None:

@@ -65,8 +65,12 @@ def test_flight_table_holds_what_it_says(flight: Flight) -> None:
     np.testing.assert_allclose(np.diff(t_pose), POSE_EVERY * STEP_S, rtol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=1e-12)
     assert list(dict.fromkeys(flight.table["phase"])) == [
-        "ground", "takeoff", "hover", "forward", "land"
-    ]  # fmt: skip
+        "ground",
+        "takeoff",
+        "hover",
+        "forward",
+        "land",
+    ]
     still = flight.table[flight.table["time"].between(0.5, 1.0, inclusive="left")]
     assert still["acc_z"].mean() == pytest.approx(-9.80665, abs=0.03)
     assert still["acc_x"].std() == pytest.approx(ACC_NOISE_M_S2, rel=0.3)

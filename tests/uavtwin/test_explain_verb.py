@@ -195,8 +195,14 @@ def test_run_json_lists_every_input(named: Run) -> None:
 
 def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
     page = (named.out / "report.html").read_text()
-    order = ("<h1>The model lacks rotor drag", 'id="evidence', "why they lost", 'id="time-acc_',
-             "The gap on held-out flights", "Where model and flights")  # fmt: skip
+    order = (
+        "<h1>The model lacks rotor drag",
+        'id="evidence',
+        "why they lost",
+        'id="time-acc_',
+        "The gap on held-out flights",
+        "Where model and flights",
+    )
     places = [page.index(words) for words in order]
     assert places == sorted(places)
     assert "Does the new model fly?" in page

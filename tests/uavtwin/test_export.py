@@ -25,8 +25,18 @@ from twin.errors import TwinError
 from uavtwin.export import Choice, export_components
 
 Array = NDArray[np.float64]
-COMPONENTS = ("airframe", "imu", "magnetometer", "barometer", "position", "battery", "environment",
-              "mission", "controller", "controller_px4")  # fmt: skip
+COMPONENTS = (
+    "airframe",
+    "imu",
+    "magnetometer",
+    "barometer",
+    "position",
+    "battery",
+    "environment",
+    "mission",
+    "controller",
+    "controller_px4",
+)
 PLATFORM = {2: "binaries/linux64", 3: "binaries/x86_64-linux"}
 CASES = [(name, fmi) for name in (*COMPONENTS, "corrected_twin") for fmi in (2, 3)]
 
@@ -143,9 +153,17 @@ def test_wrong_use(names: tuple[str, ...], choice: Choice, text: str) -> None:
 
 # -- the .ssp in other tools ----------------------------------------------------------------
 
-STATES = ("airframe.pos_z", "airframe.vel_x", "airframe.q_y", "airframe.omega_y",
-          "battery.vbat_v", "battery.charge", "environment.wind_x", "position.meas_pos_z",
-          "mission.setpoint_pos_z")  # fmt: skip
+STATES = (
+    "airframe.pos_z",
+    "airframe.vel_x",
+    "airframe.q_y",
+    "airframe.omega_y",
+    "battery.vbat_v",
+    "battery.charge",
+    "environment.wind_x",
+    "position.meas_pos_z",
+    "mission.setpoint_pos_z",
+)
 FELT = ("environment.density", "imu.gyro_y", "magnetometer.mag_x", "barometer.baro_pa")
 """Outputs that depend directly on the airframe's states."""
 CHAINED = ("airframe.specific_force_x", "airframe.ibat_a", "imu.acc_x", "controller.cmd_1")

@@ -354,15 +354,17 @@ def test_measured_rotor_speeds_replace_the_commands() -> None:
     [
         (lambda f: without(f, "cmd_4"), r"quiet: no samples of cmd_4, which drive the 4 rotors"),
         (lambda f: without(f, *[f"cmd_{i}" for i in range(1, 5)]), r"no samples of cmd_1, cmd_2"),
-        (lambda f: replace(f, table=f.table.assign(cmd_5=0.5)),
-         r"more motor commands than the 4 rotors of feisi_x150"),
+        (
+            lambda f: replace(f, table=f.table.assign(cmd_5=0.5)),
+            r"more motor commands than the 4 rotors of feisi_x150",
+        ),
         (lambda f: replace(f, table=f.table.assign(rotor_5=500.0)), r"more rotor speeds than the"),
         (lambda f: without(f, *[c for g in MOTION.values() for c in g]), r"no motion signal.*cmd"),
         (lambda f: cut(f, 0.0, 0.004), r"quiet: too short: 1 samples"),
         (lambda f: cut(f, 0.0, 0.9), r"quiet: never airborne with feisi_x150"),
         (lambda f: replace(f, table=f.table.assign(phase="ground")), r"never airborne"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_compared_is_said(short: Flight, change: object, expected: str) -> None:
     with pytest.raises(LogError, match=expected):
         flight_gap(change(short), FEISI)  # type: ignore[operator]

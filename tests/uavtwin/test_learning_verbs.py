@@ -45,8 +45,20 @@ def _run(*arguments: object) -> None:
 
 
 def _train(logs: dict[str, Path], out: Path, *more: object) -> None:
-    _run("train", logs["one"], logs["two"], "--vehicle", "copter_default", "--rate", 50,
-         "--epochs", 2, "--out", out, *more)  # fmt: skip
+    _run(
+        "train",
+        logs["one"],
+        logs["two"],
+        "--vehicle",
+        "copter_default",
+        "--rate",
+        50,
+        "--epochs",
+        2,
+        "--out",
+        out,
+        *more,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +72,15 @@ def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
 def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     names = {p.name for p in model.iterdir()}
     assert names >= {
-        "report.html", "model.onnx", "weights.safetensors", "model.json", "learning_curve.json",
-        "vehicle.toml", "training.parquet", "run.json",
-    }  # fmt: skip
+        "report.html",
+        "model.onnx",
+        "weights.safetensors",
+        "model.json",
+        "learning_curve.json",
+        "vehicle.toml",
+        "training.parquet",
+        "run.json",
+    }
     assert CHECKPOINT not in names
     page = (model / "report.html").read_text("utf-8")
     assert "track, 1 samples (20 ms) ahead" in page
@@ -76,8 +94,16 @@ def test_evaluation_scores_the_model_beside_baselines(
 ) -> None:
     explained = tmp_path / "explained.toml"
     explained.write_text((model / "vehicle.toml").read_text("utf-8"), "utf-8")
-    _run("evaluate", model, logs["three"], "--explained", explained, "--out", tmp_path / "e",
-         "--json")  # fmt: skip
+    _run(
+        "evaluate",
+        model,
+        logs["three"],
+        "--explained",
+        explained,
+        "--out",
+        tmp_path / "e",
+        "--json",
+    )
     printed = json.loads(capsys.readouterr().out)
     assert printed == json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
     assert printed["protocol"] == "track" and printed["horizon_s"] == 0.02

@@ -39,8 +39,11 @@ def test_every_scenario_flies(simulate: Call, tmp_path: Path, name: str) -> None
     assert code == 0
     assert said.startswith(f"{name}: ")
     assert {p.name for p in (tmp_path / "o").iterdir()} == {
-        "recording.parquet", "summary.json", "report.html", "run.json"
-    }  # fmt: skip
+        "recording.parquet",
+        "summary.json",
+        "report.html",
+        "run.json",
+    }
     figures = json.loads((tmp_path / "o" / "summary.json").read_text())
     assert figures["tracking_rms_m"] < 0.1
     assert figures["tracking_worst_m"] < 0.25
@@ -139,8 +142,18 @@ def test_the_controller_is_swapped(windy: System, tmp_path: Path) -> None:
 
 
 def test_report_shows_every_part_with_units(windy: System, simulate: Call, tmp_path: Path) -> None:
-    simulate("tour", "--vehicle", VEHICLE, "--stop", "3", "--wind", "1,0,0", "--fused", "--out",
-             tmp_path / "o")  # fmt: skip
+    simulate(
+        "tour",
+        "--vehicle",
+        VEHICLE,
+        "--stop",
+        "3",
+        "--wind",
+        "1,0,0",
+        "--fused",
+        "--out",
+        tmp_path / "o",
+    )
     page = (tmp_path / "o" / "report.html").read_text("utf-8")
     assert "src=" not in page.split("</script>")[-1]  # opens offline
     for part in windy.fmus:

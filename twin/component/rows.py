@@ -84,8 +84,11 @@ class OverRows:
         function = function.expand()
         self._rows, self._size = rows, function.numel_out(0)
         self._width = function.sz_w()
-        self._steps = [step for k in range(function.n_instructions())
-                       if (step := _step(function, k)) is not None]  # fmt: skip
+        self._steps = [
+            step
+            for k in range(function.n_instructions())
+            if (step := _step(function, k)) is not None
+        ]
 
     def __call__(self, *arguments: Array) -> Array:
         """Its first output, shape (n, size), in Fortran's order.

@@ -69,9 +69,13 @@ class EffectParameter:
         low, high = self.prior
         neutral, trifle = (None if v is None else k * v for v in (self.neutral, self.trifle))
         return replace(
-            self, start=k * self.start, prior=(k * low, k * high), neutral=neutral,
-            trifle=trifle, scale=None,
-        )  # fmt: skip
+            self,
+            start=k * self.start,
+            prior=(k * low, k * high),
+            neutral=neutral,
+            trifle=trifle,
+            scale=None,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -141,12 +141,13 @@ GUST = Effect(
             EffectParameter(f"length_{name}", "m", f"length scale {way}", length, (1, 600), None)
             for (name, way), length in zip(_WAYS, _START.length_m, strict=True)
         ),
-        EffectParameter("airspeed_min", "m/s", "smallest speed at which gusts pass by", 1.0,
-                        (0.1, 5), None),
+        EffectParameter(
+            "airspeed_min", "m/s", "smallest speed at which gusts pass by", 1.0, (0.1, 5), None
+        ),
     ),
     ("acc", "vel", "q"),
     "MIL-F-8785C, sec. 3.7",
     _gust,
-)  # fmt: skip
+)
 
 EFFECTS = (GUST,)

@@ -96,14 +96,15 @@ IMU_LEVER_ARM = Effect(
     "imu",
     Mounting,
     tuple(
-        EffectParameter(f"{a}_m", "m", f"place on top of the model's, {d}", s, (-1, 1),
-                        scale=lambda v: v.arm_m)
+        EffectParameter(
+            f"{a}_m", "m", f"place on top of the model's, {d}", s, (-1, 1), scale=lambda v: v.arm_m
+        )
         for (a, d), s in zip(_AXES, (0.3, -0.2, 0.2), strict=True)
     ),
     ("acc", "gyro"),
     "kinematics of a rigid body, as in twin/physics/sensors/imu.py",
     _imu_lever_arm,
-)  # fmt: skip
+)
 
 VIBRATION = Effect(
     "vibration",
@@ -111,18 +112,27 @@ VIBRATION = Effect(
     "imu",
     Felt,
     (
-        EffectParameter("frequency_hz", "Hz", "turns of a rotor per second in hover", 1.0,
-                        (0.3, 3), neutral=None, scale=_rotor_hz),
-        EffectParameter("accel_m_s2", "m/s2", "acceleration by one rotor in hover, amplitude",
-                        1.0, (0, 20)),
-        EffectParameter("gyro_rad_s", "rad/s", "body rate by one rotor in hover, amplitude",
-                        0.02, (0, 1)),
+        EffectParameter(
+            "frequency_hz",
+            "Hz",
+            "turns of a rotor per second in hover",
+            1.0,
+            (0.3, 3),
+            neutral=None,
+            scale=_rotor_hz,
+        ),
+        EffectParameter(
+            "accel_m_s2", "m/s2", "acceleration by one rotor in hover, amplitude", 1.0, (0, 20)
+        ),
+        EffectParameter(
+            "gyro_rad_s", "rad/s", "body rate by one rotor in hover, amplitude", 0.02, (0, 1)
+        ),
     ),
     ("acc", "gyro"),
     "rotating unbalance, force m r omega^2: Den Hartog, Mechanical Vibrations, ch. 2; twice "
     "per turn from two blades",
     _vibration,
-)  # fmt: skip
+)
 
 ACCEL_SCALE = Effect(
     "accel_scale",
@@ -215,14 +225,15 @@ STUCK_SENSOR = Effect(
     "imu",
     Freezing,
     (
-        EffectParameter("channel", "1", "which, 1 to 6: " + ", ".join(IMU_CHANNELS) + "; 0 none",
-                        3.0, (0, 6)),
+        EffectParameter(
+            "channel", "1", "which, 1 to 6: " + ", ".join(IMU_CHANNELS) + "; 0 none", 3.0, (0, 6)
+        ),
         EffectParameter("time_s", "s", "since when, from the start", 5.0, (0, 3600), neutral=None),
     ),
     ("acc", "gyro"),
     "definition: from the first sample instant at or after that time the last value is repeated",
     _stuck_sensor,
-)  # fmt: skip
+)
 
 EFFECTS = (
     IMU_LEVER_ARM,

@@ -55,12 +55,24 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
     stiffness, damping = mass * omega**2, 2 * ROPE_DAMPING * mass * omega
     rest = [ca.SX(0), ca.SX(0), length + motion.gravity / omega**2]
     # Place and speed of the load relative to the vehicle, NED.
-    r = [p.state(f"r_{a}", "m", f"load from the vehicle, NED {a}",
-                 s + p.start(f"r_{a}", "m", f"place of the load from that at rest, NED {a}"))
-         for a, s in zip("xyz", rest, strict=True)]  # fmt: skip
-    v = [p.state(f"v_{a}", "m/s", f"speed of the load, NED {a}",
-                 s + p.start(f"v_{a}", "m/s", f"speed of the load from the vehicle's, NED {a}"))
-         for a, s in zip("xyz", motion.start_vel_n, strict=True)]  # fmt: skip
+    r = [
+        p.state(
+            f"r_{a}",
+            "m",
+            f"load from the vehicle, NED {a}",
+            s + p.start(f"r_{a}", "m", f"place of the load from that at rest, NED {a}"),
+        )
+        for a, s in zip("xyz", rest, strict=True)
+    ]
+    v = [
+        p.state(
+            f"v_{a}",
+            "m/s",
+            f"speed of the load, NED {a}",
+            s + p.start(f"v_{a}", "m/s", f"speed of the load from the vehicle's, NED {a}"),
+        )
+        for a, s in zip("xyz", motion.start_vel_n, strict=True)
+    ]
     distance = ca.sqrt(sum((c * c for c in r), start=ca.SX(0)) + 1e-12)
     along = [c / distance for c in r]
     relative = [a - b for a, b in zip(v, motion.vel_n, strict=True)]
@@ -83,12 +95,20 @@ MASS_OFFSET = Effect(
     "the aircraft is heavier or lighter than the model",
     "airframe",
     Body,
-    (EffectParameter("mass_kg", "kg", "mass on top of the model's", 0.1, (-0.3, 0.8),
-                     scale=lambda v: v.mass_kg),),
+    (
+        EffectParameter(
+            "mass_kg",
+            "kg",
+            "mass on top of the model's",
+            0.1,
+            (-0.3, 0.8),
+            scale=lambda v: v.mass_kg,
+        ),
+    ),
     ("acc",),
     "definition",
     _mass_offset,
-)  # fmt: skip
+)
 
 COG_OFFSET = Effect(
     "cog_offset",
@@ -96,16 +116,28 @@ COG_OFFSET = Effect(
     "airframe",
     Body,
     (
-        EffectParameter("x_m", "m", "centre of mass forward of the model's", 0.05, (-0.4, 0.4),
-                        scale=lambda v: v.arm_m),
-        EffectParameter("y_m", "m", "centre of mass right of the model's", 0.0, (-0.4, 0.4),
-                        scale=lambda v: v.arm_m),
+        EffectParameter(
+            "x_m",
+            "m",
+            "centre of mass forward of the model's",
+            0.05,
+            (-0.4, 0.4),
+            scale=lambda v: v.arm_m,
+        ),
+        EffectParameter(
+            "y_m",
+            "m",
+            "centre of mass right of the model's",
+            0.0,
+            (-0.4, 0.4),
+            scale=lambda v: v.arm_m,
+        ),
     ),
     ("gyro",),
     "definition: rotor hubs move the other way; the airframe gives the specific force where the "
     "vehicle file has the centre of mass, so the IMU keeps its place",
     _cog_offset,
-)  # fmt: skip
+)
 
 INERTIA_ERROR = Effect(
     "inertia_error",
@@ -113,8 +145,9 @@ INERTIA_ERROR = Effect(
     "airframe",
     Body,
     tuple(
-        EffectParameter(f"scale_{a}", "1", f"moment of inertia about {a} over the model's", 1.3,
-                        (0.3, 3), 1.0)
+        EffectParameter(
+            f"scale_{a}", "1", f"moment of inertia about {a} over the model's", 1.3, (0.3, 3), 1.0
+        )
         for a in "xyz"
     ),
     ("gyro",),
@@ -122,7 +155,7 @@ INERTIA_ERROR = Effect(
     "inequality: Goldstein, Classical Mechanics, ch. 5",
     _inertia_error,
     _rigid,
-)  # fmt: skip
+)
 
 SLUNG_LOAD = Effect(
     "slung_load",
@@ -130,14 +163,15 @@ SLUNG_LOAD = Effect(
     "airframe",
     Wrench,
     (
-        EffectParameter("mass_kg", "kg", "mass of the load", 0.1, (0, 0.6),
-                        scale=lambda v: v.mass_kg),
+        EffectParameter(
+            "mass_kg", "kg", "mass of the load", 0.1, (0, 0.6), scale=lambda v: v.mass_kg
+        ),
         EffectParameter("length_m", "m", "length of the rope", 0.7, (0.1, 5), neutral=None),
     ),
     ("acc", "vel", "q"),
     "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
     "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
-)  # fmt: skip
+)
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

@@ -76,8 +76,15 @@ def _voltage(vehicle: Vehicle) -> float:
     return vehicle.voltage_v
 
 
-def _momentum(description: str, source: str, name: str, meaning: str, stage: type[Thrust | Wrench],
-              term: Callable[..., Thrust | Wrench], needs: tuple[str, ...]) -> Effect:  # fmt: skip
+def _momentum(
+    description: str,
+    source: str,
+    name: str,
+    meaning: str,
+    stage: type[Thrust | Wrench],
+    term: Callable[..., Thrust | Wrench],
+    needs: tuple[str, ...],
+) -> Effect:
     parameter = EffectParameter(
         "momentum_n_m_s", "N.m.s", description, 1.0, (0, 10), scale=_hover_momentum
     )
@@ -104,12 +111,15 @@ THRUST_CURVE = Effect(
     "thrust grows faster or slower with the command than the map says, the same in hover",
     "airframe",
     Thrust,
-    (EffectParameter("slope", "1", "relative change of thrust per excess thrust over hover",
-                     0.2, (-0.6, 0.6)),),
+    (
+        EffectParameter(
+            "slope", "1", "relative change of thrust per excess thrust over hover", 0.2, (-0.6, 0.6)
+        ),
+    ),
     ("acc",),
     "definition: first-order change of the shape of the map about hover",
     _thrust_curve,
-)  # fmt: skip
+)
 
 BATTERY_SAG = Effect(
     "battery_sag",
@@ -118,14 +128,21 @@ BATTERY_SAG = Effect(
     Thrust,
     (
         EffectParameter("slope", "1", "relative thrust per relative voltage", 1.5, (0, 4)),
-        EffectParameter("reference_v", "V", "voltage at which the maps hold", 1.0, (0.7, 1.3),
-                        neutral=None, scale=_voltage),
+        EffectParameter(
+            "reference_v",
+            "V",
+            "voltage at which the maps hold",
+            1.0,
+            (0.7, 1.3),
+            neutral=None,
+            scale=_voltage,
+        ),
     ),
     ("acc", "vbat"),
     "thrust of a brushless motor against voltage, slope 1 to 2: Podhradsky, Coopmans & Jensen, "
     "J. Intell. Robot. Syst. 74 (2014)",
     _battery_sag,
-)  # fmt: skip
+)
 
 MOTOR_LAG = Effect(
     "motor_lag",

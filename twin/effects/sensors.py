@@ -63,8 +63,9 @@ MAG_SOFT_IRON = Effect(
             for (a, d), s in zip(_AXES, (1.1, 0.95, 1.05), strict=True)
         ),
         *(
-            EffectParameter(k, "1", f"field read along one axis per field along another, {k}",
-                            0.05, (-0.4, 0.4))
+            EffectParameter(
+                k, "1", f"field read along one axis per field along another, {k}", 0.05, (-0.4, 0.4)
+            )
             for k in ("xy", "xz", "yz")
         ),
     ),
@@ -72,7 +73,7 @@ MAG_SOFT_IRON = Effect(
     "Gebre-Egziabher et al., J. Aerospace Engineering 19 (2006), symmetric part: the rest "
     "is a rotation",
     _mag_soft_iron,
-)  # fmt: skip
+)
 
 MAG_HARD_IRON = Effect(
     "mag_hard_iron",

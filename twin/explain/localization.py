@@ -92,9 +92,7 @@ def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows
     grid = flight.twin.inputs.t_s
     rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
     quantities = {name: values[rows] for name, values in _quantities(flight).items()}
-    return _Rows(
-        before.t_s, flight.twin.phases[rows], before.residual, after.residual, quantities
-    )  # fmt: skip
+    return _Rows(before.t_s, flight.twin.phases[rows], before.residual, after.residual, quantities)
 
 
 def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:

@@ -77,8 +77,9 @@ def _hit(flight: Flight, twin: Twin) -> Iterator[str]:
     if not flight.has(*ACC):
         return
     signal = Signal(*flight.signal(ACC))
-    force = np.linalg.norm(Signal(signal.t_s, zero_phase(signal, IMPACT_HZ)).at(twin.inputs.t_s),
-                           axis=1)  # fmt: skip
+    force = np.linalg.norm(
+        Signal(signal.t_s, zero_phase(signal, IMPACT_HZ)).at(twin.inputs.t_s), axis=1
+    )
     hit = twin.airborne & (force > IMPACT_M_S2)
     if hit.any():
         when, size = twin.inputs.t_s[np.argmax(hit)], np.max(force[hit]) / GRAVITY_M_S2

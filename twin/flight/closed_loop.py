@@ -155,8 +155,10 @@ def fly(
     """
     every, line = _every(control), _Memory(body)
     u0, p_body, p_control = (
-        body.input_values(held), body.parameter_values(), control.parameter_values()
-    )  # fmt: skip
+        body.input_values(held),
+        body.parameter_values(),
+        control.parameter_values(),
+    )
     x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
     past = ca.SX.sym("past", line.size)
     setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")

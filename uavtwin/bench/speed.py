@@ -113,9 +113,13 @@ def _whole_twin(folder: Path) -> list[Row]:
 
     def through_fmpy() -> None:
         """One run with 10 ms communication steps, the position recorded."""
-        fmpy.simulate_fmu(unzipped, model_description=description, stop_time=WHOLE_S,
-                          output_interval=0.01,
-                          output=[f"airframe.pos_{a}" for a in "xyz"])  # fmt: skip
+        fmpy.simulate_fmu(
+            unzipped,
+            model_description=description,
+            stop_time=WHOLE_S,
+            output_interval=0.01,
+            output=[f"airframe.pos_{a}" for a in "xyz"],
+        )
 
     one = _best(through_fmpy)
     system = system_of(assembly, folder)
@@ -142,8 +146,14 @@ def _compensator(folder: Path) -> list[Row]:
     try:
         from .compensator import compensator_rows
     except ModuleNotFoundError as error:
-        return [Row(f"compensator: skipped without {error.name}, pip install uavtwin[learn]", None,
-                    "", "")]  # fmt: skip
+        return [
+            Row(
+                f"compensator: skipped without {error.name}, pip install uavtwin[learn]",
+                None,
+                "",
+                "",
+            )
+        ]
     return compensator_rows(folder)
 
 

@@ -57,13 +57,15 @@ def export(
     ] = "linux64",
     start: Annotated[
         list[str] | None,
-        typer.Option(help="Start value baked into the FMU: NAME=VALUE, in the corrected twin "
-                     "PART.NAME=VALUE."),
+        typer.Option(
+            help="Start value baked into the FMU: NAME=VALUE, in the corrected twin "
+            "PART.NAME=VALUE."
+        ),
     ] = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
     from fmus.compensator import FILE
 
@@ -72,13 +74,34 @@ def export(
 
     check_folder(out, force)
     vehicle = vehicle or default_vehicle(model)
-    choice = Choice(vehicle, fmi, platform, drive, start or [], flight, linear, mission,
-                    controller, model, position, python_slave)  # fmt: skip
+    choice = Choice(
+        vehicle,
+        fmi,
+        platform,
+        drive,
+        start or [],
+        flight,
+        linear,
+        mission,
+        controller,
+        model,
+        position,
+        python_slave,
+    )
     plan = export_components(components, choice)
-    options = {"components": components, "vehicle": Path(vehicle).name, "fmi": fmi, "drive": drive,
-               "linear": linear, "mission": mission, "controller": controller,
-               "position": position, "python_slave": python_slave, "platform": platform,
-               "start": start or []}  # fmt: skip
+    options = {
+        "components": components,
+        "vehicle": Path(vehicle).name,
+        "fmi": fmi,
+        "drive": drive,
+        "linear": linear,
+        "mission": mission,
+        "controller": controller,
+        "position": position,
+        "python_slave": python_slave,
+        "platform": platform,
+        "start": start or [],
+    }
     trained = None if model is None else model / FILE
     inputs = [p for p in (Path(vehicle), flight, trained) if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
@@ -124,8 +147,17 @@ def simulate(
     from ..simulate import Scenario, run_scenario, scenario_system, summary
 
     check_folder(out, force)
-    plan = Scenario(scenario, vehicle, controller, _three(wind, "--wind"), gusts, seed,
-                    tuple(effect or ()), tuple(start or ()), fused)  # fmt: skip
+    plan = Scenario(
+        scenario,
+        vehicle,
+        controller,
+        _three(wind, "--wind"),
+        gusts,
+        seed,
+        tuple(effect or ()),
+        tuple(start or ()),
+        fused,
+    )
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as build_folder:
         with progress("building") as done:
             system = scenario_system(plan, Path(build_folder), done)
@@ -137,17 +169,28 @@ def simulate(
     units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
     figures = summary(recording)
     claim = _flight_claim(Path(scenario).name, recording.time_s[-1], figures)
-    options = {"scenario": Path(scenario).name, "vehicle": Path(vehicle).name, "wind": wind,
-               "gusts": gusts, "controller": controller, "effect": effect or [],
-               "start": start or [], "stop": stop, "step": step, "interval": interval,
-               "algorithm": algorithm, "fused": fused}  # fmt: skip
+    options = {
+        "scenario": Path(scenario).name,
+        "vehicle": Path(vehicle).name,
+        "wind": wind,
+        "gusts": gusts,
+        "controller": controller,
+        "effect": effect or [],
+        "start": start or [],
+        "stop": stop,
+        "step": step,
+        "interval": interval,
+        "algorithm": algorithm,
+        "fused": fused,
+    }
     inputs = [p for p in (Path(scenario), Path(vehicle)) if p.is_file()]
     with results_folder(out, force) as folder:
         recording.write(folder / ("recording.csv" if csv else "recording.parquet"))
         write_json(folder / "summary.json", figures)
         facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
-        write_simulation_report(recording, units, claim, facts, Path(scenario).name,
-                                folder / "report.html")  # fmt: skip
+        write_simulation_report(
+            recording, units, claim, facts, Path(scenario).name, folder / "report.html"
+        )
         write_run(folder, "simulate", options, inputs, seed)
     if as_json:
         print_json(figures)

@@ -34,7 +34,7 @@ def train(
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
     out: Out = Path("model"),
     force: Force = False,
-) -> None:  # fmt: skip
+) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
     A training that was interrupted goes on where it was when the same command is given again.
@@ -48,8 +48,14 @@ def train(
         read, residuals = prepare(flights, vehicle, rate, step)
     with progress("training") as step:
         written = run_training(plan, residuals, vehicle, out, step)
-    options = {"vehicle": Path(vehicle).name, "preset": preset, "protocol": protocol,
-               "horizon": plan.horizon, "rate": rate, "epochs": plan.preset.epochs}  # fmt: skip
+    options = {
+        "vehicle": Path(vehicle).name,
+        "preset": preset,
+        "protocol": protocol,
+        "horizon": plan.horizon,
+        "rate": rate,
+        "epochs": plan.preset.epochs,
+    }
     write_run(out, "train", options, [p for p in (*flights, Path(vehicle)) if p.is_file()], seed)
     STDOUT.print(training_claim(out), style="bold", markup=False)
     STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
@@ -84,8 +90,10 @@ def evaluate(
     check_folder(out, force)
     with progress("comparing") as step:
         read, found = evaluate_model(model, flights, explained, step)
-    options = {"model": model.name,
-               "explained": None if explained is None else Path(explained).name}  # fmt: skip
+    options = {
+        "model": model.name,
+        "explained": None if explained is None else Path(explained).name,
+    }
     inputs = [*flights, model / "model.json", model / "weights.safetensors"]
     inputs += [Path(explained)] if explained and Path(explained).is_file() else []
     with results_folder(out, force) as folder:

@@ -45,8 +45,15 @@ def print_gap(gaps: "list[FlightGap]", out: Path) -> None:
     table = Table("channel", "unit", "horizon s", "n", "rms", "mean", "share of signal", box=None)
     for name, s in pooled.items():
         t = s.total
-        table.add_row(name, s.unit, f"{s.horizon_s:g}", str(t.n), f"{t.rms:.4g}", f"{t.mean:.4g}",
-                      f"{100 * t.share:.0f} %")  # fmt: skip
+        table.add_row(
+            name,
+            s.unit,
+            f"{s.horizon_s:g}",
+            str(t.n),
+            f"{t.rms:.4g}",
+            f"{t.mean:.4g}",
+            f"{100 * t.share:.0f} %",
+        )
     STDOUT.print(table)
     for g in gaps:
         if "commands_match" in g.facts:
@@ -70,8 +77,15 @@ def print_explanation(found: "Explanation") -> None:
     shrink = Column("shrink, 95 %", no_wrap=True)
     table = Table("channel", "unit", "n", "before", "after", "noise floor", shrink, box=None)
     for g in found.showing.gaps:
-        table.add_row(g.name, g.unit, str(g.n), f"{g.before:.4g}", f"{g.after:.4g}",
-                      f"{g.noise_floor:.4g}", shrink_words(g))  # fmt: skip
+        table.add_row(
+            g.name,
+            g.unit,
+            str(g.n),
+            f"{g.before:.4g}",
+            f"{g.after:.4g}",
+            f"{g.noise_floor:.4g}",
+            shrink_words(g),
+        )
     STDOUT.print(table)
 
 

@@ -130,8 +130,10 @@ def _record(
     sample([f"acc_{a}" for a in AXES], readings[:, :3], ACC_NOISE_M_S2, IMU_EVERY)
     sample([f"gyro_{a}" for a in AXES], readings[:, 3:6], GYRO_NOISE_RAD_S, IMU_EVERY)
     for stem, letters, noise in (
-        ("pos", AXES, POS_NOISE_M), ("vel", AXES, VEL_NOISE_M_S), ("q", tuple("wxyz"), ATT_NOISE)
-    ):  # fmt: skip
+        ("pos", AXES, POS_NOISE_M),
+        ("vel", AXES, VEL_NOISE_M_S),
+        ("q", tuple("wxyz"), ATT_NOISE),
+    ):
         columns = [f"{stem}_{a}" for a in letters]
         sample(columns, truth[:, [outputs.index(c) for c in columns]], noise, POSE_EVERY)
     table["phase"] = phases

@@ -38,27 +38,40 @@ def evidence_figure(acts: Acting, with_all: Flights) -> go.Figure:
         for residual, label, colour in ((without, _BEFORE, _BLUE), (complete, _AFTER, _ORANGE)):
             figure.add_trace(
                 go.Scattergl(
-                    x=_thin(predicted), y=_thin(residual), name=label, mode="markers",
+                    x=_thin(predicted),
+                    y=_thin(residual),
+                    name=label,
+                    mode="markers",
                     marker={"size": 4, "color": colour, "opacity": 0.45},
-                    legendgroup=label, showlegend=column == 1,
+                    legendgroup=label,
+                    showlegend=column == 1,
                     hovertemplate="%{y:.3g} where it predicts %{x:.3g}<extra></extra>",
                 ),
-                row=1, col=column,
-            )  # fmt: skip
+                row=1,
+                col=column,
+            )
         ends = np.array([predicted.min(), predicted.max()])
         figure.add_trace(
-            go.Scatter(x=ends, y=ends, mode="lines", name="what the effect predicts",
-                       line={"color": _BLACK, "width": 1}, showlegend=column == 1),
-            row=1, col=column,
-        )  # fmt: skip
+            go.Scatter(
+                x=ends,
+                y=ends,
+                mode="lines",
+                name="what the effect predicts",
+                line={"color": _BLACK, "width": 1},
+                showlegend=column == 1,
+            ),
+            row=1,
+            col=column,
+        )
         title = f"{escape(name)} by {escape(acts.effect.replace('_', ' '))}, {unit}"
         figure.update_xaxes(title_text=title, row=1, col=column)
         figure.update_yaxes(title_text=f"residual, {unit}", row=1, col=column)
     return _styled(figure, 380)
 
 
-def before_after_figure(name: str, before: Sequence[ChannelData], after: Sequence[ChannelData],
-                        flights: Sequence[str]) -> go.Figure:  # fmt: skip
+def before_after_figure(
+    name: str, before: Sequence[ChannelData], after: Sequence[ChannelData], flights: Sequence[str]
+) -> go.Figure:
     """Measured, both models and both residuals over time, one pair of rows per held-out flight.
 
     Args:
@@ -85,13 +98,18 @@ def before_after_figure(name: str, before: Sequence[ChannelData], after: Sequenc
             for values, label, colour, dash in traces:
                 figure.add_trace(
                     go.Scatter(
-                        x=_thin(t), y=_thin(_broken(old, values)), name=label, mode="lines",
+                        x=_thin(t),
+                        y=_thin(_broken(old, values)),
+                        name=label,
+                        mode="lines",
                         line={"color": colour, "width": 1.3, "dash": dash},
-                        legendgroup=label, showlegend=first,
+                        legendgroup=label,
+                        showlegend=first,
                         hovertemplate="%{y:.4g} at %{x:.2f} s<extra>" + label + "</extra>",
                     ),
-                    row=row, col=1,
-                )  # fmt: skip
+                    row=row,
+                    col=1,
+                )
         unit, label = escape(pretty_unit(old.unit)), escape(f"{name}, {flight}")
         figure.update_yaxes(title_text=f"{label}, {unit}", row=2 * i + 1, col=1)
         figure.update_yaxes(title_text=f"residual, {unit}", row=2 * i + 2, col=1)
@@ -120,9 +138,16 @@ def _thin(values: Array) -> NDArray[np.float32]:
 
 def _styled(figure: go.Figure, height: int) -> go.Figure:
     figure.update_layout(
-        template="plotly_white", height=height, margin={"l": 76, "r": 18, "t": 34, "b": 46},
+        template="plotly_white",
+        height=height,
+        margin={"l": 76, "r": 18, "t": 34, "b": 46},
         font={"size": 12},
-        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom", "x": 0,
-                "itemsizing": "constant"},
-    )  # fmt: skip
+        legend={
+            "orientation": "h",
+            "y": 1.0,
+            "yanchor": "bottom",
+            "x": 0,
+            "itemsizing": "constant",
+        },
+    )
     return figure

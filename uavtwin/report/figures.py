@@ -196,9 +196,12 @@ def _style(figure: go.Figure, plot_px: int, rows: int) -> None:
     )
     for row in range(1, rows + 1):
         figure.update_xaxes(
-            matches="x", showticklabels=row == rows, row=row, col=1,
+            matches="x",
+            showticklabels=row == rows,
+            row=row,
+            col=1,
             title_text="time, s" if row == rows else None,
-        )  # fmt: skip
+        )
 
 
 def _add_phases(figure: go.Figure, channels: Sequence[Channel], phases: Phases) -> None:
@@ -214,15 +217,31 @@ def _add_phases(figure: go.Figure, channels: Sequence[Channel], phases: Phases) 
             continue
         tint = _PHASE_TINT.get(name, "#c9cdd4")
         figure.add_shape(
-            type="rect", xref="x", yref="paper", x0=start, x1=end, y0=0, y1=1,
-            fillcolor=tint, opacity=0.16, line_width=0, layer="below",
-        )  # fmt: skip
+            type="rect",
+            xref="x",
+            yref="paper",
+            x0=start,
+            x1=end,
+            y0=0,
+            y1=1,
+            fillcolor=tint,
+            opacity=0.16,
+            line_width=0,
+            layer="below",
+        )
         if (end - start) / (high - low) > 0.03:
             figure.add_annotation(
-                x=(start + end) / 2, xref="x", y=1, yref="paper", yanchor="bottom", yshift=1,
-                text=escape(name), showarrow=False, font={"size": 11, "color": "#555"},
+                x=(start + end) / 2,
+                xref="x",
+                y=1,
+                yref="paper",
+                yanchor="bottom",
+                yshift=1,
+                text=escape(name),
+                showarrow=False,
+                font={"size": 11, "color": "#555"},
                 bgcolor="rgba(255,255,255,0.7)",
-            )  # fmt: skip
+            )
 
 
 def embedded(figure: go.Figure) -> Markup:

@@ -21,8 +21,12 @@ _LINES = {  # colour, dash, width: the same in every report
     "corrected twin": ("#e07b1a", "solid", 1.5),
 }
 _GREY = "#8a8f98"
-_LOSSES = {"reconstruction": "#1f5fd0", "quantiser": "#8a4fbf", "distribution": "#b58900",
-           "validation": "#000000"}  # fmt: skip
+_LOSSES = {
+    "reconstruction": "#1f5fd0",
+    "quantiser": "#8a4fbf",
+    "distribution": "#b58900",
+    "validation": "#000000",
+}
 
 
 def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> go.Figure:
@@ -59,24 +63,47 @@ def correction_figure(
         spread: Predicted standard deviation of what is left, shape (n,).
     """
     every = max(1, -(-len(t_s) // MAX_POINTS))
-    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, row_heights=[0.62, 0.38],
-                           vertical_spacing=0.06)  # fmt: skip
+    figure = make_subplots(
+        rows=2, cols=1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.06
+    )
     t = _thin(t_s, every)
     for line, values in lines.items():
         colour, dash, width = _LINES[line]
-        figure.add_scatter(x=t, y=_thin(values, every), name=line, mode="lines",
-                           line={"color": colour, "dash": dash, "width": width},
-                           row=1, col=1)  # fmt: skip
+        figure.add_scatter(
+            x=t,
+            y=_thin(values, every),
+            name=line,
+            mode="lines",
+            line={"color": colour, "dash": dash, "width": width},
+            row=1,
+            col=1,
+        )
     for line in ("twin", "corrected twin"):
         left = lines["measured"] - lines[line]
-        figure.add_scatter(x=t, y=_thin(left, every), name=f"measured - {line}", mode="lines",
-                           line={"color": _LINES[line][0], "width": 1}, row=2, col=1)  # fmt: skip
+        figure.add_scatter(
+            x=t,
+            y=_thin(left, every),
+            name=f"measured - {line}",
+            mode="lines",
+            line={"color": _LINES[line][0], "width": 1},
+            row=2,
+            col=1,
+        )
     edge = _thin(2 * spread, every)
     for sign, fill in ((1, None), (-1, "tonexty")):
-        figure.add_scatter(x=t, y=[sign * e for e in edge], name="two predicted spreads",
-                           mode="lines", line={"width": 0}, fill=fill,
-                           fillcolor="rgba(138,143,152,.22)", showlegend=sign < 0,
-                           hoverinfo="skip", row=2, col=1)  # fmt: skip
+        figure.add_scatter(
+            x=t,
+            y=[sign * e for e in edge],
+            name="two predicted spreads",
+            mode="lines",
+            line={"width": 0},
+            fill=fill,
+            fillcolor="rgba(138,143,152,.22)",
+            showlegend=sign < 0,
+            hoverinfo="skip",
+            row=2,
+            col=1,
+        )
     shown = escape(pretty_unit(unit))
     figure.update_yaxes(title_text=f"{escape(name)}, {shown}", row=1, col=1)
     figure.update_yaxes(title_text=f"left, {shown}", row=2, col=1)
@@ -88,8 +115,13 @@ def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
     """Anomaly score over time, with the level that one training sample in 100 exceeds."""
     every = max(1, -(-len(t_s) // MAX_POINTS))
     figure = go.Figure()
-    figure.add_scatter(x=_thin(t_s, every), y=_thin(anomaly, every), mode="lines",
-                       line={"color": "#c23b66", "width": 1.2}, name="anomaly score")  # fmt: skip
+    figure.add_scatter(
+        x=_thin(t_s, every),
+        y=_thin(anomaly, every),
+        mode="lines",
+        line={"color": "#c23b66", "width": 1.2},
+        name="anomaly score",
+    )
     figure.add_hline(y=1, line={"color": _GREY, "dash": "dot"}, annotation_text="1 in 100")
     figure.update_xaxes(title_text="time, s")
     figure.update_yaxes(title_text="anomaly score", rangemode="tozero")
@@ -102,8 +134,10 @@ def _thin(values: Array, every: int) -> list[float]:
 
 def _styled(figure: go.Figure, height: int) -> go.Figure:
     figure.update_layout(
-        template="plotly_white", height=height, margin={"l": 76, "r": 20, "t": 24, "b": 44},
+        template="plotly_white",
+        height=height,
+        margin={"l": 76, "r": 20, "t": 24, "b": 44},
         font={"family": "system-ui, 'Segoe UI', sans-serif", "size": 12},
         legend={"orientation": "h", "y": 1.04, "yanchor": "bottom"},
-    )  # fmt: skip
+    )
     return figure

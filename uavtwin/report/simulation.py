@@ -23,9 +23,13 @@ _OVERLAYS = {"airframe.pos": "mission.setpoint_pos", "airframe.vel": "mission.se
 
 
 def write_simulation_report(
-    recording: Recording, units: Mapping[str, str], claim: str, facts: Mapping[str, Any],
-    name: str, path: Path,
-) -> None:  # fmt: skip
+    recording: Recording,
+    units: Mapping[str, str],
+    claim: str,
+    facts: Mapping[str, Any],
+    name: str,
+    path: Path,
+) -> None:
     """Write the page.
 
     Args:
@@ -58,11 +62,15 @@ def _place(column: str) -> tuple[str, str]:
 
 
 def _figure(
-    recording: Recording, part: str, stems: Mapping[str, Sequence[str]],
-    units: Mapping[str, str], every: int,
-) -> go.Figure:  # fmt: skip
-    figure = make_subplots(rows=len(stems), cols=1, shared_xaxes=True,
-                           vertical_spacing=min(0.02, 0.2 / len(stems)))  # fmt: skip
+    recording: Recording,
+    part: str,
+    stems: Mapping[str, Sequence[str]],
+    units: Mapping[str, str],
+    every: int,
+) -> go.Figure:
+    figure = make_subplots(
+        rows=len(stems), cols=1, shared_xaxes=True, vertical_spacing=min(0.02, 0.2 / len(stems))
+    )
     t = recording.time_s[::every]
     prefix = "twin." if any(n.startswith("twin.") for n in recording.names) else ""
     for row, (stem, columns) in enumerate(stems.items(), start=1):
@@ -70,20 +78,36 @@ def _figure(
         for i, column in enumerate(columns):
             colour = _COLOURS[i % len(_COLOURS)]
             label = column.removeprefix(prefix).partition(".")[2]
-            figure.add_scatter(x=t, y=_thin(recording[column], every), name=label, mode="lines",
-                               line={"color": colour, "width": 1.3}, row=row, col=1)  # fmt: skip
+            figure.add_scatter(
+                x=t,
+                y=_thin(recording[column], every),
+                name=label,
+                mode="lines",
+                line={"color": colour, "width": 1.3},
+                row=row,
+                col=1,
+            )
             setpoint = None if wanted is None else f"{prefix}{wanted}{column[-2:]}"
             if setpoint in recording.names:
-                figure.add_scatter(x=t, y=_thin(recording[setpoint], every),
-                                   name=f"{label} setpoint", mode="lines",
-                                   line={"color": colour, "width": 1, "dash": "dot"},
-                                   row=row, col=1)  # fmt: skip
+                figure.add_scatter(
+                    x=t,
+                    y=_thin(recording[setpoint], every),
+                    name=f"{label} setpoint",
+                    mode="lines",
+                    line={"color": colour, "width": 1, "dash": "dot"},
+                    row=row,
+                    col=1,
+                )
         unit = units.get(columns[0], "")
         title = stem if unit in ("", "1") else f"{stem}, {unit}"
         figure.update_yaxes(title_text=title, title_font_size=12, row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=len(stems), col=1)
-    figure.update_layout(template="plotly_white", margin={"l": 70, "r": 20, "t": 20, "b": 40},
-                         legend={"font": {"size": 11}}, font={"size": 12})  # fmt: skip
+    figure.update_layout(
+        template="plotly_white",
+        margin={"l": 70, "r": 20, "t": 20, "b": 40},
+        legend={"font": {"size": 11}},
+        font={"size": 12},
+    )
     return figure
 
 

@@ -102,8 +102,9 @@ def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
     own = [n for n in fitted.numbers if n.effect == effect]
     width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
     away = {n.full: abs(fitted.values[n.full] - n.now) for n in own}
-    largest = {u: max(away[n.full] for n in own if n.about.unit == u)
-               for u in {n.about.unit for n in own}}  # fmt: skip
+    largest = {
+        u: max(away[n.full] for n in own if n.about.unit == u) for u in {n.about.unit for n in own}
+    }
     clear = [
         n for n in own if away[n.full] > max(CLEAR * width[n.full], SMALL * largest[n.about.unit])
     ]

@@ -115,11 +115,15 @@ class JsbsimFlights:
         slope = np.asarray(climb_slope(p.inflow_gain, _induced(nominal)))
         self._fdms = [
             simulator(
-                float(mass[i]), p.inertia[:, i], p.hubs[:, :, i], _DRAG,
-                float(slope[i]) / _package_slope(nominal), STEP_S,
+                float(mass[i]),
+                p.inertia[:, i],
+                p.hubs[:, :, i],
+                _DRAG,
+                float(slope[i]) / _package_slope(nominal),
+                STEP_S,
             )
             for i in range(batch.n)
-        ]  # fmt: skip
+        ]
         self._start = start
         self.hold(np.zeros((3, batch.n)))
 

@@ -50,14 +50,23 @@ _TRIPLES = (
 )
 """Three that may well come together: another build, a change of hardware, a bad calibration."""
 _ONLY_OWN = {
-    "induced_inflow", "translational_lift", "blade_flapping", "ground_effect", "thrust_curve",
-    "gyroscopic_torque", "thrust_tilt",
-}  # fmt: skip
+    "induced_inflow",
+    "translational_lift",
+    "blade_flapping",
+    "ground_effect",
+    "thrust_curve",
+    "gyroscopic_torque",
+    "thrust_tilt",
+}
 """What the dynamics of drone-models have no place for."""
 _NOT_JSBSIM = {
-    "translational_lift", "battery_sag", "motor_lag", "slung_load",
-    "rotor_inertia_torque", "gyroscopic_torque",
-}  # fmt: skip
+    "translational_lift",
+    "battery_sag",
+    "motor_lag",
+    "slung_load",
+    "rotor_inertia_torque",
+    "gyroscopic_torque",
+}
 """What the F450 of JSBSim has no place for, or has with nothing hidden."""
 
 

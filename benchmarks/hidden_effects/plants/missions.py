@@ -81,9 +81,14 @@ class _Path:
         acc = np.gradient(vel, 1 / CONTROL_HZ, axis=0)
         k = np.arange(n)
         return Setpoints(
-            rows[:, :3], vel[:, :3], acc[:, :3], rows[:, 3], vel[:, 3],
-            (k >= self.armed_from) & (k < self.armed_to), np.array(phases),
-        )  # fmt: skip
+            rows[:, :3],
+            vel[:, :3],
+            acc[:, :3],
+            rows[:, 3],
+            vel[:, 3],
+            (k >= self.armed_from) & (k < self.armed_to),
+            np.array(phases),
+        )
 
 
 def mission(name: str, leg: float, pace: float, rng: np.random.Generator) -> Setpoints:

@@ -49,9 +49,12 @@ def draw(orders: list[Order]) -> Draws:
         rng, noise, p = np.random.default_rng(order.seed), order.noise, order.plant
         k = len(order.setpoints.yaw)
         sizes = {
-            "accel": noise.accel * p.noise_scale, "gyro": noise.gyro * p.noise_scale,
-            "pos": noise.position, "vel": noise.velocity, "attitude": noise.attitude,
-        }  # fmt: skip
+            "accel": noise.accel * p.noise_scale,
+            "gyro": noise.gyro * p.noise_scale,
+            "pos": noise.position,
+            "vel": noise.velocity,
+            "attitude": noise.attitude,
+        }
         for name, size in sizes.items():
             columns.setdefault(name, []).append(size * rng.standard_normal((k, 3)))
         stay = float(np.exp(-1 / (CONTROL_HZ * p.gust_time)))

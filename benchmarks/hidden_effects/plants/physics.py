@@ -26,8 +26,11 @@ class Layout:
 
     def __init__(self, rotors: int) -> None:
         self.pos, self.vel, self.q, self.omega = (
-            slice(0, 3), slice(3, 6), slice(6, 10), slice(10, 13)
-        )  # fmt: skip
+            slice(0, 3),
+            slice(3, 6),
+            slice(6, 10),
+            slice(10, 13),
+        )
         self.rope, self.swing = slice(13, 16), slice(16, 19)
         self.acc, self.acc_rate = slice(19, 22), slice(22, 25)
         self.charge = 25

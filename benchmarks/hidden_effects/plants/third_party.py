@@ -61,9 +61,13 @@ def crazyflie(model: str) -> Aircraft:
         drag_linear=-np.diag(its["drag_matrix"]),
         drag_quadratic=np.zeros(3),
         accel_cutoff_hz=60.0,
-        full_v=4.2, empty_v=3.0, reference_v=3.7, resistance=0.05, capacity=900.0,
+        full_v=4.2,
+        empty_v=3.0,
+        reference_v=3.7,
+        resistance=0.05,
+        capacity=900.0,
         hover_current=3.0,
-    )  # fmt: skip
+    )
     return Aircraft(
         model,
         nominal,

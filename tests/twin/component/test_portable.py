@@ -62,10 +62,28 @@ def test_binomial_power(exponent: float) -> None:
 LIBM = {
     getattr(ca, f"OP_{n}")
     for n in (
-        "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "ATAN2", "SINH", "COSH", "TANH", "ASINH",
-        "ACOSH", "ATANH", "EXP", "LOG", "POW", "ERF", "EXPM1", "LOG1P", "HYPOT",
+        "SIN",
+        "COS",
+        "TAN",
+        "ASIN",
+        "ACOS",
+        "ATAN",
+        "ATAN2",
+        "SINH",
+        "COSH",
+        "TANH",
+        "ASINH",
+        "ACOSH",
+        "ATANH",
+        "EXP",
+        "LOG",
+        "POW",
+        "ERF",
+        "EXPM1",
+        "LOG1P",
+        "HYPOT",
     )
-}  # fmt: skip
+}
 """What the C library computes, whose last bit is its own."""
 
 

@@ -61,8 +61,9 @@ def test_the_swing_does_not_look_ahead() -> None:
     rng = np.random.default_rng(0)
     free, felt = tilted(400, 0.1), rng.standard_normal((400, 3))
     other = np.where(np.arange(400)[:, None] < 200, felt, 5.0)
-    assert np.array_equal(swing(free, felt, 1.0, STEP_S)[0][:201],
-                          swing(free, other, 1.0, STEP_S)[0][:201])  # fmt: skip
+    assert np.array_equal(
+        swing(free, felt, 1.0, STEP_S)[0][:201], swing(free, other, 1.0, STEP_S)[0][:201]
+    )
 
 
 def test_the_rope_is_stretched_by_its_tension() -> None:

@@ -37,9 +37,15 @@ HOVER: Waypoints = (
     ("hover", 4.0, (0.0, 0.0, -1.5)),
 )
 FEW = (
-    "mass_offset", "thrust_scale", "rotor_efficiency_loss", "thrust_curve", "accel_bias",
-    "accel_scale", "inertia_error", "rotor_drag",
-)  # fmt: skip
+    "mass_offset",
+    "thrust_scale",
+    "rotor_efficiency_loss",
+    "thrust_curve",
+    "accel_bias",
+    "accel_scale",
+    "inertia_error",
+    "rotor_drag",
+)
 """Candidates of the search here: all of them take four times as long."""
 PLANTS = {
     "mass_offset": replace(COPTER, mass_kg=1.1 * COPTER.mass_kg),
@@ -61,9 +67,12 @@ def flown(name: str, vehicle: Vehicle, plant: Vehicle, like: Flight) -> Flight:
     flight = rehearse(plan(vehicle, chosen), vehicle, plant, [like])
     rng, table = np.random.default_rng(2), flight.table.copy()
     for stem, noise in (
-        ("acc", ACC_NOISE_M_S2), ("gyro", GYRO_NOISE_RAD_S), ("pos", POS_NOISE_M),
-        ("vel", VEL_NOISE_M_S), ("q", ATT_NOISE),
-    ):  # fmt: skip
+        ("acc", ACC_NOISE_M_S2),
+        ("gyro", GYRO_NOISE_RAD_S),
+        ("pos", POS_NOISE_M),
+        ("vel", VEL_NOISE_M_S),
+        ("q", ATT_NOISE),
+    ):
         columns = [c for c in table if c.startswith(f"{stem}_")]
         table[columns] += noise * rng.standard_normal((len(table), len(columns)))
     return replace(flight, name=name, table=table)

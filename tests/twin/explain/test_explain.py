@@ -77,8 +77,9 @@ def test_a_wrong_number_makes_channels_worse_and_that_is_said_first(flight: Flig
 
 
 def test_the_interval_of_the_shrink_is_that_of_the_blocks() -> None:
-    gap = ChannelGap("acc_x", "m/s²", 100, before=2.0, after=0.5, noise_floor=0.4,
-                     shrink_ci95=(0.7, 0.8))  # fmt: skip
+    gap = ChannelGap(
+        "acc_x", "m/s²", 100, before=2.0, after=0.5, noise_floor=0.4, shrink_ci95=(0.7, 0.8)
+    )
     assert gap.shrink == pytest.approx(0.75)
     assert gap.closed == pytest.approx(1.5 / 1.6)
     assert not gap.worse
@@ -133,11 +134,13 @@ SPOILT: dict[str, tuple[dict[str, Change], str]] = {
     ),
     "hit": ({"acc_x": lambda t: np.where(t["time"].between(5, 5.1), 200, t["acc_x"])}, "hits"),
     "upside down": (
-        {"q_w": lambda t: t["q_w"].where(t["time"] < 7, 0), "q_x": lambda t: t["q_x"].where(
-            t["time"] < 7, 1)},
+        {
+            "q_w": lambda t: t["q_w"].where(t["time"] < 7, 0),
+            "q_x": lambda t: t["q_x"].where(t["time"] < 7, 1),
+        },
         "upside down at 7.0 s",
     ),
-}  # fmt: skip
+}
 
 
 def test_a_good_flight_is_usable(flight: Flight) -> None:
@@ -179,10 +182,13 @@ def test_a_late_attitude_is_an_effect_and_no_reason(flight: Flight, late_s: floa
 @pytest.mark.parametrize("name", builtin_vehicles())
 def test_written_effects_come_back_and_nothing_else_changes(name: str) -> None:
     vehicle, (text, file) = load_vehicle(name), vehicle_text(name)
-    wanted = {e: {k: 1.01 * v + 1e-7 for k, v in effect.starts(vehicle).items()}
-              for e, effect in EFFECTS.items()}  # fmt: skip
-    written = {e: {k: Written(v, "a test") for k, v in numbers.items()}
-               for e, numbers in wanted.items()}  # fmt: skip
+    wanted = {
+        e: {k: 1.01 * v + 1e-7 for k, v in effect.starts(vehicle).items()}
+        for e, effect in EFFECTS.items()
+    }
+    written = {
+        e: {k: Written(v, "a test") for k, v in numbers.items()} for e, numbers in wanted.items()
+    }
     new = with_effect_sections(text, vehicle, written)
     assert new.startswith(text.rstrip("\n"))
     again = parse_vehicle(new, file)

@@ -63,8 +63,16 @@ def late(flight: Flight, columns: list[str], rows: int) -> Flight:
 def hypothesis(effects: tuple[str, ...], gains: list[float], raw: list[float]) -> Fitted:
     """With one number per effect and these gains and powers per channel."""
     values = {f"{e}.number": 1.0 for e in effects}
-    return Fitted(effects, values, (), np.zeros(0), np.array([gains]), len(values), np.array(raw),
-                  np.array(raw))  # fmt: skip
+    return Fitted(
+        effects,
+        values,
+        (),
+        np.zeros(0),
+        np.array([gains]),
+        len(values),
+        np.array(raw),
+        np.array(raw),
+    )
 
 
 def test_a_larger_set_has_to_explain_more_than_a_law_may_be_off() -> None:

@@ -45,9 +45,12 @@ def unchanged(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> 
 
 
 def hovering(
-    change: Change = unchanged, noise: float = 1.0, seconds: float = 20.0, rate_hz: float = 200.0,
+    change: Change = unchanged,
+    noise: float = 1.0,
+    seconds: float = 20.0,
+    rate_hz: float = 200.0,
     seed: int = 1,
-) -> Flight:  # fmt: skip
+) -> Flight:
     """A vehicle that stands in the air, each reading with white noise of `noise` times stated."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(seconds * rate_hz)) / rate_hz

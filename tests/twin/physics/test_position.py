@@ -12,9 +12,9 @@ from twin.frames import from_euler, rotation_vector
 from twin.physics.sensors.position import PRESETS, position_sensor
 from twin.vehicle.sensors import Sensors
 
-QUIET = {
-    f"{stem}_noise_{a}": 0.0 for stem in ("pos", "vel") for a in "xyz"
-} | {f"pos_walk_{a}": 0.0 for a in "xyz"}  # fmt: skip
+QUIET = {f"{stem}_noise_{a}": 0.0 for stem in ("pos", "vel") for a in "xyz"} | {
+    f"pos_walk_{a}": 0.0 for a in "xyz"
+}
 MOCAP = position_sensor(plain(), EFFECTS, "mocap")
 GNSS = position_sensor(plain(), EFFECTS)
 PLACE, SPEED, RATE = np.array([1.0, -2, -3]), np.array([4.0, 5, -6]), np.array([0.3, -0.2, 0.9])

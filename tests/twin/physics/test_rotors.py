@@ -117,8 +117,13 @@ def test_speed_map_is_never_negative() -> None:
 
 @pytest.mark.parametrize(
     ("unit", "argument", "power", "expected"),
-    [("N", "rad/s", 0, "N"), ("N", "rad/s", 1, "N.s/rad"), ("N.m", "rad/s", 2, "N.m.s2/rad2"),
-     ("N", "1", 3, "N"), ("rad/s", "1", 2, "rad/s")],
-)  # fmt: skip
+    [
+        ("N", "rad/s", 0, "N"),
+        ("N", "rad/s", 1, "N.s/rad"),
+        ("N.m", "rad/s", 2, "N.m.s2/rad2"),
+        ("N", "1", 3, "N"),
+        ("rad/s", "1", 2, "rad/s"),
+    ],
+)
 def test_units_of_the_coefficients(unit: str, argument: str, power: int, expected: str) -> None:
     assert per_power(unit, argument, power) == expected

@@ -84,9 +84,15 @@ def test_builtin_vehicles_load_and_every_number_has_a_source(name: str) -> None:
     assert vehicle.description
     assert vehicle.doubts == ()
     assert all(source.strip() for source in vehicle.sources.values())
-    silent = {"rotors.thrust_from_command", "rotors.thrust_from_speed", "rotors.torque_from_speed",
-              "rotors.torque_from_command", "rotors.speed_from_command", "rotors.torque_per_thrust",
-              "rotors.command_range"}  # fmt: skip
+    silent = {
+        "rotors.thrust_from_command",
+        "rotors.thrust_from_speed",
+        "rotors.torque_from_speed",
+        "rotors.torque_from_command",
+        "rotors.speed_from_command",
+        "rotors.torque_per_thrust",
+        "rotors.command_range",
+    }
     silent |= {k for k in FIELDS if k.startswith("battery.") and vehicle.battery is None}
     assert set(FIELDS) - silent <= set(vehicle.sources)
 
@@ -110,16 +116,32 @@ def test_values_are_converted_to_si() -> None:
     [
         ("mass", 'mass = { value = 500, unit = "g", source = "s" }', "mass_kg", 0.5),
         ("mass", 'mass = { value = 1.1023113109, unit = "pound", source = "s" }', "mass_kg", 0.5),
-        ("inertia", 'inertia = { value = [10, 11, 18], unit = "kg*cm^2", source = "s" }',
-         "inertia_kg_m2", np.diag([1e-3, 1.1e-3, 1.8e-3])),
-        ("drag_linear", 'drag_linear = { value = [1, 1, 2], unit = "N*s/m", source = "s" }',
-         "drag_linear_n_s_m", [1, 1, 2]),
-        ("drag_linear", 'drag_linear = { value = [1, 1, 2], unit = "kg/s", source = "s" }',
-         "drag_linear_n_s_m", [1, 1, 2]),
-        ("drag_linear", 'drag_linear = { value = [60, 60, 60], unit = "1/minute", source = "s" }',
-         "drag_linear_n_s_m", [0.5, 0.5, 0.5]),
+        (
+            "inertia",
+            'inertia = { value = [10, 11, 18], unit = "kg*cm^2", source = "s" }',
+            "inertia_kg_m2",
+            np.diag([1e-3, 1.1e-3, 1.8e-3]),
+        ),
+        (
+            "drag_linear",
+            'drag_linear = { value = [1, 1, 2], unit = "N*s/m", source = "s" }',
+            "drag_linear_n_s_m",
+            [1, 1, 2],
+        ),
+        (
+            "drag_linear",
+            'drag_linear = { value = [1, 1, 2], unit = "kg/s", source = "s" }',
+            "drag_linear_n_s_m",
+            [1, 1, 2],
+        ),
+        (
+            "drag_linear",
+            'drag_linear = { value = [60, 60, 60], unit = "1/minute", source = "s" }',
+            "drag_linear_n_s_m",
+            [0.5, 0.5, 0.5],
+        ),
     ],
-)  # fmt: skip
+)
 def test_units(key: str, line: str, attribute: str, si: object) -> None:
     vehicle = parse_vehicle(entry(FULL, key, line), "v.toml")
     np.testing.assert_allclose(getattr(vehicle, attribute), si, rtol=1e-9)
@@ -154,8 +176,11 @@ def test_command_range_composes_with_the_polynomial(low: float, high: float) -> 
     text = entry(
         FULL, "command_range", f'command_range = {{ value = [{low}, {high}], source = "s" }}'
     )
-    text = entry(text, "thrust_from_command", "thrust_from_command = { coefficients = "
-                 f'{raw.tolist()}, unit = "N", source = "s" }}')  # fmt: skip
+    text = entry(
+        text,
+        "thrust_from_command",
+        f'thrust_from_command = {{ coefficients = {raw.tolist()}, unit = "N", source = "s" }}',
+    )
     vehicle = parse_vehicle(text, "v.toml")
     np.testing.assert_allclose(vehicle.rotors.thrust_n, plain, rtol=1e-9)
     np.testing.assert_allclose(vehicle.rotors.torque_n_m, 0.015 * plain, rtol=1e-9)
@@ -210,98 +235,209 @@ def test_a_vehicle_known_by_rotor_speed_cannot_be_driven_by_commands() -> None:
 I3 = 'inertia = { value = VALUE, unit = "kg*m^2", source = "s" }'
 BAD: dict[str, tuple[str, str, str]] = {
     # case: (key of the replaced line, new line, text of the error)
-    "misspelt key": ("mass", 'maas = { value = 1, unit = "kg", source = "s" }',
-                     r"unknown key in \[body\]: 'maas'\. Did you mean 'mass'"),
+    "misspelt key": (
+        "mass",
+        'maas = { value = 1, unit = "kg", source = "s" }',
+        r"unknown key in \[body\]: 'maas'\. Did you mean 'mass'",
+    ),
     "missing key": ("mass", "", r"body\.mass is missing: Take-off mass"),
     "no braces": ("mass", "mass = 0.5", r'body\.mass = 0\.5 needs unit and source.*unit = "kg"'),
     "no unit": ("mass", 'mass = { value = 0.5, source = "s" }', r'body\.mass has no unit.*"kg"'),
     "no source": ("mass", 'mass = { value = 0.5, unit = "kg" }', r"body\.mass has no source"),
     "blank source": ("mass", 'mass = { value = 1, unit = "kg", source = " " }', "mass has no sou"),
     "no value": ("mass", 'mass = { unit = "kg", source = "s" }', r"body\.mass = .* needs"),
-    "coefficients": ("mass", 'mass = { coefficients = [1], unit = "kg", source = "s" }',
-                     r"body\.mass has no value"),
-    "misspelt part": ("mass", 'mass = { value = 1, unti = "kg", source = "s" }',
-                      r"unknown part of body\.mass: 'unti'\. Did you mean 'unit'"),
-    "unit of another kind": ("mass", 'mass = { value = 0.5, unit = "N", source = "s" }',
-                             r'body\.mass has unit "N", which is not a unit of the kind "kg"'),
-    "not a unit": ("mass", 'mass = { value = 0.5, unit = "kilo", source = "s" }',
-                   r"body\.mass has unit 'kilo', which is not a unit"),
-    "unit with a number": ("mass", 'mass = { value = 0.5, unit = "2 kg", source = "s" }',
-                           r"body\.mass has unit '2 kg', which is not a unit"),
+    "coefficients": (
+        "mass",
+        'mass = { coefficients = [1], unit = "kg", source = "s" }',
+        r"body\.mass has no value",
+    ),
+    "misspelt part": (
+        "mass",
+        'mass = { value = 1, unti = "kg", source = "s" }',
+        r"unknown part of body\.mass: 'unti'\. Did you mean 'unit'",
+    ),
+    "unit of another kind": (
+        "mass",
+        'mass = { value = 0.5, unit = "N", source = "s" }',
+        r'body\.mass has unit "N", which is not a unit of the kind "kg"',
+    ),
+    "not a unit": (
+        "mass",
+        'mass = { value = 0.5, unit = "kilo", source = "s" }',
+        r"body\.mass has unit 'kilo', which is not a unit",
+    ),
+    "unit with a number": (
+        "mass",
+        'mass = { value = 0.5, unit = "2 kg", source = "s" }',
+        r"body\.mass has unit '2 kg', which is not a unit",
+    ),
     "unit as a number": ("mass", 'mass = { value = 0.5, unit = 1, source = "s" }', "has no unit"),
-    "negative": ("mass", 'mass = { value = -0.5, unit = "kg", source = "s" }',
-                 r"body\.mass = -0\.5 must be positive"),
+    "negative": (
+        "mass",
+        'mass = { value = -0.5, unit = "kg", source = "s" }',
+        r"body\.mass = -0\.5 must be positive",
+    ),
     "zero": ("mass", 'mass = { value = 0, unit = "kg", source = "s" }', "must be positive"),
     "NaN": ("mass", 'mass = { value = nan, unit = "kg", source = "s" }', "mass = nan must be fin"),
     "infinite": ("mass", 'mass = { value = inf, unit = "kg", source = "s" }', "must be finite"),
-    "overflowing": ("inertia", I3.replace("VALUE", "[1e308, 1e308, 1e308]"), "must be finite, below"),
-    "huge integer": ("mass", f'mass = {{ value = {"9" * 400}, unit = "kg", source = "s" }}',
-                     r"body\.mass = 9+\.\.\.9+ must be numbers"),
-    "text": ("mass", 'mass = { value = "0.5", unit = "kg", source = "s" }',
-             r"body\.mass = '0\.5' must be numbers"),
-    "boolean": ("mass", 'mass = { value = true, unit = "kg", source = "s" }',
-                r"body\.mass = True must be numbers"),
-    "boolean in a list": ("inertia", I3.replace("VALUE", "[1e-3, true, 1e-3]"),
-                          r"body\.inertia = .* must be numbers"),
-    "text in a list": ("inertia", I3.replace("VALUE", '["1e-3", "1e-3", "1e-3"]'),
-                       r"body\.inertia = .* must be numbers"),
+    "overflowing": (
+        "inertia",
+        I3.replace("VALUE", "[1e308, 1e308, 1e308]"),
+        "must be finite, below",
+    ),
+    "huge integer": (
+        "mass",
+        f'mass = {{ value = {"9" * 400}, unit = "kg", source = "s" }}',
+        r"body\.mass = 9+\.\.\.9+ must be numbers",
+    ),
+    "text": (
+        "mass",
+        'mass = { value = "0.5", unit = "kg", source = "s" }',
+        r"body\.mass = '0\.5' must be numbers",
+    ),
+    "boolean": (
+        "mass",
+        'mass = { value = true, unit = "kg", source = "s" }',
+        r"body\.mass = True must be numbers",
+    ),
+    "boolean in a list": (
+        "inertia",
+        I3.replace("VALUE", "[1e-3, true, 1e-3]"),
+        r"body\.inertia = .* must be numbers",
+    ),
+    "text in a list": (
+        "inertia",
+        I3.replace("VALUE", '["1e-3", "1e-3", "1e-3"]'),
+        r"body\.inertia = .* must be numbers",
+    ),
     "date": ("mass", 'mass = { value = 2026-01-01, unit = "kg", source = "s" }', "must be numbers"),
-    "list for a number": ("mass", 'mass = { value = [0.5], unit = "kg", source = "s" }',
-                          r"body\.mass = \[0\.5\] must be one number"),
-    "inertia too short": ("inertia", I3.replace("VALUE", "[1e-3, 1e-3]"), r"must be \[Ixx, Iyy, Izz\] or"),
-    "inertia as a matrix": ("inertia", I3.replace("VALUE", "[[1,0,0],[0,1,0],[0,0,1]]"), r"must be \[Ixx"),
+    "list for a number": (
+        "mass",
+        'mass = { value = [0.5], unit = "kg", source = "s" }',
+        r"body\.mass = \[0\.5\] must be one number",
+    ),
+    "inertia too short": (
+        "inertia",
+        I3.replace("VALUE", "[1e-3, 1e-3]"),
+        r"must be \[Ixx, Iyy, Izz\] or",
+    ),
+    "inertia as a matrix": (
+        "inertia",
+        I3.replace("VALUE", "[[1,0,0],[0,1,0],[0,0,1]]"),
+        r"must be \[Ixx",
+    ),
     "ragged": ("inertia", I3.replace("VALUE", "[[1, 2], 3]"), "must be numbers"),
-    "not positive definite": ("inertia", I3.replace("VALUE", "[1e-3, 1e-3, 2e-3, 2e-3, 0, 0]"),
-                              r"body\.inertia = .* is not positive definite"),
+    "not positive definite": (
+        "inertia",
+        I3.replace("VALUE", "[1e-3, 1e-3, 2e-3, 2e-3, 0, 0]"),
+        r"body\.inertia = .* is not positive definite",
+    ),
     "negative moment": ("inertia", I3.replace("VALUE", "[-1e-3, 1e-3, 2e-3]"), "not positive def"),
-    "drag too short": ("drag_linear", 'drag_linear = { value = [1, 1], unit = "1/s", source = "s" }',
-                       r"body\.drag_linear = \[1, 1\] must be a list of 3"),
-    "negative drag": ("drag_linear", 'drag_linear = { value = [1, -1, 1], unit = "1/s", source = "s" }',
-                      r"drag_linear = .* must be zero or positive"),
-    "drag per what": ("drag_linear", 'drag_linear = { value = [1, 1, 1], unit = "m", source = "s" }',
-                      r'body\.drag_linear has unit "m"'),
-    "two columns": ("position", 'position = { value = [[1, 1], [1, 1], [1, 1]], unit = "m", source = "s" }',
-                    r"rotors\.position must be 3 to 12 rows"),
-    "two rotors": ("position", 'position = { value = [[1, 1, 0], [1, 1, 0]], unit = "m", source = "s" }',
-                   r"3 to 12 rows"),
-    "direction in other words": ("direction", 'direction = { value = ["CW", "ccw", "cw", "cw"], source = "s" }',
-                                 r'rotors\.direction = .*must be a list of "cw" and "ccw"'),
-    "direction as signs": ("direction", 'direction = { value = [1, -1, 1, -1], source = "s" }', '"cw" and'),
-    "three directions": ("direction", 'direction = { value = ["cw", "ccw", "cw"], source = "s" }',
-                         r"rotors\.direction has 3 entries, rotors\.position 4"),
+    "drag too short": (
+        "drag_linear",
+        'drag_linear = { value = [1, 1], unit = "1/s", source = "s" }',
+        r"body\.drag_linear = \[1, 1\] must be a list of 3",
+    ),
+    "negative drag": (
+        "drag_linear",
+        'drag_linear = { value = [1, -1, 1], unit = "1/s", source = "s" }',
+        r"drag_linear = .* must be zero or positive",
+    ),
+    "drag per what": (
+        "drag_linear",
+        'drag_linear = { value = [1, 1, 1], unit = "m", source = "s" }',
+        r'body\.drag_linear has unit "m"',
+    ),
+    "two columns": (
+        "position",
+        'position = { value = [[1, 1], [1, 1], [1, 1]], unit = "m", source = "s" }',
+        r"rotors\.position must be 3 to 12 rows",
+    ),
+    "two rotors": (
+        "position",
+        'position = { value = [[1, 1, 0], [1, 1, 0]], unit = "m", source = "s" }',
+        r"3 to 12 rows",
+    ),
+    "direction in other words": (
+        "direction",
+        'direction = { value = ["CW", "ccw", "cw", "cw"], source = "s" }',
+        r'rotors\.direction = .*must be a list of "cw" and "ccw"',
+    ),
+    "direction as signs": (
+        "direction",
+        'direction = { value = [1, -1, 1, -1], source = "s" }',
+        '"cw" and',
+    ),
+    "three directions": (
+        "direction",
+        'direction = { value = ["cw", "ccw", "cw"], source = "s" }',
+        r"rotors\.direction has 3 entries, rotors\.position 4",
+    ),
     "no thrust map": ("thrust_from_command", "", r"thrust needs exactly one of .*none is given"),
     "no torque map": ("torque_per_thrust", "", r"reaction torque needs exactly one of"),
-    "two thrust maps": ("reference_voltage", K_THRUST, r"thrust_from_speed and .*_command are given"),
-    "two torque maps": ("reference_voltage",
-                        'torque_from_command = { coefficients = [1], unit = "N*m", source = "s" }',
-                        r"reaction torque needs exactly one"),
-    "one value of the command": ("thrust_from_command",
-                                 'thrust_from_command = { value = 3, unit = "N", source = "s" }',
-                                 r"thrust_from_command needs coefficients"),
-    "value and coefficients": ("thrust_from_command",
-                               'thrust_from_command = { value = 3, coefficients = [1], unit = "N", source = "s" }',
-                               r"thrust_from_command has value and coefficients"),
-    "no coefficients": ("thrust_from_command",
-                        'thrust_from_command = { coefficients = [], unit = "N", source = "s" }', "1 to 8"),
-    "of a command": ("thrust_from_command",
-                     'thrust_from_command = { coefficients = [1], unit = "N", of = "us", source = "s" }',
-                     r"'of' has no place here"),
-    "speed of no use": ("reference_voltage",
-                        'speed_from_command = { coefficients = [1], unit = "rad/s", source = "s" }',
-                        r"speed_from_command is of no use"),
-    "spin without speed": ("reference_voltage",
-                           'spin_inertia = { value = 1e-6, unit = "kg*m^2", source = "s" }',
-                           r"spin_inertia needs the rotor speed"),
-    "range of one": ("command_range", 'command_range = { value = [0, 0], source = "s" }',
-                     r"rotors\.command_range = \[0, 0\] must be two different"),
-    "three lags": ("lag", 'lag = { value = [1, 2, 3], unit = "s", source = "s" }', r"rotors\.lag = "),
+    "two thrust maps": (
+        "reference_voltage",
+        K_THRUST,
+        r"thrust_from_speed and .*_command are given",
+    ),
+    "two torque maps": (
+        "reference_voltage",
+        'torque_from_command = { coefficients = [1], unit = "N*m", source = "s" }',
+        r"reaction torque needs exactly one",
+    ),
+    "one value of the command": (
+        "thrust_from_command",
+        'thrust_from_command = { value = 3, unit = "N", source = "s" }',
+        r"thrust_from_command needs coefficients",
+    ),
+    "value and coefficients": (
+        "thrust_from_command",
+        'thrust_from_command = { value = 3, coefficients = [1], unit = "N", source = "s" }',
+        r"thrust_from_command has value and coefficients",
+    ),
+    "no coefficients": (
+        "thrust_from_command",
+        'thrust_from_command = { coefficients = [], unit = "N", source = "s" }',
+        "1 to 8",
+    ),
+    "of a command": (
+        "thrust_from_command",
+        'thrust_from_command = { coefficients = [1], unit = "N", of = "us", source = "s" }',
+        r"'of' has no place here",
+    ),
+    "speed of no use": (
+        "reference_voltage",
+        'speed_from_command = { coefficients = [1], unit = "rad/s", source = "s" }',
+        r"speed_from_command is of no use",
+    ),
+    "spin without speed": (
+        "reference_voltage",
+        'spin_inertia = { value = 1e-6, unit = "kg*m^2", source = "s" }',
+        r"spin_inertia needs the rotor speed",
+    ),
+    "range of one": (
+        "command_range",
+        'command_range = { value = [0, 0], source = "s" }',
+        r"rotors\.command_range = \[0, 0\] must be two different",
+    ),
+    "three lags": (
+        "lag",
+        'lag = { value = [1, 2, 3], unit = "s", source = "s" }',
+        r"rotors\.lag = ",
+    ),
     "lag too short": ("lag", 'lag = { value = 0.5, unit = "ms", source = "s" }', "at least 1 ms"),
-    "cannot hover": ("mass", 'mass = { value = 2.5, unit = "kg", source = "s" }',
-                     r"cannot hover: 4 rotors give at most 16 N, the weight is 24\.52 N"),
-    "battery upside down": ("empty_voltage", 'empty_voltage = { value = 13, unit = "V", source = "s" }',
-                            r"battery\.empty_voltage = 13 V must be below"),
+    "cannot hover": (
+        "mass",
+        'mass = { value = 2.5, unit = "kg", source = "s" }',
+        r"cannot hover: 4 rotors give at most 16 N, the weight is 24\.52 N",
+    ),
+    "battery upside down": (
+        "empty_voltage",
+        'empty_voltage = { value = 13, unit = "V", source = "s" }',
+        r"battery\.empty_voltage = 13 V must be below",
+    ),
     "half a battery": ("capacity", "", r"\[battery\] is given without capacity"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -355,21 +491,36 @@ def test_misspelt_section_is_said() -> None:
 @pytest.mark.parametrize(
     ("thrust", "torque", "expected"),
     [
-        ('thrust_from_speed = { coefficients = [0, 1], unit = "N", source = "s" }', K_TORQUE,
-         r'thrust_from_speed needs of = "rad/s"'),
-        ('thrust_from_speed = { coefficients = [0, 1], unit = "N", of = "Hz*m", source = "s" }',
-         K_TORQUE, r'thrust_from_speed: of = "Hz\*m" is not a rotor speed'),
-        ('thrust_from_speed = { coefficients = [0, 1], unit = "N", of = "tacho", source = "s" }',
-         K_TORQUE, r"thrust_from_speed has unit 'tacho', which is not a unit"),
-        ('thrust_from_speed = { value = [1, 2], unit = "N*s^2", source = "s" }', K_TORQUE,
-         r"a single value k means k \* speed\^2"),
-        ('thrust_from_speed = { value = -1e-6, unit = "N*s^2", source = "s" }', K_TORQUE,
-         r"thrust_from_speed = -1e-06 must be positive"),
+        (
+            'thrust_from_speed = { coefficients = [0, 1], unit = "N", source = "s" }',
+            K_TORQUE,
+            r'thrust_from_speed needs of = "rad/s"',
+        ),
+        (
+            'thrust_from_speed = { coefficients = [0, 1], unit = "N", of = "Hz*m", source = "s" }',
+            K_TORQUE,
+            r'thrust_from_speed: of = "Hz\*m" is not a rotor speed',
+        ),
+        (
+            'thrust_from_speed = { coefficients = [0, 1], unit = "N", of = "tacho", source = "s" }',
+            K_TORQUE,
+            r"thrust_from_speed has unit 'tacho', which is not a unit",
+        ),
+        (
+            'thrust_from_speed = { value = [1, 2], unit = "N*s^2", source = "s" }',
+            K_TORQUE,
+            r"a single value k means k \* speed\^2",
+        ),
+        (
+            'thrust_from_speed = { value = -1e-6, unit = "N*s^2", source = "s" }',
+            K_TORQUE,
+            r"thrust_from_speed = -1e-06 must be positive",
+        ),
         ('thrust_from_speed = { value = 1e-6, unit = "N", source = "s" }', K_TORQUE, 'unit "N"'),
         (K_THRUST, "", r"reaction torque needs exactly one of"),
-        (K_THRUST, K_TORQUE + '\nbattery = 3', r"unknown key in \[rotors\]: 'battery'"),
+        (K_THRUST, K_TORQUE + "\nbattery = 3", r"unknown key in \[rotors\]: 'battery'"),
     ],
-)  # fmt: skip
+)
 def test_what_is_wrong_with_maps_of_the_speed_is_said(
     thrust: str, torque: str, expected: str
 ) -> None:
@@ -404,8 +555,26 @@ def test_missing_file_suggests_a_builtin_vehicle(tmp_path: Path) -> None:
 
 
 LINES = FULL.splitlines()
-WEIRD = ("nan", "-inf", "1e999", "0", "-1", "true", '"x"', "[]", "[[]]", "{}", "[1, [2]]", "07:32:00",
-         "1979-05-27", "9" * 400, '["cw"]', "[1e308, 1e308, 1e308]", '"\\u0000"', "1e-320")  # fmt: skip
+WEIRD = (
+    "nan",
+    "-inf",
+    "1e999",
+    "0",
+    "-1",
+    "true",
+    '"x"',
+    "[]",
+    "[[]]",
+    "{}",
+    "[1, [2]]",
+    "07:32:00",
+    "1979-05-27",
+    "9" * 400,
+    '["cw"]',
+    "[1e308, 1e308, 1e308]",
+    '"\\u0000"',
+    "1e-320",
+)
 
 
 def survives(text: str) -> None:

@@ -146,8 +146,11 @@ def _parting(
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
     noise = dict(zip(_names(naming.ground.model), naming.ground.noise, strict=True))
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
-    rows = [replace(c, residual=c.residual - true[c.name])
-            for c in _answers(model, other)[0] if c.name in noise]  # fmt: skip
+    rows = [
+        replace(c, residual=c.residual - true[c.name])
+        for c in _answers(model, other)[0]
+        if c.name in noise
+    ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
     return blocks_of([rows], even) if rows else {}
 
@@ -167,8 +170,15 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
     gram = total.gram + held.precision
     unit = 1 / np.sqrt(np.diag(gram))
     root = np.linalg.cholesky(gram * np.outer(unit, unit))
-    best = lsq_linear(root.T, np.linalg.solve(root, total.pull * unit),
-                      (held.low / unit, held.high / unit), method="bvls").x * unit  # fmt: skip
+    best = (
+        lsq_linear(
+            root.T,
+            np.linalg.solve(root, total.pull * unit),
+            (held.low / unit, held.high / unit),
+            method="bvls",
+        ).x
+        * unit
+    )
     return float(0.5 * (total.power - 2 * total.pull @ best + best @ gram @ best))
 
 
@@ -189,8 +199,10 @@ def _present(naming: Naming, a: Fitted, b: Fitted) -> float:
     """Log likelihood by which the truth leads in the flights so far: both are at their best."""
     model, noise = naming.ground.model, naming.ground.noise
     ours, theirs = model.channels([], a.values), model.channels([], b.values)
-    rows = [[replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
-            for f, g in zip(ours, theirs, strict=True)]  # fmt: skip
+    rows = [
+        [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
+        for f, g in zip(ours, theirs, strict=True)
+    ]
     return 0.5 * sum(block.power for block in blocks_of(rows, noise).values())
 
 
@@ -202,10 +214,12 @@ def _answers(model: Model, fitted: Fitted) -> list[list[ChannelData]]:
         step = SHAPE_STEP * at[shape]
         moved = model.channels([], {**at, shape: at[shape] + step})
         flights = [
-            [replace(c, slopes=np.column_stack([c.slopes, (c.residual - d.residual) / step]))
-             for c, d in zip(now, then, strict=True)]
+            [
+                replace(c, slopes=np.column_stack([c.slopes, (c.residual - d.residual) / step]))
+                for c, d in zip(now, then, strict=True)
+            ]
             for now, then in zip(flights, moved, strict=True)
-        ]  # fmt: skip
+        ]
     return flights
 
 

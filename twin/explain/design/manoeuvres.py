@@ -211,8 +211,11 @@ def _sideways(k: float, push: float) -> list[Manoeuvre]:
     hop_s, leg_s = _time_s(hop, push), _time_s(way, push, fast)
     there = ((0, 1), (0, -1), (1, 0), (-1, 0))
     jumps = [(hop_s, i * n * hop, i * e * hop, 0, 0) for n, e in there for i in (1, 0)]
-    legs = [(s, north, 0, 0, yaw) for yaw in (0, np.pi / 2)
-            for s, north in ((1.5, 0), (leg_s, way), (1.0, way), (leg_s, 0))]  # fmt: skip
+    legs = [
+        (s, north, 0, 0, yaw)
+        for yaw in (0, np.pi / 2)
+        for s, north in ((1.5, 0), (leg_s, way), (1.0, way), (leg_s, 0))
+    ]
     rate = float(np.sqrt(0.5 * push / radius))
     laps = f"{radius:g} m radius at {rate * radius:.1f} m/s, nose north."
     return [

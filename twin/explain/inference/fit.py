@@ -142,8 +142,12 @@ class Ground:
             trials.append(self._numbers(best.effects, tried, best.values))
             return -trials[-1].gain
 
-        minimize_scalar(loss, bounds=(np.log(low), np.log(high)), method="bounded",
-                        options={"maxiter": SEARCHES, "xatol": 0.01})  # fmt: skip
+        minimize_scalar(
+            loss,
+            bounds=(np.log(low), np.log(high)),
+            method="bounded",
+            options={"maxiter": SEARCHES, "xatol": 0.01},
+        )
         return max(trials, key=lambda f: f.gain)
 
     def _numbers(

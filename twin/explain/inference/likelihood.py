@@ -77,8 +77,11 @@ def noise_of(channels: Sequence[ChannelData], unexplained: Sequence[Array], orde
         unexplained: Per flight, shape (n,).
         order: Of the autoregression; 0: white.
     """
-    parts = [u[c.piece == k] for c, u in zip(channels, unexplained, strict=True)
-             for k in np.unique(c.piece)]  # fmt: skip
+    parts = [
+        u[c.piece == k]
+        for c, u in zip(channels, unexplained, strict=True)
+        for k in np.unique(c.piece)
+    ]
     inverse, size = _autoregression(parts, order)
     weights = []
     for c, u in zip(channels, unexplained, strict=True):

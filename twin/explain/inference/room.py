@@ -55,9 +55,12 @@ class Room:
         c = np.asarray(columns, dtype=np.intp)
         reach = np.any(self.rows[:, c], axis=1)
         return replace(
-            self, low=self.low[c], high=self.high[c], rows=self.rows[reach][:, c],
+            self,
+            low=self.low[c],
+            high=self.high[c],
+            rows=self.rows[reach][:, c],
             least=self.least[reach],
-        )  # fmt: skip
+        )
 
     def inside(self, values: Array, covariance: Array) -> Array:
         """The nearest values inside, in the metric of a fit.

@@ -95,19 +95,31 @@ class Measured:
         both = np.concatenate([predicted[:, :, None], slopes], axis=2)
         both = self.filtered(both, self.filters_hz)
         return [
-            ChannelData(name, self.unit, self.t_s, self.values[:, i],
-                        self.values[:, i] - both[:, i, 0], both[:, i, 1:], self.piece)
+            ChannelData(
+                name,
+                self.unit,
+                self.t_s,
+                self.values[:, i],
+                self.values[:, i] - both[:, i, 0],
+                both[:, i, 1:],
+                self.piece,
+            )
             for i, name in enumerate(self.names)
-        ]  # fmt: skip
+        ]
 
 
 EVERY = round(GRID_HZ / CHANNEL_HZ)
 
 
 def measured(
-    names: Sequence[str], unit: str, t_s: Array, values: Array, known: NDArray[np.bool_],
-    band_hz: float, sensor_hz: float | None,
-) -> Measured | None:  # fmt: skip
+    names: Sequence[str],
+    unit: str,
+    t_s: Array,
+    values: Array,
+    known: NDArray[np.bool_],
+    band_hz: float,
+    sensor_hz: float | None,
+) -> Measured | None:
     """Filter readings on the grid; None where no piece of them is long enough.
 
     Args:
@@ -137,9 +149,11 @@ def measured(
     kept = [rows[settle::EVERY] for rows in pieces]
     number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(kept)]
     return replace(
-        group, values=group.filtered(values, (band_hz,)), t_s=t_s[np.concatenate(kept)],
+        group,
+        values=group.filtered(values, (band_hz,)),
+        t_s=t_s[np.concatenate(kept)],
         piece=np.concatenate(number),
-    )  # fmt: skip
+    )
 
 
 def low_pass(values: Array, cutoff_hz: float) -> Array:

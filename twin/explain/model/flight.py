@@ -49,9 +49,13 @@ class FlightModel:
     """One flight on a grid of `GRID_HZ`."""
 
     def __init__(
-        self, flight: Flight, vehicle: Vehicle, body: Batch, effects: Sequence[str],
+        self,
+        flight: Flight,
+        vehicle: Vehicle,
+        body: Batch,
+        effects: Sequence[str],
         numbers: Sequence[Number],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Put the flight on the grid and filter its readings.
 
         Args:
@@ -145,9 +149,14 @@ class FlightModel:
     # -- answers that are no derivatives of equations ----------------------------------------
 
     def _in_time(
-        self, part: Part, columns: Sequence[int], theta: Array, predicted: Array, answer: Array,
+        self,
+        part: Part,
+        columns: Sequence[int],
+        theta: Array,
+        predicted: Array,
+        answer: Array,
         at: Array,
-    ) -> tuple[Array, Array]:  # fmt: skip
+    ) -> tuple[Array, Array]:
         """Delays and a turned heading, which shift or turn what is predicted."""
         rate = np.gradient(at, 1 / GRID_HZ, axis=0)
         slopes = {name: -sign * rate for name, sign in part.late.items()}
@@ -207,8 +216,9 @@ class FlightModel:
         """States with the delays of the pose taken out."""
         for name, stems in ((POSITION_AGE, ("pos_", "vel_")), (ATTITUDE_AGE, ("q_",))):
             if age := change.get(name, 0.0):
-                own = [i for i, s in enumerate(self.twin.airframe.states)
-                       if s.name.startswith(stems)]  # fmt: skip
+                own = [
+                    i for i, s in enumerate(self.twin.airframe.states) if s.name.startswith(stems)
+                ]
                 states = states.copy()
                 states[:, own] = shifted(states[:, own], -age)
         return states
@@ -258,10 +268,14 @@ class FlightModel:
     def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
         """Commands, and the rotors that follow them, later by a while."""
         twin = self.twin
-        rotors = [i for i, s in enumerate(twin.airframe.states)
-                  if s.name.startswith(("rotor_", "effort_", "command_delay."))]  # fmt: skip
-        drives = [i for i, n in enumerate(twin.airframe.input_names)
-                  if n.startswith(("cmd_", "rotor_"))]  # fmt: skip
+        rotors = [
+            i
+            for i, s in enumerate(twin.airframe.states)
+            if s.name.startswith(("rotor_", "effort_", "command_delay."))
+        ]
+        drives = [
+            i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
+        ]
         states, inputs = states.copy(), inputs.copy()
         states[:, rotors] = shifted(states[:, rotors], delay_s)
         inputs[:, drives] = shifted(inputs[:, drives], delay_s)

@@ -65,9 +65,13 @@ def swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) -> tuple
 
 
 def hung(
-    states: Array, names: Sequence[str], swung: tuple[Array, Array], free_n: Array,
-    length_m: float, share: float,
-) -> Array:  # fmt: skip
+    states: Array,
+    names: Sequence[str],
+    swung: tuple[Array, Array],
+    free_n: Array,
+    length_m: float,
+    share: float,
+) -> Array:
     """States with the load where it swings.
 
     The rope is stretched by what the tension asks for, so that the equations of the airframe,

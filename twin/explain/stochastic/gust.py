@@ -75,8 +75,10 @@ def gust_in(pieces: Sequence[Slow], vehicle: Vehicle) -> Unsteady | None:
 
 def gust_facts(pieces: Sequence[Slow], left: Sequence[Array]) -> dict[str, float]:
     """Figures by which a gust is told, of the horizontal axes."""
-    cells = [cells_of(Piece(p.t_s, e), SLOW_HZ, SLOW_WINDOW_S, "hann")
-             for p, e in zip(pieces, left, strict=True)]  # fmt: skip
+    cells = [
+        cells_of(Piece(p.t_s, e), SLOW_HZ, SLOW_WINDOW_S, "hann")
+        for p, e in zip(pieces, left, strict=True)
+    ]
     f = cells[0].f_hz
     power = np.concatenate([c.power for c in cells])  # (windows, 3, f)
     floor = np.maximum(np.mean([p.floor for p in pieces], axis=0), NO_NOISE)
@@ -89,9 +91,9 @@ def gust_facts(pieces: Sequence[Slow], left: Sequence[Array]) -> dict[str, float
     xy = np.sum(density[:, :2] - floor[:2], axis=1)
     tiny = 0.1 * float(floor[:2].sum())
     n = round(LASTING_S * SLOW_HZ)
-    blocks = np.concatenate([
-        (e[: len(e) // n * n, :2] ** 2).reshape(-1, n * 2).mean(axis=1) for e in left
-    ])  # fmt: skip
+    blocks = np.concatenate(
+        [(e[: len(e) // n * n, :2] ** 2).reshape(-1, n * 2).mean(axis=1) for e in left]
+    )
     return {
         "over_floor": float(np.min(np.mean(density[:3, :2], axis=0) / floor[:2])),
         "unexplained": float(np.sum(after[:, :2] ** 2) / max(np.sum(before[:, :2] ** 2), NO_NOISE)),

@@ -44,8 +44,10 @@ def noise_level(model: Model) -> Unsteady | None:
     log_odds = 0.5 * (np.log(size) / KNOWN_NOISE) ** 2 + PRIOR_ODDS
     if log_odds <= 0:
         return None
-    values = {f"sensor_noise_level.{n}": v
-              for n, v in (("scale", 1.0), ("accel_m_s2", 0.0), ("gyro_rad_s", 0.0))}  # fmt: skip
+    values = {
+        f"sensor_noise_level.{n}": v
+        for n, v in (("scale", 1.0), ("accel_m_s2", 0.0), ("gyro_rad_s", 0.0))
+    }
     intervals = {}
     spread = np.exp(SURE * KNOWN_NOISE / 2)
     if both:
@@ -59,9 +61,14 @@ def noise_level(model: Model) -> Unsteady | None:
                 for r in (ratio / spread, ratio, ratio * spread)
             )
             intervals[name] = (low, high)
-    return Unsteady("sensor_noise_level", float(log_odds), values, intervals,
-                    tuple(c for columns in off for c in columns),
-                    float(abs(1 - 1 / size**2)) if size > 1 else 1 - size**2)  # fmt: skip
+    return Unsteady(
+        "sensor_noise_level",
+        float(log_odds),
+        values,
+        intervals,
+        tuple(c for columns in off for c in columns),
+        float(abs(1 - 1 / size**2)) if size > 1 else 1 - size**2,
+    )
 
 
 def _ratio(model: Model, columns: Sequence[str], stated: float) -> float | None:

@@ -75,11 +75,16 @@ def slow_parts(twin: Twin, channels: Sequence[ChannelData], winds: Sequence[int]
         curves = _curves(twin, at, spin, force)  # (n, c)
         features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
         speed = np.linalg.norm(motion.velocity.at(t), axis=1)
-        found.append(Slow(
-            t[::every], sosfiltfilt(sos, residual, axis=0)[::every],
-            sosfiltfilt(sos, features, axis=0)[::every],
-            slopes[::every][:, :, list(winds)], speed[::every], _floor(t, residual),
-        ))  # fmt: skip
+        found.append(
+            Slow(
+                t[::every],
+                sosfiltfilt(sos, residual, axis=0)[::every],
+                sosfiltfilt(sos, features, axis=0)[::every],
+                slopes[::every][:, :, list(winds)],
+                speed[::every],
+                _floor(t, residual),
+            )
+        )
     return found
 
 
@@ -90,18 +95,32 @@ def _curves(twin: Twin, at: NDArray[np.intp], spin: Array, force: Array) -> Arra
     q, v, w = (
         twin.states[at][:, [column[n] for n in names]]
         for names in (
-            [f"q_{a}" for a in "wxyz"], [f"vel_{a}" for a in "xyz"], [f"omega_{a}" for a in "xyz"],
+            [f"q_{a}" for a in "wxyz"],
+            [f"vel_{a}" for a in "xyz"],
+            [f"omega_{a}" for a in "xyz"],
         )
-    )  # fmt: skip
+    )
     body = np.stack(to_body(list(q.T), list(v.T)), axis=-1)
     size = np.linalg.norm(body, axis=1, keepdims=True)
     thrust = force[at][:, 2:]
     load = spin[at] ** 2
     height = np.exp(twin.states[at][:, [column["pos_z"]]])
     return np.concatenate(
-        [body, np.abs(body), size * body, size**2 * body, thrust * body, load, w, np.abs(w),
-         body * np.roll(w, 1, axis=1), body * np.roll(w, 2, axis=1), height], axis=1,
-    )  # fmt: skip
+        [
+            body,
+            np.abs(body),
+            size * body,
+            size**2 * body,
+            thrust * body,
+            load,
+            w,
+            np.abs(w),
+            body * np.roll(w, 1, axis=1),
+            body * np.roll(w, 2, axis=1),
+            height,
+        ],
+        axis=1,
+    )
 
 
 def _floor(t_s: Array, residual: Array) -> Array:

@@ -140,9 +140,15 @@ def _of_channel(flight: Flight, channel: str, others: Sequence[str]) -> list[Stu
         if not any(_goes_on(y, bit, runs.steps[k]) for y in inside):
             continue
         found.append(
-            Stuck(flight.name, channel, float(t[first]), float(t[last]), float(x[first]),
-                  last == len(x) - 1)
-        )  # fmt: skip
+            Stuck(
+                flight.name,
+                channel,
+                float(t[first]),
+                float(t[last]),
+                float(x[first]),
+                last == len(x) - 1,
+            )
+        )
     return found
 
 

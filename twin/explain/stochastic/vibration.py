@@ -105,8 +105,14 @@ def _shaken(model: Model, kind: Literal["acc", "gyro"], columns: Sequence[str]) 
         if kind == "gyro":
             density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
         predicted.append([np.interp(c.f_hz, m.f_hz, v, right=0.0) for v in density])
-    return _Shaken(kind, rate, tuple(cells), tuple(_logs(c, rate) for c in cells), tuple(spins),
-                   np.mean(predicted, axis=0))  # fmt: skip
+    return _Shaken(
+        kind,
+        rate,
+        tuple(cells),
+        tuple(_logs(c, rate) for c in cells),
+        tuple(spins),
+        np.mean(predicted, axis=0),
+    )
 
 
 def _smooth(spin: Array) -> Array:
@@ -178,8 +184,9 @@ def _named_vibration(
         values[names[sensor.kind]] = float(np.mean(sizes))
         spread = SURE * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
         intervals[names[sensor.kind]] = (
-            max(0.0, float(np.mean(sizes)) - spread), float(np.mean(sizes)) + spread,
-        )  # fmt: skip
+            max(0.0, float(np.mean(sizes)) - spread),
+            float(np.mean(sizes)) + spread,
+        )
         mean = power.mean(axis=0)
         large = (np.sqrt(np.maximum(mean, 0.0)) > SMALLEST_SHAKE[sensor.kind]) & (
             share > LINE_SHARE
@@ -207,10 +214,12 @@ def _line_power(
         at = _bins(sensor, k, frequency_hz, moves)
         mine = np.min(np.abs(np.arange(len(c.f_hz))[None, None] - at[:, :, None]), axis=1)
         line = (mine <= LINE_BINS) & usable
-        floor = np.stack([
-            level(p[:, usable & ~m] if np.any(usable & ~m) else p[:, usable], 1)
-            for p, m in zip(c.power, line, strict=True)
-        ])  # (m, 3)  # fmt: skip
+        floor = np.stack(
+            [
+                level(p[:, usable & ~m] if np.any(usable & ~m) else p[:, usable], 1)
+                for p, m in zip(c.power, line, strict=True)
+            ]
+        )  # (m, 3)
         width = c.f_hz[1] - c.f_hz[0]
         excess = (c.power - floor[:, :, None]) * line[:, None, :] * width
         powers.append(excess.sum(axis=2).mean(axis=0))

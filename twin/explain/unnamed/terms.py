@@ -45,8 +45,11 @@ def terms(known: Mapping[str, Quantity], channel: str, tones_hz: tuple[float, ..
         tones_hz: Frequencies at which something may shake.
     """
     axis = channel[-1]
-    own = {k: later(v, OWN_NOISE_S) if k.startswith("omega_") and channel.startswith("gyro_") else v
-           for k, v in known.items() if _may_explain(k, v, channel)}  # fmt: skip
+    own = {
+        k: later(v, OWN_NOISE_S) if k.startswith("omega_") and channel.startswith("gyro_") else v
+        for k, v in known.items()
+        if _may_explain(k, v, channel)
+    }
     n = len(next(iter(known.values())).values)
     found = [Term("1", PLAIN, np.ones(n))]
     found += [Term(k, q.unit, q.values) for k, q in own.items()]
