@@ -27,7 +27,7 @@ from twin.logs.flight import Flight
 from twin.logs.read import read_flight
 from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
 from twin.vehicle.file import parse_vehicle
-from uavtwin.fmu_gap import prepare
+from uavtwin.fmu_gap import align_flight
 
 ALLOWED = ("twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
 """What the generators may take from the twin: the file formats."""
@@ -70,7 +70,7 @@ def residual_rms(orders: dict[str, Order], trace: Trace, name: str) -> dict[str,
     i = list(orders).index(name)
     vehicle = parse_vehicle(vehicle_toml(orders[name].aircraft, orders[name].noise), "v.toml")
     flight = Flight(name, flight_table(orders[name], trace, i))
-    twin = prepare(flight, vehicle)
+    twin = align_flight(flight, vehicle)
     readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
     channels = teacher_forced_channels(
         flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases
