@@ -17,11 +17,11 @@ from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
 from twin.physics.sensors.magnetometer import magnetometer
+from twin.residuals.flight_gap import flight_gap
 from twin.residuals.teacher_forced import sensor_readings
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly
-from uavtwin.fmu_gap import flight_gap
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -99,7 +99,7 @@ def clean() -> ResidualFlight:
 
 @pytest.mark.parametrize("case", ["plain", "filtered", "late"])
 def test_channels_are_those_of_the_gap(noisy: Flight, case: str) -> None:
-    """To rounding: the same equations, once in a batch and once as FMUs."""
+    """To rounding: the same equations and windows, placed differently."""
     late = {
         "imu_delay": {"delay_s": 0.012},
         "gyro_bias": dict.fromkeys(("x_rad_s", "y_rad_s"), 0.1),

@@ -70,6 +70,34 @@ def test_the_same_run_gives_the_same_bytes(
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
+def test_gap_needs_no_compiler(table: Path, tmp_path: Path) -> None:
+    """Nothing on the path, no program started, and nothing of the FMU builder loaded."""
+    code = """
+import sys
+def refuse(event, arguments):
+    if event in ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"):
+        raise SystemExit(f"{event}: {arguments}")
+sys.addaudithook(refuse)
+from uavtwin.cli.main import main
+try:
+    main()
+finally:
+    assert not {"fmus", "cosim"} & set(sys.modules), sorted(sys.modules)
+"""
+    call = [sys.executable, "-c", code, "gap", str(table), "--vehicle", VEHICLE]
+    environment = {k: v for k, v in os.environ.items() if k not in ("PATH", "CC", "CXX")}
+    done = subprocess.run(
+        [*call, "--out", str(tmp_path / "o")],
+        env={**environment, "PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    channels = json.loads((tmp_path / "o" / "gap.json").read_text())["channels"]
+    assert channels["vel_z"]["horizon_s"] == 0.5
+
+
 def test_gap_prints_strict_json(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ..component import Component
@@ -112,22 +111,6 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
     return Inputs(
         tuple(columns), t_s, u, _rotor_states(airframe, u, float(t_s[1] - t_s[0])), tuple(notes)
     )
-
-
-def as_driven(flight: Flight, airframe: Component, inputs: Inputs) -> Flight:
-    """What drives the airframe, as a flight: its own table unless commands are late.
-
-    A row for each change, since samples are held.
-    """
-    if "command_delay.enabled" not in (v.name for v in airframe.parameters):
-        return flight
-    columns = list(inputs.columns)
-    u = inputs.u[:, [airframe.input_names.index(c) for c in columns]]
-    kept = np.append(True, np.any(u[1:] != u[:-1], axis=1))
-    kept[-1] = True
-    table = pd.DataFrame(u[kept], columns=columns)
-    table.insert(0, "time", inputs.t_s[kept])
-    return Flight(flight.name, table)
 
 
 def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:

@@ -125,10 +125,10 @@ def gap(
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from twin.logs import read_flight
+    from twin.residuals.flight_gap import flight_gap
     from twin.residuals.gap import gap_json
     from twin.vehicle.file import load_vehicle
 
-    from ..fmu_gap import flight_gap
     from ..output import check_folder, results_folder, write_json, write_run
     from ..report.gap import write_gap_report
 

@@ -9,11 +9,11 @@ from twin.explain.explanation import Explanation, explain
 from twin.explain.result_json import explain_json
 from twin.logs import Flight
 from twin.logs.table import write_flight
+from twin.residuals.flight_gap import flight_gap
 from twin.residuals.gap import FlightGap, gap_json
 from twin.vehicle import Vehicle
 
 from ..explanation import write_explanation
-from ..fmu_gap import flight_gap
 from ..output import write_json
 from ..report.gap import write_gap_report
 from ..report.words import title
