@@ -11,9 +11,8 @@ from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,
-    IMU_EVERY,
-    POSE_EVERY,
-    STEP_S,
+    IMU_S,
+    POSE_S,
     WAYPOINTS,
     fly,
     hide,
@@ -52,7 +51,7 @@ def test_plant_equal_to_the_twin_follows_the_waypoints(name: str) -> None:
     flying = flight.table[~flight.table["phase"].isin(["ground"])]
     commands = flying[[f"cmd_{i}" for i in range(1, 5)]].to_numpy()
     at_bound = np.any((commands <= 0.0) | (commands >= 1.0), axis=1)
-    assert at_bound.sum() * IMU_EVERY * STEP_S < 0.2
+    assert at_bound.sum() * IMU_S < 0.2
 
 
 def test_flight_table_holds_what_it_says(flight: Flight) -> None:
@@ -60,9 +59,9 @@ def test_flight_table_holds_what_it_says(flight: Flight) -> None:
     seconds = sum(duration for _, duration, _ in WAYPOINTS)
     assert t[0] == 0.0
     assert t[-1] == pytest.approx(seconds, abs=0.01)
-    np.testing.assert_allclose(np.diff(t), IMU_EVERY * STEP_S, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(t), IMU_S, rtol=1e-9)
     t_pose, q = flight.signal(["q_w", "q_x", "q_y", "q_z"])
-    np.testing.assert_allclose(np.diff(t_pose), POSE_EVERY * STEP_S, rtol=1e-9)
+    np.testing.assert_allclose(np.diff(t_pose), POSE_S, rtol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, rtol=1e-12)
     assert list(dict.fromkeys(flight.table["phase"])) == [
         "ground",
@@ -122,7 +121,7 @@ def test_the_controller_flies_a_plant_it_does_not_know(effect: str) -> None:
         assert np.linalg.norm(reached[i] - np.array(WAYPOINTS[i][2])) < 0.5, (i, reached[i])
     flying = flight.table[~flight.table["phase"].isin(["ground"])]
     commands = flying[[f"cmd_{i}" for i in range(1, 5)]].to_numpy()
-    assert np.any((commands <= 0) | (commands >= 1), axis=1).sum() * IMU_EVERY * STEP_S < 0.2
+    assert np.any((commands <= 0) | (commands >= 1), axis=1).sum() * IMU_S < 0.2
 
 
 def test_low_passes_of_the_imu_are_in_the_record(flight: Flight) -> None:

@@ -8,20 +8,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from twin.flight import closed_loop
-from twin.flight.control.lqr_cascade import controller
+from twin.flight.closed_loop import STEP_S
+from twin.flight.minimum_jerk import (
+    minimum_jerk,
+    minimum_jerk_acceleration,
+    minimum_jerk_speed,
+)
+from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
-from twin.physics.airframe import AXES, airframe
-from twin.physics.sensors.imu import imu
-from twin.residuals.teacher_forced import sensor_readings
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEP_S = closed_loop.STEP_S
-IMU_EVERY, POSE_EVERY = 5, 10  # 200 Hz and 100 Hz
+IMU_S, POSE_S = 0.005, 0.01
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
 
@@ -73,15 +74,22 @@ def fly(
         name: Of the flight.
         waypoints: Phase, duration and place of each leg.
     """
-    body, sensor = airframe(plant, "command"), imu(plant)
     setpoints, phases = _setpoints(plant, waypoints)
-    states, inputs = closed_loop.fly(
-        body.with_starts(closed_loop.standing(body, plant)), controller(vehicle), setpoints
+    drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
+    recorder = Recorder(
+        streams=(
+            Stream(drives, IMU_S),
+            Stream(ACC, IMU_S, ACC_NOISE_M_S2),
+            Stream(GYRO, IMU_S, GYRO_NOISE_RAD_S),
+            Stream(POS, POSE_S, POS_NOISE_M),
+            Stream(VEL, POSE_S, VEL_NOISE_M_S),
+            Stream(QUAT, POSE_S, ATT_NOISE),
+        ),
+        rate_hz=1 / IMU_S,
+        sampled_hz=1 / STEP_S,
+        seed=seed,
     )
-    truth = body.outputs_along(states, inputs)
-    sensed = truth[:, [body.output_names.index(n) for n in sensor.input_names]]
-    readings = sensor_readings(sensor, sensed)
-    return _record(name, body.output_names, truth, readings, inputs, phases, body.input_names, seed)
+    return simulate_flight(setpoints, phases, vehicle, plant, recorder, name)
 
 
 def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
@@ -92,52 +100,14 @@ def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
     for phase, duration, place in waypoints:
         there = rest + np.array(place)
         s = np.arange(round(duration / STEP_S))[:, None] * STEP_S / duration
-        way = 10 * s**3 - 15 * s**4 + 6 * s**5
-        speed = (30 * s**2 - 60 * s**3 + 30 * s**4) / duration
-        push = (60 * s - 180 * s**2 + 120 * s**3) / duration**2
+        speed = minimum_jerk_speed(s) / duration
+        push = minimum_jerk_acceleration(s) / duration**2
         yaw, armed = np.zeros_like(s), np.full_like(s, phase != "ground")
         leg = there - here
-        rows.append(np.hstack([here + way * leg, speed * leg, push * leg, yaw, armed]))
+        rows.append(np.hstack([here + minimum_jerk(s) * leg, speed * leg, push * leg, yaw, armed]))
         phases += [phase] * len(s)
         here = there
     return np.vstack(rows), phases
-
-
-def _record(
-    name: str,
-    outputs: tuple[str, ...],
-    truth: Array,
-    readings: Array,
-    inputs: Array,
-    phases: list[str],
-    input_names: tuple[str, ...],
-    seed: int,
-) -> Flight:
-    rng = np.random.default_rng(seed)
-    table = pd.DataFrame({"time": np.arange(len(truth)) * STEP_S})
-    for i, column in enumerate(input_names):
-        if column.startswith("cmd_"):
-            table[column] = inputs[:, i]
-
-    def sample(columns: list[str], values: Array, noise: float, every: int) -> None:
-        """Add noise to the truth, and keep every so many samples."""
-        noisy = values + noise * rng.standard_normal(values.shape)
-        if columns[0] == "q_w":
-            noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-        noisy[np.arange(len(values)) % every != 0] = np.nan
-        table[columns] = noisy
-
-    sample([f"acc_{a}" for a in AXES], readings[:, :3], ACC_NOISE_M_S2, IMU_EVERY)
-    sample([f"gyro_{a}" for a in AXES], readings[:, 3:6], GYRO_NOISE_RAD_S, IMU_EVERY)
-    for stem, letters, noise in (
-        ("pos", AXES, POS_NOISE_M),
-        ("vel", AXES, VEL_NOISE_M_S),
-        ("q", tuple("wxyz"), ATT_NOISE),
-    ):
-        columns = [f"{stem}_{a}" for a in letters]
-        sample(columns, truth[:, [outputs.index(c) for c in columns]], noise, POSE_EVERY)
-    table["phase"] = phases
-    return Flight(name, table.iloc[::IMU_EVERY].reset_index(drop=True))
 
 
 # -- effects --------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying
 from .manoeuvres import Manoeuvre, manoeuvres, plan
-from .rehearsal import simulate_flight, volts_of
+from .rehearsal import rehearse, volts_of
 
 Array = NDArray[np.float64]
 ENOUGH = 5.0
@@ -122,7 +122,7 @@ def suggestions(
         flown = plan(loaded, chosen)
         plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
-            flight = simulate_flight(flown, loaded, plant, flights, voltage)
+            flight = rehearse(flown, loaded, plant, flights, voltage)
             blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
         except TwinError:  # numbers with which nothing flies: nobody can fly it either
             continue

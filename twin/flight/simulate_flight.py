@@ -1,0 +1,184 @@
+"""A plant flown by its controller along setpoints, and recorded as a flight table."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..component import Component
+from ..component.sampled import noiseless_outputs
+from ..logs import Flight
+from ..logs.columns import MAX_MOTORS, POS, QUAT, VEL, motor_columns
+from ..physics.airframe import airframe
+from ..physics.sensors.barometer import barometer
+from ..physics.sensors.imu import imu
+from ..physics.sensors.magnetometer import magnetometer
+from ..vehicle import Vehicle
+from .closed_loop import STEP_S, fly, standing
+from .control.lqr_cascade import controller
+from .stability import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
+
+Array = NDArray[np.float64]
+_SENSORS = (imu, magnetometer, barometer)
+_LATE = {
+    "command_delay": {
+        *motor_columns("cmd", MAX_MOTORS),
+        *motor_columns("rotor", MAX_MOTORS),
+    },
+    "position_delay": {*POS, *VEL, *QUAT},
+}
+"""Effects that shift a record, and the columns that they shift."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Columns of a record that are sampled together.
+
+    Attributes:
+        columns: Of the flight table.
+        period_s: Time between two samples, rounded to a whole number of rows of the record.
+        noise: Standard deviation of white noise on each sample, in the unit of the columns; a
+            quaternion stays one of unit length.
+    """
+
+    columns: tuple[str, ...]
+    period_s: float
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Recorder:
+    """What a simulated flight is recorded with.
+
+    Attributes:
+        streams: What is recorded, as far as the twin has it.
+        rate_hz: Rows of the table per second.
+        sampled_hz: How often the sensors are sampled; a multiple of `rate_hz`.
+        seed: Of the noise.
+        shifts_record: Whether delays of commands and pose shift the record of a flight that has
+            none: a late command is recorded early, a late pose late, and neither reaches the
+            controller. Else they are left to the equations of the plant.
+        until_lost: Whether the record ends where the vehicle tumbles or strays from its setpoints.
+    """
+
+    streams: tuple[Stream, ...]
+    rate_hz: float
+    sampled_hz: float
+    seed: int = 0
+    shifts_record: bool = False
+    until_lost: bool = False
+
+
+def simulate_flight(
+    setpoints: Array,
+    phases: Sequence[str],
+    vehicle: Vehicle,
+    plant: Vehicle,
+    recorder: Recorder,
+    name: str = "simulated",
+    voltage_v: float | None = None,
+) -> Flight:
+    """Fly setpoints in closed loop from standing on the ground, and record the sensors.
+
+    The controller reads the true motion.
+
+    Args:
+        setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
+        phases: Of each row.
+        vehicle: What the controller is designed for.
+        plant: What really flies, with its effects.
+        recorder: What is recorded.
+        name: Of the flight.
+        voltage_v: Of the battery, constant; default: that of the plant.
+
+    Raises:
+        ModelError: No controller can be designed, or the plant has no hover trim.
+    """
+    volts = plant.voltage_v if voltage_v is None else voltage_v
+    flown = _punctual(plant) if recorder.shifts_record else plant
+    body = airframe(flown)
+    body = body.with_starts(standing(body, flown))
+    held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
+    designed = _punctual(vehicle) if recorder.shifts_record else vehicle
+    states, inputs = fly(body, controller(designed), setpoints, held)
+    end = _lost(setpoints, phases, body, states, plant) if recorder.until_lost else len(states)
+    kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
+    known = _truth(body, states[kept], inputs[kept])
+    known["vbat_v"] = np.full(len(states[kept]), volts)
+    if recorder.shifts_record:
+        _shift(known, plant, recorder.sampled_hz)
+    _sense(known, flown, recorder)
+    return Flight(name, _table(known, phases[kept], recorder))
+
+
+def _truth(body: Component, states: Array, inputs: Array) -> dict[str, Array]:
+    """Outputs and inputs of an airframe by name, shape (n,) each."""
+    known = dict(zip(body.output_names, body.outputs_along(states, inputs).T, strict=True))
+    return known | dict(zip(body.input_names, inputs.T, strict=True))
+
+
+def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
+    """Add the readings of the sensors that are recorded, without noise."""
+    wanted = {c for stream in recorder.streams for c in stream.columns}
+    n = len(known["vbat_v"])
+    for make in _SENSORS:
+        sensor = make(flown)
+        if not wanted & set(sensor.output_names):
+            continue
+        sensed = np.tile(sensor.input_values(), (n, 1))
+        for i, name in enumerate(sensor.input_names):
+            sensed[:, i] = known.get(name, sensed[:, i])
+        readings = noiseless_outputs(sensor, sensed, 1 / recorder.sampled_hz)
+        known |= dict(zip(sensor.output_names, readings.T, strict=True))
+
+
+def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -> pd.DataFrame:
+    """The flight table: samples of each stream, noise added, NaN between them."""
+    rng, n = np.random.default_rng(recorder.seed), len(phases)
+    every = round(recorder.sampled_hz / recorder.rate_hz)
+    columns = {"time": np.arange(n) / recorder.sampled_hz}
+    for stream in recorder.streams:
+        if not set(stream.columns) <= known.keys():
+            continue
+        values = np.column_stack([known[c] for c in stream.columns])
+        if stream.noise:
+            values += stream.noise * rng.standard_normal(values.shape)
+            if stream.columns == QUAT:
+                values /= np.linalg.norm(values, axis=1, keepdims=True)
+        period = every * max(1, round(stream.period_s * recorder.rate_hz))
+        values[np.arange(n) % period != 0] = np.nan
+        columns |= dict(zip(stream.columns, values.T, strict=True))
+    table = pd.DataFrame({c: v[::every] for c, v in columns.items()})
+    table["phase"] = list(phases[::every])
+    return table
+
+
+def _shift(known: dict[str, Array], plant: Vehicle, rate_hz: float) -> None:
+    """Record late commands early and a late pose late."""
+    for effect, columns in _LATE.items():
+        if effect in plant.effects:
+            delay_s = plant.effects[effect]["delay_s"]
+            later_s = delay_s if effect == "position_delay" else -delay_s
+            for column in known.keys() & columns:
+                t = np.arange(len(known[column])) / rate_hz
+                known[column] = np.interp(t - later_s, t, known[column])
+
+
+def _punctual(vehicle: Vehicle) -> Vehicle:
+    """The same without the delays that a record shows and a flight does not."""
+    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if k not in _LATE})
+
+
+def _lost(
+    setpoints: Array, phases: Sequence[str], body: Component, states: Array, plant: Vehicle
+) -> int:
+    """Number of rows until the vehicle tumbles or strays from its setpoints."""
+    column = [s.name for s in body.states].index
+    off = states[:, [column(f"pos_{a}") for a in "xyz"]] - setpoints[:, :3]
+    tilt = 2 * np.arcsin(np.hypot(states[:, column("q_x")], states[:, column("q_y")]).clip(0, 1))
+    far = max(FARTHEST_M, FARTHEST_ARMS * plant.arm_m)
+    near = (np.linalg.norm(off, axis=1) < far) & (tilt < STEEPEST_RAD)
+    near |= np.array([phase == "ground" for phase in phases])
+    return len(near) if near.all() else int(np.argmin(near))
