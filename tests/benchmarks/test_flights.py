@@ -25,9 +25,9 @@ from benchmarks.hidden_effects.plants.sensing import flight_table
 from benchmarks.hidden_effects.produce import hide
 from twin.logs.flight import Flight
 from twin.logs.read import read_flight
+from twin.residuals.aligned import align_flight
 from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
 from twin.vehicle.file import parse_vehicle
-from uavtwin.fmu_gap import align_flight
 
 ALLOWED = ("twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
 """What the generators may take from the twin: the file formats."""
