@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from twin.airframe import airframe
+from twin.physics.airframe import airframe
 
 from cosim.master import Master
 from cosim.system import System, connect

@@ -193,7 +193,7 @@ def test_subset_is_stratified_and_stable() -> None:
 
 
 def test_generators_share_no_code_with_the_twin() -> None:
-    for file in Path(next(iter(package.__path__))).glob("*.py"):
+    for file in Path(next(iter(package.__path__))).rglob("*.py"):
         if file.stem in RUNNERS:
             continue
         for node in ast.walk(ast.parse(file.read_text())):

@@ -27,8 +27,8 @@ from benchmarks.hidden_effects.plants.orders import Order
 from benchmarks.hidden_effects.plants.own import fly
 from benchmarks.hidden_effects.plants.kinds import PLANTS
 from benchmarks.hidden_effects.plants.sensing import flight_table
-from twin.logs.flight import Flight
 from twin.residuals.aligned import align_flight
+from twin.logs.flight import Flight
 from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
 from twin.vehicle.file import parse_vehicle
 
