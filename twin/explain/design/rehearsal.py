@@ -1,6 +1,6 @@
 """A plan flown by a vehicle with its effects, recorded as the flights so far were."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 import pandas as pd
@@ -8,15 +8,13 @@ from numpy.typing import NDArray
 
 from ...component import Component
 from ...component.sampled import noiseless_outputs
+from ...effects import EFFECTS, Shift
 from ...flight.closed_loop import STEP_S, fly, standing
 from ...flight.control.lqr_cascade import controller
 from ...flight.stability import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
 from ...logs import Flight
-from ...logs.columns import MAX_MOTORS, POS, QUAT, VEL, motor_columns
 from ...physics.airframe import airframe
-from ...physics.sensors.barometer import barometer
-from ...physics.sensors.imu import imu
-from ...physics.sensors.magnetometer import magnetometer
+from ...physics.sensors.table import components_of_sensors
 from ...vehicle import Vehicle
 from ..model.channels import GRID_HZ
 from .manoeuvres import Plan
@@ -24,14 +22,6 @@ from .manoeuvres import Plan
 Array = NDArray[np.float64]
 EVERY = round(1 / (GRID_HZ * STEP_S))
 """Steps of the simulation per row of a record."""
-_LATE = {
-    "command_delay": {
-        *motor_columns("cmd", MAX_MOTORS),
-        *motor_columns("rotor", MAX_MOTORS),
-    },
-    "position_delay": {*POS, *VEL, *QUAT},
-}
-"""Effects that shift a record, and the columns that they shift."""
 
 
 def simulate_flight(
@@ -61,11 +51,10 @@ def simulate_flight(
     known = dict(zip(body.output_names, truth.T, strict=True))
     known |= dict(zip(body.input_names, inputs.T, strict=True))
     known["vbat_v"] = np.full(len(states), volts)
-    late_s = {e: plant.effects[e]["delay_s"] for e in _LATE if e in plant.effects}
-    for effect, delay in late_s.items():
-        for column in known.keys() & _LATE[effect]:
-            known[column] = _later(known[column], delay if effect == "position_delay" else -delay)
-    for sensor in (imu(punctual), magnetometer(punctual), barometer(punctual)):
+    for column, delay_s in _late_columns(plant, list(known)):
+        known[column] = _later(known[column], delay_s)
+    for make in components_of_sensors().values():
+        sensor = make(punctual, ())
         if not any(f.has(*sensor.output_names[:1]) for f in like):
             continue
         read = np.tile(sensor.input_values(), (len(states), 1))
@@ -102,7 +91,32 @@ def volts_of(flights: Sequence[Flight], vehicle: Vehicle) -> float:
 
 def _punctual(vehicle: Vehicle) -> Vehicle:
     """The same without the delays that a record shows and a flight does not."""
-    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if k not in _LATE})
+    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if not _of_record(k)})
+
+
+def _of_record(effect: str) -> Shift | None:
+    """What an effect shifts, where it is not a sensor that is late: its component shows that."""
+    seen_as = EFFECTS[effect].seen_as
+    if not isinstance(seen_as, Shift) or EFFECTS[effect].component in components_of_sensors():
+        return None
+    return seen_as
+
+
+def _late_columns(plant: Vehicle, known: Iterable[str]) -> Iterator[tuple[str, float]]:
+    """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
+
+    A number that the effect has in logs alone is taken for its first one.
+    """
+    for effect, numbers in plant.effects.items():
+        shift = _of_record(effect)
+        if shift is None:
+            continue
+        first = numbers[next(iter(shift.moves))]
+        for number, signals in shift.moves.items():
+            delay_s = numbers.get(number, first)
+            for column in known:
+                if column.rpartition("_")[0] in signals:
+                    yield column, -delay_s if shift.acts else delay_s
 
 
 def _later(values: Array, delay_s: float) -> Array:
