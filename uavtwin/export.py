@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,10 +21,8 @@ from twin.physics.airframe import airframe
 from twin.physics.battery import battery
 from twin.physics.environment import environment
 from twin.physics.rotors import Drive
-from twin.physics.sensors.barometer import barometer
-from twin.physics.sensors.imu import imu
-from twin.physics.sensors.magnetometer import magnetometer
 from twin.physics.sensors.position import PRESETS, Kind, position_sensor
+from twin.physics.sensors.table import components_of_sensors
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle, vehicle_text
 
@@ -81,9 +80,7 @@ def _makers(vehicle: Vehicle, choice: Choice) -> dict[str, Callable[[], Componen
     drive = cast(Drive | None, choice.drive)
     return {
         "airframe": lambda: airframe(vehicle, drive, EFFECTS),
-        "imu": lambda: imu(vehicle, EFFECTS),
-        "magnetometer": lambda: magnetometer(vehicle, EFFECTS),
-        "barometer": lambda: barometer(vehicle, EFFECTS),
+        **{name: partial(make, vehicle, EFFECTS) for name, make in components_of_sensors().items()},
         "position": lambda: position_sensor(vehicle, EFFECTS, cast(Kind, choice.position)),
         "battery": lambda: battery(vehicle),
         "environment": lambda: environment(vehicle),

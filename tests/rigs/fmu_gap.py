@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from cosim.master import Master
 from cosim.system import System, connect
 from fmus import build, component_model, replay_model
+from twin.effects import acting_late
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight
 from twin.residuals.short_horizon import READ
@@ -56,7 +57,8 @@ def as_driven(flight: Flight, aligned: AlignedFlight) -> Flight:
 
     A row for each change, since samples are held.
     """
-    if "command_delay.enabled" not in (v.name for v in aligned.airframe.parameters):
+    switches = {v.name for v in aligned.airframe.parameters}
+    if not any(f"{e.name}.enabled" in switches for e in acting_late()):
         return flight
     inputs, names = aligned.inputs, aligned.airframe.input_names
     u = inputs.u[:, [names.index(c) for c in inputs.columns]]

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..logs import Flight
-from ..logs.columns import ACC, GYRO, MAG
+from ..physics.sensors.table import SENSORS
 
-READINGS = (*ACC, *GYRO, *MAG, "baro_pa")
+READINGS = tuple(c for s in SENSORS for c in s.columns)
 """What is hidden. Pose and commands stay: they are inputs of the twin."""
 BLOCK_S = 4.0
 EVERY = 3

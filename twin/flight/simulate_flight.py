@@ -1,6 +1,6 @@
 """A plant flown by its controller along setpoints, and recorded as a flight table."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,27 +9,17 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.sampled import noiseless_outputs
+from ..effects import EFFECTS, Shift
 from ..logs import Flight
-from ..logs.columns import MAX_MOTORS, POS, QUAT, VEL, motor_columns
+from ..logs.columns import QUAT
 from ..physics.airframe import airframe
-from ..physics.sensors.barometer import barometer
-from ..physics.sensors.imu import imu
-from ..physics.sensors.magnetometer import magnetometer
+from ..physics.sensors.table import components_of_sensors
 from ..vehicle import Vehicle
 from .closed_loop import STEP_S, fly, standing
 from .control.lqr_cascade import controller
 from .stability import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
 
 Array = NDArray[np.float64]
-_SENSORS = (imu, magnetometer, barometer)
-_LATE = {
-    "command_delay": {
-        *motor_columns("cmd", MAX_MOTORS),
-        *motor_columns("rotor", MAX_MOTORS),
-    },
-    "position_delay": {*POS, *VEL, *QUAT},
-}
-"""Effects that shift a record, and the columns that they shift."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +98,9 @@ def simulate_flight(
     known = _truth(body, states[kept], inputs[kept])
     known["vbat_v"] = np.full(len(states[kept]), volts)
     if recorder.shifts_record:
-        _shift(known, plant, recorder.sampled_hz)
+        for column, later_s in _late_columns(plant, list(known)):
+            t = np.arange(len(known[column])) / recorder.sampled_hz
+            known[column] = np.interp(t - later_s, t, known[column])
     _sense(known, flown, recorder)
     return Flight(name, _table(known, phases[kept], recorder))
 
@@ -123,8 +115,8 @@ def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
     """Add the readings of the sensors that are recorded, without noise."""
     wanted = {c for stream in recorder.streams for c in stream.columns}
     n = len(known["vbat_v"])
-    for make in _SENSORS:
-        sensor = make(flown)
+    for make in components_of_sensors().values():
+        sensor = make(flown, ())
         if not wanted & set(sensor.output_names):
             continue
         sensed = np.tile(sensor.input_values(), (n, 1))
@@ -155,20 +147,34 @@ def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -
     return table
 
 
-def _shift(known: dict[str, Array], plant: Vehicle, rate_hz: float) -> None:
-    """Record late commands early and a late pose late."""
-    for effect, columns in _LATE.items():
-        if effect in plant.effects:
-            delay_s = plant.effects[effect]["delay_s"]
-            later_s = delay_s if effect == "position_delay" else -delay_s
-            for column in known.keys() & columns:
-                t = np.arange(len(known[column])) / rate_hz
-                known[column] = np.interp(t - later_s, t, known[column])
-
-
 def _punctual(vehicle: Vehicle) -> Vehicle:
     """The same without the delays that a record shows and a flight does not."""
-    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if k not in _LATE})
+    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if not _of_record(k)})
+
+
+def _of_record(effect: str) -> Shift | None:
+    """What an effect shifts, where it is not a sensor that is late: its component shows that."""
+    seen_as = EFFECTS[effect].seen_as
+    if not isinstance(seen_as, Shift) or EFFECTS[effect].component in components_of_sensors():
+        return None
+    return seen_as
+
+
+def _late_columns(plant: Vehicle, known: Iterable[str]) -> Iterator[tuple[str, float]]:
+    """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
+
+    A number that the effect has in logs alone is taken for its first one.
+    """
+    for effect, numbers in plant.effects.items():
+        shift = _of_record(effect)
+        if shift is None:
+            continue
+        first = numbers[next(iter(shift.moves))]
+        for number, signals in shift.moves.items():
+            delay_s = numbers.get(number, first)
+            for column in known:
+                if column.rpartition("_")[0] in signals:
+                    yield column, -delay_s if shift.acts else delay_s
 
 
 def _lost(

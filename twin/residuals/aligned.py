@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import Flight
 from ..physics.airframe import airframe
@@ -27,7 +28,8 @@ class AlignedFlight:
     """A flight on the grid of its twin.
 
     Attributes:
-        airframe: With the vehicle's effects, but for `command_delay`: it is in the inputs.
+        airframe: With the vehicle's effects, but for those by which commands act late: they are
+            in the inputs.
         imu: With the vehicle's effects, but without noise.
         inputs: Of the airframe, commands as they arrive.
         motion: Measured motion.
@@ -71,8 +73,9 @@ def align_flight(
         LogError: The flight lacks what the vehicle needs, is too short, or never flies.
     """
     body = airframe(vehicle, choose_drive(flight, vehicle), effects)
-    if "command_delay" in vehicle.effects:
-        body = body.with_starts({"command_delay.enabled": 0.0})
+    switches = {v.name for v in body.parameters}
+    late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
+    body = body.with_starts({name: 0.0 for name in late if name in switches})
     time = flight.table["time"].to_numpy(dtype=np.float64)
     if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
         raise LogError(f"{flight.name}: too short: {len(time)} samples.")
@@ -104,7 +107,8 @@ def align_flight(
 
 def _quiet(sensor: Component) -> Component:
     """The sensor without its noise: what it reads on average is compared with the flight."""
-    ends = ("_noise", "_bias_walk", "sensor_noise_level.enabled")
+    louder = (e.name for e in EFFECTS.values() if isinstance(e.seen_as, NoiseFloor))
+    ends = ("_noise", "_bias_walk", *(f"{name}.enabled" for name in louder))
     noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
 

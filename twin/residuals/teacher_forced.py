@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.sampled import noiseless_outputs
+from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
 from ..logs import Flight
@@ -22,6 +23,7 @@ from ..physics.rotors import Drive
 from ..vehicle import Vehicle
 from .gap import Channel
 from .measured import RATE_CUTOFF_HZ, MeasuredMotion, Signal, differentiate, zero_phase
+from .unmeasured import integrate_states
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
@@ -86,23 +88,27 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
 def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
     """Inputs of the airframe on a uniform grid: the last sample held.
 
-    What no flight table holds, such as the wind, stays at its start value. The `command_delay` of
-    the vehicle acts here, so that it is to be off in the airframe: a delay line knows no past where
-    an airframe is started in mid-flight.
+    What no flight table holds, such as the wind, stays at its start value. Effects of the vehicle
+    by which commands act late act here, so that they are to be off in the airframe: a delay line
+    knows no past where an airframe is started in mid-flight.
     """
     notes: list[str] = []
-    late_s = vehicle.effects.get("command_delay", {}).get("delay_s")
+    late_s = late_actions(vehicle)
     u = np.tile(airframe.input_values(), (len(t_s), 1))
     columns = []
     for i, name in enumerate(airframe.input_names):
+        rotor = name.replace("spin_rate", "rotor")
+        if rotor != name and flight.has(rotor):
+            u[:, i] = _rate(Signal(*flight.signal([rotor])), t_s)
         if not is_known(name):
             continue
         if flight.has(name):
             signal = Signal(*flight.signal([name]))
-            if late_s is None or not name.startswith("cmd_"):
+            delay_s = late_s.get(name.rpartition("_")[0])
+            if delay_s is None:
                 u[:, i] = signal.held(t_s)[:, 0]
             else:
-                u[:, i] = _arriving(signal, t_s, late_s)
+                u[:, i] = _arriving(signal, t_s, delay_s)
             columns.append(name)
         else:
             notes.append(
@@ -124,6 +130,11 @@ def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
         command.held(t_s - back * COMMAND_PERIOD_S)[:, 0] for back in (whole, whole + 1)
     )
     return np.asarray(after + max(periods - whole, 0.0) * (before - after))
+
+
+def _rate(signal: Signal, t_s: Array) -> Array:
+    """Rate of change of a measured speed, 0 where it is unknown; shape (n,)."""
+    return np.nan_to_num(Signal(signal.t_s, differentiate(signal)).at(t_s)[:, 0])
 
 
 def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
@@ -167,9 +178,13 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             x[:, [column[n] for n in names]] = values
     rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
     x[:, rotors] = inputs.rotor_states
-    arrived = {i: s for s, i in column.items() if s.startswith("command_delay.")}
+    arrived = {
+        i: s.partition(".")[2]
+        for s, i in column.items()
+        if s.partition(".")[0] in {e.name for e in acting_late()}
+    }
     for i, name in arrived.items():
-        x[:, i] = inputs.u[:, airframe.input_names.index(name.removeprefix("command_delay."))]
+        x[:, i] = inputs.u[:, airframe.input_names.index(name)]
     hidden = sorted(set(range(x.shape[1])) - {*rotors, *arrived} - {column[n] for n in RIGID})
     if hidden:
         x[:, hidden] = _hidden_states(airframe, hidden, x, inputs)
@@ -184,20 +199,11 @@ def _hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inpu
     known = np.all(np.isfinite(x), axis=1)
     if not known.any():
         return np.full((len(x), len(index)), np.nan)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(x)), -1))
-    path = x[np.where(last < 0, np.argmax(known), last)]
+    first = x[int(np.argmax(known))]
     names = [s.name for s in airframe.states]
-    begin = {f"initial.{n}": float(path[0, names.index(n)]) for n in RIGID}
-    p, u = airframe.parameter_values({"ground.enabled": 0.0, **begin}), inputs.u
-    z, at, v = (
-        ca.SX.sym(n, k) for n, k in (("z", len(index)), ("x", x.shape[1]), ("u", u.shape[1]))
-    )
-    full = ca.SX(at)
-    full[index] = z
-    step = ca.Function("hidden_step", [z, at, v], [airframe.step(full, v, p, inputs.step_s)[index]])
-    start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
-    after = step.mapaccum("hidden_states", len(x))(start, path.T, u.T)
-    return np.vstack([start, np.asarray(after, dtype=np.float64).T[:-1]])
+    begin = {f"initial.{n}": float(first[names.index(n)]) for n in RIGID}
+    p = airframe.parameter_values({"ground.enabled": 0.0, **begin})
+    return integrate_states(airframe, index, x, inputs.u, p, inputs.step_s)
 
 
 def predicted_readings(

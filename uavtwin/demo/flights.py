@@ -10,6 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.effects.air import ROTOR_DRAG
+from twin.effects.mass import COG_OFFSET, INERTIA_ERROR, MASS_OFFSET
+from twin.effects.propulsion import THRUST_SCALE
 from twin.flight.closed_loop import STEP_S
 from twin.flight.minimum_jerk import (
     minimum_jerk,
@@ -116,14 +119,14 @@ def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
 def _mass_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     share = rng.uniform(0.05, 0.15)
     plant = replace(vehicle, mass_kg=vehicle.mass_kg * (1 + share))
-    return Hidden("mass_offset", f"{share * vehicle.mass_kg * 1e3:.0f} g of extra mass", plant)
+    return Hidden(MASS_OFFSET.name, f"{share * vehicle.mass_kg * 1e3:.0f} g of extra mass", plant)
 
 
 def _rotor_drag(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     k = rng.uniform(0.3, 0.7)
     drag = vehicle.drag_linear_n_s_m + k * vehicle.mass_kg * np.array([1.0, 1.0, 0.0])
     return Hidden(
-        "rotor_drag",
+        ROTOR_DRAG.name,
         f"rotor drag of {k:.2f} 1/s along x and y",
         replace(vehicle, drag_linear_n_s_m=drag),
     )
@@ -134,7 +137,7 @@ def _cog_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     shift = rng.uniform(0.03, 0.08) * arm * np.array([1.0, rng.choice([-1.0, 1.0]), 0.0])
     rotors = replace(vehicle.rotors, position_m=vehicle.rotors.position_m - shift)
     text = f"centre of mass moved by {1e3 * shift[0]:.1f}, {1e3 * shift[1]:.1f} mm forward, right"
-    return Hidden("cog_offset", text, replace(vehicle, rotors=rotors))
+    return Hidden(COG_OFFSET.name, text, replace(vehicle, rotors=rotors))
 
 
 def _thrust_scale(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
@@ -143,7 +146,7 @@ def _thrust_scale(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
         vehicle.rotors, thrust_n=tuple((1 - share) * c for c in vehicle.rotors.thrust_n)
     )
     return Hidden(
-        "thrust_scale",
+        THRUST_SCALE.name,
         f"rotors give {100 * share:.0f} % less thrust",
         replace(vehicle, rotors=rotors),
     )
@@ -153,16 +156,16 @@ def _inertia_error(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     share = rng.uniform(0.3, 0.6)
     inertia = vehicle.inertia_kg_m2 * (1 + share)
     return Hidden(
-        "inertia_error",
+        INERTIA_ERROR.name,
         f"{100 * share:.0f} % more inertia",
         replace(vehicle, inertia_kg_m2=inertia),
     )
 
 
 _HIDERS: dict[str, Callable[[Vehicle, np.random.Generator], Hidden]] = {
-    "mass_offset": _mass_offset,
-    "rotor_drag": _rotor_drag,
-    "cog_offset": _cog_offset,
-    "thrust_scale": _thrust_scale,
-    "inertia_error": _inertia_error,
+    MASS_OFFSET.name: _mass_offset,
+    ROTOR_DRAG.name: _rotor_drag,
+    COG_OFFSET.name: _cog_offset,
+    THRUST_SCALE.name: _thrust_scale,
+    INERTIA_ERROR.name: _inertia_error,
 }

@@ -12,6 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from twin.physics.sensors.table import BODY, SENSORS, Sensor
 from twin.residuals.gap import (
     UNKNOWN_PHASE,
     Channel,
@@ -43,6 +44,13 @@ class _Kind:
     axis: Mapping[str, str] = field(default_factory=dict)
 
 
+def _of_sensor(sensor: Sensor) -> _Kind:
+    """Kind of the readings of a sensor beside the IMU."""
+    vector = len(sensor.columns) > 1
+    axes, axis = ("body axes", _BODY) if vector else ("", {})
+    return _Kind(f"{sensor.signal}_", sensor.title, axes, sensor.words, axis)
+
+
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
 _TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
 _EARTH = {"x": "north", "y": "east", "z": "down"}
@@ -56,8 +64,7 @@ _KINDS = (
     _Kind("pos_", "Position", _NED, "position", _EARTH),
     _Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
     _Kind("q_", "Attitude (quaternion)", "body to NED"),
-    _Kind("mag_", "Magnetic field", "body axes", "magnetic field", _BODY),
-    _Kind("baro_", "Air pressure", "", "air pressure"),
+    *(_of_sensor(s) for s in SENSORS if s.group != BODY),
     _Kind("", "Other channels"),
 )
 

@@ -241,7 +241,8 @@ def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
     flights = _flights(naming)
     listed = manoeuvres(vehicle, charged=volts_of(flights, vehicle) >= vehicle.voltage_v)
     effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
-    felt = vehicle.rotors.reference_voltage_v is not None or "battery_sag" in effects
+    felt = vehicle.rotors.reference_voltage_v is not None
+    felt = felt or any("vbat" in EFFECTS[e].needs for e in effects)
     if felt and all(f.has("vbat_v") for f in flights):
         return list(listed)
     return [m for m in listed if m.voltage == 1]

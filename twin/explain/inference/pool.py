@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS
+from ...physics.sensors.table import BODY, SENSORS
 from ..model.numbers import columns_of
 from .bounds import Bounds
 from .fit import Fit, Problem
@@ -25,9 +26,9 @@ MOST, GROWN = 3, 3
 after each of the best."""
 ROUNDS = 3
 """Times at most that the best set is grown and its effects are exchanged."""
-APART = ("magnetometer", "barometer")
-"""Components that share no channel with the others: each has room for `MOST` effects of its own."""
-BODY = "body"
+GROUP_OF = {s.component: s.group for s in SENSORS}
+"""Group of each component; the others are of the body. Groups share no channel with each other:
+each has room for `MOST` effects of its own."""
 ALIKE, EXCHANGED = 10.0, 2
 """Log likelihood, given that no law is exact, up to which an effect resembles another; how many
 such are tried in the place of each."""
@@ -187,7 +188,7 @@ def _with_one_more(problem: Problem, fitted: Fit) -> dict[tuple[str, ...], float
 
 def _larger(problem: Problem, fitted: Fit) -> list[tuple[str, ...]]:
     """Effects of a hypothesis with one more; trifles take no place."""
-    places = {c: MOST for c in (*APART, BODY)}
+    places = dict.fromkeys((*GROUP_OF.values(), BODY), MOST)
     for effect in worth_a_name(fitted):
         places[_part(effect)] -= 1
     more = (e for e in problem.model.effects if e not in fitted.effects and places[_part(e)] > 0)
@@ -195,8 +196,7 @@ def _larger(problem: Problem, fitted: Fit) -> list[tuple[str, ...]]:
 
 
 def _part(effect: str) -> str:
-    component = EFFECTS[effect].component
-    return component if component in APART else BODY
+    return GROUP_OF.get(EFFECTS[effect].component, BODY)
 
 
 def _about(problem: Problem, fitted: Fit) -> Callable[[Sequence[str]], Array]:

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...logs.columns import ACC, GYRO
+from ...effects import Effect, NoiseFloor
+from ...physics.sensors.table import SENSORS
 from ..model.model import Model
 from .finding import PRIOR_ODDS, SURE, StochasticEffect
 from .spectral import LINE_WINDOW_S, Piece, cells_of, level, pieces_of, rate_of
@@ -25,14 +26,22 @@ NOISE_RANGE = (0.1, 30.0)
 """A ratio beyond is no noise level: readings without noise, or another unit."""
 
 
-def find_noise_level(model: Model) -> StochasticEffect | None:
-    """White noise of accelerometer and gyroscope against that of the vehicle file.
+def find_noise_level(model: Model, effect: Effect) -> StochasticEffect | None:
+    """White noise of sensors against that of the vehicle file.
 
     A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
     averages before, the file has to know.
+
+    Args:
+        model: Flights.
+        effect: Seen as a noise floor.
     """
-    sensors = model.vehicle.sensors
-    stated = {ACC: sensors.accel_noise_m_s2, GYRO: sensors.gyro_noise_rad_s}
+    seen_as = effect.seen_as
+    assert isinstance(seen_as, NoiseFloor)
+    noisy = [s for s in SENSORS if s.signal in seen_as.further]
+    stated = {s.columns: s.noise(model.vehicle) for s in noisy}
+    further = {s.columns: f"{effect.name}.{seen_as.further[s.signal]}" for s in noisy}
+    scale = f"{effect.name}.{seen_as.scale}"
     ratios = {c: r for c, s in stated.items() if s > 0 and (r := _ratio(model, c, s)) is not None}
     off = {c: r for c, r in ratios.items() if r != 1.0}
     if not off:
@@ -44,25 +53,22 @@ def find_noise_level(model: Model) -> StochasticEffect | None:
     log_odds = 0.5 * (np.log(size) / KNOWN_NOISE) ** 2 + PRIOR_ODDS
     if log_odds <= 0:
         return None
-    values = {
-        f"sensor_noise_level.{n}": v
-        for n, v in (("scale", 1.0), ("accel_m_s2", 0.0), ("gyro_rad_s", 0.0))
-    }
+    values = {scale: 1.0} | dict.fromkeys(further.values(), 0.0)
     intervals = {}
     spread = np.exp(SURE * KNOWN_NOISE / 2)
     if both:
-        values["sensor_noise_level.scale"] = size
-        intervals["sensor_noise_level.scale"] = (size / spread, size * spread)
+        values[scale] = size
+        intervals[scale] = (size / spread, size * spread)
     else:
         for columns, ratio in off.items():
-            name = f"sensor_noise_level.{'accel_m_s2' if columns == ACC else 'gyro_rad_s'}"
+            name = further[columns]
             low, values[name], high = (
                 stated[columns] * float(np.sqrt(max(r * r - 1, 0.0)))
                 for r in (ratio / spread, ratio, ratio * spread)
             )
             intervals[name] = (low, high)
     return StochasticEffect(
-        "sensor_noise_level",
+        effect.name,
         float(log_odds),
         values,
         intervals,

@@ -1,11 +1,11 @@
 """Effects that change no mean, found by repeats and by spectra.
 
-| effect | seen in | told from others by |
+| seen as | seen in | told from others by |
 |---|---|---|
-| stuck_sensor | a reading that repeats exactly | the other axes go on meanwhile |
-| sensor_noise_level | flat part of the spectrum, all axes | same level in every part of the band |
-| vibration | lines that follow the rotors, or stand | level over the neighbouring frequencies |
-| gust | slow part of the accelerometer residual | no curve explains it, falls with frequency |
+| Repeats | a reading that repeats exactly | the other axes go on meanwhile |
+| NoiseFloor | flat part of the spectrum, all axes | same level in every part of the band |
+| Lines | lines that follow the rotors, or stand | level over the neighbouring frequencies |
+| RandomForce | slow part of the accelerometer residual | no curve explains it, falls with frequency |
 
 Every claim rests on a ratio and on how far such ratios go astray without the effect: noise given
 in a vehicle file, smoothness of a spectrum, motion that no model has quite right.
@@ -13,6 +13,7 @@ in a vehicle file, smoothness of a spectrum, motion that no model has quite righ
 
 from collections.abc import Mapping, Sequence
 
+from ...effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
 from ..model.model import Model
 from .finding import PRIOR_ODDS, StochasticEffect
 from .gust import find_gust
@@ -28,13 +29,25 @@ def find_stochastic(model: Model, values: Mapping[str, float]) -> list[Stochasti
         model: Flights, stuck readings taken out.
         values: Numbers of the effects that have been named, "effect.number" -> value.
     """
-    found = [find_noise_level(model), find_vibration(model), find_gust(model, values)]
+    found = []
+    for effect in EFFECTS.values():
+        match effect.seen_as:
+            case NoiseFloor():
+                found.append(find_noise_level(model, effect))
+            case Lines():
+                found.append(find_vibration(model, effect))
+            case RandomForce():
+                found.append(find_gust(model, values, effect))
     return sorted((u for u in found if u is not None), key=lambda u: -u.log_odds)
 
 
 def find_stuck(stuck: Sequence[Stuck]) -> list[StochasticEffect]:
-    """The effect of readings that stand still; none where all go on."""
+    """The effects of readings that stand still; none where all go on."""
     if not stuck:
         return []
     channels = tuple(dict.fromkeys(s.channel for s in stuck))
-    return [StochasticEffect("stuck_sensor", -PRIOR_ODDS, stuck_numbers(stuck), {}, channels, 1.0)]
+    return [
+        StochasticEffect(e.name, -PRIOR_ODDS, stuck_numbers(stuck, e), {}, channels, 1.0)
+        for e in EFFECTS.values()
+        if isinstance(e.seen_as, Repeats)
+    ]

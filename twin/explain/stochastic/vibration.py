@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects.inertial import VIBRATION
-from ...logs.columns import ACC, GYRO
+from ...effects import Effect, Lines
+from ...physics.sensors.table import SENSORS, Sensor
 from ...residuals.measured import Signal
 from ..model.channels import GRID_HZ
 from ..model.model import Model
@@ -39,7 +38,7 @@ class _Shaken:
     """One sensor in all flights.
 
     Attributes:
-        kind: Sensor.
+        sensor: Its row.
         rate_hz: Samples per second.
         cells: Of every piece.
         logs: Log level of each cell over its neighbourhood, mean 0 in noise, like the power.
@@ -47,7 +46,7 @@ class _Shaken:
         predicted: Density that the twin predicts, shape (3, n_f); NaN where it cannot say.
     """
 
-    kind: Literal["acc", "gyro"]
+    sensor: Sensor
     rate_hz: float
     cells: tuple[Cells, ...]
     logs: tuple[Array, ...]
@@ -55,10 +54,18 @@ class _Shaken:
     predicted: Array
 
 
-def find_vibration(model: Model) -> StochasticEffect | None:
-    """Lines above the body's motion, which follow the rotors or stand still."""
-    sensors = [s for s in (_shaken(model, "acc", ACC), _shaken(model, "gyro", GYRO)) if s]
-    hover_hz = next(p for p in VIBRATION.parameters if p.name == "frequency_hz").sized(
+def find_vibration(model: Model, effect: Effect) -> StochasticEffect | None:
+    """Lines above the body's motion, which follow the rotors or stand still.
+
+    Args:
+        model: Flights.
+        effect: Seen as lines.
+    """
+    seen_as = effect.seen_as
+    assert isinstance(seen_as, Lines)
+    felt = (s for s in SENSORS if s.signal in seen_as.amplitudes)
+    sensors = [s for s in (_shaken(model, sensor) for sensor in felt) if s]
+    hover_hz = next(p for p in effect.parameters if p.name == seen_as.frequency).sized(
         model.vehicle
     )
     if not sensors:
@@ -81,13 +88,13 @@ def find_vibration(model: Model) -> StochasticEffect | None:
     log_odds = 0.5 * z * z - np.log(len(tracks)) + PRIOR_ODDS if z > 0 else PRIOR_ODDS
     if log_odds <= 0:
         return None
-    return _named_vibration(model, sensors, float(log_odds), frequency, moves)
+    return _named_vibration(model, effect, sensors, float(log_odds), frequency, moves)
 
 
-def _shaken(model: Model, kind: Literal["acc", "gyro"], columns: Sequence[str]) -> _Shaken | None:
+def _shaken(model: Model, sensor: Sensor) -> _Shaken | None:
     """Spectrograms of one sensor."""
     cells, spins, predicted = [], [], []
-    pieces = [(f, p) for f in model.flights for p in pieces_of(f, columns)]
+    pieces = [(f, p) for f in model.flights for p in pieces_of(f, sensor.columns)]
     rate = rate_of([p for _, p in pieces])
     if rate / 2 < 1.2 * LINE_FROM_HZ:
         return None
@@ -99,14 +106,14 @@ def _shaken(model: Model, kind: Literal["acc", "gyro"], columns: Sequence[str]) 
         grid = flight.aligned.inputs.t_s
         cells.append(c)
         spins.append(Signal(grid, _smooth(spin)).at(c.t_s))
-        motion = np.nan_to_num(force if kind == "acc" else alpha)
+        motion = np.nan_to_num(alpha if sensor.rate_unit else force)
         m = cells_of(Piece(grid, motion), GRID_HZ, LINE_WINDOW_S, "hann")
         density = level(m.power, 0)
-        if kind == "gyro":
+        if sensor.rate_unit:
             density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
         predicted.append([np.interp(c.f_hz, m.f_hz, v, right=0.0) for v in density])
     return _Shaken(
-        kind,
+        sensor,
         rate,
         tuple(cells),
         tuple(_logs(c, rate) for c in cells),
@@ -165,38 +172,45 @@ def _score(sensor: _Shaken, frequency_hz: float, moves: bool) -> float:
 
 
 def _named_vibration(
-    model: Model, sensors: Sequence[_Shaken], log_odds: float, frequency_hz: float, moves: bool
+    model: Model,
+    effect: Effect,
+    sensors: Sequence[_Shaken],
+    log_odds: float,
+    frequency_hz: float,
+    moves: bool,
 ) -> StochasticEffect | None:
     """The line with its sizes, or None where it is too small or predicted as motion."""
-    values = {"vibration.frequency_hz": frequency_hz}
+    seen_as = effect.seen_as
+    assert isinstance(seen_as, Lines)
+    frequency = f"{effect.name}.{seen_as.frequency}"
+    values = {frequency: frequency_hz}
     doubt = 0.02 * frequency_hz if moves else 0.5 / LINE_WINDOW_S
-    intervals = {"vibration.frequency_hz": (frequency_hz - doubt, frequency_hz + doubt)}
+    intervals = {frequency: (frequency_hz - doubt, frequency_hz + doubt)}
     channels: list[str] = []
     shares: list[float] = []
-    cutoffs = {"acc": model.vehicle.accel_cutoff_hz, "gyro": model.vehicle.gyro_cutoff_hz}
-    names = {"acc": "vibration.accel_m_s2", "gyro": "vibration.gyro_rad_s"}
     for sensor in sensors:
         power, share, motion, lift = _line_power(sensor, frequency_hz, moves)
-        cutoff = cutoffs[sensor.kind]
+        name = f"{effect.name}.{seen_as.amplitudes[sensor.sensor.signal]}"
+        cutoff = sensor.sensor.cutoff_hz(model.vehicle)
         passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
         plane = power[:, :2].mean(axis=1)  # (pieces,)
         sizes = np.sqrt(2 * np.maximum(plane, 0.0) / lift) / passed
-        values[names[sensor.kind]] = float(np.mean(sizes))
+        values[name] = float(np.mean(sizes))
         spread = SURE * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
-        intervals[names[sensor.kind]] = (
+        intervals[name] = (
             max(0.0, float(np.mean(sizes)) - spread),
             float(np.mean(sizes)) + spread,
         )
         mean = power.mean(axis=0)
-        large = (np.sqrt(np.maximum(mean, 0.0)) > SMALLEST_SHAKE[sensor.kind]) & (
+        large = (np.sqrt(np.maximum(mean, 0.0)) > SMALLEST_SHAKE[sensor.sensor.signal]) & (
             share > LINE_SHARE
         )
         for axis in np.flatnonzero(large & (motion < MOTION_SHARE)):
-            channels.append(f"{sensor.kind}_{'xyz'[axis]}")
+            channels.append(sensor.sensor.columns[axis])
             shares.append(float(share[axis]))
     if not channels:
         return None
-    return StochasticEffect("vibration", log_odds, values, intervals, tuple(channels), max(shares))
+    return StochasticEffect(effect.name, log_odds, values, intervals, tuple(channels), max(shares))
 
 
 def _line_power(

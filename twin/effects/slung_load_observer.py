@@ -23,9 +23,11 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects.mass import ROPE_HZ
-
 Array = NDArray[np.float64]
+Course = tuple[Array, Array]
+"""Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3)."""
+ROPE_HZ = 5.0
+"""Natural frequency of the load on its rope, Hz: stiff beside any pendulum, slow beside 1 ms."""
 DIRECTION_GAIN_1_S, RATE_GAIN_1_S2 = 8.0, 16.0
 """K and L. Chosen on benchmark flights: with half of them a load that swings beyond 60 degrees is
 lost for seconds, and its mass comes out too small. What is no pendulum is not followed so fast that
@@ -36,9 +38,7 @@ PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")
 SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")
 
 
-def observe_swing(
-    free_n: Array, felt_n: Array, length_m: float, step_s: float
-) -> tuple[Array, Array]:
+def observe_swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) -> Course:
     """Direction of the rope and its rate, from a load at rest.
 
     Args:
@@ -69,7 +69,7 @@ def observe_swing(
 def hang_load(
     states: Array,
     names: Sequence[str],
-    swung: tuple[Array, Array],
+    swung: Course,
     free_n: Array,
     length_m: float,
     share: float,
