@@ -14,7 +14,7 @@ from benchmarks.real_flights.agreement import Number, agreement, judge
 from benchmarks.real_flights.measure import baselines, held
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
-from twin.explain.model.channels import ChannelData
+from twin.residuals.channels import ChannelData
 from twin.vehicle.file import load_vehicle
 
 ROOT = Path(__file__).parents[2]

@@ -22,13 +22,21 @@ def acting_late() -> tuple[Effect, ...]:
 
 def late_actions(vehicle: Vehicle) -> dict[str, float]:
     """By signal, how much later than a record says it acts in a vehicle, s."""
+    return _shifts(vehicle, acts=True)
+
+
+def ages(vehicle: Vehicle) -> dict[str, float]:
+    """By signal, how much older than a record says is what it shows in a vehicle, s."""
+    return _shifts(vehicle, acts=False)
+
+
+def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
     found: dict[str, float] = {}
-    for effect in acting_late():
-        assert isinstance(effect.seen_as, Shift)
-        for number, signals in effect.seen_as.moves.items():
-            delay_s = vehicle.effects.get(effect.name, {}).get(number)
-            if delay_s is not None:
-                found |= {s: found.get(s, 0.0) + delay_s for s in signals}
+    for name, numbers in vehicle.effects.items():
+        seen_as = EFFECTS[name].seen_as
+        if isinstance(seen_as, Shift) and seen_as.acts == acts:
+            for number, signals in seen_as.moves.items():
+                found |= {s: found.get(s, 0.0) + numbers.get(number, 0.0) for s in signals}
     return found
 
 
@@ -50,6 +58,7 @@ __all__ = [
     "Seen",
     "Shift",
     "acting_late",
+    "ages",
     "effects_of",
     "late_actions",
 ]

@@ -3,7 +3,7 @@
 Source: Flash & Hogan, J. Neuroscience 5 (1985): 10 s^3 - 15 s^4 + 6 s^5.
 """
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -41,11 +41,12 @@ def ramped_way(t: Number, total: float | ca.SX, rate: float | ca.SX, ramp: float
         rate: Held between the ramps.
         ramp: Time of each ramp.
     """
-    return rate * ramp * (_covered(t / ramp) - _covered((t - total / rate) / ramp))
+    way: Number = rate * ramp * (_covered(t / ramp) - _covered((t - total / rate) / ramp))
+    return way
 
 
-def _covered(s: Number) -> Number:
+def _covered(s: Number) -> Any:
     """Integral from -infinity to s of `minimum_jerk`, held at 0 before and at 1 after the ramp."""
-    low, high = (ca.fmin, ca.fmax) if isinstance(s, ca.SX) else (np.minimum, np.maximum)
-    inside = low(high(s, 0.0), 1.0)
-    return inside**4 * (2.5 + inside * (-3 + inside)) + high(s - 1, 0.0)
+    of: Any = ca if isinstance(s, ca.SX) else np
+    inside = of.fmin(of.fmax(s, 0.0), 1.0)
+    return inside**4 * (2.5 + inside * (-3 + inside)) + of.fmax(s - 1, 0.0)

@@ -3,10 +3,12 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..component.rows import OverRows
 from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import Flight
@@ -142,6 +144,19 @@ def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
     )
 
 
+def _rotor_thrust(body: Component, rotors: int, inputs: Inputs) -> Array:
+    """Thrust of all rotors together in still air, N, shape (n,)."""
+    moving = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
+    r, u = ca.SX.sym("r", len(moving)), ca.SX.sym("u", len(body.inputs))
+    p = body.parameter_values()
+    x = ca.SX(body.initial(inputs.u[0], p))
+    x[moving] = r
+    each = [body.output_names.index(f"thrust_{i}") for i in range(1, rotors + 1)]
+    total = ca.sum1(body.outputs(x, u, p)[each])
+    thrust = OverRows(ca.Function("thrust", [r, u], [ca.densify(total)]), 2)
+    return thrust(inputs.rotor_states, inputs.u)[:, 0]
+
+
 def _airborne(
     vehicle: Vehicle,
     body: Component,
@@ -151,15 +166,7 @@ def _airborne(
 ) -> NDArray[np.bool_]:
     """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
     resting place where the record starts at rest and holds a position."""
-    n = vehicle.rotors.count
-    p = body.parameter_values()
-    x = np.tile(
-        np.asarray(body.initial(inputs.u[0], p), dtype=np.float64).ravel(), (len(inputs.t_s), 1)
-    )
-    rotors = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
-    x[:, rotors] = inputs.rotor_states
-    y = body.outputs_along(x, inputs.u)
-    thrust = y[:, [body.output_names.index(f"thrust_{i}") for i in range(1, n + 1)]].sum(axis=1)
+    thrust = _rotor_thrust(body, vehicle.rotors.count, inputs)
     carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
     airborne = carried & (phases != "ground")
     starts_in_air = (

@@ -1,6 +1,6 @@
 """The gap between a flight and its twin: teacher-forced and short-horizon residuals.
 
-Teacher-forced: the twin's equations at the measured state, at every sample. Short horizon: the twin
+Teacher-forced: the twin's equations at the measured state, see `imu`. Short horizon: the twin
 restarted from the measured state every horizon, compared at the end of each window.
 """
 
@@ -17,9 +17,11 @@ from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..physics.airframe import AXES
 from ..vehicle import Vehicle
 from .aligned import AlignedFlight, align_flight
+from .channels import GRID_HZ
 from .gap import Channel, FlightGap
+from .imu import imu_channels
 from .short_horizon import READ, whole_windows, window_ends
-from .teacher_forced import GRID_S, predicted_readings, teacher_forced_channels
+from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
 DEFAULT_HORIZON_S = 0.5
@@ -47,18 +49,8 @@ def flight_gap(
     if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
     aligned = align_flight(flight, vehicle)
-    readings, names = predicted_readings(
-        aligned.airframe, aligned.imu, aligned.states, aligned.inputs.u
-    )
-    channels = teacher_forced_channels(
-        flight,
-        aligned.motion,
-        aligned.inputs.t_s,
-        readings,
-        names,
-        aligned.airborne,
-        aligned.phases,
-    )
+    progress(0.3)
+    channels = imu_channels(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ))
     progress(0.5)
     short, notes = _short_horizon(aligned, horizon_s, lambda done: progress(0.5 + 0.5 * done))
     notes += _wrong_vehicle(channels, vehicle)

@@ -21,11 +21,11 @@ from scipy.optimize import lsq_linear
 from ...effects import EFFECTS
 from ...errors import TwinError
 from ...logs import Flight
+from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
 from ..inference.fit import Fit
 from ..inference.likelihood import BLOCK_S, Block, blocks_of
 from ..inference.selection import Naming
-from ..model.channels import ChannelData
 from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying

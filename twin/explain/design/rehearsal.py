@@ -6,8 +6,8 @@ import numpy as np
 
 from ...flight.simulate_flight import Recorder, Stream, simulate_flight
 from ...logs import Flight
+from ...residuals.channels import GRID_HZ
 from ...vehicle import Vehicle
-from ..model.channels import GRID_HZ
 from .manoeuvres import Plan
 
 

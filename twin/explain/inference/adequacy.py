@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ...physics.sensors.table import BODY, sensor_of
-from ..model.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
+from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ..model.model import Model
 from .fit import Fit
 

@@ -22,10 +22,10 @@ from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight, align_flight
+from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, on_grid, shifted
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import airframe_inputs, measured_states
 from ...vehicle import GRAVITY_M_S2, Vehicle
-from .channels import GRID_HZ, ChannelData, on_grid, shifted
 from .numbers import Number, with_effects
 from .prediction import Physics
 from .sensors import PLACE, TURN, Seen, imu_parts, other_parts, pose_parts
@@ -128,7 +128,7 @@ class FlightModel:
             at, slopes = (a[:, part.outputs] for a in body)
             predicted = at
             if part.rate:
-                predicted, slopes = _step_mean(predicted), _step_mean(slopes)
+                predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
         else:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
             at = part.batch.value(theta, part.at)
@@ -362,10 +362,3 @@ def _observer(effect: str) -> Observer | None:
     """What follows the states of an effect, if something does."""
     seen_as = EFFECTS[effect].seen_as
     return seen_as.observer if isinstance(seen_as, Equation) else None
-
-
-def _step_mean(values: Array) -> Array:
-    """Mean over the step of the grid that ends at each row."""
-    mean = np.array(values)
-    mean[1:] = (values[1:] + values[:-1]) / 2
-    return mean

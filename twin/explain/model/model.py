@@ -11,9 +11,9 @@ from ...effects import EFFECTS, Effect, Equation, Shift
 from ...errors import LogError
 from ...logs import Flight
 from ...physics.airframe import airframe
+from ...residuals.channels import ChannelData
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
-from .channels import ChannelData
 from .flight import FlightModel
 from .numbers import Number, at_voltage, numbers_of, numbers_of_logs, visible
 from .payload import Payloads, carrying

@@ -8,7 +8,6 @@ and the difference of two predictions takes the place of the derivative.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from ...component import Component
 from ...component.rows import OverRows
 from ...effects import acting_late
-from ...physics.sensors.imu import imu
+from ...residuals.imu import gyro_rate, prompt_imu
 from ...residuals.teacher_forced import RIGID
 from ...vehicle import Vehicle
 from .numbers import Number
@@ -58,7 +57,7 @@ class Batch:
 class Physics:
     """Airframe and IMU: `(states, inputs, numbers) -> acc_x..z, rate of gyro_x..z`.
 
-    The low-pass of the IMU is left out: it is linear, and goes over prediction and slopes alike.
+    Low-pass and delay of the IMU are left out: they go over prediction and slopes alike, in time.
 
     Attributes:
         airframe: Whose states and inputs the rows are.
@@ -85,7 +84,7 @@ class Physics:
             if s.name not in RIGID and s.name.partition(".")[0] not in given
         ]
         self.reached = states_reached(body, hidden)
-        sensor = imu(replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None), effects)
+        sensor = prompt_imu(vehicle, effects)
         self._states = EffectStates(sensor, effects, numbers)
         self.of_sensor = self._states.numbers
         names = [n.full for n in numbers]
@@ -98,12 +97,7 @@ class Physics:
         z = ca.SX.sym("z", len(self._states.index))
         p = _parameters(sensor, effects, names, theta, {})
         shown = _shown(self._states, sensed, z, p)
-        # The reading of the gyroscope follows the body rate, which changes by the acceleration.
-        change = ca.SX.zeros(sensed.shape)
-        for a in "xyz":
-            alpha = sensed[sensor.input_names.index(f"angular_acceleration_{a}")]
-            change[sensor.input_names.index(f"omega_{a}")] = alpha
-        rate = ca.jtimes(shown[3:], sensed, change)
+        rate = gyro_rate(sensor, sensed, shown)
         self._felt: Batch | None = None
         if self._states.index:
             self._felt = Batch([x, u], theta, felt)

@@ -1,7 +1,7 @@
 """Sensors of a flight: what each read, and what predicts it from rows on the grid."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,19 +11,24 @@ from ...component import Component
 from ...effects import EFFECTS
 from ...frames import to_body
 from ...logs import Flight
-from ...physics.sensors.imu import imu
 from ...physics.sensors.table import BODY, SENSORS, Sensor
 from ...residuals.aligned import AlignedFlight
+from ...residuals.channels import (
+    POSE_BAND_HZ,
+    Measured,
+    measured,
+    on_grid,
+    shifted,
+)
+from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
 from ...residuals.measured import Signal, rates_of
 from ...vehicle import GRAVITY_M_S2, Vehicle
-from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, Measured, measured, on_grid, shifted
 from .numbers import Number
 from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
 PLACE, TURN = ("pos", "vel"), ("q",)
 """Signals of the pose, which may come from two clocks."""
-OF_IMU = tuple(s for s in SENSORS if s.group == BODY)
 OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 
@@ -77,20 +82,12 @@ class Part:
 
 def imu_parts(seen: Seen) -> list[Part]:
     """Accelerometer, and rate of change of the gyroscope."""
-    t, flight, nothing = seen.aligned.inputs.t_s, seen.flight, np.zeros((0, 0))
-    known = seen.aligned.airborne & np.all(np.isfinite(seen.aligned.states), axis=1)
+    flight, nothing = seen.flight, np.zeros((0, 0))
     found = []
     for k, sensor in enumerate(OF_IMU):
         if not flight.has(*sensor.columns):
             continue
-        signal = Signal(*flight.signal(sensor.columns))
-        values = on_grid(signal, t)
-        if sensor.rate_unit:
-            values = np.diff(values, axis=0, prepend=values[:1]) * GRID_HZ
-        band = min(BAND_HZ, 0.35 * signal.rate_hz)
-        cutoff = sensor.cutoff_hz(seen.vehicle)
-        names, unit = sensor.channels, sensor.channel_unit
-        readings = measured(names, unit, t, values, known, band, cutoff)
+        readings = imu_readings(sensor, flight, seen.vehicle, seen.aligned)
         if readings is not None:
             late = _late(seen, (sensor.signal,), ())
             reach = _reaching("airframe", sensor.component) | _moving(seen, (*PLACE, *TURN, "cmd"))
@@ -112,7 +109,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
         return []
     v = seen.vehicle
     gyro = on_grid(Signal(*flight.signal(gyroscope.columns)), t)
-    sensor = imu(replace(v, accel_cutoff_hz=None, gyro_cutoff_hz=None), seen.effects)
+    sensor = prompt_imu(v, seen.effects)
     batch = SensorBatch(sensor, seen.effects, seen.numbers)
     implied = _named("omega", rates_of(motion.attitude).at(t))
     read = _named("omega", gyro)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
+from ...residuals.channels import GRID_HZ
 from ...residuals.unmeasured import integrate_states
-from .channels import GRID_HZ
 from .numbers import Number
 
 Array = NDArray[np.float64]

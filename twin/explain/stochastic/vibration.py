@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from ...effects import Effect, Lines
 from ...physics.sensors.table import SENSORS, Sensor
+from ...residuals.channels import GRID_HZ
 from ...residuals.measured import Signal
-from ..model.channels import GRID_HZ
 from ..model.model import Model
 from .finding import PRIOR_ODDS, SURE, StochasticEffect
 from .spectral import LINE_WINDOW_S, Cells, Piece, cells_of, level, pieces_of, rate_of

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...physics.sensors.table import BODY, SENSORS, sensor_of
+from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
 from ..inference.fit import Fit, Problem
 from ..inference.likelihood import AR_ORDER, BLOCK_S, Block, Key, Noise, blocks_of, noise_of
-from ..model.channels import CHANNEL_HZ, ChannelData, Measured
 from .quantities import Quantity, quantities
 from .regression import Sparse, fold_of, longest, sparse
 from .terms import Term, over, powers_of, terms

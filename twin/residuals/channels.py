@@ -1,8 +1,9 @@
-"""Residuals of a flight as linear-model channels: residual = slopes @ change of numbers + noise.
+"""Residual channels of a flight: what was measured and what is predicted, filtered alike.
 
-All channels of a flight lie on one grid of `CHANNEL_HZ`, in the air. Measured and predicted pass
-the same causal low-pass, so that no reading is explained by what came after it: with a controller
-in the loop, a filter that looks ahead would read the controller backwards.
+Readings are put on a grid of `GRID_HZ`, in the air; measured and predicted pass the same causal
+low-pass and are thinned out to `CHANNEL_HZ`. Causal, so that no reading is explained by what came
+after it: with a controller in the loop, a filter that looks ahead would read the controller
+backwards. As a linear model a channel is residual = slopes @ change of numbers + noise.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, lfilter_zi
 
-from ...residuals.measured import Signal, zero_phase
+from .measured import Signal, zero_phase
 
 Array = NDArray[np.float64]
 GRID_HZ = 200.0
@@ -33,7 +34,7 @@ class ChannelData:
     """One channel of one flight.
 
     Attributes:
-        name: See `flight_model`.
+        name: Of the channel.
         unit: Of the residual.
         t_s: Shape (n,).
         measured: Shape (n,).
@@ -77,12 +78,23 @@ class Measured:
 
     def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
         """Rows that are kept of values on the grid, low-passed piece by piece."""
+        return self._over_pieces(values, filters_hz, EVERY)
+
+    def unfiltered(self, values: Array) -> Array:
+        """All rows of values on the grid from where the filters have settled, not thinned out."""
+        return self._over_pieces(values, (), 1)
+
+    def sensed(self, predicted: Array) -> Array:
+        """The same of a prediction, which passes the low-pass of the sensor alone."""
+        return self._over_pieces(predicted, self.filters_hz[:-1], 1)
+
+    def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
         kept = []
         for rows in self.rows:
             part = values[rows]
             for cutoff in filters_hz:
                 part = low_pass(part, cutoff)
-            kept.append(part[self.settle :: EVERY])
+            kept.append(part[self.settle :: every])
         return np.concatenate(kept)
 
     def channels(self, predicted: Array, slopes: Array) -> list[ChannelData]:
@@ -170,6 +182,18 @@ def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
     """Second order on the grid: coefficients, and the state that is settled on one."""
     b, a = butter(2, cutoff_hz / (GRID_HZ / 2))
     return b, a, lfilter_zi(b, a)
+
+
+def rate_over_step(values: Array) -> Array:
+    """Rate of change over the step of the grid that ends at each row, shape as the values."""
+    return np.diff(values, axis=0, prepend=values[:1]) * GRID_HZ
+
+
+def mean_over_step(values: Array) -> Array:
+    """Mean over the same step: what `rate_over_step` is of a signal with these rates."""
+    mean = np.array(values)
+    mean[1:] = (values[1:] + values[:-1]) / 2
+    return mean
 
 
 def on_grid(signal: Signal, t_s: Array) -> Array:
