@@ -328,7 +328,7 @@ def test_real_logs(
     assert set(gap["channels"]["acc_z"]["by_phase"]) == {"takeoff", "hover", "land"}
     if vehicle == VEHICLE:  # the simulator's own parameters: the twin explains most of what moves
         assert gap["channels"]["acc_z"]["share"] < 0.35
-        assert gap["channels"]["angacc_x"]["share"] < 0.5
+        assert gap["channels"]["gyro_rate_x"]["share"] < 0.5
 
 
 def test_nanobench_through_the_example(

@@ -153,6 +153,6 @@ def test_empty_channels_do_not_break_the_page(tmp_path: Path) -> None:
     written(tmp_path / "none.html")
 
 
-@pytest.mark.parametrize("name", ["acc_z", "angacc_x", "pos_y@0.5s", "baro_pa", "odd"])
+@pytest.mark.parametrize("name", ["acc_z", "gyro_rate_x", "pos_y@0.5s", "baro_pa", "odd"])
 def test_channel_names_have_words(name: str) -> None:
     assert "_" not in describe(name)

@@ -17,12 +17,11 @@ from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
 from ..logs import Flight
-from ..logs.columns import ACC, is_known, motor_columns
+from ..logs.columns import is_known, motor_columns
 from ..physics.airframe import AXES
 from ..physics.rotors import Drive
 from ..vehicle import Vehicle
-from .gap import Channel
-from .measured import RATE_CUTOFF_HZ, MeasuredMotion, Signal, differentiate, zero_phase
+from .measured import MeasuredMotion, Signal, differentiate
 from .unmeasured import integrate_states
 
 Array = NDArray[np.float64]
@@ -245,63 +244,3 @@ def sensor_readings(imu: Component, sensed: Array) -> Array:
     readings = noiseless_outputs(imu, clean, GRID_S)
     readings[~known] = np.nan
     return readings
-
-
-def teacher_forced_channels(
-    flight: Flight,
-    motion: MeasuredMotion,
-    t_s: Array,
-    readings: Array,
-    names: tuple[str, ...],
-    airborne: NDArray[np.bool_],
-    phases: NDArray[np.str_],
-) -> list[Channel]:
-    """Channels of horizon 0: accelerometer, and angular acceleration from the gyroscope.
-
-    Measured and predicted angular acceleration pass the same zero-phase low-pass at
-    `RATE_CUTOFF_HZ`, the measured one as body rates before they are differentiated.
-
-    Args:
-        flight: Its own samples are the times of the comparison.
-        motion: Measured motion.
-        t_s: Grid of the prediction, shape (n,).
-        readings: Prediction on the grid, shape (n, k).
-        names: Names of the columns of `readings`.
-        airborne: Whether the grid point counts, shape (n,).
-        phases: Phase at the grid points, shape (n,).
-    """
-    channels: list[Channel] = []
-
-    def add(name: str, unit: str, t: Array, measured: Array, predicted: Array) -> None:
-        """Keep the samples in the air at which both sides are known."""
-        near = np.clip(np.searchsorted(t_s, t), 0, len(t_s) - 1)
-        good = airborne[near] & np.isfinite(measured) & np.isfinite(predicted)
-        if good.any():
-            channels.append(
-                Channel(
-                    name, unit, 0.0, t[good], measured[good], predicted[good], phases[near][good]
-                )
-            )
-
-    if flight.has(*ACC):
-        t, acc = flight.signal(ACC)
-        inside = (t >= t_s[0]) & (t <= t_s[-1])
-        for i, name in enumerate(ACC):
-            predicted = _sampled(t_s, readings[:, names.index(name)], t[inside])
-            add(name, "m/s²", t[inside], acc[inside, i], predicted)
-    if motion.rates is not None and motion.rates_measured:
-        inside = (motion.rates.t_s >= t_s[0]) & (motion.rates.t_s <= t_s[-1])
-        t = motion.rates.t_s[inside]
-        measured = differentiate(motion.rates)[inside]
-        for i, axis in enumerate(AXES):
-            grid = readings[:, names.index(f"angular_acceleration_{axis}")]
-            raw = _sampled(t_s, grid, t)
-            bad = ~np.isfinite(raw)
-            smooth = zero_phase(Signal(t, np.where(bad, 0.0, raw)[:, None]), RATE_CUTOFF_HZ)[:, 0]
-            add(f"angacc_{axis}", "rad/s²", t, measured[:, i], np.where(bad, np.nan, smooth))
-    return channels
-
-
-def _sampled(t_grid: Array, values: Array, t_s: Array) -> Array:
-    """Linear interpolation between grid points, NaN next to NaN."""
-    return np.interp(t_s, t_grid, values)

@@ -102,7 +102,9 @@ def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
     rows, phases = [], []
     for phase, duration, place in waypoints:
         there = rest + np.array(place)
-        s: Array = np.arange(round(duration / STEP_S), dtype=np.float64)[:, None] * STEP_S / duration
+        s: Array = (
+            np.arange(round(duration / STEP_S), dtype=np.float64)[:, None] * STEP_S / duration
+        )
         speed = minimum_jerk_speed(s) / duration
         push = minimum_jerk_acceleration(s) / duration**2
         yaw, armed = np.zeros_like(s), np.full_like(s, phase != "ground")

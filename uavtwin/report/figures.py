@@ -45,7 +45,7 @@ def channel_figure(channels: Sequence[Channel], phases: Phases) -> tuple[go.Figu
     Returns:
         The figure and a note on what it leaves out ("" if nothing).
     """
-    spectra = [[spectrum(c.t_s, x) for x in _three(c)] for c in channels]
+    spectra = [[spectrum(c.wide.t_s, x) for x in _three(c.wide)] for c in channels]
     dense = any(s[0].rate_hz >= 20 for s in spectra)
     n = len(channels)
     heights, gap_px, pad_px = (165, 96), 14, 20

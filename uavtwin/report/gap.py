@@ -13,6 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from twin.physics.sensors.table import BODY, SENSORS, Sensor
+from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
     UNKNOWN_PHASE,
     Channel,
@@ -58,7 +59,7 @@ _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pit
 _NED = "x north, y east, z down"
 _KINDS = (
     _Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
-    _Kind("angacc_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
+    _Kind("gyro_rate_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
     _Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
     _Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
     _Kind("pos_", "Position", _NED, "position", _EARTH),
@@ -101,6 +102,7 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
         detail=_detail(places),
         places=places[:6],
         slow_hz=SLOW_HZ,
+        band_hz=BAND_HZ,
         horizons=horizons,
         teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
         pooled=pooled if len(gaps) > 1 else {},

@@ -65,7 +65,7 @@ def test_a_flight_of_the_vehicle_itself_leaves_the_noise(effect: str) -> None:
             bound = 0.5 * vehicle.effects[effect]["accel_m_s2"] * np.sqrt(4 / 2)
         assert rms(found[f"acc_{axis}"].residual) < bound, axis
         if effect not in NOT_READ:
-            assert rms(found[f"angacc_{axis}"].residual) < 0.7, axis
+            assert rms(found[f"gyro_rate_{axis}"].residual) < 0.7, axis
     assert flying_twin(vehicle, effects=()).parts["controller"].states
 
 

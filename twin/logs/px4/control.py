@@ -231,7 +231,7 @@ def _gain(out: Array, way: Array, low: float, high: float) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(out < low, low - out, np.where(out > high, high - out, 0.0))
         k = np.where(np.abs(way) < 1e-7, 0.0, excess / way)
-    none = np.zeros(len(k))
+    none: Array = np.zeros(len(k))
     down, up = (reduce(worse, k.T, none) for worse in (np.minimum, np.maximum))
     return np.asarray((down + up)[:, None])
 
