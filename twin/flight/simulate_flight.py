@@ -47,9 +47,8 @@ class Recorder:
         rate_hz: Rows of the table per second.
         sampled_hz: How often the sensors are sampled; a multiple of `rate_hz`.
         seed: Of the noise.
-        shifts_record: Whether delays of commands and pose shift the record of a flight that has
-            none: a late command is recorded early, a late pose late, and neither reaches the
-            controller. Else they are left to the equations of the plant.
+        early_commands: Whether commands that act late are recorded early, and reach a flight that
+            is otherwise the same; else they are recorded when given, and the plant has them late.
         until_lost: Whether the record ends where the vehicle tumbles or strays from its setpoints.
     """
 
@@ -57,7 +56,7 @@ class Recorder:
     rate_hz: float
     sampled_hz: float
     seed: int = 0
-    shifts_record: bool = False
+    early_commands: bool = False
     until_lost: bool = False
 
 
@@ -72,7 +71,7 @@ def simulate_flight(
 ) -> Flight:
     """Fly setpoints in closed loop from standing on the ground, and record the sensors.
 
-    The controller reads the true motion.
+    The controller reads the true motion: a pose that is old in the plant is so in the record alone.
 
     Args:
         setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
@@ -87,20 +86,18 @@ def simulate_flight(
         ModelError: No controller can be designed, or the plant has no hover trim.
     """
     volts = plant.voltage_v if voltage_v is None else voltage_v
-    flown = _punctual(plant) if recorder.shifts_record else plant
+    flown = _punctual(plant, recorder)
     body = airframe(flown)
     body = body.with_starts(standing(body, flown))
     held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
-    designed = _punctual(vehicle) if recorder.shifts_record else vehicle
-    states, inputs = fly(body, controller(designed), setpoints, held)
+    states, inputs = fly(body, controller(_punctual(vehicle, recorder)), setpoints, held)
     end = _lost(setpoints, phases, body, states, plant) if recorder.until_lost else len(states)
     kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
     known = _truth(body, states[kept], inputs[kept])
     known["vbat_v"] = np.full(len(states[kept]), volts)
-    if recorder.shifts_record:
-        for column, later_s in _late_columns(plant, list(known)):
-            t = np.arange(len(known[column])) / recorder.sampled_hz
-            known[column] = np.interp(t - later_s, t, known[column])
+    t_s = np.arange(len(states[kept])) / recorder.sampled_hz
+    for column, later_s in _late_columns(plant, recorder, list(known)):
+        known[column] = np.interp(t_s - later_s, t_s, known[column])
     _sense(known, flown, recorder)
     return Flight(name, _table(known, phases[kept], recorder))
 
@@ -147,26 +144,29 @@ def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -
     return table
 
 
-def _punctual(vehicle: Vehicle) -> Vehicle:
+def _punctual(vehicle: Vehicle, recorder: Recorder) -> Vehicle:
     """The same without the delays that a record shows and a flight does not."""
-    return vehicle.with_effects({k: v for k, v in vehicle.effects.items() if not _of_record(k)})
+    kept = {k: v for k, v in vehicle.effects.items() if _of_record(k, recorder) is None}
+    return vehicle.with_effects(kept)
 
 
-def _of_record(effect: str) -> Shift | None:
-    """What an effect shifts, where it is not a sensor that is late: its component shows that."""
+def _of_record(effect: str, recorder: Recorder) -> Shift | None:
+    """What an effect shifts in a record; a sensor that is late is so in its component."""
     seen_as = EFFECTS[effect].seen_as
     if not isinstance(seen_as, Shift) or EFFECTS[effect].component in components_of_sensors():
         return None
-    return seen_as
+    return None if seen_as.acts and not recorder.early_commands else seen_as
 
 
-def _late_columns(plant: Vehicle, known: Iterable[str]) -> Iterator[tuple[str, float]]:
+def _late_columns(
+    plant: Vehicle, recorder: Recorder, known: Iterable[str]
+) -> Iterator[tuple[str, float]]:
     """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
 
     A number that the effect has in logs alone is taken for its first one.
     """
     for effect, numbers in plant.effects.items():
-        shift = _of_record(effect)
+        shift = _of_record(effect, recorder)
         if shift is None:
             continue
         first = numbers[next(iter(shift.moves))]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.rows import OverRows
-from ..effects import EFFECTS, Shift, ages
+from ..effects import EFFECTS, Equation, ages
 from ..logs import Flight
 from ..physics.sensors.imu import imu
 from ..physics.sensors.table import BODY, SENSORS, Sensor
@@ -83,9 +83,9 @@ def imu_readings(
 
 
 def prompt_imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
-    """The IMU without its low-pass and its delay.
+    """The IMU without its low-pass, and of its own effects with those alone that change a mean.
 
-    Both are linear and go over a prediction, as over its slopes, in time.
+    Low-pass and delay go over a prediction, as over its slopes, in time.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
@@ -94,7 +94,7 @@ def prompt_imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     prompt = {
         name: numbers
         for name, numbers in vehicle.effects.items()
-        if not isinstance(EFFECTS[name].seen_as, Shift)
+        if isinstance(EFFECTS[name].seen_as, Equation)
     }
     still = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
     return imu(still.with_effects(prompt), effects)

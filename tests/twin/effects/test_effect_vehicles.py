@@ -39,8 +39,9 @@ NOT_READ = {"imu_delay", "vibration"}
 
 def having(name: str, effect: str, **numbers: float) -> Vehicle:
     """A built-in vehicle, without a lag of its own or with one, with one effect on."""
-    base = load_vehicle(name)
-    return base.with_effects({effect: EFFECTS[effect].starts(base) | numbers})
+    base, about = load_vehicle(name), EFFECTS[effect]
+    of_logs = {p.name: 0.0 for p in about.of_logs}
+    return base.with_effects({effect: about.starts(base) | of_logs | numbers})
 
 
 @cache

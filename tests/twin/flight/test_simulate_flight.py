@@ -103,21 +103,24 @@ def test_streams_are_recorded_at_their_own_rates_with_their_own_noise() -> None:
     assert again.equals(loud.table)
 
 
-def test_delays_shift_the_record_or_are_left_to_the_plant() -> None:
-    """A late command is recorded early, or answered late: the other way round it is the same."""
+def test_an_old_pose_is_recorded_late_and_flown_as_it_is() -> None:
+    streams = Stream(("cmd_1",), 0.005), Stream(("pos_z",), 0.005), Stream(("q_w",), 0.005)
+    old = FEISI.with_effects({"position_delay": {"delay_s": 0.05, "attitude_s": 0.0}})
+    now, late = (flown(recorder(*streams), plant).table for plant in (FEISI, old))
+    np.testing.assert_allclose(late["pos_z"][10:], now["pos_z"][:-10], rtol=1e-12)
+    for column in ("cmd_1", "q_w"):
+        np.testing.assert_array_equal(late[column], now[column])
+
+
+def test_late_commands_are_recorded_early_or_answered_late() -> None:
+    """Recorded early, the flight is the same; answered late, the loop moves differently."""
     streams = Stream(("cmd_1",), 0.005), Stream(("pos_z",), 0.005)
-    late = FEISI.with_effects({"position_delay": {"delay_s": 0.05, "attitude_s": 0.0}})
-    now, shifted, left = (
-        flown(recorder(*streams, shifts_record=shifts), plant).table
-        for plant, shifts in ((FEISI, True), (late, True), (late, False))
-    )
-    np.testing.assert_allclose(shifted["pos_z"][10:], now["pos_z"][:-10], rtol=1e-12)
-    np.testing.assert_array_equal(left["pos_z"], now["pos_z"])
-    early = FEISI.with_effects({"command_delay": {"delay_s": 0.05}})
-    moved = flown(recorder(*streams, shifts_record=True), early).table
-    np.testing.assert_allclose(moved["cmd_1"][:-10], now["cmd_1"][10:], rtol=1e-12)
-    np.testing.assert_array_equal(moved["pos_z"], now["pos_z"])
-    answered = flown(recorder(*streams), early).table  # in the loop: it moves differently
+    late = FEISI.with_effects({"command_delay": {"delay_s": 0.05}})
+    now = flown(recorder(*streams)).table
+    early = flown(recorder(*streams, early_commands=True), late).table
+    np.testing.assert_allclose(early["cmd_1"][:-10], now["cmd_1"][10:], rtol=1e-12)
+    np.testing.assert_array_equal(early["pos_z"], now["pos_z"])
+    answered = flown(recorder(*streams), late).table
     assert np.abs(answered["pos_z"] - now["pos_z"]).max() > 1e-3
 
 

@@ -30,7 +30,7 @@ def rehearse(
         streams=streams_of(like),
         rate_hz=GRID_HZ,
         sampled_hz=GRID_HZ,
-        shifts_record=True,
+        early_commands=True,
         until_lost=True,
     )
     volts = volts_of(like, vehicle) * voltage
