@@ -77,7 +77,6 @@ def residual_rms(orders: dict[str, Order], trace: Trace, name: str) -> dict[str,
 @pytest.mark.parametrize("name", ["quad_450 none", "quad_150 none"])
 def test_twin_matches_a_quiet_flight(flown: tuple[dict[str, Order], Trace], name: str) -> None:
     rms = residual_rms(*flown, name)
-    print(rms)
     assert max(rms[f"acc_{a}"] for a in "xyz") < 0.006  # of 9.8; low noise is 0.02
     assert max(rms[f"gyro_rate_{a}"] for a in "xyz") < 0.004  # of 3; low noise is 0.05
 

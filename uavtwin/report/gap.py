@@ -199,7 +199,7 @@ def _figure(flight: str, kind: _Kind, channels: Sequence[Channel], phases: Phase
         axes=kind.axes,
         mode=_mode(horizon_s),
         note=note,
-        height=int(figure.layout.height),
+        height=figure["layout"]["height"],
         json=embedded(figure),
     )
 
