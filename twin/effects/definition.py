@@ -133,7 +133,7 @@ class Effect:
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
     limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
-    seen_as: Seen = Equation()
+    seen_as: Seen = field(default_factory=Equation)
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
 
