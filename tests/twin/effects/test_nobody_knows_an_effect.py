@@ -7,13 +7,24 @@ from pathlib import Path
 
 import pytest
 
-from twin.effects import EFFECTS, Repeats, Shift
+from twin.effects import _MODULES, EFFECTS, Effect, Repeats, Shift
 from twin.effects.seen import Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
 FILES = sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
 NAMED = re.compile(rf"(.*[.\W])?({'|'.join(EFFECTS)})(\..*)?")
+
+
+def test_every_effect_of_a_module_is_in_its_list() -> None:
+    made = [
+        effect
+        for module in _MODULES
+        for effect in vars(module).values()
+        if isinstance(effect, Effect)
+    ]
+    missing = sorted(e.name for e in made if e.name not in EFFECTS)
+    assert not missing, f"in no list EFFECTS of twin/effects: {missing}"
 
 
 def literals(tree: ast.AST) -> Iterator[tuple[int, str]]:
