@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from learning.model.registry import FAMILIES
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.flight.assembly import CONTROLLERS, flying_twin
@@ -49,6 +50,20 @@ def log_formats() -> str:
         for f in FORMATS
     ]
     return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def compensator() -> str:
+    """Families of compensators and their presets."""
+    lines = [
+        (
+            f"`{f.name}`",
+            f.meaning,
+            ", ".join(f"`{p}`" for p in f.presets),
+            "yes" if f.onnx else "no",
+        )
+        for f in FAMILIES
+    ]
+    return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
 
 
 def vehicle() -> str:
@@ -149,6 +164,7 @@ def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence
 DOCUMENTS = {
     "flight_table.md": flight_table,
     "log_formats.md": log_formats,
+    "compensator.md": compensator,
     "vehicle.md": vehicle,
     "fmus.md": fmus,
     "effects.md": effects,

@@ -114,7 +114,10 @@ def read_network(folder: Path) -> NetworkFile:
     """
     path = folder / FILE
     if not path.is_file():
-        raise FmuError(f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote.")
+        raise FmuError(
+            f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote, of a preset "
+            f"that has an ONNX form (docs/compensator.md)."
+        )
     content = path.read_bytes()
     model = _loaded(path, content)
     said = {p.key: p.value for p in model.metadata_props}
