@@ -1,12 +1,7 @@
-"""Every family of compensators keeps its word, and no part of one is forgotten."""
+"""Each family of compensators keeps its word under each preset and protocol."""
 
-import ast
 import json
-import os
-import subprocess
-import sys
-from dataclasses import fields, is_dataclass, replace
-from importlib import import_module
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +10,12 @@ import pytest
 import torch
 from residual_rig import made_up
 
-import learning
 from learning.data.flights import ResidualFlight
 from learning.families.linear import LinearModel
 from learning.families.svq import Svq
 from learning.model.baselines import fit_baselines
 from learning.model.compensator import Compensator
-from learning.model.family import Family, TrainedModel, TrainingTask
+from learning.model.family import TrainedModel, TrainingTask
 from learning.model.folder import MODEL, WEIGHTS, load, save
 from learning.model.registry import FAMILIES, FamilyRow, check_preset, family_row, preset_named
 from learning.preset import PRESETS, PROTOCOLS, Protocol
@@ -46,12 +40,8 @@ def cases() -> list[Any]:
     """Every preset that is quick enough under each of its protocols."""
     found = []
     for row in FAMILIES:
-        try:
-            family = row.load()
-            presets = [quick(p) for p in family.presets().values()]
-        except (ImportError, AttributeError, TypeError):
-            continue  # what is missing is named by the tests of the rows
-        for preset in presets:
+        family = row.load()
+        for preset in map(quick, family.presets().values()):
             if max(getattr(preset, "encoder_units", (0,))) <= LARGEST_WIDTH:
                 for protocol in family.protocols(preset):
                     name = f"{row.name}-{preset.name}-{protocol}"
@@ -62,64 +52,6 @@ def cases() -> list[Any]:
 def trained(row: FamilyRow, preset: Any, protocol: Protocol, folder: Path) -> TrainedModel:
     task = TrainingTask(protocol, HORIZONS[protocol], 3, "v", "0f")
     return fit_model(FLIGHTS, row, preset, task, folder)
-
-
-# -- nothing is forgotten -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
-def test_the_member_of_every_row_is_there(row: FamilyRow) -> None:
-    module, _, name = row.member.partition(":")
-    path = Path(str(learning.__file__)).parent / f"{module.replace('.', '/')}.py"
-    assert path.is_file(), f"{row.name!r} names {row.member}: there is no {path.name}"
-    kind = getattr(import_module(f"learning.{module}"), name, None)
-    assert kind is not None, f"{row.name!r}: {path.name} has no class {name}"
-    assert issubclass(kind, Family), f"{row.name!r}: {name} is no Family"
-    lacking = ", ".join(sorted(kind.__abstractmethods__))
-    assert not lacking, f"{row.name!r}: {name} lacks {lacking}"
-
-
-def test_every_family_has_a_row() -> None:
-    """A family is a class in `learning/families` with `Family[...]` among its bases."""
-    found = set()
-    for path in (Path(str(learning.__file__)).parent / "families").glob("*.py"):
-        for node in ast.parse(path.read_text("utf-8")).body:
-            bases = [ast.unparse(b) for b in node.bases] if isinstance(node, ast.ClassDef) else []
-            if isinstance(node, ast.ClassDef) and any(b.startswith("Family[") for b in bases):
-                found.add(f"families.{path.stem}:{node.name}")
-    forgotten = sorted(found - {row.member for row in FAMILIES})
-    assert not forgotten, f"in no row of learning/model/registry.py: {', '.join(forgotten)}"
-
-
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
-def test_the_row_names_the_presets(row: FamilyRow) -> None:
-    presets = row.load().presets()
-    assert tuple(presets) == row.presets, f"{row.name!r} has the presets {', '.join(presets)}"
-    assert len({type(p) for p in presets.values()}) == 1
-    for name, preset in presets.items():
-        assert preset.name == name and is_dataclass(preset)
-        assert preset_named(name) == (row, preset)
-        assert row.load().protocols(preset)
-
-
-def test_names_are_those_of_one_family() -> None:
-    presets = [p for row in FAMILIES for p in row.presets]
-    assert len(set(NAMES)) == len(NAMES) and len(set(presets)) == len(presets)
-
-
-def test_the_registry_imports_no_family() -> None:
-    code = (
-        "import sys; from learning.model.registry import FAMILIES\n"
-        "print([m for m in sys.modules if m == 'torch' or m.startswith('learning.families')])"
-    )
-    said = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONPATH": str(Path(str(learning.__file__)).parents[1])},
-    )
-    assert said.stdout == "[]\n"
 
 
 # -- each keeps its word --------------------------------------------------------------------
@@ -219,7 +151,7 @@ def test_a_folder_without_a_family_is_of_the_first(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"family": "oracle"}, "no family 'oracle'; there are fc_mc_svq"),
+        ({"family": "oracle"}, "no family 'oracle'; there are .*fc_mc_svq"),
         ({"family": "trivial"}, "normalise"),
         ({"protocol": "free", "horizon": 0}, "weights of shape"),
         ({"preset": {"name": "linear", "depth": 3}}, "depth"),
@@ -248,7 +180,7 @@ def test_a_baseline_without_its_numbers_is_refused(tmp_path: Path) -> None:
 
 
 def test_unknown_presets_and_protocols_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"no preset 'bset'; there are paper.*linear.*mean"):
+    with pytest.raises(ModelError, match=r"no preset 'bset'; there are .*paper.*linear.*mean"):
         preset_named("bset")
     row, preset = preset_named("last")
     with pytest.raises(ModelError, match="preset last: not under protocol free, only under recons"):
