@@ -30,7 +30,8 @@ def _parquet() -> bytes:
 
 
 def _csv() -> bytes:
-    return flight_table().to_csv(index=False, lineterminator="\n").encode()
+    text: str = flight_table().to_csv(index=False, lineterminator="\n")
+    return text.encode()
 
 
 SAMPLES: dict[str, Callable[[], bytes]] = {

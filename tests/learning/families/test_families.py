@@ -69,14 +69,14 @@ def test_a_model_is_kept_as_it_is(
     assert (again.info.vehicle, again.info.seed, again.info.rate_hz) == ("v", 3, 100.0)
     assert [f["name"] for f in again.info.flights] == ["made_up_0", "made_up_1"]
     for name in ("correction", "spread", "anomaly", "inside"):
-        said = [getattr(m.run(AWAY), name) for m in (model, again)]
-        np.testing.assert_array_equal(*said, err_msg=name)
+        one, other = (getattr(m.run(AWAY), name) for m in (model, again))
+        np.testing.assert_array_equal(one, other, err_msg=name)
     save(again, tmp_path / "copy")
     trained(row, preset, protocol, tmp_path / "two")
     for name in (MODEL, WEIGHTS):
-        one = (tmp_path / "one" / name).read_bytes()
-        assert one == (tmp_path / "copy" / name).read_bytes(), name
-        assert one == (tmp_path / "two" / name).read_bytes(), name
+        written = (tmp_path / "one" / name).read_bytes()
+        assert written == (tmp_path / "copy" / name).read_bytes(), name
+        assert written == (tmp_path / "two" / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
