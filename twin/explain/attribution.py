@@ -17,7 +17,7 @@ STRONG = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Acting:
+class Attribution:
     """One effect among those added.
 
     Attributes:
@@ -33,12 +33,12 @@ class Acting:
     without: Sequence[Sequence[ChannelData]]
 
 
-def acting(
+def attribute_effect(
     effect: str,
     model: Model,
     values: Mapping[str, float],
     with_all: Sequence[Sequence[ChannelData]],
-) -> Acting:
+) -> Attribution:
     """Where an effect acts.
 
     Args:
@@ -58,7 +58,7 @@ def acting(
         taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
     channels = tuple(name for name in ranked if taken[name] >= FELT) or tuple(ranked[:1])
-    return Acting(effect, channels, _phases(channels[0], model, without, with_all), without)
+    return Attribution(effect, channels, _phases(channels[0], model, without, with_all), without)
 
 
 def _phases(
@@ -71,8 +71,8 @@ def _phases(
     i = next(i for i, c in enumerate(with_all[0]) if c.name == name)
     phase, change = [], []
     for flight, a, b in zip(model.flights, without, with_all, strict=True):
-        t0 = flight.twin.inputs.t_s[0]
-        phase.append(flight.twin.phases[np.rint((a[i].t_s - t0) * GRID_HZ).astype(np.intp)])
+        t0 = flight.aligned.inputs.t_s[0]
+        phase.append(flight.aligned.phases[np.rint((a[i].t_s - t0) * GRID_HZ).astype(np.intp)])
         change.append(a[i].residual - b[i].residual)
     names, values = np.concatenate(phase), np.concatenate(change)
     size = {str(p): float(np.sqrt(np.mean(values[names == p] ** 2))) for p in np.unique(names)}

@@ -7,19 +7,19 @@ from ..errors import LogError
 from ..flight.stability import Mission, fly_missions
 from ..logs import Flight
 from ..vehicle import Vehicle
-from .attribution import Acting, acting
+from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
-from .holdout import Showing, show
-from .inference.fit import Fitted
+from .holdout import Comparison, compare_holdout
+from .inference.fit import Fit
 from .inference.selection import LEAST, Naming, Verdict, name_effects
-from .localization import Place, places
+from .localization import Place, localize
 from .model.numbers import with_effects
 from .model.payload import Payloads
 from .split import Span, held_out_spans, hidden
-from .stochastic.finding import Unsteady
-from .stochastic.search import stuck_effect, unsteady
+from .stochastic.finding import StochasticEffect
+from .stochastic.search import find_stochastic, find_stuck
 from .stochastic.stuck import Stuck, stuck_channels, without_stuck
-from .unnamed.equations import Equation, better_unnamed, unnamed
+from .unnamed.equations import Equation, explains_better, find_equations
 from .usable import reasons_unusable
 
 DIGITS = 6
@@ -56,10 +56,10 @@ class Explanation:
         naming: Hypotheses and their probabilities; None where nothing could be fitted.
         shown: Hypothesis whose gap is shown: the named one; the first candidate where the verdict
             is "cannot_tell"; None: no effect that changes a mean.
-        unsteady: Effects that change no mean, found beside it.
+        stochastic: Effects that change no mean, found beside it.
         values: Numbers of all these, "effect.number" -> value.
-        showing: Held-out flights before and after; None where nothing could be held out.
-        acting: Where each effect of `shown` acts.
+        comparison: Held-out flights before and after; None where nothing could be held out.
+        attributions: Where each effect of `shown` acts.
         where: Places of disagreement.
         holdout: What took no part in the fit.
         missions: Closed-loop flights of the new model; none where no effect was added.
@@ -73,11 +73,11 @@ class Explanation:
     reasons: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     naming: Naming | None = None
-    shown: Fitted | None = None
-    unsteady: tuple[Unsteady, ...] = ()
+    shown: Fit | None = None
+    stochastic: tuple[StochasticEffect, ...] = ()
     values: Mapping[str, float] = field(default_factory=dict)
-    showing: Showing | None = None
-    acting: tuple[Acting, ...] = ()
+    comparison: Comparison | None = None
+    attributions: tuple[Attribution, ...] = ()
     where: tuple[Place, ...] = ()
     holdout: tuple[HeldOut, ...] = ()
     missions: tuple[Mission, ...] = ()
@@ -88,7 +88,7 @@ class Explanation:
     def effects(self) -> tuple[str, ...]:
         """All effects that `values` are of."""
         steady = () if self.shown is None else self.shown.effects
-        return (*steady, *(u.effect for u in self.unsteady))
+        return (*steady, *(u.effect for u in self.stochastic))
 
     @property
     def added(self) -> Vehicle | None:
@@ -162,8 +162,10 @@ def _usable(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[list[Flight], 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
     """The same with the effects that were found, and their numbers."""
     shown = _shown(naming)
-    model, steady = naming.ground.model, {} if shown is None else shown.values
-    beside = tuple(u for u in (*stuck_effect(stuck), *unsteady(model, steady)) if u.log_odds > 0)
+    model, steady = naming.problem.model, {} if shown is None else shown.values
+    beside = tuple(
+        u for u in (*find_stuck(stuck), *find_stochastic(model, steady)) if u.log_odds > 0
+    )
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
     exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
@@ -173,7 +175,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
         verdict=verdict,
         naming=naming,
         shown=shown,
-        unsteady=beside,
+        stochastic=beside,
         values=values,
         warnings=(*bounds, *found.warnings),
     )
@@ -183,19 +185,19 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The same with equations, where they say more than any effect of the library."""
     naming = found.naming
     assert naming is not None
-    if any(u.effect == "gust" for u in found.unsteady):
+    if any(u.effect == "gust" for u in found.stochastic):
         return found  # a random force has no equation
-    ground = naming.ground
-    alone = unnamed(ground, ground.nothing(), seed)
+    problem = naming.problem
+    alone = find_equations(problem, problem.nothing(), seed)
     likely = [f for f, p in zip(naming.fitted, naming.probabilities, strict=True) if p >= LEAST]
-    if alone is None or not better_unnamed(ground, likely, alone):
+    if alone is None or not explains_better(problem, likely, alone):
         return found
     return replace(
-        found, verdict="unnamed", shown=None, unsteady=(), values={}, unnamed=alone.equations
+        found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
     )
 
 
-def _shown(naming: Naming) -> Fitted | None:
+def _shown(naming: Naming) -> Fit | None:
     """The hypothesis whose gap is shown."""
     if naming.verdict == "named":
         return naming.best
@@ -213,16 +215,16 @@ def _with_gap(
     assert found.naming is not None
     steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
-        showing = show(held, found.vehicle, effects, steady, seed, payloads)
+        comparison = compare_holdout(held, found.vehicle, effects, steady, seed, payloads)
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"
         return replace(found, warnings=(*found.warnings, problem))
-    acts = [acting(e, showing.model, steady, showing.after) for e in effects]
-    where = places(found.naming.ground.model, steady, showing.floors)
+    acts = [attribute_effect(e, comparison.model, steady, comparison.after) for e in effects]
+    where = localize(found.naming.problem.model, steady, comparison.floors)
     return replace(
         found,
-        showing=showing,
-        acting=tuple(acts),
+        comparison=comparison,
+        attributions=tuple(acts),
         where=tuple(where),
-        warnings=(*showing.warnings, *found.warnings),
+        warnings=(*comparison.warnings, *found.warnings),
     )

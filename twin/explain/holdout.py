@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..effects import EFFECTS
 from ..logs import Flight
 from ..vehicle import Vehicle
-from .inference.likelihood import Scores, noise_of_all, white
+from .inference.likelihood import Scores, noise_of_all, whiten
 from .model.channels import ChannelData
 from .model.model import Model, candidates, model_of
 from .model.numbers import columns_of
@@ -70,7 +70,7 @@ class ChannelGap:
 
 
 @dataclass(frozen=True, slots=True)
-class Showing:
+class Comparison:
     """Held-out flights, before and after.
 
     Attributes:
@@ -100,14 +100,14 @@ class Showing:
         ]
 
 
-def show(
+def compare_holdout(
     flights: Sequence[Flight],
     vehicle: Vehicle,
     effects: Sequence[str],
     values: Mapping[str, float],
     seed: int = 0,
     payloads: Payloads | None = None,
-) -> Showing:
+) -> Comparison:
     """Compare held-out flights with a model before and after effects are added.
 
     Args:
@@ -133,13 +133,13 @@ def show(
         _gap([f[i] for f in before], [f[i] for f in after], floors[i], seed)
         for i in range(len(before[0]))
     ]
-    return Showing(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after)
+    return Comparison(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after)
 
 
 def _floors(rows: Flights, sd: Array) -> list[float]:
     """Rms of each channel that the fit of all numbers at once leaves."""
     noise = noise_of_all(rows, sd)
-    change, _ = Scores(white(rows, noise), sd).fit(range(len(sd)))
+    change, _ = Scores(whiten(rows, noise), sd).fit(range(len(sd)))
     left = [[c.residual - c.slopes @ change for c in flight] for flight in rows]
     return [_rms(np.concatenate(parts)) for parts in zip(*left, strict=True)]
 

@@ -52,7 +52,7 @@ class Place:
     goes_with: tuple[str, float] | None
 
 
-def places(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
+def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
     """The places where residuals stand out most above their noise floor, the worst first.
 
     Args:
@@ -89,10 +89,12 @@ class _Rows:
 
 
 def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows:
-    grid = flight.twin.inputs.t_s
+    grid = flight.aligned.inputs.t_s
     rows = np.rint((before.t_s - grid[0]) * GRID_HZ).astype(np.intp)
     quantities = {name: values[rows] for name, values in _quantities(flight).items()}
-    return _Rows(before.t_s, flight.twin.phases[rows], before.residual, after.residual, quantities)
+    return _Rows(
+        before.t_s, flight.aligned.phases[rows], before.residual, after.residual, quantities
+    )
 
 
 def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:
@@ -147,13 +149,13 @@ def _goes_with(
 
 def _quantities(flight: FlightModel) -> dict[str, Array]:
     """What a residual may depend on, on the grid."""
-    twin = flight.twin
-    t, motion = twin.inputs.t_s, twin.motion
+    aligned = flight.aligned
+    t, motion = aligned.inputs.t_s, aligned.motion
     found = {"time": t}
     drives = [
-        i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
+        i for i, n in enumerate(aligned.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
     ]
-    found["throttle"] = twin.inputs.u[:, drives].mean(axis=1)
+    found["throttle"] = aligned.inputs.u[:, drives].mean(axis=1)
     if motion.position is not None:
         found["height"] = -motion.position.at(t)[:, 2]
     if motion.velocity is not None and motion.attitude is not None:
@@ -163,6 +165,6 @@ def _quantities(flight: FlightModel) -> dict[str, Array]:
     if motion.rates is not None:
         rates = motion.rates.at(t).T
         found |= dict(zip(("roll rate", "pitch rate", "yaw rate"), rates, strict=True))
-    if "vbat_v" in twin.airframe.input_names and flight.flight.has("vbat_v"):
-        found["voltage"] = twin.inputs.u[:, twin.airframe.input_names.index("vbat_v")]
+    if "vbat_v" in aligned.airframe.input_names and flight.flight.has("vbat_v"):
+        found["voltage"] = aligned.inputs.u[:, aligned.airframe.input_names.index("vbat_v")]
     return found

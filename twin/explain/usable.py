@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..errors import LogError
 from ..logs import Flight
 from ..logs.columns import ACC, POS, VEL, motor_columns
-from ..residuals.aligned import Twin, prepare
+from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
 from .model.channels import GRID_HZ
@@ -32,24 +32,24 @@ SAME_MOTION = 0.5
 def reasons_unusable(flight: Flight, vehicle: Vehicle) -> list[str]:
     """Why nothing can be learnt from a flight about a vehicle; empty for a usable one."""
     try:
-        twin = prepare(flight, vehicle, 1 / GRID_HZ)
+        aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
     except LogError as error:
         return [str(error)]
     checks = (_too_short, _saturated, _fallen, _hit, _turning, _moving, _upward)
-    return [f"{flight.name}: {reason}" for check in checks for reason in check(flight, twin)]
+    return [f"{flight.name}: {reason}" for check in checks for reason in check(flight, aligned)]
 
 
-def _too_short(flight: Flight, twin: Twin) -> Iterator[str]:
-    seconds = float(twin.airborne.sum()) / GRID_HZ
+def _too_short(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+    seconds = float(aligned.airborne.sum()) / GRID_HZ
     if seconds < SHORTEST_S:
         yield f"only {seconds:.1f} s in the air; at least {SHORTEST_S:g} s are needed"
 
 
-def _saturated(flight: Flight, twin: Twin) -> Iterator[str]:
+def _saturated(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
     commands = motor_columns("cmd", sum(c.startswith("cmd_") for c in flight.table))
     if not commands or not flight.has(*commands):
         return
-    values = Signal(*flight.signal(commands)).held(twin.inputs.t_s[twin.airborne])
+    values = Signal(*flight.signal(commands)).held(aligned.inputs.t_s[aligned.airborne])
     at_limit = np.any((values <= AT_LIMIT) | (values >= 1 - AT_LIMIT), axis=1)
     if np.mean(at_limit) > MOST_SATURATED:
         yield (
@@ -58,13 +58,13 @@ def _saturated(flight: Flight, twin: Twin) -> Iterator[str]:
         )
 
 
-def _fallen(flight: Flight, twin: Twin) -> Iterator[str]:
-    if twin.motion.attitude is None:
+def _fallen(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+    if aligned.motion.attitude is None:
         return
-    t = twin.inputs.t_s
-    _, x, y, _ = twin.motion.attitude.at(t).T
+    t = aligned.inputs.t_s
+    _, x, y, _ = aligned.motion.attitude.at(t).T
     upright = 1 - 2 * (x * x + y * y)  # cosine of the tilt
-    over = twin.airborne & (upright < 0)
+    over = aligned.airborne & (upright < 0)
     if np.sum(over) > UPSIDE_DOWN_S * GRID_HZ:
         yield f"upside down at {t[np.argmax(over)]:.1f} s: crashed, or aerobatics"
         return
@@ -73,23 +73,23 @@ def _fallen(flight: Flight, twin: Twin) -> Iterator[str]:
         yield "lies on its side at the end of the record: crashed"
 
 
-def _hit(flight: Flight, twin: Twin) -> Iterator[str]:
+def _hit(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
     if not flight.has(*ACC):
         return
     signal = Signal(*flight.signal(ACC))
     force = np.linalg.norm(
-        Signal(signal.t_s, zero_phase(signal, IMPACT_HZ)).at(twin.inputs.t_s), axis=1
+        Signal(signal.t_s, zero_phase(signal, IMPACT_HZ)).at(aligned.inputs.t_s), axis=1
     )
-    hit = twin.airborne & (force > IMPACT_M_S2)
+    hit = aligned.airborne & (force > IMPACT_M_S2)
     if hit.any():
-        when, size = twin.inputs.t_s[np.argmax(hit)], np.max(force[hit]) / GRAVITY_M_S2
+        when, size = aligned.inputs.t_s[np.argmax(hit)], np.max(force[hit]) / GRAVITY_M_S2
         yield f"hits something at {when:.1f} s: {size:.0f} g"
 
 
-def _turning(flight: Flight, twin: Twin) -> Iterator[str]:
+def _turning(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
     """Attitude against gyroscope, with either of them late."""
-    attitude, rates = twin.motion.attitude, twin.motion.rates
-    if attitude is None or rates is None or not twin.motion.rates_measured:
+    attitude, rates = aligned.motion.attitude, aligned.motion.rates
+    if attitude is None or rates is None or not aligned.motion.rates_measured:
         return
     found = [agreement(attitude, rates, s) for s in np.linspace(-LATEST_S, LATEST_S, 21)]
     same = [f for f in found if f is not None]
@@ -100,14 +100,14 @@ def _turning(flight: Flight, twin: Twin) -> Iterator[str]:
         )
 
 
-def _moving(flight: Flight, twin: Twin) -> Iterator[str]:
+def _moving(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
     """Velocity against position."""
     if not flight.has(*POS) or not flight.has(*VEL):
         return
     position, velocity = (Signal(*flight.signal(c)) for c in (POS, VEL))
     moved = Signal(position.t_s, zero_phase(position, SLOW_HZ))
-    a = Signal(moved.t_s, differentiate(moved)).at(twin.inputs.t_s)
-    b = Signal(velocity.t_s, zero_phase(velocity, SLOW_HZ)).at(twin.inputs.t_s)
+    a = Signal(moved.t_s, differentiate(moved)).at(aligned.inputs.t_s)
+    b = Signal(velocity.t_s, zero_phase(velocity, SLOW_HZ)).at(aligned.inputs.t_s)
     known = np.all(np.isfinite(a) & np.isfinite(b), axis=1)
     for axis, x, y in zip("xyz", a[known].T, b[known].T, strict=True):
         if len(y) == 0 or np.sqrt(np.mean(y * y)) < SLOWEST_M_S:
@@ -120,10 +120,10 @@ def _moving(flight: Flight, twin: Twin) -> Iterator[str]:
             )
 
 
-def _upward(flight: Flight, twin: Twin) -> Iterator[str]:
+def _upward(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
     if not flight.has(*ACC):
         return
-    down = Signal(*flight.signal(ACC)).at(twin.inputs.t_s[twin.airborne])[:, 2]
+    down = Signal(*flight.signal(ACC)).at(aligned.inputs.t_s[aligned.airborne])[:, 2]
     mean = float(np.mean(down[np.isfinite(down)])) if np.isfinite(down).any() else 0.0
     if mean > 0:
         yield (

@@ -7,15 +7,15 @@ from typing import Any
 from twin.effects import EFFECTS
 from twin.explain.estimates import (
     beside_mean,
-    listed,
+    estimates_of,
+    listed_effects,
     nothing_probability,
     probability_of,
-    told,
     undecided,
 )
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
-from twin.explain.inference.fit import Fitted
+from twin.explain.inference.fit import Fit
 from twin.explain.inference.pool import PER_EFFECT
 from twin.explain.inference.selection import LEAST
 from twin.explain.model.numbers import Number
@@ -39,11 +39,11 @@ def claim(found: Explanation) -> str:
         sure = certainty(nothing_probability(naming))
         return f"The model lacks nothing that these flights can show, sure to {sure}."
     if found.verdict == "named":
-        effects = [e for e in listed(found) if e not in undecided(found)]
+        effects = [e for e in listed_effects(found) if e not in undecided(found)]
         most = MOST_NUMBERS if len(effects) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
         chance = naming.together([e for e in effects if beside_mean(found, e) is None])
-        chance *= math.prod(u.probability for u in found.unsteady)
+        chance *= math.prod(u.probability for u in found.stochastic)
         lacks = f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
         return f"{lacks}{_what_else(found, effects)}"
     if found.verdict == "unnamed":
@@ -52,7 +52,7 @@ def claim(found: Explanation) -> str:
             f"The model lacks something that is not in the library of effects: in {first.channel} "
             f"it is {first.expression}, {100 * first.share:.0f} % of the gap there."
         )
-    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed(found)]
+    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
     if naming.outside > LEAST:
@@ -88,7 +88,9 @@ def _sizes(found: Explanation, effect: str, most: int) -> str:
     if beside is None:
         assert found.naming is not None
         return f": {sizes(found.naming.best, effect, most)}"
-    texts = [f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in told(found, effect)]
+    texts = [
+        f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in estimates_of(found, effect)
+    ]
     return f" in {', '.join(beside.channels)}" + (f": {_joined(texts[:most])}" if texts else "")
 
 
@@ -97,7 +99,7 @@ def _unit(of: Number) -> str:
     return "" if of.about.unit == "1" else f" {pretty_unit(of.about.unit)}"
 
 
-def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
+def sizes(fitted: Fit, effect: str, most: int = MOST_NUMBERS) -> str:
     """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
     own = [n for n in fitted.numbers if n.effect == effect]
     width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
@@ -148,9 +150,9 @@ def why_lost(rival: Mapping[str, Any]) -> str:
 
 def shrinking(found: Explanation) -> str:
     """What the held-out flights say, in one sentence."""
-    if found.showing is None or found.shown is None:
+    if found.comparison is None or found.shown is None:
         return ""
-    clear = [g for g in found.showing.gaps if g.shrink_ci95[0] > 0]
+    clear = [g for g in found.comparison.gaps if g.shrink_ci95[0] > 0]
     if not clear:
         return "On the held-out flights no channel got clearly better."
     best = max(clear, key=lambda g: g.before / g.noise_floor)

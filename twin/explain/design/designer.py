@@ -22,7 +22,7 @@ from ...effects import EFFECTS
 from ...errors import TwinError
 from ...logs import Flight
 from ...vehicle import Vehicle
-from ..inference.fit import Fitted
+from ..inference.fit import Fit
 from ..inference.likelihood import BLOCK_S, Block, blocks_of
 from ..inference.selection import Naming
 from ..model.channels import ChannelData
@@ -30,7 +30,7 @@ from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying
 from .manoeuvres import Manoeuvre, manoeuvres, plan
-from .rehearsal import rehearse, volts_of
+from .rehearsal import simulate_flight, volts_of
 
 Array = NDArray[np.float64]
 ENOUGH = 5.0
@@ -122,7 +122,7 @@ def suggestions(
         flown = plan(loaded, chosen)
         plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
-            flight = rehearse(flown, loaded, plant, flights, voltage)
+            flight = simulate_flight(flown, loaded, plant, flights, voltage)
             blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
         except TwinError:  # numbers with which nothing flies: nobody can fly it either
             continue
@@ -139,12 +139,12 @@ def suggestions(
 
 
 def _parting(
-    naming: Naming, flight: Flight, vehicle: Vehicle, truth: Fitted, other: Fitted
+    naming: Naming, flight: Flight, vehicle: Vehicle, truth: Fit, other: Fit
 ) -> dict[tuple[int, int], Block]:
     """What one explanation predicts for a flight beyond another, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
-    noise = dict(zip(_names(naming.ground.model), naming.ground.noise, strict=True))
+    noise = dict(zip(_names(naming.problem.model), naming.problem.noise, strict=True))
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
     rows = [
         replace(c, residual=c.residual - true[c.name])
@@ -182,11 +182,11 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
     return float(0.5 * (total.power - 2 * total.pull @ best + best @ gram @ best))
 
 
-def _held(naming: Naming, fitted: Fitted) -> Held:
+def _held(naming: Naming, fitted: Fit) -> Held:
     """How far the flights so far, and the priors, let the numbers of an explanation move."""
-    ground = naming.ground
-    blocks = blocks_of(_answers(ground.model, fitted), ground.noise).values()
-    numbers, at = _numbers(ground.model, fitted), dict(fitted.values)
+    problem = naming.problem
+    blocks = blocks_of(_answers(problem.model, fitted), problem.noise).values()
+    numbers, at = _numbers(problem.model, fitted), dict(fitted.values)
     prior = np.diag([1 / n.sd**2 for n in numbers])
     return Held(
         np.sum([b.gram for b in blocks], axis=0) + prior,
@@ -195,9 +195,9 @@ def _held(naming: Naming, fitted: Fitted) -> Held:
     )
 
 
-def _present(naming: Naming, a: Fitted, b: Fitted) -> float:
+def _present(naming: Naming, a: Fit, b: Fit) -> float:
     """Log likelihood by which the truth leads in the flights so far: both are at their best."""
-    model, noise = naming.ground.model, naming.ground.noise
+    model, noise = naming.problem.model, naming.problem.noise
     ours, theirs = model.channels([], a.values), model.channels([], b.values)
     rows = [
         [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
@@ -206,7 +206,7 @@ def _present(naming: Naming, a: Fitted, b: Fitted) -> float:
     return 0.5 * sum(block.power for block in blocks_of(rows, noise).values())
 
 
-def _answers(model: Model, fitted: Fitted) -> list[list[ChannelData]]:
+def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
     """Channels of an explanation at its values, with slopes by its numbers and its shapes."""
     at = dict(fitted.values)
     flights = model.channels(columns_of(model.numbers, fitted.effects), at)
@@ -223,7 +223,7 @@ def _answers(model: Model, fitted: Fitted) -> list[list[ChannelData]]:
     return flights
 
 
-def _numbers(model: Model, fitted: Fitted) -> list[Number]:
+def _numbers(model: Model, fitted: Fit) -> list[Number]:
     """Numbers of an explanation in the order of the model, then its shapes."""
     own = [n for n in model.numbers if n.effect in fitted.effects]
     return sorted(own, key=lambda n: n.shape)
@@ -248,4 +248,4 @@ def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
 
 
 def _flights(naming: Naming) -> list[Flight]:
-    return [m.flight for m in naming.ground.model.flights]
+    return [m.flight for m in naming.problem.model.flights]

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ..model.model import Model
-from .fit import Fitted
+from .fit import Fit
 
 LAW = 1 / 7
 """Deviation of a law of the right name from nature's, as a share of what it explains; the same as
@@ -34,7 +34,7 @@ def credible(misfit: float) -> float:
     return float(right / (right + OUTSIDE))
 
 
-def misfits(model: Model, fitted: Fitted, without: Mapping[str, Fitted]) -> dict[str, float]:
+def misfits(model: Model, fitted: Fit, without: Mapping[str, Fit]) -> dict[str, float]:
     """Of each effect the share of amplitude that it leaves in the channel that it explains most.
 
     Args:

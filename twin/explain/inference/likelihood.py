@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.channels import ChannelData
+from .bounds import Bounds
 from .robust_covariance import half_widths
-from .room import Room
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -119,7 +119,7 @@ def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class White:
+class Whitened:
     """Samples of all channels of all flights, white and in units of their noise.
 
     They are sorted by cells: by block of time, and by channel within it.
@@ -175,7 +175,7 @@ _FAR = 1 << 32
 """More blocks of time than any flight has."""
 
 
-def white(flights: Flights, noise: Sequence[Noise]) -> White:
+def whiten(flights: Flights, noise: Sequence[Noise]) -> Whitened:
     """Channels through the inverse of their noise.
 
     Args:
@@ -193,7 +193,7 @@ def white(flights: Flights, noise: Sequence[Noise]) -> White:
     known, block = np.unique(np.concatenate(keys), return_inverse=True)
     channel = np.concatenate(channels)
     order = np.lexsort((channel, block))
-    return White(
+    return Whitened(
         residual=np.concatenate(residuals)[order],
         slopes=np.concatenate(slopes)[order],
         channel=channel[order],
@@ -205,7 +205,7 @@ def white(flights: Flights, noise: Sequence[Noise]) -> White:
 
 def blocks_of(flights: Flights, noise: Sequence[Noise]) -> dict[Key, Block]:
     """Sums over blocks of time, all channels together."""
-    return white(flights, noise).blocks()
+    return whiten(flights, noise).blocks()
 
 
 def believed(gains: Array) -> Array:
@@ -221,7 +221,7 @@ def believed(gains: Array) -> Array:
 class Scores:
     """Hypotheses over the same samples: a set of columns may change, the others do not."""
 
-    def __init__(self, rows: White, sd: Array, away: Array | None = None) -> None:
+    def __init__(self, rows: Whitened, sd: Array, away: Array | None = None) -> None:
         """Sum over each channel in each block of time.
 
         Args:
@@ -264,7 +264,7 @@ class Scores:
         gram = np.einsum("bckl,c->kl", grams, 1 / (1 + np.maximum(gains, 0) / EXACT))
         return float(np.trace(np.linalg.solve(gram + np.diag(self._precision[c]), gram)))
 
-    def gains(self, columns: Sequence[int], room: Room) -> Array:
+    def gains(self, columns: Sequence[int], bounds: Bounds) -> Array:
         """Log likelihood over that of no change, each block left out of its fit.
 
         Args:
@@ -281,7 +281,7 @@ class Scores:
         rest = self._gram[np.ix_(c, c)] - grams.sum(axis=1) + np.diag(self._precision[c])
         inverse = np.linalg.inv(rest)
         theta = np.einsum("bkl,bl->bk", inverse, self._pull[c] - pulls.sum(axis=1))
-        theta = room.inside(theta, inverse)
+        theta = bounds.inside(theta, inverse)
         bent = np.einsum("bckl,bl->bck", grams, theta)
         return np.asarray(np.einsum("bck,bk->bc", pulls - 0.5 * bent, theta))
 
@@ -305,7 +305,7 @@ def noise_of_all(flights: Flights, sd: Array, rounds: int = 3) -> list[Noise]:
     order = 0
     for _ in range(rounds + 1):
         noise = [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]
-        change, _ = Scores(white(flights, noise), sd).fit(range(len(sd)))
+        change, _ = Scores(whiten(flights, noise), sd).fit(range(len(sd)))
         unexplained = [[c.residual - c.slopes @ change for c in ch] for ch in by_channel]
         order = AR_ORDER
     return [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]

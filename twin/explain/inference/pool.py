@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS
 from ..model.numbers import columns_of
-from .fit import Fitted, Ground
+from .bounds import Bounds
+from .fit import Fit, Problem
 from .likelihood import Scores, believed
-from .room import Room
 from .search import Hypothesis, search
 
 Array = NDArray[np.float64]
@@ -35,20 +35,20 @@ SINGLES, PAIRS, TRIPLES = 8, 6, 3
 """Hypotheses of each size that are fitted at their own best."""
 
 
-def pool_of(ground: Ground, progress: Callable[[float], None] = lambda _: None) -> "Pool":
+def pool_of(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> "Pool":
     """The hypotheses worth a fit: the best of all combinations of a few effects, what those ask for
     in addition, and look-alikes.
 
     Args:
-        ground: What they are fitted against.
+        problem: What they are fitted against.
         progress: Called with the share done.
     """
-    model = ground.model
-    numbers = [model.numbers[i] for i in ground.columns]
-    scores = Scores(ground.rest, np.array([n.sd for n in numbers]))
-    room = Room.of(numbers, model.vehicle).around(np.array([n.now for n in numbers]))
-    chosen = _shortlist(search(scores, numbers, room, most=MOST))
-    pool = Pool(ground)
+    model = problem.model
+    numbers = [model.numbers[i] for i in problem.columns]
+    scores = Scores(problem.rest, np.array([n.sd for n in numbers]))
+    bounds = Bounds.of(numbers, model.vehicle).around(np.array([n.now for n in numbers]))
+    chosen = _shortlist(search(scores, numbers, bounds, most=MOST))
+    pool = Pool(problem)
     for i, hypothesis in enumerate(chosen):
         pool.add(hypothesis.effects)
         progress(0.1 + 0.5 * (i + 1) / len(chosen))
@@ -70,40 +70,40 @@ class Pool:
     """Hypotheses at their best, each fitted once.
 
     Attributes:
-        ground: What they are fitted against.
+        problem: What they are fitted against.
     """
 
-    def __init__(self, ground: Ground) -> None:
+    def __init__(self, problem: Problem) -> None:
         """Begin with none."""
-        self.ground = ground
-        self._known: dict[tuple[str, ...], Fitted] = {}
-        self._competing: dict[tuple[str, ...], Fitted] = {}
+        self.problem = problem
+        self._known: dict[tuple[str, ...], Fit] = {}
+        self._competing: dict[tuple[str, ...], Fit] = {}
 
     @property
-    def fitted(self) -> list[Fitted]:
+    def fitted(self) -> list[Fit]:
         """Those that compete, in the order in which they were added."""
         return list(self._competing.values())
 
-    def fit(self, effects: Sequence[str]) -> Fitted:
+    def fit(self, effects: Sequence[str]) -> Fit:
         """A hypothesis, whether it competes or not."""
         key = tuple(sorted(effects))
         if key not in self._known:
-            self._known[key] = self.ground.fit(key)
+            self._known[key] = self.problem.fit(key)
         return self._known[key]
 
-    def add(self, effects: Sequence[str]) -> Fitted:
+    def add(self, effects: Sequence[str]) -> Fit:
         """Let a hypothesis compete."""
         made = self.fit(effects)
         return self._competing.setdefault(made.effects, made)
 
-    def without(self, fitted: Fitted, effect: str) -> Fitted:
+    def without(self, fitted: Fit, effect: str) -> Fit:
         """A hypothesis without one of its effects."""
         return self.fit([e for e in fitted.effects if e != effect])
 
     @property
-    def best(self) -> Fitted:
+    def best(self) -> Fit:
         """The one worth most."""
-        return max(self._competing.values(), key=worth)
+        return max(self._competing.values(), key=log_posterior)
 
 
 def _shortlist(found: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -134,14 +134,14 @@ def _grow_size(pool: Pool, size: int) -> None:
     best = max((f for f in pool.fitted if len(f.effects) == size), key=_raw, default=None)
     if best is None or best.gain < PER_EFFECT:
         return
-    gains_of, known = _about(pool.ground, best), {f.effects for f in pool.fitted}
-    gains = {s: float(gains_of(s).sum()) for s in _larger(pool.ground, best) if s not in known}
+    gains_of, known = _about(pool.problem, best), {f.effects for f in pool.fitted}
+    gains = {s: float(gains_of(s).sum()) for s in _larger(pool.problem, best) if s not in known}
     wanted = sorted((s for s in gains if gains[s] > PER_EFFECT), key=lambda s: -gains[s])
     for effects in wanted[:GROWN]:
         pool.add(effects)
 
 
-def grow(pool: Pool, best: Fitted, without: str | None = None) -> None:
+def grow(pool: Pool, best: Fit, without: str | None = None) -> None:
     """Add effects to a hypothesis one by one, while that pays.
 
     An aircraft that nobody has calibrated lacks more than three effects, most of them in sensors
@@ -153,12 +153,12 @@ def grow(pool: Pool, best: Fitted, without: str | None = None) -> None:
         without: An effect not to add.
     """
     while True:
-        gain = _with_one_more(pool.ground, best)
+        gain = _with_one_more(pool.problem, best)
         least = _inexact(best) + PER_EFFECT
         wanted = [s for s in gain if gain[s] > least and without not in s]
         wanted.sort(key=lambda s: -gain[s])
-        larger = max((pool.add(s) for s in wanted[:EXCHANGED]), key=worth, default=best)
-        if worth(larger) <= worth(best):
+        larger = max((pool.add(s) for s in wanted[:EXCHANGED]), key=log_posterior, default=best)
+        if log_posterior(larger) <= log_posterior(best):
             return
         best = larger
 
@@ -171,7 +171,7 @@ def _exchange(pool: Pool) -> None:
         return  # single effects have all been compared
     for effect in best.effects:
         rest = pool.without(best, effect)
-        gain = _with_one_more(pool.ground, rest)
+        gain = _with_one_more(pool.problem, rest)
         own = gain.pop(best.effects, _inexact(best))
         alike = [s for s in gain if gain[s] > own - ALIKE]
         for effects in sorted(alike, key=lambda s: -gain[s])[:EXCHANGED]:
@@ -179,18 +179,18 @@ def _exchange(pool: Pool) -> None:
         pool.add(rest.effects)
 
 
-def _with_one_more(ground: Ground, fitted: Fitted) -> dict[tuple[str, ...], float]:
+def _with_one_more(problem: Problem, fitted: Fit) -> dict[tuple[str, ...], float]:
     """What a hypothesis would gain with each other effect, given that no law is exact."""
-    gains_of, so_far = _about(ground, fitted), fitted.gains.sum(axis=0)
-    return {s: float(believed(so_far + gains_of(s)).sum()) for s in _larger(ground, fitted)}
+    gains_of, so_far = _about(problem, fitted), fitted.gains.sum(axis=0)
+    return {s: float(believed(so_far + gains_of(s)).sum()) for s in _larger(problem, fitted)}
 
 
-def _larger(ground: Ground, fitted: Fitted) -> list[tuple[str, ...]]:
+def _larger(problem: Problem, fitted: Fit) -> list[tuple[str, ...]]:
     """Effects of a hypothesis with one more; trifles take no place."""
-    room = {c: MOST for c in (*APART, BODY)}
+    places = {c: MOST for c in (*APART, BODY)}
     for effect in worth_a_name(fitted):
-        room[_part(effect)] -= 1
-    more = (e for e in ground.model.effects if e not in fitted.effects and room[_part(e)] > 0)
+        places[_part(effect)] -= 1
+    more = (e for e in problem.model.effects if e not in fitted.effects and places[_part(e)] > 0)
     return [tuple(sorted((*fitted.effects, e))) for e in more]
 
 
@@ -199,47 +199,51 @@ def _part(effect: str) -> str:
     return component if component in APART else BODY
 
 
-def _about(ground: Ground, fitted: Fitted) -> Callable[[Sequence[str]], Array]:
+def _about(problem: Problem, fitted: Fit) -> Callable[[Sequence[str]], Array]:
     """What effects gain by channel, beyond a hypothesis, by numbers near its own."""
-    scores, model = ground.around(fitted), ground.model
-    numbers = [model.numbers[i] for i in ground.columns]
+    scores, model = problem.around(fitted), problem.model
+    numbers = [model.numbers[i] for i in problem.columns]
     now = np.array([fitted.values.get(n.full, n.now) for n in numbers])
-    room = Room.of(numbers, model.vehicle).around(now)
+    bounds = Bounds.of(numbers, model.vehicle).around(now)
 
     def gains(effects: Sequence[str]) -> Array:
         """Shape (channels,)."""
         columns = columns_of(numbers, effects)
-        return np.asarray(scores.gains(columns, room.part(columns)).sum(axis=0))
+        return np.asarray(scores.gains(columns, bounds.part(columns)).sum(axis=0))
 
     return gains
 
 
-def worth_a_name(fitted: Fitted) -> tuple[str, ...]:
+def worth_a_name(fitted: Fit) -> tuple[str, ...]:
     """Effects of a hypothesis that are large enough to speak of."""
     sizes = fitted.sizes()
     return tuple(e for e in fitted.effects if sizes[e] >= 1)
 
 
-def _raw(fitted: Fitted) -> float:
-    return fitted.gain - price(fitted)
+def _raw(fitted: Fit) -> float:
+    return fitted.gain + log_prior(fitted)
 
 
-def price(fitted: Fitted) -> float:
-    """Log prior odds against a hypothesis."""
+def log_prior(fitted: Fit) -> float:
+    """Log prior odds of a hypothesis against `nothing`, which has none."""
     at_edge = {effect for effect, _ in fitted.edges}
     own = PER_EFFECT * len(fitted.effects) + PER_NUMBER * fitted.told
-    return own + PER_EDGE * len(at_edge)
+    return -(own + PER_EDGE * len(at_edge))
 
 
-def worth(fitted: Fitted) -> float:
+def log_posterior(fitted: Fit) -> float:
     """Log of the weight of a hypothesis, given that no law is exact."""
-    return _inexact(fitted) - price(fitted)
+    return _inexact(fitted) + log_prior(fitted)
 
 
-def needless(fitted: Fitted, others: Sequence[Fitted]) -> bool:
+def dominated(fitted: Fit, others: Sequence[Fit]) -> bool:
     """Whether fewer effects do as well, given that no law is exact."""
-    return any(worth(fitted) < worth(f) for f in others if len(f.effects) < len(fitted.effects))
+    return any(
+        log_posterior(fitted) < log_posterior(f)
+        for f in others
+        if len(f.effects) < len(fitted.effects)
+    )
 
 
-def _inexact(fitted: Fitted) -> float:
+def _inexact(fitted: Fit) -> float:
     return float(believed(fitted.gains.sum(axis=0)).sum())

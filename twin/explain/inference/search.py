@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.numbers import Number, columns_of
+from .bounds import Bounds
 from .likelihood import Scores, believed
-from .room import Room
 
 Array = NDArray[np.float64]
 DRAWS = 4000
@@ -35,34 +35,34 @@ class Hypothesis:
 
 
 def score(
-    scores: Scores, numbers: Sequence[Number], room: Room, effects: Iterable[str]
+    scores: Scores, numbers: Sequence[Number], bounds: Bounds, effects: Iterable[str]
 ) -> Hypothesis:
     """One hypothesis, the changes of its numbers held inside their room."""
     effects = tuple(sorted(effects))
     columns = columns_of(numbers, effects)
-    return Hypothesis(effects, scores.gains(columns, room.part(columns)))
+    return Hypothesis(effects, scores.gains(columns, bounds.part(columns)))
 
 
 def search(
-    scores: Scores, numbers: Sequence[Number], room: Room, width: int = 12, most: int = 3
+    scores: Scores, numbers: Sequence[Number], bounds: Bounds, width: int = 12, most: int = 3
 ) -> list[Hypothesis]:
     """Hypotheses of up to `most` effects, best first, `nothing` among them.
 
     All single effects and pairs are scored; larger sets grow from the best `width` of one less.
     """
     names = list(dict.fromkeys(n.effect for n in numbers))
-    found: dict[tuple[str, ...], Hypothesis] = {(): score(scores, numbers, room, ())}
+    found: dict[tuple[str, ...], Hypothesis] = {(): score(scores, numbers, bounds, ())}
     for name in names:
-        found[(name,)] = score(scores, numbers, room, (name,))
+        found[(name,)] = score(scores, numbers, bounds, (name,))
     for pair in combinations(sorted(names), 2):
-        found[pair] = score(scores, numbers, room, pair)
+        found[pair] = score(scores, numbers, bounds, pair)
     for size in range(3, most + 1):
         best = sorted((h for k, h in found.items() if len(k) == size - 1), key=lambda h: -h.gain)
         for h in best[:width]:
             for name in names:
                 key = tuple(sorted({*h.effects, name}))
                 if len(key) == size and key not in found:
-                    found[key] = score(scores, numbers, room, key)
+                    found[key] = score(scores, numbers, bounds, key)
     return sorted(found.values(), key=lambda h: -h.gain)
 
 

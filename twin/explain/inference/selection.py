@@ -15,8 +15,8 @@ from ..model.flight import in_equations
 from ..model.model import candidates, model_of
 from ..model.payload import Payloads
 from .adequacy import credible, misfits
-from .fit import Fitted, Ground
-from .pool import MOST, Pool, grow, needless, pool_of, price, worth_a_name
+from .fit import Fit, Problem
+from .pool import MOST, Pool, dominated, grow, log_prior, pool_of, worth_a_name
 from .search import Hypothesis, weights
 
 Array = NDArray[np.float64]
@@ -46,17 +46,17 @@ class Naming:
         shares: Largest share of the power of a channel that each explains.
         credible: Of the effects of likely hypotheses, the probability that their cause is of the
             library at all, see `misfit`.
-        ground: What they were fitted against.
+        problem: What they were fitted against.
     """
 
-    fitted: tuple[Fitted, ...]
+    fitted: tuple[Fit, ...]
     probabilities: tuple[float, ...]
     shares: tuple[float, ...]
     credible: Mapping[str, float]
-    ground: Ground
+    problem: Problem
 
     @property
-    def best(self) -> Fitted:
+    def best(self) -> Fit:
         """The most probable hypothesis."""
         return self.fitted[0]
 
@@ -116,8 +116,8 @@ def name_effects(
     model = model_of(
         flights, vehicle, candidates(flights), lambda done: progress(0.2 * done), payloads
     )
-    ground = Ground.of(model)
-    pool = pool_of(ground, lambda done: progress(0.2 + 0.7 * done))
+    problem = Problem.of(model)
+    pool = pool_of(problem, lambda done: progress(0.2 + 0.7 * done))
     chance = _weighed(pool, seed)
     fitted = pool.fitted
     order = np.argsort(-chance)
@@ -127,9 +127,9 @@ def name_effects(
     return Naming(
         ranked,
         probabilities,
-        tuple(share(f, ground.nothing()) for f in ranked),
+        tuple(share(f, problem.nothing()) for f in ranked),
         _credible(pool, likely),
-        ground,
+        problem,
     )
 
 
@@ -139,8 +139,8 @@ def _weighed(pool: Pool, seed: int) -> Array:
     while True:
         fitted = pool.fitted
         allowed = [f for f in fitted if not out.get(f.effects)]
-        ruled_out = [out.get(f.effects, False) or needless(f, allowed) for f in fitted]
-        prior = -np.array([price(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)
+        ruled_out = [out.get(f.effects, False) or dominated(f, allowed) for f in fitted]
+        prior = np.array([log_prior(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)
         chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
         likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= CHECKED]
         new = next((f for f in likely if f.effects not in out), None)
@@ -148,11 +148,11 @@ def _weighed(pool: Pool, seed: int) -> Array:
             return _without_trifles(fitted, chance)
         pool.add(worth_a_name(new))
         out[new.effects] = (
-            _spoils(new, pool.ground) or not _material(pool, new) or _hangs(pool, new)
+            _spoils(new, pool.problem) or not _material(pool, new) or _hangs(pool, new)
         )
 
 
-def _without_trifles(fitted: Sequence[Fitted], chance: Array) -> Array:
+def _without_trifles(fitted: Sequence[Fit], chance: Array) -> Array:
     """Probabilities given to the names alone: a delay below a sample may stand in a hypothesis, so
     that nothing else has to stand in for it."""
     place = {f.effects: i for i, f in enumerate(fitted)}
@@ -162,7 +162,7 @@ def _without_trifles(fitted: Sequence[Fitted], chance: Array) -> Array:
     return given
 
 
-def _hangs(pool: Pool, fitted: Fitted) -> bool:
+def _hangs(pool: Pool, fitted: Fit) -> bool:
     """Whether one of several effects is not credible; then the others compete without it.
 
     A name must not hang on one beside it that leaves what it should explain.
@@ -177,26 +177,26 @@ def _hangs(pool: Pool, fitted: Fitted) -> bool:
     return True
 
 
-def _credible(pool: Pool, likely: Sequence[Fitted]) -> dict[str, float]:
+def _credible(pool: Pool, likely: Sequence[Fit]) -> dict[str, float]:
     """Of each effect, in the most probable hypothesis with it, what `misfit.credible` says."""
     found: dict[str, float] = {}
     for fitted in likely:
         left = misfits(
-            pool.ground.model, fitted, {e: pool.without(fitted, e) for e in fitted.effects}
+            pool.problem.model, fitted, {e: pool.without(fitted, e) for e in fitted.effects}
         )
         found = {e: credible(m) for e, m in left.items()} | found
     return found
 
 
-def _spoils(fitted: Fitted, ground: Ground) -> bool:
+def _spoils(fitted: Fit, problem: Problem) -> bool:
     """Whether a channel is left clearly worse than without any effect.
 
     White noise hardly counts what is slow: an offset that a hypothesis brings in.
     """
-    return bool(np.any(fitted.raw > SPOILT * ground.raw))
+    return bool(np.any(fitted.raw > SPOILT * problem.raw))
 
 
-def _material(pool: Pool, fitted: Fitted) -> bool:
+def _material(pool: Pool, fitted: Fit) -> bool:
     """Whether each effect of a hypothesis is large enough to speak of, and adds to the others.
 
     Every log has its delays below a sample: they are allowed, but no names.
@@ -207,7 +207,7 @@ def _material(pool: Pool, fitted: Fitted) -> bool:
     return all(share(fitted, pool.without(fitted, e)) >= SMALLEST_SHARE for e in names)
 
 
-def share(fitted: Fitted, beyond: Fitted) -> float:
+def share(fitted: Fit, beyond: Fit) -> float:
     """Largest share of the power of a channel, as the noise model weighs it, that is explained.
 
     Args:

@@ -12,7 +12,7 @@ SURE = 1.96
 
 
 @dataclass(frozen=True, slots=True)
-class Unsteady:
+class StochasticEffect:
     """An effect that changes no mean.
 
     Attributes:

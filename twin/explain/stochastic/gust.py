@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ...vehicle import Vehicle
 from ..model.model import Model
 from ..model.numbers import columns_of
-from .finding import PRIOR_ODDS, Unsteady
+from .finding import PRIOR_ODDS, StochasticEffect
 from .slow_force import SLOW_BAND_HZ, SLOW_HZ, SLOW_WINDOW_S, Slow, left_over, slow_parts
 from .spectral import Piece, cells_of, level
 
@@ -36,7 +36,7 @@ TYPICAL_DRAG_1_S = 0.25
 """Drag over mass and speed where the model has none: Faessler et al. 2018 measure 0.2 to 0.4."""
 
 
-def gust(model: Model, values: Mapping[str, float]) -> Unsteady | None:
+def find_gust(model: Model, values: Mapping[str, float]) -> StochasticEffect | None:
     """A slow random force that no curve over the motion and no effect explains.
 
     Args:
@@ -49,12 +49,12 @@ def gust(model: Model, values: Mapping[str, float]) -> Unsteady | None:
     pieces = [
         piece
         for flight, channels in zip(model.flights, flights, strict=True)
-        for piece in slow_parts(flight.twin, channels, winds)
+        for piece in slow_parts(flight.aligned, channels, winds)
     ]
     return gust_in(pieces, model.vehicle) if pieces else None
 
 
-def gust_in(pieces: Sequence[Slow], vehicle: Vehicle) -> Unsteady | None:
+def gust_in(pieces: Sequence[Slow], vehicle: Vehicle) -> StochasticEffect | None:
     """Judge the slow parts of all flights."""
     left = left_over(pieces)
     facts = gust_facts(pieces, left)
@@ -70,7 +70,9 @@ def gust_in(pieces: Sequence[Slow], vehicle: Vehicle) -> Unsteady | None:
         return None
     values, intervals = _gust_numbers(pieces, left)
     channels = ("acc_x", "acc_y")
-    return Unsteady("gust", float(log_odds), values, intervals, channels, facts["unexplained"])
+    return StochasticEffect(
+        "gust", float(log_odds), values, intervals, channels, facts["unexplained"]
+    )
 
 
 def gust_facts(pieces: Sequence[Slow], left: Sequence[Array]) -> dict[str, float]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...logs.columns import ACC, GYRO
 from ..model.model import Model
-from .finding import PRIOR_ODDS, SURE, Unsteady
+from .finding import PRIOR_ODDS, SURE, StochasticEffect
 from .spectral import LINE_WINDOW_S, Piece, cells_of, level, pieces_of, rate_of
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ NOISE_RANGE = (0.1, 30.0)
 """A ratio beyond is no noise level: readings without noise, or another unit."""
 
 
-def noise_level(model: Model) -> Unsteady | None:
+def find_noise_level(model: Model) -> StochasticEffect | None:
     """White noise of accelerometer and gyroscope against that of the vehicle file.
 
     A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
@@ -61,7 +61,7 @@ def noise_level(model: Model) -> Unsteady | None:
                 for r in (ratio / spread, ratio, ratio * spread)
             )
             intervals[name] = (low, high)
-    return Unsteady(
+    return StochasticEffect(
         "sensor_noise_level",
         float(log_odds),
         values,

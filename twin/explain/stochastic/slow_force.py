@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from ...frames import to_body
 from ...logs.columns import ACC
-from ...residuals.aligned import Twin
+from ...residuals.aligned import AlignedFlight
 from ..model.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from .spectral import Piece, cells_of, level
 
@@ -48,7 +48,9 @@ class Slow:
     floor: Array
 
 
-def slow_parts(twin: Twin, channels: Sequence[ChannelData], winds: Sequence[int]) -> list[Slow]:
+def slow_parts(
+    aligned: AlignedFlight, channels: Sequence[ChannelData], winds: Sequence[int]
+) -> list[Slow]:
     """Slow parts of one flight.
 
     Args:
@@ -57,13 +59,13 @@ def slow_parts(twin: Twin, channels: Sequence[ChannelData], winds: Sequence[int]
         winds: Columns of the slopes that answer to the steady wind: north, east, down.
     """
     acc = [c for c in channels if c.name in ACC]
-    motion = twin.motion
+    motion = aligned.motion
     if len(acc) < 3 or motion.velocity is None or motion.attitude is None:
         return []
     found = []
     every = round(CHANNEL_HZ / SLOW_HZ)
     sos = butter(2, SLOW_BAND_HZ, "bandpass", fs=CHANNEL_HZ, output="sos")
-    spin, force = twin.predicted("spin_", "specific_force_")
+    spin, force = aligned.predicted("spin_", "specific_force_")
     for k in np.unique(acc[0].piece):
         rows = np.flatnonzero(acc[0].piece == k)
         if len(rows) < (SLOW_WINDOW_S + 1) * CHANNEL_HZ:
@@ -71,8 +73,8 @@ def slow_parts(twin: Twin, channels: Sequence[ChannelData], winds: Sequence[int]
         t = acc[0].t_s[rows]
         residual = np.stack([c.residual[rows] for c in acc], axis=-1)
         slopes = np.stack([c.slopes[rows] for c in acc], axis=1)  # (n, 3, k)
-        at = np.rint((t - twin.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
-        curves = _curves(twin, at, spin, force)  # (n, c)
+        at = np.rint((t - aligned.inputs.t_s[0]) * GRID_HZ).astype(np.intp)
+        curves = _curves(aligned, at, spin, force)  # (n, c)
         features = np.concatenate([slopes, np.repeat(curves[:, None, :], 3, axis=1)], axis=2)
         speed = np.linalg.norm(motion.velocity.at(t), axis=1)
         found.append(
@@ -88,12 +90,12 @@ def slow_parts(twin: Twin, channels: Sequence[ChannelData], winds: Sequence[int]
     return found
 
 
-def _curves(twin: Twin, at: NDArray[np.intp], spin: Array, force: Array) -> Array:
+def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Array) -> Array:
     """Speed, thrust and turning, and products of them, shape (n, c)."""
-    assert twin.motion.velocity is not None
-    column = {s.name: i for i, s in enumerate(twin.airframe.states)}
+    assert aligned.motion.velocity is not None
+    column = {s.name: i for i, s in enumerate(aligned.airframe.states)}
     q, v, w = (
-        twin.states[at][:, [column[n] for n in names]]
+        aligned.states[at][:, [column[n] for n in names]]
         for names in (
             [f"q_{a}" for a in "wxyz"],
             [f"vel_{a}" for a in "xyz"],
@@ -104,7 +106,7 @@ def _curves(twin: Twin, at: NDArray[np.intp], spin: Array, force: Array) -> Arra
     size = np.linalg.norm(body, axis=1, keepdims=True)
     thrust = force[at][:, 2:]
     load = spin[at] ** 2
-    height = np.exp(twin.states[at][:, [column["pos_z"]]])
+    height = np.exp(aligned.states[at][:, [column["pos_z"]]])
     return np.concatenate(
         [
             body,

@@ -52,9 +52,9 @@ def pieces_of(flight: FlightModel, columns: Sequence[str]) -> list[Piece]:
     if not flight.flight.has(*columns):
         return []
     t, x = flight.flight.signal(columns)
-    grid = flight.twin.inputs.t_s
+    grid = flight.aligned.inputs.t_s
     near = np.clip(np.rint((t - grid[0]) * GRID_HZ).astype(np.intp), 0, len(grid) - 1)
-    t, x = t[flight.twin.airborne[near]], x[flight.twin.airborne[near]]
+    t, x = t[flight.aligned.airborne[near]], x[flight.aligned.airborne[near]]
     if len(t) < 2:
         return []
     repeated = np.all(x[1:] == x[:-1], axis=1)

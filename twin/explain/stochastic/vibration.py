@@ -12,7 +12,7 @@ from ...logs.columns import ACC, GYRO
 from ...residuals.measured import Signal
 from ..model.channels import GRID_HZ
 from ..model.model import Model
-from .finding import PRIOR_ODDS, SURE, Unsteady
+from .finding import PRIOR_ODDS, SURE, StochasticEffect
 from .spectral import LINE_WINDOW_S, Cells, Piece, cells_of, level, pieces_of, rate_of
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class _Shaken:
     predicted: Array
 
 
-def vibration(model: Model) -> Unsteady | None:
+def find_vibration(model: Model) -> StochasticEffect | None:
     """Lines above the body's motion, which follow the rotors or stand still."""
     sensors = [s for s in (_shaken(model, "acc", ACC), _shaken(model, "gyro", GYRO)) if s]
     hover_hz = next(p for p in VIBRATION.parameters if p.name == "frequency_hz").sized(
@@ -92,11 +92,11 @@ def _shaken(model: Model, kind: Literal["acc", "gyro"], columns: Sequence[str]) 
     if rate / 2 < 1.2 * LINE_FROM_HZ:
         return None
     stems = ("spin_", "specific_force_", "angular_acceleration_")
-    answers = {id(f): f.twin.predicted(*stems) for f in model.flights}
+    answers = {id(f): f.aligned.predicted(*stems) for f in model.flights}
     for flight, piece in pieces:
         c = cells_of(piece, rate, LINE_WINDOW_S, "hann")
         spin, force, alpha = answers[id(flight)]
-        grid = flight.twin.inputs.t_s
+        grid = flight.aligned.inputs.t_s
         cells.append(c)
         spins.append(Signal(grid, _smooth(spin)).at(c.t_s))
         motion = np.nan_to_num(force if kind == "acc" else alpha)
@@ -166,7 +166,7 @@ def _score(sensor: _Shaken, frequency_hz: float, moves: bool) -> float:
 
 def _named_vibration(
     model: Model, sensors: Sequence[_Shaken], log_odds: float, frequency_hz: float, moves: bool
-) -> Unsteady | None:
+) -> StochasticEffect | None:
     """The line with its sizes, or None where it is too small or predicted as motion."""
     values = {"vibration.frequency_hz": frequency_hz}
     doubt = 0.02 * frequency_hz if moves else 0.5 / LINE_WINDOW_S
@@ -196,7 +196,7 @@ def _named_vibration(
             shares.append(float(share[axis]))
     if not channels:
         return None
-    return Unsteady("vibration", log_odds, values, intervals, tuple(channels), max(shares))
+    return StochasticEffect("vibration", log_odds, values, intervals, tuple(channels), max(shares))
 
 
 def _line_power(

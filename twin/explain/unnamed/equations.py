@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...vehicle import GRAVITY_M_S2
-from ..inference.fit import Fitted, Ground
+from ..inference.fit import Fit, Problem
 from ..inference.likelihood import AR_ORDER, BLOCK_S, Block, Key, Noise, blocks_of, noise_of
 from ..model.channels import CHANNEL_HZ, ChannelData, Measured
 from .quantities import Quantity, quantities
@@ -106,29 +106,29 @@ class _Channel:
     flights: tuple[ChannelData, ...]
 
 
-def unnamed(ground: Ground, fitted: Fitted, seed: int = 0) -> Unnamed | None:
+def find_equations(problem: Problem, fitted: Fit, seed: int = 0) -> Unnamed | None:
     """Equations for what a hypothesis leaves; None where none is worth having.
 
     Args:
-        ground: Flights and noise.
+        problem: Flights and noise.
         fitted: The hypothesis; no effects: what the model as it stands leaves.
         seed: Draws which blocks of time are left out together.
     """
-    left = ground.model.channels([], fitted.values)
-    keys = list(blocks_of(left, ground.noise))
+    left = problem.model.channels([], fitted.values)
+    keys = list(blocks_of(left, problem.noise))
     folds = fold_of(keys, seed)
-    known = _shared([quantities(f) for f in ground.model.flights], left)
+    known = _shared([quantities(f) for f in problem.model.flights], left)
     tones = _tones(left)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
         if not first.name.startswith(STEMS):
             continue
-        made = _channel(ground, [f[i] for f in left], known, tones)
+        made = _channel(problem, [f[i] for f in left], known, tones)
         found = _found(made, folds)
         if found is None:
             continue
         equation, best, noise = found
-        if not _worth(equation, ground):
+        if not _worth(equation, problem):
             continue
         equations.append(equation)
         noises[first.name] = noise
@@ -149,8 +149,8 @@ def _found(channel: _Channel, folds: Mapping[Key, int]) -> tuple[Equation, Spars
     for a noise of its own.
     """
     unexplained = [c.residual for c in channel.flights]
-    white = noise_of(channel.flights, unexplained, 0)
-    most = longest(_blocks(channel, white))
+    whiten = noise_of(channel.flights, unexplained, 0)
+    most = longest(_blocks(channel, whiten))
     unexplained = [c.residual - c.slopes @ most for c in channel.flights]
     noise = noise_of(channel.flights, unexplained, AR_ORDER)
     best = sparse(_blocks(channel, noise), folds)
@@ -244,7 +244,7 @@ def _bridged(quantity: Quantity) -> Quantity:
 
 
 def _channel(
-    ground: Ground,
+    problem: Problem,
     flights: Sequence[ChannelData],
     known: Sequence[dict[str, Quantity]],
     tones_hz: tuple[float, ...],
@@ -252,7 +252,7 @@ def _channel(
     """The channel with every candidate, low-passed as the channel is."""
     name = flights[0].name
     made, columns = [], []
-    for channel, own, flight in zip(flights, known, ground.model.flights, strict=True):
+    for channel, own, flight in zip(flights, known, problem.model.flights, strict=True):
         columns = terms(own, name, tones_hz if name.startswith(("acc_", "gyro_")) else ())
         readings = next(p.readings for p in flight._parts if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
@@ -303,14 +303,14 @@ def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
 # -- decision ---------------------------------------------------------------------------------
 
 
-def _worth(equation: Equation, ground: Ground) -> bool:
+def _worth(equation: Equation, problem: Problem) -> bool:
     """Whether an equation explains enough, of something large enough to speak of."""
-    return equation.share >= WORTH and equation.rms >= smallest(equation.channel, ground)
+    return equation.share >= WORTH and equation.rms >= smallest(equation.channel, problem)
 
 
-def smallest(channel: str, ground: Ground) -> float:
+def smallest(channel: str, problem: Problem) -> float:
     """What is too little to speak of, rms in the unit of a channel."""
-    vehicle = ground.model.vehicle
+    vehicle = problem.model.vehicle
     if channel.startswith("acc_"):
         return SMALLEST * GRAVITY_M_S2
     if channel.startswith("gyro_rate_"):
@@ -320,11 +320,11 @@ def smallest(channel: str, ground: Ground) -> float:
     return SMALLEST * FIELD_T if channel.startswith("mag_") else SMALLEST_BARO_PA
 
 
-def better_unnamed(ground: Ground, named: Sequence[Fitted], alone: Unnamed | None) -> bool:
+def explains_better(problem: Problem, named: Sequence[Fit], alone: Unnamed | None) -> bool:
     """Whether something outside the library is the better account of the flights.
 
     Args:
-        ground: Flights.
+        problem: Flights.
         named: Hypotheses of the library that are worth considering; none of them may cover what
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
@@ -332,17 +332,17 @@ def better_unnamed(ground: Ground, named: Sequence[Fitted], alone: Unnamed | Non
     return (
         alone is not None
         and alone.gain > ENOUGH
-        and all(covered(ground, f, alone) < COVERS for f in named)
+        and all(covered(problem, f, alone) < COVERS for f in named)
     )
 
 
-def covered(ground: Ground, named: Fitted, alone: Unnamed) -> float:
+def covered(problem: Problem, named: Fit, alone: Unnamed) -> float:
     """Share of what equations explain, in their channels, that a hypothesis explains as well.
 
     Both in log likelihood, under the noise that the equations leave: the noise of the ground has
     learnt what the library cannot explain, and would forgive it.
     """
-    before, after = (ground.model.channels([], v) for v in ({}, named.values))
+    before, after = (problem.model.channels([], v) for v in ({}, named.values))
     taken = 0.0
     for i, channel in enumerate(before[0]):
         if channel.name in alone.noise:

@@ -1,20 +1,23 @@
-"""Where the numbers of a hypothesis may lie: prior ranges, and limits that nature sets."""
+"""Where the numbers of a hypothesis may lie: prior ranges, limits that nature sets, and which of
+them a fit has driven a number to."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS
+from ...effects import EFFECTS, Limit
 from ...vehicle import Vehicle
 from ..model.numbers import Number
 
 Array = NDArray[np.float64]
+EDGE = 1e-6
+"""Share of a limit's terms that a fit at the limit may be away from it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Room:
+class Bounds:
     """Ranges and linear limits of k numbers.
 
     Attributes:
@@ -30,7 +33,7 @@ class Room:
     least: Array
 
     @classmethod
-    def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Room":
+    def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Bounds":
         """What priors and the effects' own limits leave; a model as it stands is always inside."""
         place = {n.full: i for i, n in enumerate(numbers)}
         now = np.array([n.now for n in numbers])
@@ -44,13 +47,13 @@ class Room:
         low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
         return cls(low, high, every, np.minimum(0.0, every @ now))
 
-    def around(self, values: Array) -> "Room":
+    def around(self, values: Array) -> "Bounds":
         """Of changes from some values."""
-        return Room(
+        return Bounds(
             self.low - values, self.high - values, self.rows, self.least - self.rows @ values
         )
 
-    def part(self, columns: Sequence[int]) -> "Room":
+    def part(self, columns: Sequence[int]) -> "Bounds":
         """Of some of the numbers, while the others do not change."""
         c = np.asarray(columns, dtype=np.intp)
         reach = np.any(self.rows[:, c], axis=1)
@@ -75,3 +78,38 @@ class Room:
             way = covariance @ row
             values = values + (short / (way @ row))[..., None] * way
         return np.clip(values, self.low, self.high)
+
+
+def edges(
+    numbers: Sequence[Number], values: Mapping[str, float], vehicle: Vehicle
+) -> Iterator[tuple[str, str]]:
+    """Effects at an edge, and which: a hint that another effect is meant.
+
+    Args:
+        numbers: That were fitted.
+        values: Of these, "effect.number" -> value.
+        vehicle: The model as it stands.
+    """
+    for n in numbers:
+        value = values[n.full]
+        at = np.isclose(value, n.about.prior, rtol=EDGE, atol=0)
+        if np.any(at) and value != n.about.neutral:
+            yield (
+                n.effect,
+                f"{n.full} = {value:.4g} is at the edge of the range that is considered, "
+                f"{n.about.prior[0]:g} to {n.about.prior[1]:g}: perhaps another effect is meant",
+            )
+    for effect in dict.fromkeys(n.effect for n in numbers):
+        for limit in EFFECTS[effect].limits(vehicle):
+            if _on_edge(effect, limit, values):
+                yield (
+                    effect,
+                    f"{effect} is at the edge of what is possible: {limit.meaning}; another "
+                    f"effect may be meant",
+                )
+
+
+def _on_edge(effect: str, limit: Limit, values: Mapping[str, float]) -> bool:
+    """Whether numbers use up what a limit leaves them."""
+    parts = [w * values[f"{effect}.{k}"] for k, w in limit.weights.items()]
+    return sum(parts) <= EDGE * sum(map(abs, parts))
