@@ -1,4 +1,4 @@
-"""The floor plan of docs/dev/architecture.md: what the tree keeps, and that each rule can be broken.
+"""The floor plan of docs/dev/architecture.md: what the tree keeps, and how each rule breaks.
 
 The rules themselves are functions of `rigs/import_graph`.
 """

@@ -31,6 +31,8 @@ MAX_CHANNELS, MAX_PHASES, MAX_HORIZON = 64, 64, 10_000
 MAX_STATE = 50_000
 """Numbers of the packed state; the largest preset has 5,218."""
 MAX_RATE_HZ = 1e5
+MAX_TEXT = 255
+"""Characters of a vehicle's name, which may be that of its file."""
 MAX_METADATA = 2**20
 """Characters of one entry."""
 _WAY_OUT = "Use a file that uavtwin train wrote"
@@ -170,7 +172,7 @@ class _Metadata:
 
     def text(self, key: str) -> str:
         """One line."""
-        return check_text(f"{self.path}: {key}", self.value(key), LONGEST_NAME)
+        return check_text(f"{self.path}: {key}", self.value(key), MAX_TEXT)
 
     def whole(self, key: str, value: object, most: int) -> int:
         """A whole number from 0 on."""

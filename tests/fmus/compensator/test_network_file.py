@@ -31,6 +31,9 @@ from fmus.compensator.graph import MAX_NUMBERS, OUTPUTS, plain_copy
 from fmus.description import model_description
 from fmus.source import generated_sources
 from learning.data.channels import CHANNELS, GROUPS, UNITS
+from learning.export.step import streaming_model
+from learning.export.write import metadata
+from learning.preset import PRESETS, PROTOCOLS, Preset, Protocol
 from twin.errors import FmuError
 
 Change = Callable[[onnx.ModelProto], object]
@@ -244,7 +247,7 @@ def test_any_name_is_an_identifier_or_refused(
         ({"uncorrected_rms": [10**400] * 15}, "finite number"),
         ({"uncorrected_rms": [-1.0] * 15}, "from 0 on"),
         ({"vehicle": "a\nb"}, "vehicle = .* is no text"),
-        ({"vehicle": "a" * 100}, "vehicle = .* is no text"),
+        ({"vehicle": "a" * 256}, "vehicle = .* is no text"),
         ({"vehicle_sha256": "0"}, "digits of a hash"),
         ({"normalisation": {}}, r"normalisation\.mean"),
         ({"normalisation": []}, "normalisation"),
@@ -445,8 +448,19 @@ def test_the_copy_for_the_c_generator_computes_the_same(
     assert not copy.metadata_props
 
 
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=list(PRESETS))
+def test_the_limits_leave_room_for_every_preset(
+    tmp_path: Path, preset: Preset, protocol: Protocol
+) -> None:
+    """Predicted a second ahead, with as many motors as there may be."""
+    made = compensator(preset, protocol, horizon=100, commands=12)
+    model = streaming_model(made)
+    folder = changed(model, tmp_path / "model", raw=metadata(made))
+    assert read_network(folder).state_size == made.state_size
+
+
 def test_the_honest_model_is_read(trained: Path) -> None:
-    """The limits leave room for what training writes."""
     network = read_network(trained)
     assert network.channels == CHANNELS
     assert network.groups == tuple(GROUPS)

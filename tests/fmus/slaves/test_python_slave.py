@@ -316,7 +316,7 @@ def output(program: str, *arguments: Path, here: Path) -> list[str]:
     """Lines that a program prints in a process of its own."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     if program != ALONE:
-        environment["PYTHONPATH"] = IMPORT_PATH
+        environment["PYTHONPATH"] = f"{IMPORT_PATH}{os.pathsep}{Path(__file__).parent}"
     result = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
         cwd=here,
