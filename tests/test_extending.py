@@ -7,12 +7,11 @@ command generates from the other steps is left out along with any of them.
 
 import shutil
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from extending_page import Page, Step, Tree, read_page
+from places import ROOT
 
-ROOT = Path(__file__).parents[1]
 COPIED = ("twin", "learning", "fmus", "cosim", "uavtwin", "docs", "tests", "pyproject.toml")
 PAGES = {p.stem: read_page(p) for p in sorted((ROOT / "docs" / "dev" / "extending").glob("*.md"))}
 GOALS = {"effect": 1, "sensor": 5, "log_format": 3, "compensator_model": 2}

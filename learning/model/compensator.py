@@ -34,7 +34,7 @@ from .info import ModelInfo
 from .linear_predictor import predict_base
 from .network import NetworkOut, SvqNetwork
 
-__all__ = ["Compensator", "ModelInfo", "network_inputs"]
+__all__ = ["Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
 
 Array = NDArray[np.float64]
 CHUNK = 4096
@@ -252,6 +252,12 @@ class Compensator(nn.Module):
 
     def _spread(self, out: NetworkOut, expected: Tensor, inside: Tensor) -> Tensor:
         return inside * (expected * torch.exp(out.log_spread)) + (1 - inside) * self.rms
+
+
+def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:
+    """A model with random weights, of the size that a trained one has: for measuring its speed."""
+    torch.manual_seed(seed)
+    return Compensator(info).eval()
 
 
 def network_inputs(span: SpanSequence) -> tuple[Tensor, Tensor, Tensor]:
