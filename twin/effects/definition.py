@@ -8,7 +8,7 @@ the quantities are those of the component without the effect, to the last bit.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 
@@ -16,7 +16,8 @@ from ..component import ComponentBuilder
 from ..vehicle import Vehicle
 from .seen import Equation, Seen
 
-ComponentName = Literal["airframe", "imu", "magnetometer", "barometer", "position", "environment"]
+ComponentName = str
+"""Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
 Stage = TypeVar("Stage")
 TRIFLE = 0.01
 """Share of its prior range by which a number moves at least where an effect is one to speak of:
@@ -133,7 +134,7 @@ class Effect:
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
     limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
-    seen_as: Seen = Equation()
+    seen_as: Seen = field(default_factory=Equation)
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
 

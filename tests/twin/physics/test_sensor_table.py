@@ -1,11 +1,17 @@
 """The table of sensors agrees with components, flight table, effects and vehicle file."""
 
+from dataclasses import fields
+from pathlib import Path
+
 import pytest
 
+import twin.physics.sensors as physics_sensors
 from twin.effects import EFFECTS
 from twin.logs.columns import COLUMNS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor, sensor_of
 from twin.vehicle.file import load_vehicle
+from twin.vehicle.file.fields import FIELDS
+from twin.vehicle.sensors import Sensors
 
 VEHICLE = load_vehicle("copter_default")
 every_sensor = pytest.mark.parametrize("row", SENSORS, ids=lambda s: s.name)
@@ -16,10 +22,36 @@ def plain(unit: str) -> str:
     return unit.replace("²", "^2")
 
 
+def test_every_module_of_a_sensor_has_a_row() -> None:
+    folder = Path(physics_sensors.__file__).parent
+    modules = {p.stem for p in folder.glob("[a-z]*.py")} - {"common", "position", "table"}
+    missing = sorted(modules - {s.make.__module__.rpartition(".")[2] for s in SENSORS})
+    assert not missing, f"no row in twin/physics/sensors/table.py: {missing}"
+
+
 @every_sensor
 def test_columns_are_those_of_the_flight_table(row: Sensor) -> None:
     known = {c.name: c.unit for c in COLUMNS}
-    assert {c: known.get(c) for c in row.columns} == dict.fromkeys(row.columns, plain(row.unit))
+    missing = [c for c in row.columns if c not in known]
+    assert not missing, f"not in twin/logs/columns.py: {missing}"
+    assert {c: known[c] for c in row.columns} == dict.fromkeys(row.columns, plain(row.unit))
+
+
+def test_every_number_of_a_sensor_is_a_key_of_the_vehicle_file() -> None:
+    keys = {f.metadata["key"] for f in fields(Sensors) if f.metadata}
+    assert not keys - {*FIELDS}, f"not in twin/vehicle/file/fields.py: {sorted(keys - {*FIELDS})}"
+
+
+def test_every_key_of_a_sensor_is_read() -> None:
+    """The keys that a file may give and nobody reads would be silent."""
+    sections = {s.component for s in SENSORS}
+    given = {k for k in FIELDS if k.partition(".")[0] in sections and k.endswith(("noise", "walk"))}
+    assert given <= {f.metadata["key"] for f in fields(Sensors) if f.metadata}
+
+
+def test_every_effect_stands_in_a_component_that_exists() -> None:
+    known = {"airframe", "environment", "position"} | {s.component for s in SENSORS}
+    assert {e.component for e in EFFECTS.values()} <= known
 
 
 @every_sensor

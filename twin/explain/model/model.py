@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...effects import EFFECTS, Effect, Equation, Shift
+from ...effects import EFFECTS, Effect, Equation, Shift, acting_late
 from ...errors import LogError
 from ...logs import Flight
 from ...physics.airframe import airframe
@@ -31,7 +31,7 @@ class Model:
         effects: Effects that all flights can show.
         numbers: Every number of these.
         flights: One per flight.
-        unfelt: Effects that were asked for, but that have no place in the airframe of every flight:
+        unfelt: Effects that have no place in the airframe of some flight, and so cannot be told:
             where measured rotor speeds drive it, nothing between command and rotor.
     """
 
@@ -85,7 +85,8 @@ def model_of(
     kinds = [(choose_drive(f, flown[m]), m) for f, m in zip(flights, masses, strict=True)]
     standing = [e.name for e in effects if isinstance(e.seen_as, Equation)]
     bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
-    unfelt = [e.name for e in effects if not all(_has_place(b, e) for b in bodies.values())]
+    wanted = {e.name: e for e in (*effects, *acting_late())}.values()
+    unfelt = [e.name for e in wanted if not all(_has_place(b, e) for b in bodies.values())]
     if unfelt:
         effects = [e for e in effects if e.name not in unfelt]
         standing = [name for name in standing if name not in unfelt]

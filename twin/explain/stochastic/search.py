@@ -5,7 +5,7 @@
 | Repeats | a reading that repeats exactly | the other axes go on meanwhile |
 | NoiseFloor | flat part of the spectrum, all axes | same level in every part of the band |
 | Lines | lines that follow the rotors, or stand | level over the neighbouring frequencies |
-| RandomForce | slow part of the accelerometer residual | no curve explains it, falls with frequency |
+| RandomForce | slow part of the accelerometer | no curve explains it, it falls with frequency |
 
 Every claim rests on a ratio and on how far such ratios go astray without the effect: noise given
 in a vehicle file, smoothness of a spectrum, motion that no model has quite right.
