@@ -140,19 +140,6 @@ def test_an_interrupted_gap_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_demo_needs_a_vehicle_driven_by_commands(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    document = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
-    path = tmp_path / "paper.toml"
-    path.write_text(document.split("```toml\n")[1].split("```")[0])
-    code, _, said = run(capsys, "demo", "--vehicle", path, "--out", tmp_path / "o")
-    assert code == 2
-    assert "paper_quad" in said
-    assert "rotors.speed_from_command" in said
-    assert not (tmp_path / "o").exists()
-
-
 @pytest.mark.slow
 def test_demo_names_the_effect_it_hid(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path

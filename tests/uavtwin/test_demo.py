@@ -1,13 +1,14 @@
 """The built-in flights: the plant follows the waypoints, and a seed gives the same bits."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from twin.logs import Flight
 from twin.vehicle import Vehicle
-from twin.vehicle.file import load_vehicle
+from twin.vehicle.file import load_vehicle, parse_vehicle
 from uavtwin.demo.flights import (
     ACC_NOISE_M_S2,
     ATT_NOISE,
@@ -137,3 +138,14 @@ def test_low_passes_of_the_imu_are_in_the_record(flight: Flight) -> None:
     assert np.std(gyro[flying, 0]) > 0.1
     means = [float(f.table["acc_z"][flying].mean()) for f in (one, two)]
     assert means[1] == pytest.approx(means[0], abs=0.01)
+
+
+def test_a_vehicle_driven_by_rotor_speeds_records_them() -> None:
+    """That of the page on vehicle files, whose rotors have no map from a command."""
+    page = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
+    vehicle = parse_vehicle(page.split("```toml\n")[1].split("```")[0], "paper.toml")
+    assert vehicle.drive == "rotor_speed"
+    flight = fly(vehicle, vehicle, seed=1)
+    assert flight.has("rotor_1", "rotor_4") and not flight.has("cmd_1")
+    reached = places(flight, vehicle)
+    assert np.linalg.norm(reached[2] - np.array(WAYPOINTS[2][2])) < 0.1  # settled hover

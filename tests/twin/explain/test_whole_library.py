@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Equation
 from twin.explain.design.manoeuvres import Manoeuvre, plan
-from twin.explain.design.rehearsal import simulate_flight
+from twin.explain.design.rehearsal import rehearse
 from twin.explain.inference.bounds import Bounds
 from twin.explain.inference.fit import Problem
 from twin.explain.inference.likelihood import Scores
@@ -78,7 +78,7 @@ def flown(effect: str) -> Flight:
     numbers = EFFECTS[effect].starts(VEHICLE) | PLANTED.get(effect, {})
     plant = VEHICLE.with_effects({effect: numbers})
     rich = plan(VEHICLE, [Manoeuvre("rich", "", 16.0, shaken)])
-    flight = simulate_flight(rich, VEHICLE, plant, [blank()], VOLTAGE)
+    flight = rehearse(rich, VEHICLE, plant, [blank()], VOLTAGE)
     table, rng = flight.table, np.random.default_rng(7)
     for column in table:
         size = NOISE.get(str(column).rpartition("_")[0])
