@@ -51,8 +51,6 @@ def simulate_flight(
     known = dict(zip(body.output_names, truth.T, strict=True))
     known |= dict(zip(body.input_names, inputs.T, strict=True))
     known["vbat_v"] = np.full(len(states), volts)
-    for column, delay_s in _late_columns(plant, list(known)):
-        known[column] = _later(known[column], delay_s)
     for make in components_of_sensors().values():
         sensor = make(punctual, ())
         if not any(f.has(*sensor.output_names[:1]) for f in like):
@@ -62,6 +60,8 @@ def simulate_flight(
             read[:, i] = known.get(name, read[:, i])
         shown = noiseless_outputs(sensor, read, 1 / GRID_HZ)
         known |= dict(zip(sensor.output_names, shown.T, strict=True))
+    for column, delay_s in _late_columns(plant, list(known)):
+        known[column] = _later(known[column], delay_s)
     table = pd.DataFrame({"time": np.arange(len(states)) / GRID_HZ})
     for column, values in known.items():
         periods = [_period(f, column) for f in like if f.has(column)]
