@@ -95,10 +95,10 @@ def simulate_flight(
     kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
     known = _truth(body, states[kept], inputs[kept])
     known["vbat_v"] = np.full(len(states[kept]), volts)
+    _sense(known, flown, recorder)
     t_s = np.arange(len(states[kept])) / recorder.sampled_hz
     for column, later_s in _late_columns(plant, recorder, list(known)):
         known[column] = np.interp(t_s - later_s, t_s, known[column])
-    _sense(known, flown, recorder)
     return Flight(name, _table(known, phases[kept], recorder))
 
 
