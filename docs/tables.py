@@ -9,12 +9,14 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from learning.model.registry import FAMILIES
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.explain.settings import DEFAULT, Setting
 from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
+from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
@@ -35,6 +37,35 @@ def flight_table() -> str:
     """Columns of the flight table."""
     lines = [(f"`{c.name}`", c.unit or "-", c.description) for c in COLUMNS]
     return "\n".join(rows(("column", "unit", "meaning"), lines))
+
+
+def log_formats() -> str:
+    """Formats of flight logs."""
+    lines = [
+        (
+            f.name,
+            ", ".join(f"`{s}`" for s in f.suffixes),
+            str(f.signature),
+            ", ".join(f.packages),
+            f.holds,
+        )
+        for f in FORMATS
+    ]
+    return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def compensator() -> str:
+    """Families of compensators and their presets."""
+    lines = [
+        (
+            f"`{f.name}`",
+            f.meaning,
+            ", ".join(f"`{p}`" for p in f.presets),
+            "yes" if f.onnx else "no",
+        )
+        for f in FAMILIES
+    ]
+    return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
 
 
 def vehicle() -> str:
@@ -155,6 +186,8 @@ def _setting(s: Setting) -> Sequence[str]:
 DOCUMENTS = {
     "settings.md": settings,
     "flight_table.md": flight_table,
+    "log_formats.md": log_formats,
+    "compensator.md": compensator,
     "vehicle.md": vehicle,
     "fmus.md": fmus,
     "effects.md": effects,
