@@ -15,13 +15,27 @@ from numpy.polynomial import Polynomial
 from numpy.polynomial.polynomial import polyval
 
 from ...errors import ModelError
-from .. import GRAVITY_M_S2, Battery, Rotors, Vehicle
+from .. import GRAVITY_M_S2, Battery, RotorAir, Rotors, RunUp, Vehicle
 from .effects import read_effects
 from .entries import Entries, read_entries
 from .fields import FIELDS
 from .sensors import read_sensors, sensor_contradictions
 
 _THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")
+_RATES = ("rotors.rate_up", "rotors.rate_down")
+_NEED_SPEED = tuple(
+    f"rotors.{name}"
+    for name in (
+        "spin_inertia",
+        "reaction_inertia",
+        "drag",
+        "inflow",
+        "flapping_moment",
+        "rolling_moment",
+        "rate_up",
+        "rate_down",
+    )
+)
 _BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))
 
 
@@ -104,6 +118,10 @@ def _contradictions(entries: Entries) -> Iterator[str]:
     direction, position = values.get("rotors.direction"), values.get("rotors.position")
     if direction is not None and position is not None and len(direction) != len(position):
         yield (f"rotors.direction has {len(direction)} entries, rotors.position {len(position)}.")
+    if len(given & set(_RATES)) == 1:
+        yield "rotors.rate_up and rotors.rate_down belong together: give both of them."
+    if given & set(_RATES) and "rotors.lag" in given:
+        yield "rotors.lag and rotors.rate_up say the same thing in two ways: give one of them."
     missing = [key.split(".")[1] for key in _BATTERY if key not in given]
     if 0 < len(missing) < len(_BATTERY):
         yield (
@@ -128,10 +146,10 @@ def _against_thrust(entries: Entries) -> Iterator[str]:
     useless = {f"rotors.torque_from_{other}"}
     if not of_speed:
         useless.add("rotors.speed_from_command")
-        if entries.values.get("rotors.spin_inertia", 0.0) > 0:
+        for key in (k for k in _NEED_SPEED if np.any(entries.values.get(k, 0.0))):
             yield (
-                "rotors.spin_inertia needs the rotor speed: give thrust_from_speed "
-                "(and speed_from_command for a vehicle driven by commands)."
+                f"{key} needs the rotor speed: give thrust_from_speed "
+                f"(and speed_from_command for a vehicle driven by commands)."
             )
     for key in sorted(useless & entries.given):
         yield (
@@ -158,6 +176,12 @@ def _doubts(entries: Entries) -> Iterator[str]:
         )
     if "rotors.voltage_exponent" in given and "rotors.reference_voltage" not in given:
         yield "rotors.voltage_exponent counts only with rotors.reference_voltage."
+    follows = {"rotors.lag", *_RATES} & given and "rotors.speed_from_command" in given
+    if "rotors.reaction_inertia" in given and not follows:
+        yield (
+            "rotors.reaction_inertia: without speed_from_command and a lag the rotors' "
+            "accelerations are known from nothing but inputs spin_rate_1..n."
+        )
     of_command = {"rotors.thrust_from_command", "rotors.speed_from_command"}
     if "rotors.command_range" in given and not of_command & given:
         yield "rotors.command_range counts only with a polynomial of the command."
@@ -173,7 +197,7 @@ def _cannot_hover(vehicle: Vehicle) -> Iterator[str]:
     if most < vehicle.hover_thrust_n:
         yield (
             f"cannot hover: {rotors.count} rotors give at most {most * rotors.count:.4g} N, "
-            f"the weight is {vehicle.mass_kg * GRAVITY_M_S2:.4g} N. Check the thrust map, its "
+            f"the weight is {vehicle.mass_kg * vehicle.gravity_m_s2:.4g} N. Check the thrust map, its "
             f"unit and rotors.command_range."
         )
 
@@ -187,6 +211,7 @@ def _vehicle(entries: Entries, default_name: str) -> Vehicle:
     arm_m = float(np.linalg.norm(rotors.position_m[:, :2], axis=1).max())
     leg_m = entries.optional("body.leg_height", f"half the largest rotor arm, {arm_m / 2:g} m")
     zero = (0.0, 0.0, 0.0)
+    gravity = entries.optional("site.gravity", f"{GRAVITY_M_S2} m/s^2, standard gravity")
     return Vehicle(
         name=entries.texts.get("name", default_name),
         description=entries.texts.get("description", ""),
@@ -201,6 +226,9 @@ def _vehicle(entries: Entries, default_name: str) -> Vehicle:
         gyro_cutoff_hz=entries.optional("imu.gyro_cutoff", "no low-pass"),
         battery=_battery(entries),
         sensors=read_sensors(entries),
+        drag_parasitic_n_s2_m2=entries.vector("body.drag_parasitic", "zero", zero),
+        drag_angular_n_m_s2=entries.vector("body.drag_angular", "zero", zero),
+        gravity_m_s2=GRAVITY_M_S2 if gravity is None else gravity,
         sources=entries.sources,
         doubts=tuple(_doubts(entries)),
     )
@@ -216,6 +244,7 @@ def _rotors(entries: Entries) -> Rotors:
         torque = _map(entries, f"rotors.torque_from_{'speed' if from_speed else 'command'}")
     by_command = "rotors.speed_from_command" in entries.given
     spin = entries.optional("rotors.spin_inertia", "0, no gyroscopic torque")
+    reaction = entries.optional("rotors.reaction_inertia", "0, no reaction to acceleration")
     reference = entries.optional("rotors.reference_voltage", "voltage is ignored")
     exponent = entries.optional("rotors.voltage_exponent", "1")
     lag_up, lag_down = entries.vector("rotors.lag", "no lag", (0.0, 0.0))
@@ -231,7 +260,20 @@ def _rotors(entries: Entries) -> Rotors:
         spin_inertia_kg_m2=spin or 0.0,
         reference_voltage_v=reference,
         voltage_exponent=1.0 if exponent is None else exponent,
+        run_up=_run_up(entries),
+        reaction_inertia_kg_m2=reaction or 0.0,
+        air=_rotor_air(entries),
     )
+
+
+def _run_up(entries: Entries) -> tuple[RunUp, RunUp] | None:
+    up, down = (entries.vector(key, "by the lag", ()) for key in _RATES)
+    return (RunUp(*up.tolist()), RunUp(*down.tolist())) if len(up) else None
+
+
+def _rotor_air(entries: Entries) -> RotorAir:
+    names = ("drag", "inflow", "lift", "flapping_moment", "rolling_moment")
+    return RotorAir(*(entries.optional(f"rotors.{name}", "0, none") or 0.0 for name in names))
 
 
 def _map(entries: Entries, key: str) -> tuple[float, ...]:
