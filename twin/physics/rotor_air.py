@@ -83,9 +83,7 @@ def hub_loads(
         )
     )
     hover, loads = hover_level(vehicle), []
-    for hub, spin, (x, y, _) in zip(
-        motion.body.hubs, rotors.spin, motion.hubs_air_b, strict=True
-    ):
+    for hub, spin, (x, y, _) in zip(motion.body.hubs, rotors.spin, motion.hubs_air_b, strict=True):
         blow = motion.density * hover * spin
         force = [-blow * drag * x, -blow * drag * y, zero]
         tilt = [

@@ -66,7 +66,8 @@ def rotor_equations(
     pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
     twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
     pushes = [
-        t + gain for t, gain in zip(pushes, gained_thrust(m, rotors.air, motion, level), strict=True)
+        t + gain
+        for t, gain in zip(pushes, gained_thrust(m, rotors.air, motion, level), strict=True)
     ]
     twists = [t + r for t, r in zip(twists, _reactions(m, rotors, rate), strict=True)]
     spin, spin_rate = _spin(vehicle, level, rate)

@@ -197,8 +197,8 @@ def _cannot_hover(vehicle: Vehicle) -> Iterator[str]:
     if most < vehicle.hover_thrust_n:
         yield (
             f"cannot hover: {rotors.count} rotors give at most {most * rotors.count:.4g} N, "
-            f"the weight is {vehicle.mass_kg * vehicle.gravity_m_s2:.4g} N. Check the thrust map, its "
-            f"unit and rotors.command_range."
+            f"the weight is {vehicle.hover_thrust_n * rotors.count:.4g} N. Check the thrust "
+            f"map, its unit and rotors.command_range."
         )
 
 
