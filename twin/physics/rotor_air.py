@@ -1,17 +1,57 @@
-"""What the air does to a rotor that moves through it: drag, inflow, lift, flapping, rolling.
+"""What the air does to a rotor that moves through it: advance, drag, inflow, lift, moments.
 
-The laws, their signs and their sources are those of `twin.vehicle.RotorAir`. All act at the hub,
-whose velocity through the air is that of the centre of mass and of the turning body. A number that
-is zero has no place in the equations.
+The laws, their signs and their sources are those of `twin.vehicle.RotorAir` and `Advance`. All act
+at the hub, whose velocity through the air is that of the centre of mass and of the turning body. A
+number that is zero has no place in the equations.
 """
 
+import itertools
+from collections.abc import Sequence
+
 import casadi as ca
+import numpy as np
 
 from ..component import ComponentBuilder
 from ..effects.stages import Motion, Thrust
 from ..frames import cross
-from ..vehicle import RotorAir, Vehicle
+from ..vehicle import RotorAir, Rotors, Vehicle
 from ..vehicle.thrust_map import hover_level
+
+SLOWEST_RAD_S = 1e-3
+"""Rotor speed below which the advance ratio is that at this speed: there is no thrust to change."""
+
+
+def by_advance(
+    m: ComponentBuilder, rotors: Rotors, motion: Motion, speed: list[ca.SX]
+) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Factors on thrust and on reaction torque of each rotor, at rotor speeds in rad/s.
+
+    The rows of the tables are constants of the equations, not parameters.
+    """
+    one = [ca.SX(1)] * len(speed)
+    if rotors.advance is None:
+        return one, one
+    diameter = m.parameter(
+        "diameter", rotors.advance.diameter_m, "m", "Diameter of a rotor", minimum=1e-4
+    )
+    ratios = [
+        -z * 2 * np.pi / (ca.fmax(w, SLOWEST_RAD_S) * diameter)
+        for w, (_, _, z) in zip(speed, motion.hubs_air_b, strict=True)
+    ]
+    thrust, torque = (
+        [_on_lines(table, j) for j in ratios] if table else one
+        for table in (rotors.advance.thrust, rotors.advance.torque)
+    )
+    return thrust, torque
+
+
+def _on_lines(table: Sequence[tuple[float, float]], x: ca.SX) -> ca.SX:
+    """Value at x of straight lines between rows, the first and last values beyond."""
+    value = ca.SX(table[0][1])
+    for (x0, y0), (x1, y1) in itertools.pairwise(table):
+        way = ca.if_else(x > x0, ca.if_else(x < x1, x - x0, x1 - x0), 0.0)
+        value += (y1 - y0) / (x1 - x0) * way
+    return value
 
 
 def gained_thrust(

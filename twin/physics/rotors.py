@@ -20,7 +20,7 @@ from ..effects.stages import Motion, Motors, Thrust
 from ..errors import ModelError
 from ..vehicle import Rotors, Vehicle
 from ..vehicle.thrust_map import hover_level, polynomial
-from .rotor_air import gained_thrust
+from .rotor_air import by_advance, gained_thrust
 
 Drive = Literal["command", "rotor_speed"]
 
@@ -65,11 +65,11 @@ def rotor_equations(
     # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
     pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
     twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
-    pushes = [
-        t + gain
-        for t, gain in zip(pushes, gained_thrust(m, rotors.air, motion, level), strict=True)
-    ]
-    twists = [t + r for t, r in zip(twists, _reactions(m, rotors, rate), strict=True)]
+    thrust_share, torque_share = by_advance(m, rotors, motion, level)
+    gained = gained_thrust(m, rotors.air, motion, level)
+    reactions = _reactions(m, rotors, rate)
+    pushes = [t * k + g for t, k, g in zip(pushes, thrust_share, gained, strict=True)]
+    twists = [q * k + r for q, k, r in zip(twists, torque_share, reactions, strict=True)]
     spin, spin_rate = _spin(vehicle, level, rate)
     return Thrust(
         motion, rotors.direction.tolist(), vehicle.hover_thrust_n, spin, spin_rate, pushes, twists

@@ -62,6 +62,26 @@ class RotorAir:
 
 
 @dataclass(frozen=True, slots=True)
+class Advance:
+    """How thrust and reaction torque change with the advance ratio, as propellers are published.
+
+    The advance ratio is the climb speed of the hub through the air over the turns per second and
+    the diameter. Between the rows on straight lines, beyond them the first and last values.
+
+    Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.3; UIUC propeller data.
+
+    Attributes:
+        diameter_m: Of the rotor.
+        thrust: Rows (advance ratio, thrust over that at rest); empty: always 1.
+        torque: The same of the reaction torque.
+    """
+
+    diameter_m: float
+    thrust: tuple[tuple[float, float], ...]
+    torque: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class RunUp:
     """How a rotor follows its command: `dw/dt = linear (u - w) + quadratic (u^2 - w^2)`.
 
@@ -99,6 +119,7 @@ class Rotors:
         reaction_inertia_kg_m2: Inertia of one rotor in the reaction to its own acceleration; 0:
             no reaction.
         air: What the air does to a moving rotor.
+        advance: Thrust and torque in a climb; None: as at rest, but for `air`.
     """
 
     position_m: Array
@@ -115,6 +136,7 @@ class Rotors:
     run_up: tuple[RunUp, RunUp] | None = None
     reaction_inertia_kg_m2: float = 0.0
     air: RotorAir = RotorAir()
+    advance: Advance | None = None
 
     @property
     def count(self) -> int:

@@ -279,6 +279,18 @@ def _lag(key: str, entry: _Entry) -> Array:
     return values[[0, -1]]
 
 
+def _table(key: str, entry: _Entry) -> Array:
+    """Rows of argument and value, the argument rising, shape (n, 2)."""
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.ndim != 2 or values.shape[1] != 2 or not 2 <= len(values) <= 100:
+        raise ModelError(
+            f"{key} must be 2 to 100 rows of [J, factor]; it has shape {values.shape}."
+        )
+    if np.any(np.diff(values[:, 0]) <= 0):
+        raise ModelError(f"{key}: J must rise from row to row.")
+    return values
+
+
 def _rates(key: str, entry: _Entry) -> Array:
     """Linear coefficient in 1/s and quadratic one in 1/rad, shape (2,)."""
     if "coefficients" not in entry:
@@ -346,6 +358,7 @@ _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
     "pair": _pair,
     "lag": _lag,
     "rates": _rates,
+    "table": _table,
     "polynomial": _polynomial,
 }
 

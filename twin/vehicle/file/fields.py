@@ -11,7 +11,7 @@ class Field:
         unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
             whose value has unit U.
         shape: How its value is read: "scalar", "vector", "inertia", "n x 3", "list", "pair",
-            "lag", "rates" or "polynomial".
+            "lag", "rates", "table" or "polynomial".
         required: Whether a file without it is refused.
         positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
             when >= 0 is enough.
@@ -155,6 +155,20 @@ FIELDS: dict[str, Field] = {
         False,
         "Inertia of one rotor in the reaction to its own acceleration: yaw torque -J dw/dt. Needs "
         "the speed. Default 0: no reaction.",
+    ),
+    "rotors.diameter": Field(
+        "m", "scalar", False, True, "Diameter of a rotor; with the two tables that follow."
+    ),
+    "rotors.thrust_by_advance": Field(
+        "1",
+        "table",
+        False,
+        None,
+        "Rows [J, thrust over that at rest], J = climb speed of the hub / (turns per second * "
+        "diameter); straight lines between them, the end values beyond. Needs speed and diameter.",
+    ),
+    "rotors.torque_by_advance": Field(
+        "1", "table", False, None, "Rows [J, reaction torque over that at rest], likewise."
     ),
     "rotors.drag": Field(
         "kg/rad",
