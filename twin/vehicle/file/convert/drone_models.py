@@ -72,8 +72,9 @@ def convert_drone_models(tree: Mapping[str, Any], path: Path, name: str | None) 
         f"model uses. It does not use, so it is left out: {', '.join(unused) or 'nothing'}."
     )
     d.notes.append(
-        "Differences of law: its gyroscopic torque has the wrong sign about the pitch axis, its drag "
-        "knows no wind, and below the root of rpm2thrust it pulls, here nothing. Legs are not in the file."
+        "Differences of law: its gyroscopic torque has the wrong sign about the roll axis, its "
+        "drag knows no wind, and its thrust is negative where rpm2thrust is, here zero. Legs are "
+        "not in the file."
     )
     d.number("body.mass", its["mass"], "kg", "mass")
     d.number("body.inertia", six_elements(turned(its["J"])), "kg*m^2", "J, turned to FRD")
