@@ -86,11 +86,11 @@ def rotor_doubts(entries: Entries) -> Iterator[str]:
             yield f"{key} is {at_rest:g} at rest, where the maps hold and it should be 1."
     if "rotors.diameter" in given and not given & set(_ADVANCE):
         yield "rotors.diameter counts only with thrust_by_advance or torque_by_advance."
-    follows = {"rotors.lag", *_RATES} & given and "rotors.speed_from_command" in given
-    if "rotors.reaction_inertia" in given and not follows:
+    by_command = "rotors.speed_from_command" in given and not given & {"rotors.lag", *_RATES}
+    if "rotors.reaction_inertia" in given and by_command:
         yield (
-            "rotors.reaction_inertia: without speed_from_command and a lag the rotors' "
-            "accelerations are known from nothing but inputs spin_rate_1..n."
+            "rotors.reaction_inertia counts only with measured rotor speeds: by commands and "
+            "without lag the rotors have no acceleration."
         )
     of_command = {"rotors.thrust_from_command", "rotors.speed_from_command"}
     if "rotors.command_range" in given and not of_command & given:
