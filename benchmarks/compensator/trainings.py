@@ -61,7 +61,7 @@ class Run:
     share: float = 1.0
 
     def key(self) -> str:
-        """Name of its files: hash of all that decides the scores, the sources of `learning` included."""
+        """Name of its files: hash of all that decides the scores, sources included."""
         content = {**asdict(self), "preset": preset_json(self.preset), "name": ""}
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
         root = Path(str(learning.__file__)).parent
