@@ -13,7 +13,7 @@ import numpy as np
 from cosim.master import Master
 from uavtwin.simulate import Scenario, scenario_system
 
-LEAN = "twin.physics.airframe.q_y"
+LEAN = "twin.airframe.q_y"
 
 
 def main(stop_s: float = 15.0) -> None:
@@ -21,12 +21,12 @@ def main(stop_s: float = 15.0) -> None:
     scenario = Scenario("hover", wind_m_s=(5.0, 0.0, 0.0), fused=True)
     with tempfile.TemporaryDirectory() as folder:
         system = scenario_system(scenario, Path(folder))
-        with Master(system, record=[LEAN, "twin.physics.airframe.pos_x"]) as master:
+        with Master(system, record=[LEAN, "twin.airframe.pos_x"]) as master:
             for enabled in (False, True):
-                master.initialize(starts={"twin.physics.airframe.rotor_drag.enabled": enabled})
+                master.initialize(starts={"twin.airframe.rotor_drag.enabled": enabled})
                 recording = master.run(stop_s, step_s=0.01)
                 lean_deg = 2 * np.degrees(np.arcsin(recording[LEAN][-1]))
-                off_m = np.abs(recording["twin.physics.airframe.pos_x"]).max()
+                off_m = np.abs(recording["twin.airframe.pos_x"]).max()
                 print(
                     f"rotor_drag.enabled = {enabled!s:5}: nose {lean_deg:z.2f} degrees up, "
                     f"blown off by {off_m:.3f} m at most"

@@ -6,7 +6,7 @@ from pathlib import Path
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
-from twin.explain.estimates import told
+from twin.explain.estimates import estimates_of
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.vehicle.file import vehicle_text
@@ -79,7 +79,7 @@ def _new_vehicle(found: Explanation, vehicle: str) -> str:
     flights = " and ".join(found.flights)
     effects = {}
     for effect in found.effects:
-        certainties = {t.number.name: t.ci95 for t in told(found, effect)}
+        certainties = {t.number.name: t.ci95 for t in estimates_of(found, effect)}
         effects[effect] = {
             name: Written(value, f"uavtwin explain, {flights}, {_certainty(certainties.get(name))}")
             for name, value in found.added.effects[effect].items()

@@ -19,7 +19,7 @@ from twin.errors import LogError
 from twin.frames import rotation_vector
 from twin.logs import Flight
 from twin.physics.airframe import AXES
-from twin.residuals.aligned import Twin, prepare
+from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.gap import Channel, FlightGap
 from twin.residuals.teacher_forced import (
     GRID_S,
@@ -44,8 +44,8 @@ def flight_gap(
     """Residuals of one flight against one vehicle.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle.load_vehicle`.
+        flight: As read by `aligned.logs.read_flight`.
+        vehicle: As read by `aligned.vehicle.load_vehicle`.
         horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
         progress: Called with the share done, 0..1.
 
@@ -54,20 +54,28 @@ def flight_gap(
     """
     if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
-    twin = prepare(flight, vehicle)
-    readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
-    channels = teacher_forced_channels(
-        flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases
+    aligned = align_flight(flight, vehicle)
+    readings, names = predicted_readings(
+        aligned.airframe, aligned.imu, aligned.states, aligned.inputs.u
     )
-    short, notes = _short_horizon(flight, twin, horizon_s, progress or (lambda _: None))
+    channels = teacher_forced_channels(
+        flight,
+        aligned.motion,
+        aligned.inputs.t_s,
+        readings,
+        names,
+        aligned.airborne,
+        aligned.phases,
+    )
+    short, notes = _short_horizon(flight, aligned, horizon_s, progress or (lambda _: None))
     notes += _wrong_vehicle(channels, vehicle)
     warnings = [f"{f.where}: {f.message}" for f in flight.findings if f.severity != "info"]
     return FlightGap(
         flight=flight.name,
         vehicle=vehicle.name,
         channels=tuple(channels + short),
-        phases=_spans(twin.inputs.t_s, twin.phases),
-        warnings=tuple([*twin.notes, *notes, *warnings]),
+        phases=_spans(aligned.inputs.t_s, aligned.phases),
+        warnings=tuple([*aligned.notes, *notes, *warnings]),
         facts=dict(flight.facts),
     )
 
@@ -88,66 +96,66 @@ def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
 
 
 def _short_horizon(
-    flight: Flight, twin: Twin, horizon_s: float, progress: Callable[[float], None]
+    flight: Flight, aligned: AlignedFlight, horizon_s: float, progress: Callable[[float], None]
 ) -> tuple[list[Channel], list[str]]:
     """Restart, step through the FMUs, compare at the end of each window."""
-    motion = twin.motion
+    motion = aligned.motion
     if motion.attitude is None or motion.velocity is None or motion.rates is None:
         return [], ["no short-horizon residuals: they need attitude, velocity and body rates"]
     steps = round(horizon_s / GRID_S)
-    starts = [k for k in _windows(twin, steps)]
+    starts = [k for k in _windows(aligned, steps)]
     if not starts:
         return [], [f"no stretch of {horizon_s:g} s of measured flight for short-horizon residuals"]
     ends = np.array([k + steps for k in starts])
     predicted = np.empty((len(starts), len(_POSE) + 3))
     with (
         tempfile.TemporaryDirectory(prefix="uavtwin-") as folder,
-        _open(flight, twin, Path(folder)) as master,
+        _open(flight, aligned, Path(folder)) as master,
     ):
         for row, k in enumerate(starts):
-            begin = twin.inputs.t_s[k]
-            master.initialize(begin, start_values(twin, k))
+            begin = aligned.inputs.t_s[k]
+            master.initialize(begin, start_values(aligned, k))
             recording = master.run(begin + horizon_s, GRID_S, "settled", every=steps)
             predicted[row] = recording.values[-1]
             progress((row + 1) / len(starts))
-    return _end_channels(twin, ends, predicted, horizon_s), []
+    return _end_channels(aligned, ends, predicted, horizon_s), []
 
 
-def _open(flight: Flight, twin: Twin, folder: Path) -> Master:
+def _open(flight: Flight, aligned: AlignedFlight, folder: Path) -> Master:
     """Replay, airframe and IMU as FMUs behind the master."""
-    driven = as_driven(flight, twin.airframe, twin.inputs)
+    driven = as_driven(flight, aligned.airframe, aligned.inputs)
     fmus = {
-        "replay": build(replay_model(driven, twin.inputs.columns), folder / "replay.fmu"),
-        "airframe": build(component_model(twin.airframe), folder / "airframe.fmu"),
-        "imu": build(component_model(twin.imu), folder / "imu.fmu"),
+        "replay": build(replay_model(driven, aligned.inputs.columns), folder / "replay.fmu"),
+        "airframe": build(component_model(aligned.airframe), folder / "airframe.fmu"),
+        "imu": build(component_model(aligned.imu), folder / "imu.fmu"),
     }
     system = System(
         fmus,
-        connect("replay", "airframe", twin.inputs.columns)
-        + connect("airframe", "imu", twin.imu.input_names),
+        connect("replay", "airframe", aligned.inputs.columns)
+        + connect("airframe", "imu", aligned.imu.input_names),
         starts={"airframe.ground.enabled": 0.0},
     )
     return Master(system, record=[f"airframe.{n}" for n in _POSE] + [f"imu.gyro_{a}" for a in AXES])
 
 
-def start_values(twin: Twin, k: int) -> dict[str, float]:
+def start_values(aligned: AlignedFlight, k: int) -> dict[str, float]:
     """Start values of the airframe FMU for the state at grid point k.
 
     Some count from where the airframe would start by itself, such as a load from its place at rest:
     by what it starts too far off when given the state itself, the start value is too large.
     """
-    body, wanted = twin.airframe, twin.states[k]
+    body, wanted = aligned.airframe, aligned.states[k]
     names = [f"initial.{s.name}" for s in body.states]
     settable = {v.name for v in body.parameters}
     given = {n: float(x) for n, x in zip(names, wanted, strict=True) if n in settable}
-    reached = body.initial(twin.inputs.u[k], body.parameter_values(given))
+    reached = body.initial(aligned.inputs.u[k], body.parameter_values(given))
     beyond = dict(zip(names, np.asarray(reached, dtype=np.float64).ravel() - wanted, strict=True))
     return {f"airframe.{n}": x - float(beyond[n]) for n, x in given.items()}
 
 
-def _windows(twin: Twin, steps: int) -> Iterator[int]:
+def _windows(aligned: AlignedFlight, steps: int) -> Iterator[int]:
     """Grid points at which a window starts: airborne and measured from start to end."""
-    known = twin.airborne & np.all(np.isfinite(twin.states), axis=1)
+    known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
     unknown_before = np.concatenate([[0], np.cumsum(~known)])
     k = int(np.argmax(known))
     while k + steps < len(known):
@@ -159,18 +167,18 @@ def _windows(twin: Twin, steps: int) -> Iterator[int]:
 
 
 def _end_channels(
-    twin: Twin, ends: NDArray[np.intp], predicted: Array, horizon_s: float
+    aligned: AlignedFlight, ends: NDArray[np.intp], predicted: Array, horizon_s: float
 ) -> list[Channel]:
-    names = [s.name for s in twin.airframe.states]
-    t, phase = twin.inputs.t_s[ends], twin.phases[ends]
+    names = [s.name for s in aligned.airframe.states]
+    t, phase = aligned.inputs.t_s[ends], aligned.phases[ends]
 
     def state(group: tuple[str, ...]) -> Array:
         columns = np.array([names.index(n) for n in group], dtype=np.intp)
-        return twin.states[np.ix_(ends, columns)]
+        return aligned.states[np.ix_(ends, columns)]
 
     measured, channels = state(_POSE), []
     for i, name in enumerate(_POSE[:6]):
-        if name.startswith("pos") and twin.motion.position is None:
+        if name.startswith("pos") and aligned.motion.position is None:
             continue
         unit = "m" if name.startswith("pos") else "m/s"
         channels.append(Channel(name, unit, horizon_s, t, measured[:, i], predicted[:, i], phase))

@@ -91,9 +91,9 @@ def trained(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> C
     return train(
         split.train,
         preset,
-        task.protocol,
+        task.protocol,  # type: ignore[arg-type]
         task.horizon,
-        seed,  # type: ignore[arg-type]
+        seed,
         out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}",
     )
 

@@ -43,7 +43,7 @@ def at_edge(found: Explanation) -> dict[str, list[float]]:
     if found.naming is None:
         return {}
     ends = {}
-    for number in found.naming.ground.model.numbers:
+    for number in found.naming.problem.model.numbers:
         value = found.values.get(number.full)
         low, high = number.about.prior
         if value is None or value == number.about.neutral:
@@ -57,13 +57,13 @@ def by_flight(found: Explanation) -> dict[str, dict[str, float]]:
     """Log likelihood, out of sample, that each effect adds to the others, per fitted flight."""
     if found.naming is None or found.shown is None:
         return {}
-    ground, shown = found.naming.ground, found.shown
-    flight = np.array([f for f, _ in ground.rest.keys])
+    problem, shown = found.naming.problem, found.shown
+    flight = np.array([f for f, _ in problem.rest.keys])
     added = {}
     for effect in shown.effects:
-        if effect not in ground.model.effects:
+        if effect not in problem.model.effects:
             continue
-        without = ground.fit([e for e in shown.effects if e != effect])
+        without = problem.fit([e for e in shown.effects if e != effect])
         more = shown.gains - without.gains
         added[effect] = {
             name: float(more[flight == i].sum()) for i, name in enumerate(found.flights)
@@ -73,10 +73,10 @@ def by_flight(found: Explanation) -> dict[str, dict[str, float]]:
 
 def channels(found: Explanation) -> list[dict[str, Any]]:
     """Rms of the held-out flight per channel: every correction beside each other."""
-    if found.showing is None or found.naming is None:
+    if found.comparison is None or found.naming is None:
         return []
-    fitted = _by_name(found.naming.ground.model.channels([]))
-    before = _by_name(found.showing.before)
+    fitted = _by_name(found.naming.problem.model.channels([]))
+    before = _by_name(found.comparison.before)
     return [
         {
             "name": gap.name,
@@ -88,7 +88,7 @@ def channels(found: Explanation) -> list[dict[str, Any]]:
             "floor": gap.noise_floor,
             "shrink_ci95": [x if np.isfinite(x) else None for x in gap.shrink_ci95],
         }
-        for gap in sorted(found.showing.gaps, key=lambda g: list(before).index(g.name))
+        for gap in sorted(found.comparison.gaps, key=lambda g: list(before).index(g.name))
     ]
 
 

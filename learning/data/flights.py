@@ -25,7 +25,7 @@ from twin.errors import LogError, ModelError
 from twin.logs import Flight
 from twin.logs.columns import MAG, motor_number
 from twin.physics.sensors.magnetometer import magnetometer
-from twin.residuals.aligned import Twin, prepare
+from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.short_horizon import window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
@@ -86,8 +86,8 @@ def residual_flight(
     """Residuals of a flight against a vehicle.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
+        flight: As read by `aligned.logs.read_flight`.
+        vehicle: As read by `aligned.vehicle.file.load_vehicle`, its effects included.
         rate_hz: Of the grid; 1000 Hz over a whole number.
         horizon_s: From the restart to the reading; a multiple of 1 ms, at least one interval.
         progress: Called with the share done, 0..1.
@@ -97,13 +97,13 @@ def residual_flight(
         LogError: The flight cannot be compared with this vehicle, or has no sample to compare.
     """
     every, steps = _steps(rate_hz, horizon_s)
-    twin = prepare(flight, vehicle)
-    t = twin.inputs.t_s
+    aligned = align_flight(flight, vehicle)
+    t = aligned.inputs.t_s
     first = -round(float(t[0]) / GRID_S) % every
     grid = np.arange(first, len(t), every)
-    valid = _whole(twin, grid, steps)
-    ends = _restarts(twin, grid, valid, steps, every, progress or (lambda _: None))
-    at_state = _at_measured_state(flight, vehicle, twin)
+    valid = _whole(aligned, grid, steps)
+    ends = _restarts(aligned, grid, valid, steps, every, progress or (lambda _: None))
+    at_state = _at_measured_state(flight, vehicle, aligned)
 
     virtual = np.full((len(grid), len(CHANNELS)), np.nan)
     residual, fresh = virtual.copy(), np.zeros(virtual.shape, dtype=np.bool_)
@@ -127,7 +127,7 @@ def residual_flight(
             f"or vel_* besides motor commands, and {horizon_s:g} s of attitude, velocity and body "
             f"rates. The flight has: {', '.join(c for c in flight.table if flight.has(c))}."
         )
-    drives = [i for i, n in enumerate(twin.airframe.input_names) if motor_number(n) is not None]
+    drives = [i for i, n in enumerate(aligned.airframe.input_names) if motor_number(n) is not None]
     notes = [f"no samples of {g}_*: these channels have no residual" for g in missing]
     return ResidualFlight(
         name=flight.name,
@@ -136,12 +136,12 @@ def residual_flight(
         virtual=virtual,
         residual=held(residual),
         fresh=fresh,
-        commands=twin.inputs.u[grid][:, drives],
+        commands=aligned.inputs.u[grid][:, drives],
         phase=np.array(
-            [PHASE_CODES.get(str(p), UNKNOWN_PHASE) for p in twin.phases[grid]], dtype=np.intp
+            [PHASE_CODES.get(str(p), UNKNOWN_PHASE) for p in aligned.phases[grid]], dtype=np.intp
         ),
         spans=_spans(valid),
-        notes=(*twin.notes, *notes),
+        notes=(*aligned.notes, *notes),
     )
 
 
@@ -167,15 +167,15 @@ def _steps(rate_hz: float, horizon_s: float) -> tuple[int, int]:
     return every, steps
 
 
-def _restartable(twin: Twin) -> bool:
-    motion = twin.motion
+def _restartable(aligned: AlignedFlight) -> bool:
+    motion = aligned.motion
     return not (motion.attitude is None or motion.velocity is None or motion.rates is None)
 
 
-def _whole(twin: Twin, grid: IntArray, steps: int) -> BoolArray:
+def _whole(aligned: AlignedFlight, grid: IntArray, steps: int) -> BoolArray:
     """Instants in the air at which the state is known, and since the restart where there is one."""
-    known = twin.airborne & np.all(np.isfinite(twin.states), axis=1)
-    if not _restartable(twin):
+    known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
+    if not _restartable(aligned):
         return np.asarray(known[grid], dtype=np.bool_)
     unknown_before = np.concatenate([[0], np.cumsum(~known)])
     begin = np.maximum(grid - steps, 0)
@@ -185,7 +185,7 @@ def _whole(twin: Twin, grid: IntArray, steps: int) -> BoolArray:
 
 
 def _restarts(
-    twin: Twin,
+    aligned: AlignedFlight,
     grid: IntArray,
     valid: BoolArray,
     steps: int,
@@ -194,9 +194,9 @@ def _restarts(
 ) -> Array:
     """Readings over the last interval of every window, shape (n, every + 1, 9)."""
     ends = np.full((len(grid), every + 1, 3 * len(RESTARTED)), np.nan)
-    if _restartable(twin) and valid.any():
-        ends[valid] = window_ends(twin, grid[valid] - steps, steps, every, progress)
-    if twin.motion.position is None:
+    if _restartable(aligned) and valid.any():
+        ends[valid] = window_ends(aligned, grid[valid] - steps, steps, every, progress)
+    if aligned.motion.position is None:
         ends[:, :, _columns_of_ends("pos")] = np.nan
     return ends
 
@@ -206,16 +206,20 @@ def _columns_of_ends(group: str) -> slice:
     return slice(first, first + 3)
 
 
-def _at_measured_state(flight: Flight, vehicle: Vehicle, twin: Twin) -> dict[str, Array]:
+def _at_measured_state(
+    flight: Flight, vehicle: Vehicle, aligned: AlignedFlight
+) -> dict[str, Array]:
     """Accelerometer and magnetometer at every point of the twin's grid, shape (n_grid, 3) each."""
-    readings, _ = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
-    acc = [twin.imu.output_names.index(n) for n in CHANNELS[GROUPS["acc"]]]
+    readings, _ = predicted_readings(
+        aligned.airframe, aligned.imu, aligned.states, aligned.inputs.u
+    )
+    acc = [aligned.imu.output_names.index(n) for n in CHANNELS[GROUPS["acc"]]]
     found = {"acc": readings[:, acc], "mag": np.full((len(readings), 3), np.nan)}
-    if twin.motion.attitude is not None:
-        sensor, t = magnetometer(vehicle), twin.inputs.t_s
+    if aligned.motion.attitude is not None:
+        sensor, t = magnetometer(vehicle), aligned.inputs.t_s
         rows = np.tile(sensor.input_values(), (len(t), 1))
         turned = [sensor.input_names.index(f"q_{a}") for a in "wxyz"]
-        rows[:, turned] = twin.motion.attitude.at(t)
+        rows[:, turned] = aligned.motion.attitude.at(t)
         if "ibat_a" in sensor.input_names and flight.has("ibat_a"):
             current = Signal(*flight.signal(["ibat_a"])).held(t)
             rows[:, sensor.input_names.index("ibat_a")] = current[:, 0]

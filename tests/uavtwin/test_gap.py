@@ -13,7 +13,7 @@ from fmus import build, component_model, replay_model
 from twin.errors import LogError
 from twin.frames import to_body
 from twin.logs import Flight
-from twin.residuals.aligned import Twin, prepare
+from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.gap import Channel, FlightGap
 from twin.residuals.measured import RATE_CUTOFF_HZ, Signal, differentiate, zero_phase
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
@@ -74,12 +74,12 @@ def quiet_gap(quiet: Flight) -> dict[str, Channel]:
 @pytest.fixture(scope="module", params=["copter_default", "crazyflie"])
 def system(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[Twin, Master]]:
+) -> Iterator[tuple[AlignedFlight, Master]]:
     """A flight and its twin, as batch and as FMUs."""
     vehicle = load_vehicle(request.param)
     vehicle = replace(vehicle, imu_position_m=np.array([0.02, -0.01, 0.005]))
     flight = fly(vehicle, vehicle, seed=2)
-    twin = prepare(flight, vehicle)
+    twin = align_flight(flight, vehicle)
     folder: Path = tmp_path_factory.mktemp("fmus")
     fmus = {
         "replay": build(replay_model(flight, twin.inputs.columns), folder / "replay.fmu"),
@@ -93,7 +93,7 @@ def system(
 
 
 def test_teacher_forced_batch_is_what_the_fmus_say_at_a_restart(
-    system: tuple[Twin, Master],
+    system: tuple[AlignedFlight, Master],
 ) -> None:
     twin, master = system
     readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
@@ -108,7 +108,9 @@ def test_teacher_forced_batch_is_what_the_fmus_say_at_a_restart(
             assert abs(row[f"{slave}.{name}"][0] - readings[k, i]) <= 1e-12 * scale, (name, k)
 
 
-def test_short_horizon_of_the_fmus_is_that_of_the_equations(system: tuple[Twin, Master]) -> None:
+def test_short_horizon_of_the_fmus_is_that_of_the_equations(
+    system: tuple[AlignedFlight, Master],
+) -> None:
     twin, master = system
     p = twin.airframe.parameter_values({"ground.enabled": 0.0})
     names = [s.name for s in twin.airframe.states]
@@ -136,7 +138,7 @@ def test_channels_of_the_gap_are_the_python_twin(
     quiet: Flight, quiet_gap: dict[str, Channel]
 ) -> None:
     """The same numbers once more through the public entry: windows end where they should."""
-    twin = prepare(quiet, FEISI)
+    twin = align_flight(quiet, FEISI)
     p = twin.airframe.parameter_values({"ground.enabled": 0.0})
     names = [s.name for s in twin.airframe.states]
     for row in (0, 17, 40):
@@ -154,7 +156,7 @@ def test_channels_of_the_gap_are_the_python_twin(
 
 def test_low_pass_of_the_imu_bridges_what_is_unknown() -> None:
     vehicle = replace(FEISI, accel_cutoff_hz=20.0)
-    twin_imu = prepare(fly(vehicle, vehicle, seed=0), vehicle).imu
+    twin_imu = align_flight(fly(vehicle, vehicle, seed=0), vehicle).imu
     sensed = np.tile([0, 0, -9.8, 0, 0, 0, 0, 0, 0.0], (400, 1))
     sensed[:10] = np.nan
     sensed[100:150, 4] = np.nan
@@ -338,7 +340,7 @@ def test_a_column_without_samples_counts_as_missing(short: Flight) -> None:
 def test_measured_rotor_speeds_replace_the_commands() -> None:
     vehicle = load_vehicle("copter_default")
     flight = cut(fly(vehicle, vehicle, seed=0), 0.0, 7.0)
-    twin = prepare(flight, vehicle)
+    twin = align_flight(flight, vehicle)
     rows = np.round(flight.table["time"].to_numpy() / GRID_S).astype(int)
     table = flight.table.copy()
     table[[f"rotor_{i}" for i in range(1, 5)]] = twin.inputs.rotor_states[rows]

@@ -7,16 +7,17 @@ from typing import Any
 
 from ..effects import EFFECTS
 from .explanation import Explanation
-from .inference.fit import Fitted
-from .inference.selection import LEAST, Naming
+from .inference.fit import Fit
+from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
-from .stochastic.finding import Unsteady
+from .stochastic.finding import StochasticEffect
 
 MOST_RIVALS = 5
+"""That are listed."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Estimate:
     """A number of an effect.
 
     Attributes:
@@ -30,17 +31,17 @@ class Told:
     ci95: tuple[float, float] | None
 
 
-def listed(found: Explanation) -> list[str]:
+def listed_effects(found: Explanation) -> list[str]:
     """Effects that are told about, the most probable first."""
     naming = found.naming
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
     if naming.verdict == "cannot_tell":
         every = {e for f in naming.fitted for e in f.effects}
-        effects = {e for e in every if naming.probability_of(e) >= LEAST}
+        effects = {e for e in every if naming.probability_of(e) >= naming.settings.least}
     else:
         effects = set(naming.best.effects)
-    effects |= {u.effect for u in found.unsteady}
+    effects |= {u.effect for u in found.stochastic}
     return sorted(effects, key=lambda e: (-probability_of(found, e), e))
 
 
@@ -58,9 +59,9 @@ def probability_of(found: Explanation, effect: str) -> float:
     return found.naming.probability_of(effect)
 
 
-def beside_mean(found: Explanation, effect: str) -> Unsteady | None:
+def beside_mean(found: Explanation, effect: str) -> StochasticEffect | None:
     """An effect that changes no mean; None where it changes one."""
-    return next((u for u in found.unsteady if u.effect == effect), None)
+    return next((u for u in found.stochastic if u.effect == effect), None)
 
 
 def nothing_probability(naming: Naming) -> float:
@@ -70,12 +71,12 @@ def nothing_probability(naming: Naming) -> float:
     )
 
 
-def best_with(naming: Naming, effect: str) -> Fitted:
+def best_with(naming: Naming, effect: str) -> Fit:
     """The most probable hypothesis that an effect is part of."""
     return next(f for f in naming.fitted if effect in f.effects)
 
 
-def intervals(fitted: Fitted) -> dict[str, tuple[float, float]]:
+def intervals(fitted: Fit) -> dict[str, tuple[float, float]]:
     """95 % intervals, "effect.number" -> low, high; shapes have none."""
     return {
         n.full: (fitted.values[n.full] - float(w), fitted.values[n.full] + float(w))
@@ -83,30 +84,30 @@ def intervals(fitted: Fitted) -> dict[str, tuple[float, float]]:
     }
 
 
-def told(found: Explanation, effect: str) -> list[Told]:
+def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
     """The numbers of an effect that is listed."""
     beside = beside_mean(found, effect)
     own: Mapping[str, tuple[float, float]]
     if beside is None:
         assert found.naming is not None
         fitted = best_with(found.naming, effect)
-        numbers, values, own = found.naming.ground.model.numbers, fitted.values, intervals(fitted)
+        numbers, values, own = found.naming.problem.model.numbers, fitted.values, intervals(fitted)
     else:
         numbers = tuple(numbers_of([EFFECTS[effect]], found.vehicle))
         values, own = beside.values, beside.intervals
     return [
-        Told(n, values[n.full], own.get(n.full))
+        Estimate(n, values[n.full], own.get(n.full))
         for n in numbers
         if n.effect == effect and n.full in values
     ]
 
 
-def felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def where_felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Channels and phases on which an effect acts most; none where that is not known."""
     beside = beside_mean(found, effect)
     if beside is not None:
         return beside.channels, ()
-    acts = next((a for a in found.acting if a.effect == effect), None)
+    acts = next((a for a in found.attributions if a.effect == effect), None)
     return ((), ()) if acts is None else (acts.channels, acts.phases)
 
 

@@ -6,7 +6,15 @@ from dataclasses import asdict
 from typing import Any
 
 from ..flight.stability import Mission
-from .estimates import felt, listed, nothing_probability, probability_of, rivals, told, undecided
+from .estimates import (
+    estimates_of,
+    listed_effects,
+    nothing_probability,
+    probability_of,
+    rivals,
+    undecided,
+    where_felt,
+)
 from .explanation import Explanation
 from .holdout import ChannelGap
 from .localization import Place
@@ -23,17 +31,18 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "vehicle": found.vehicle.name,
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
         "outside_probability": None if found.naming is None else found.naming.outside,
-        "effects": [_effect(found, e) for e in listed(found)],
+        "effects": [_effect(found, e) for e in listed_effects(found)],
         "undecided": list(undecided(found)),
         "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],
-        "gap": {} if found.showing is None else {g.name: _gap(g) for g in found.showing.gaps},
+        "gap": {} if found.comparison is None else {g.name: _gap(g) for g in found.comparison.gaps},
         "holdout": [
             {"flight": h.flight, "spans_s": None if h.spans is None else [list(s) for s in h.spans]}
             for h in found.holdout
         ],
         "closed_loop": _missions(found.missions) if found.missions else None,
         "next_manoeuvre": None if found.next_manoeuvre is None else asdict(found.next_manoeuvre),
+        "settings": {"hash": found.settings.hash, "changed": found.settings.changed},
     }
     strict = _strict(content)
     assert isinstance(strict, dict)
@@ -41,13 +50,13 @@ def explain_json(found: Explanation) -> dict[str, Any]:
 
 
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
-    channels, phases = felt(found, effect)
+    channels, phases = where_felt(found, effect)
     return {
         "name": effect,
         "probability": probability_of(found, effect),
         "parameters": {
             t.number.name: {"value": t.value, "unit": t.number.about.unit, "ci95": t.ci95}
-            for t in told(found, effect)
+            for t in estimates_of(found, effect)
         },
         "channels": channels,
         "phases": phases,

@@ -23,7 +23,7 @@ LIFT_OFF_HEIGHT_M = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Twin:
+class AlignedFlight:
     """A flight on the grid of its twin.
 
     Attributes:
@@ -56,14 +56,14 @@ class Twin:
         return tuple(y[:, [i for i, n in enumerate(names) if n.startswith(s)]] for s in stems)
 
 
-def prepare(
+def align_flight(
     flight: Flight, vehicle: Vehicle, grid_s: float = GRID_S, effects: Iterable[str] = ()
-) -> Twin:
+) -> AlignedFlight:
     """Put a flight onto the grid of a twin.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
-        vehicle: As read by `twin.vehicle.file.load_vehicle`.
+        flight: As read by `aligned.logs.read_flight`.
+        vehicle: As read by `aligned.vehicle.file.load_vehicle`.
         grid_s: Step of the grid, s; unmeasured states are integrated with it.
         effects: Effects to build into the airframe, switched off.
 
@@ -97,7 +97,9 @@ def prepare(
     notes = list(motion.notes + inputs.notes)
     if on_ground > 0:
         notes.append(f"{on_ground * (t[-1] - t[0]):.1f} s on the ground are left out")
-    return Twin(body, _quiet(imu(vehicle)), inputs, motion, states, phases, airborne, tuple(notes))
+    return AlignedFlight(
+        body, _quiet(imu(vehicle)), inputs, motion, states, phases, airborne, tuple(notes)
+    )
 
 
 def _quiet(sensor: Component) -> Component:

@@ -1,7 +1,7 @@
 """Short windows of flight from measured states on, all of them in one batch.
 
 The same equations, steps and sample instants as the FMUs that `uavtwin gap` runs window by window.
-Commands that are late are so in the inputs, as in all of a `twin.residuals.aligned.Twin`.
+Commands that are late are so in the inputs, as in all of a `aligned.residuals.aligned.Twin`.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..component import Component, Sampling, substeps
 from ..component.rows import OverRows
-from .aligned import Twin
+from .aligned import AlignedFlight
 from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ WINDOWS_AT_ONCE = 1024
 
 
 def window_ends(
-    twin: Twin,
+    aligned: AlignedFlight,
     starts: NDArray[np.intp],
     steps: int,
     tail: int,
@@ -43,7 +43,7 @@ def window_ends(
         `tail` + 1 grid points, shape (w, tail + 1, 9).
     """
     found = np.empty((len(starts), tail + 1, len(GYRO + POSE)))
-    windows = _Windows(twin)
+    windows = _Windows(aligned)
     for first in range(0, len(starts), WINDOWS_AT_ONCE):
         part = slice(first, first + WINDOWS_AT_ONCE)
         found[part] = windows.ends(starts[part], steps, tail)
@@ -54,9 +54,9 @@ def window_ends(
 class _Windows:
     """Airframe and IMU of a flight, ready to be started anywhere."""
 
-    def __init__(self, twin: Twin) -> None:
-        self._twin = twin
-        body, sensor = twin.airframe, twin.imu
+    def __init__(self, aligned: AlignedFlight) -> None:
+        self._twin = aligned
+        body, sensor = aligned.airframe, aligned.imu
         self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
         self._imu = _Batch(sensor, sensor.parameter_values())
         self._felt = [body.output_names.index(n) for n in sensor.input_names]
@@ -89,7 +89,7 @@ class _Windows:
 
 
 class _Batch:
-    """Many runs of one component side by side, without noise; see `twin.component.Run`.
+    """Many runs of one component side by side, without noise; see `aligned.component.Run`.
 
     Attributes:
         x: States, shape (w, n_x).

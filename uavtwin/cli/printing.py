@@ -72,11 +72,11 @@ def print_explanation(found: "Explanation") -> None:
     STDOUT.print(claim(found), style="bold", markup=False)
     if found.next_manoeuvre is not None:
         STDOUT.print(f"Fly next: {found.next_manoeuvre.description}", markup=False)
-    if found.showing is None:
+    if found.comparison is None:
         return
     shrink = Column("shrink, 95 %", no_wrap=True)
     table = Table("channel", "unit", "n", "before", "after", "noise floor", shrink, box=None)
-    for g in found.showing.gaps:
+    for g in found.comparison.gaps:
         table.add_row(
             g.name,
             g.unit,

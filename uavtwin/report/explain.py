@@ -6,7 +6,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from twin.explain.estimates import felt, listed, probability_of, rivals, told
+from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals, where_felt
 from twin.explain.explanation import Explanation
 
 from .explain_figures import before_after_figure, evidence_figure
@@ -37,9 +37,9 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         claim=claim(found),
         found=found,
         shrinking=shrinking(found),
-        effects=[_effect(found, e) for e in listed(found)],
+        effects=[_effect(found, e) for e in listed_effects(found)],
         before_after=_before_after(found),
-        gaps=() if found.showing is None else found.showing.gaps,
+        gaps=() if found.comparison is None else found.comparison.gaps,
         stable=all(m.stable for m in found.missions),
     )
     path.write_text(page, encoding="utf-8")
@@ -47,11 +47,11 @@ def write_explain_report(found: Explanation, path: Path) -> None:
 
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     """One effect as the template reads it."""
-    channels, phases = felt(found, effect)
-    acts = next((a for a in found.acting if a.effect == effect), None)
+    channels, phases = where_felt(found, effect)
+    acts = next((a for a in found.attributions if a.effect == effect), None)
     figure: Mapping[str, Any] | None = None
-    if acts is not None and found.showing is not None:
-        drawn = evidence_figure(acts, found.showing.after)
+    if acts is not None and found.comparison is not None:
+        drawn = evidence_figure(acts, found.comparison.after)
         figure = _figure(f"evidence-{effect}", drawn)
     return {
         "name": title(effect),
@@ -65,7 +65,7 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
                 "value": t.value,
                 "interval": interval(t.ci95),
             }
-            for t in told(found, effect)
+            for t in estimates_of(found, effect)
         ],
         "channels": channels,
         "phases": phases,
@@ -75,7 +75,7 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
                 "name": title(r["name"]),
                 "meaning": meaning(r["name"]),
                 "certainty": certainty(r["probability"]),
-                "why": why_lost(r),
+                "why": why_lost(r, found.settings.inference),
             }
             for r in rivals(found, effect)
         ],
@@ -84,16 +84,16 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
 
 def _before_after(found: Explanation) -> list[dict[str, Any]]:
     """Figures over time of the most affected channels."""
-    showing = found.showing
-    if showing is None or not found.values:
+    comparison = found.comparison
+    if comparison is None or not found.values:
         return []
-    names = list(dict.fromkeys(c for a in found.acting for c in a.channels[:MOST_AFFECTED]))
-    flights = [f.flight.name for f in showing.model.flights]
+    names = list(dict.fromkeys(c for a in found.attributions for c in a.channels[:MOST_AFFECTED]))
+    flights = [f.flight.name for f in comparison.model.flights]
     figures = []
     for name in names[: 2 * MOST_AFFECTED]:
         before, after = (
             [next(c for c in flight if c.name == name) for flight in channels]
-            for channels in (showing.before, showing.after)
+            for channels in (comparison.before, comparison.after)
         )
         figures.append(_figure(f"time-{name}", before_after_figure(name, before, after, flights)))
     return figures

@@ -8,7 +8,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from twin.explain.attribution import Acting
+from twin.explain.attribution import Attribution
 from twin.explain.model.channels import ChannelData
 
 from .figures import pretty_unit
@@ -22,7 +22,7 @@ _BLACK, _BLUE, _ORANGE, _GREY = "#000000", "#1f5fd0", "#e07b1a", "#8a8f98"
 _BEFORE, _AFTER = "model as it stood", "model with the effect"
 
 
-def evidence_figure(acts: Acting, with_all: Flights) -> go.Figure:
+def evidence_figure(acts: Attribution, with_all: Flights) -> go.Figure:
     """Residual without and with an effect against what the effect predicts, on held-out flights.
 
     Args:

@@ -7,18 +7,17 @@ from typing import Any
 from twin.effects import EFFECTS
 from twin.explain.estimates import (
     beside_mean,
-    listed,
+    estimates_of,
+    listed_effects,
     nothing_probability,
     probability_of,
-    told,
     undecided,
 )
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
-from twin.explain.inference.fit import Fitted
-from twin.explain.inference.pool import PER_EFFECT
-from twin.explain.inference.selection import LEAST
+from twin.explain.inference.fit import Fit
 from twin.explain.model.numbers import Number
+from twin.explain.settings import DEFAULT, InferenceSettings
 
 from .figures import pretty_unit
 from .gap import number, percent
@@ -39,11 +38,11 @@ def claim(found: Explanation) -> str:
         sure = certainty(nothing_probability(naming))
         return f"The model lacks nothing that these flights can show, sure to {sure}."
     if found.verdict == "named":
-        effects = [e for e in listed(found) if e not in undecided(found)]
+        effects = [e for e in listed_effects(found) if e not in undecided(found)]
         most = MOST_NUMBERS if len(effects) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
         chance = naming.together([e for e in effects if beside_mean(found, e) is None])
-        chance *= math.prod(u.probability for u in found.unsteady)
+        chance *= math.prod(u.probability for u in found.stochastic)
         lacks = f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
         return f"{lacks}{_what_else(found, effects)}"
     if found.verdict == "unnamed":
@@ -52,10 +51,10 @@ def claim(found: Explanation) -> str:
             f"The model lacks something that is not in the library of effects: in {first.channel} "
             f"it is {first.expression}, {100 * first.share:.0f} % of the gap there."
         )
-    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed(found)]
+    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
-    if naming.outside > LEAST:
+    if naming.outside > naming.settings.least:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
 
@@ -65,9 +64,10 @@ def _what_else(found: Explanation, sure: list[str]) -> str:
     if not undecided(found):
         return ""
     assert found.naming is not None
+    least = found.naming.settings.least
     every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
     chance = {e: probability_of(found, e) for e in sorted(every)}
-    likely = sorted((e for e in chance if chance[e] >= LEAST), key=lambda e: -chance[e])
+    likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     tied = _joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Beside that, these flights cannot tell what it lacks: {tied}."
 
@@ -88,7 +88,9 @@ def _sizes(found: Explanation, effect: str, most: int) -> str:
     if beside is None:
         assert found.naming is not None
         return f": {sizes(found.naming.best, effect, most)}"
-    texts = [f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in told(found, effect)]
+    texts = [
+        f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in estimates_of(found, effect)
+    ]
     return f" in {', '.join(beside.channels)}" + (f": {_joined(texts[:most])}" if texts else "")
 
 
@@ -97,7 +99,7 @@ def _unit(of: Number) -> str:
     return "" if of.about.unit == "1" else f" {pretty_unit(of.about.unit)}"
 
 
-def sizes(fitted: Fitted, effect: str, most: int = MOST_NUMBERS) -> str:
+def sizes(fitted: Fit, effect: str, most: int = MOST_NUMBERS) -> str:
     """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
     own = [n for n in fitted.numbers if n.effect == effect]
     width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
@@ -130,14 +132,14 @@ def interval(ci95: tuple[float, float] | None) -> str:
     return "\N{EN DASH}" if ci95 is None else " to ".join(map(number, ci95))
 
 
-def why_lost(rival: Mapping[str, Any]) -> str:
+def why_lost(rival: Mapping[str, Any], settings: InferenceSettings = DEFAULT.inference) -> str:
     """Why another explanation, of `rivals`, was not chosen."""
     if rival["name"] == "nothing":
         return "leaves the whole gap open" if "behind" in rival else "does not look like this"
-    if rival["probability"] >= LEAST:
+    if rival["probability"] >= settings.selection.least:
         return "explains the flights about as well: they cannot tell the two apart"
     partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])
-    if rival["behind"] < PER_EFFECT:
+    if rival["behind"] < settings.prior.per_effect:
         return f"{partners}explains the flights about as well, but with more effects or numbers"
     return (
         f"{partners}takes {100 * rival['share']:.1f} % of the gap of a channel at best, but "
@@ -148,9 +150,9 @@ def why_lost(rival: Mapping[str, Any]) -> str:
 
 def shrinking(found: Explanation) -> str:
     """What the held-out flights say, in one sentence."""
-    if found.showing is None or found.shown is None:
+    if found.comparison is None or found.shown is None:
         return ""
-    clear = [g for g in found.showing.gaps if g.shrink_ci95[0] > 0]
+    clear = [g for g in found.comparison.gaps if g.shrink_ci95[0] > 0]
     if not clear:
         return "On the held-out flights no channel got clearly better."
     best = max(clear, key=lambda g: g.before / g.noise_floor)

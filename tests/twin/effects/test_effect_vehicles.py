@@ -14,7 +14,7 @@ from twin.flight.control.lqr_cascade import controller
 from twin.flight.mission import mission
 from twin.logs import Flight
 from twin.physics.airframe import airframe
-from twin.residuals.aligned import prepare
+from twin.residuals.aligned import align_flight
 from twin.residuals.gap import Channel
 from twin.residuals.short_horizon import GYRO, POSE, window_ends
 from twin.residuals.teacher_forced import GRID_S
@@ -83,7 +83,7 @@ def test_windows_start_where_the_teacher_forced_twin_is(name: str, effect: str) 
     found = {
         c.name: c for c in flight_gap(flight, vehicle, steps * GRID_S).channels if c.horizon_s > 0
     }
-    twin = prepare(flight, vehicle)
+    twin = align_flight(flight, vehicle)
     ends = np.searchsorted(twin.inputs.t_s, found["vel_x"].t_s - 1e-9)
     assert len(ends) >= 3
     exact = window_ends(twin, ends - steps, steps, 0)[:, 0]
@@ -99,8 +99,8 @@ def test_a_command_arrives_in_a_flight_when_it_does_in_a_simulation() -> None:
     flight = flown("feisi_x150", "command_delay")
     for delay_s in (0.0, 0.001, 0.0123, 0.02):
         vehicle = having("feisi_x150", "command_delay", delay_s=delay_s)
-        twin = prepare(flight, vehicle)
-        raw = prepare(flight, load_vehicle("feisi_x150")).inputs.u
+        twin = align_flight(flight, vehicle)
+        raw = align_flight(flight, load_vehicle("feisi_x150")).inputs.u
         body = airframe(vehicle)
         held = [i for i, s in enumerate(body.states) if s.name.startswith("command_delay.")]
         assert [s.name for s in twin.airframe.states] == [s.name for s in body.states]

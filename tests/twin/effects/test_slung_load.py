@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS
-from twin.explain.inference.fit import Ground
+from twin.explain.inference.fit import Problem
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
-from twin.explain.model.slung_load_observer import PLACE, SPEED, hung, swing
+from twin.explain.model.slung_load_observer import PLACE, SPEED, hang_load, observe_swing
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
@@ -34,7 +34,7 @@ def tilted(n: int, angle_rad: float) -> Array:
 
 
 def test_an_unobserved_load_swings_as_a_pendulum() -> None:
-    along, rate = swing(tilted(4000, 0.02), np.zeros((4000, 3)), 0.8, STEP_S)
+    along, rate = observe_swing(tilted(4000, 0.02), np.zeros((4000, 3)), 0.8, STEP_S)
     middle = along[:, 0] + np.sin(0.02)
     rises = np.flatnonzero((middle[:-1] < 0) & (middle[1:] >= 0))
     period = np.diff(rises).mean() * STEP_S
@@ -47,11 +47,11 @@ def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
     """Its swing begins unknown: 40 degrees off, all of which is forgotten within 2 s."""
     free = tilted(2000, 0.0)
     free[:200] = tilted(200, 0.7)
-    truth, rate = swing(free, np.zeros((2000, 3)), 0.8, STEP_S)
+    truth, rate = observe_swing(free, np.zeros((2000, 3)), 0.8, STEP_S)
     pull = 0.8 * np.sum(rate**2, axis=1) - np.sum(truth * free, axis=1)
     felt = 0.1 * pull[:, None] * truth
-    blind, _ = swing(tilted(1500, 0.0), np.zeros((1500, 3)), 0.8, STEP_S)
-    found, _ = swing(tilted(1500, 0.0), felt[500:], 0.8, STEP_S)
+    blind, _ = observe_swing(tilted(1500, 0.0), np.zeros((1500, 3)), 0.8, STEP_S)
+    found, _ = observe_swing(tilted(1500, 0.0), felt[500:], 0.8, STEP_S)
     late = slice(400, None)
     assert np.max(np.linalg.norm(blind[late] - truth[500:][late], axis=1)) > 0.3
     assert np.max(np.linalg.norm(found[late] - truth[500:][late], axis=1)) < 0.03
@@ -62,7 +62,8 @@ def test_the_swing_does_not_look_ahead() -> None:
     free, felt = tilted(400, 0.1), rng.standard_normal((400, 3))
     other = np.where(np.arange(400)[:, None] < 200, felt, 5.0)
     assert np.array_equal(
-        swing(free, felt, 1.0, STEP_S)[0][:201], swing(free, other, 1.0, STEP_S)[0][:201]
+        observe_swing(free, felt, 1.0, STEP_S)[0][:201],
+        observe_swing(free, other, 1.0, STEP_S)[0][:201],
     )
 
 
@@ -72,29 +73,29 @@ def test_the_rope_is_stretched_by_its_tension() -> None:
     states = np.tile([1.0, 2.0, 3.0, *[0.0] * 6], (2, 1))
     swung = np.tile([0.0, 0.0, 1.0], (2, 1)), np.tile([0.5, 0.0, 0.0], (2, 1))
     still = swung[0], np.zeros((2, 3))
-    at_rest = hung(states, names, still, tilted(2, 0.0), 2.0, 0.25)
+    at_rest = hang_load(states, names, still, tilted(2, 0.0), 2.0, 0.25)
     assert (at_rest[0, 5] - 2.0) * (2 * np.pi * 5.0) ** 2 == pytest.approx(G / 1.25)
-    moving = hung(states, names, swung, tilted(2, 0.0), 2.0, 0.0)
+    moving = hang_load(states, names, swung, tilted(2, 0.0), 2.0, 0.0)
     assert (moving[0, 5] - 2.0) * (2 * np.pi * 5.0) ** 2 == pytest.approx(G + 2.0 * 0.5**2)
     assert moving[0, 6:].tolist() == [2.0, 2.0, 3.0]
 
 
-def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Ground:
+def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Problem:
     """Some effects against a flight of a plant."""
     flights = [fly(vehicle, plant, 1, waypoints=WAYPOINTS)]
-    return Ground.of(model_of(flights, vehicle, [EFFECTS[n] for n in names]))
+    return Problem.of(model_of(flights, vehicle, [EFFECTS[n] for n in names]))
 
 
 def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:
     vehicle = load_vehicle("copter_default")
     truth = {"slung_load.mass_kg": 0.08 * vehicle.mass_kg, "slung_load.length_m": 1.0}
     plant = with_effects(vehicle, ["slung_load"], truth)
-    ground = fitted(vehicle, plant, ("slung_load", "mass_offset", "steady_wind", "rotor_drag"))
-    found = ground.fit(["slung_load"])
+    problem = fitted(vehicle, plant, ("slung_load", "mass_offset", "steady_wind", "rotor_drag"))
+    found = problem.fit(["slung_load"])
     assert found.values["slung_load.mass_kg"] == pytest.approx(truth["slung_load.mass_kg"], rel=0.1)
     assert found.values["slung_load.length_m"] == pytest.approx(1.0, rel=0.2)
     for rival in (["mass_offset"], ["steady_wind"], ["mass_offset", "rotor_drag"]):
-        assert found.gain > ground.fit(rival).gain + 50, rival
+        assert found.gain > problem.fit(rival).gain + 50, rival
 
 
 @pytest.mark.parametrize("hidden", ["mass_offset", "rotor_drag"])
@@ -103,5 +104,5 @@ def test_what_is_no_load_is_not_taken_for_one(hidden: str) -> None:
     heavier = replace(vehicle, mass_kg=1.08 * vehicle.mass_kg)
     dragged = with_effects(vehicle, ["rotor_drag"], {"rotor_drag.k_xy_1_s": 0.4})
     plant = heavier if hidden == "mass_offset" else dragged
-    ground = fitted(vehicle, plant, ("slung_load", hidden))
-    assert ground.fit([hidden]).gain > ground.fit(["slung_load"]).gain + 50
+    problem = fitted(vehicle, plant, ("slung_load", hidden))
+    assert problem.fit([hidden]).gain > problem.fit(["slung_load"]).gain + 50

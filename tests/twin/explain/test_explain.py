@@ -10,11 +10,12 @@ import pytest
 
 from twin.effects import EFFECTS
 from twin.errors import ModelError
-from twin.explain.attribution import acting
-from twin.explain.holdout import ChannelGap, Showing, show
-from twin.explain.localization import places
+from twin.explain.attribution import attribute_effect
+from twin.explain.holdout import ChannelGap, Comparison, compare_holdout
+from twin.explain.localization import localize
 from twin.explain.model.numbers import with_effects
-from twin.explain.split import BLOCK_S, held_out_spans, hidden
+from twin.explain.settings import DEFAULT
+from twin.explain.split import held_out_spans, hidden
 from twin.explain.usable import reasons_unusable
 from twin.flight.stability import fly_missions
 from twin.logs import Flight
@@ -48,15 +49,15 @@ def flight() -> Flight:
 
 
 @pytest.fixture(scope="module")
-def shown(flight: Flight) -> Showing:
+def shown(flight: Flight) -> Comparison:
     """Before and after the true effect is added."""
-    return show([flight], COPTER, ["rotor_drag"], VALUES)
+    return compare_holdout([flight], COPTER, ["rotor_drag"], VALUES)
 
 
 # -- showing --------------------------------------------------------------------------------
 
 
-def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Showing) -> None:
+def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Comparison) -> None:
     gaps = {g.name: g for g in shown.gaps}
     for name in ("acc_x", "acc_y"):
         gap = gaps[name]
@@ -70,7 +71,7 @@ def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Showing) -> No
 
 
 def test_a_wrong_number_makes_channels_worse_and_that_is_said_first(flight: Flight) -> None:
-    wrong = show([flight], COPTER, ["mass_offset"], {"mass_offset.mass_kg": 0.2})
+    wrong = compare_holdout([flight], COPTER, ["mass_offset"], {"mass_offset.mass_kg": 0.2})
     assert wrong.gaps[0].name == "acc_z"
     assert wrong.gaps[0].worse
     assert wrong.warnings[0].startswith("acc_z got worse")
@@ -85,14 +86,14 @@ def test_the_interval_of_the_shrink_is_that_of_the_blocks() -> None:
     assert not gap.worse
 
 
-def test_an_effect_acts_where_it_is_felt(shown: Showing) -> None:
-    acts = acting("rotor_drag", shown.model, VALUES, shown.after)
+def test_an_effect_acts_where_it_is_felt(shown: Comparison) -> None:
+    acts = attribute_effect("rotor_drag", shown.model, VALUES, shown.after)
     assert set(acts.channels) == {"acc_x", "acc_y"}
     assert acts.phases[0] == "forward"
 
 
-def test_places_name_channel_phase_and_what_the_residual_goes_with(shown: Showing) -> None:
-    found = places(shown.model, VALUES, shown.floors)
+def test_places_name_channel_phase_and_what_the_residual_goes_with(shown: Comparison) -> None:
+    found = localize(shown.model, VALUES, shown.floors)
     first = next(p for p in found if p.channel == "acc_x")
     assert first.phase == "forward"
     assert first.explained > 0.99
@@ -106,7 +107,7 @@ def test_places_name_channel_phase_and_what_the_residual_goes_with(shown: Showin
 
 def test_time_blocks_share_no_reading_and_lose_none(flight: Flight) -> None:
     spans = held_out_spans(flight)
-    assert spans == [(BLOCK_S, flight.table["time"].iloc[-1])]
+    assert spans == [(DEFAULT.holdout.spared_s, flight.table["time"].iloc[-1])]
     fit, held = (hidden(flight, spans, inside) for inside in (True, False))
     for column in ("acc_x", "gyro_z"):
         a, b, whole = (f.table[column].notna() for f in (fit, held, flight))

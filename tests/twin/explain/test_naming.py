@@ -11,17 +11,17 @@ from twin.component.sampled import noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import pool as hypotheses
 from twin.explain.inference import selection as search
-from twin.explain.inference.adequacy import LAW, coherent, credible
-from twin.explain.inference.edge import edges
-from twin.explain.inference.fit import Fitted, Ground
-from twin.explain.inference.likelihood import EXACT, Scores, White, believed
-from twin.explain.inference.pool import Pool, needless, worth_a_name
+from twin.explain.inference.adequacy import coherent, credible
+from twin.explain.inference.bounds import Bounds, edges
+from twin.explain.inference.fit import Fit, Problem
+from twin.explain.inference.likelihood import Scores, Whitened, believed
+from twin.explain.inference.pool import Pool, dominated, worth_a_name
 from twin.explain.inference.robust_covariance import half_widths
-from twin.explain.inference.room import Room
 from twin.explain.inference.selection import Naming, _spoils, name_effects
 from twin.explain.model.channels import CHANNEL_HZ, ChannelData
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import at_voltage, numbers_of
+from twin.explain.settings import DEFAULT
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
@@ -47,9 +47,9 @@ def quiet() -> Flight:
     return fly(COPTER, COPTER, seed=4, name="quiet", waypoints=ROUND)
 
 
-def ground_of(flight: Flight, *effects: str) -> Ground:
+def ground_of(flight: Flight, *effects: str) -> Problem:
     """The flight against the model with some effects."""
-    return Ground.of(model_of([flight], COPTER, [EFFECTS[e] for e in effects]))
+    return Problem.of(model_of([flight], COPTER, [EFFECTS[e] for e in effects]))
 
 
 def late(flight: Flight, columns: list[str], rows: int) -> Flight:
@@ -60,10 +60,10 @@ def late(flight: Flight, columns: list[str], rows: int) -> Flight:
     return replace(flight, table=table)
 
 
-def hypothesis(effects: tuple[str, ...], gains: list[float], raw: list[float]) -> Fitted:
+def hypothesis(effects: tuple[str, ...], gains: list[float], raw: list[float]) -> Fit:
     """With one number per effect and these gains and powers per channel."""
     values = {f"{e}.number": 1.0 for e in effects}
-    return Fitted(
+    return Fit(
         effects,
         values,
         (),
@@ -79,16 +79,16 @@ def test_a_larger_set_has_to_explain_more_than_a_law_may_be_off() -> None:
     one = hypothesis(("a",), [1e5, 0.0], [1.0, 1.0])
     finer = hypothesis(("a", "b"), [1.02e5, 0.0], [1.0, 1.0])
     elsewhere = hypothesis(("a", "c"), [1e5, 50.0], [1.0, 1.0])
-    assert needless(finer, [one, finer])  # 2,000 nats, but two percent of what one explains
-    assert not needless(elsewhere, [one, elsewhere])  # 50 nats in a channel of its own
-    assert not needless(one, [finer, elsewhere])
+    assert dominated(finer, [one, finer])  # 2,000 nats, but two percent of what one explains
+    assert not dominated(elsewhere, [one, elsewhere])  # 50 nats in a channel of its own
+    assert not dominated(one, [finer, elsewhere])
 
 
 def test_an_effect_that_spoils_a_channel_is_told(quiet: Flight) -> None:
-    ground = ground_of(quiet, "accel_bias")
-    best = ground.fit(["accel_bias"])
-    assert not _spoils(best, ground)
-    assert _spoils(replace(best, raw=2.0 * ground.raw), ground)
+    problem = ground_of(quiet, "accel_bias")
+    best = problem.fit(["accel_bias"])
+    assert not _spoils(best, problem, DEFAULT.inference.selection)
+    assert _spoils(replace(best, raw=2.0 * problem.raw), problem, DEFAULT.inference.selection)
 
 
 def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
@@ -106,8 +106,8 @@ def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
 def test_a_lag_is_seen_though_the_file_has_none() -> None:
     instant = replace(COPTER, rotors=replace(COPTER.rotors, lag_up_s=0.0, lag_down_s=0.0))
     flight = fly(instant, COPTER, seed=4, name="lagging", waypoints=ROUND)
-    ground = Ground.of(model_of([flight], instant, [EFFECTS["motor_lag"]]))
-    fitted = ground.fit(["motor_lag"])
+    problem = Problem.of(model_of([flight], instant, [EFFECTS["motor_lag"]]))
+    fitted = problem.fit(["motor_lag"])
     true = 0.5 * (COPTER.rotors.lag_up_s + COPTER.rotors.lag_down_s)
     assert fitted.values["motor_lag.tau_s"] == pytest.approx(true, rel=0.1)
 
@@ -118,8 +118,8 @@ def test_a_delay_that_the_file_has_already_is_not_counted_twice() -> None:
     model = COPTER.with_effects({"command_delay": {"delay_s": known}})
     flight = fly(COPTER, plant, seed=4, name="late", waypoints=ROUND)
     for vehicle in (model, COPTER, plant):
-        ground = Ground.of(model_of([flight], vehicle, [EFFECTS["command_delay"]]))
-        fitted = ground.fit(["command_delay"])
+        problem = Problem.of(model_of([flight], vehicle, [EFFECTS["command_delay"]]))
+        fitted = problem.fit(["command_delay"])
         assert fitted.values["command_delay.delay_s"] == pytest.approx(true, abs=4e-3)
 
 
@@ -128,8 +128,8 @@ def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
     for a in "xyz":
         noise = pd.Series(0.03 * rng.standard_normal(len(table)), index=table.index)
         table[f"vel_{a}"] += noise
-    ground = ground_of(replace(quiet, table=table), "accel_scale")
-    fitted = ground.fit(["accel_scale"])
+    problem = ground_of(replace(quiet, table=table), "accel_scale")
+    fitted = problem.fit(["accel_scale"])
     for n, width in zip(fitted.numbers, fitted.half_widths, strict=True):
         assert abs(fitted.values[n.full] - 1.0) < max(2.0 * width, 0.01), n.full
 
@@ -221,14 +221,14 @@ def test_log_likelihood_counts_in_full_at_first_and_by_its_ratio_later() -> None
     assert believed(np.array([-3.0, 0.0, 1e-3])) == pytest.approx([-3.0, 0.0, 1e-3], rel=1e-3)
     small, large = believed(np.array([1e6, 1e8]))
     twice = believed(np.array([2e6, 2e8])) - [small, large]
-    assert twice == pytest.approx(EXACT * np.log(2), rel=1e-3)
+    assert twice == pytest.approx(DEFAULT.inference.likelihood.exact * np.log(2), rel=1e-3)
 
 
-def samples(slopes: np.ndarray) -> White:
+def samples(slopes: np.ndarray) -> Whitened:
     """Rows of one channel in one block, with these slopes."""
     n = len(slopes)
     none = np.zeros(n, dtype=np.intp)
-    return White(np.zeros(n), slopes, none, none, ((0, 0),), 1)
+    return Whitened(np.zeros(n), slopes, none, none, ((0, 0),), 1)
 
 
 def test_only_numbers_that_change_what_is_explained_are_told() -> None:
@@ -236,7 +236,9 @@ def test_only_numbers_that_change_what_is_explained_are_told() -> None:
     scores = Scores(samples(np.array([[30.0, 0.0], [0.0, 1.0]])), np.ones(2))
     assert scores.told([0], np.zeros(1)) == pytest.approx(900 / 901)
     assert scores.told([0, 1], np.zeros(1)) == pytest.approx(900 / 901 + 1 / 2)
-    assert scores.told([0, 1], np.array([100 * EXACT])) == pytest.approx(0.899 + 0.0098, abs=1e-3)
+    assert scores.told(
+        [0, 1], np.array([100 * DEFAULT.inference.likelihood.exact])
+    ) == pytest.approx(0.899 + 0.0098, abs=1e-3)
 
 
 def turned(heading_steps: int) -> Flight:
@@ -297,7 +299,7 @@ def test_what_is_not_forgotten_is_told_from_noise() -> None:
 
 
 def test_a_name_is_believed_less_the_more_it_leaves() -> None:
-    beliefs = [credible(x * LAW) for x in (0, 1, 2, 3, 7)]
+    beliefs = [credible(x * DEFAULT.inference.adequacy.law) for x in (0, 1, 2, 3, 7)]
     assert beliefs == sorted(beliefs, reverse=True)
     assert beliefs[0] > 0.95 > 0.9 > beliefs[2] > 0.5 > beliefs[3]
     assert beliefs[-1] < 1e-6
@@ -330,17 +332,24 @@ def test_a_set_without_room_for_another_effect_is_exchanged_for_its_parts(
 
 
 def weighed(
-    flight: Flight, fitted: list[Fitted], chances: list[float], credible: dict[str, float]
+    flight: Flight, fitted: list[Fit], chances: list[float], credible: dict[str, float]
 ) -> Naming:
     """Hypotheses with these probabilities."""
-    ground = ground_of(flight, "accel_bias")
-    return Naming(tuple(fitted), tuple(chances), tuple(chances), credible, ground)
+    problem = ground_of(flight, "accel_bias")
+    return Naming(tuple(fitted), tuple(chances), tuple(chances), credible, problem)
 
 
 def test_a_name_whose_cause_is_likely_another_is_not_given(quiet: Flight) -> None:
     one = hypothesis(("a",), [1e4], [1.0])
     assert weighed(quiet, [one], [0.99], {"a": 0.9}).verdict == "named"
     assert weighed(quiet, [one], [0.99], {"a": 0.3}).verdict == "cannot_tell"
+
+
+def test_settings_decide_from_when_on_a_name_is_given(quiet: Flight) -> None:
+    naming = weighed(quiet, [hypothesis(("a",), [1e4], [1.0])], [0.85], {"a": 1.0})
+    strict = DEFAULT.with_values({"inference.selection.sure": 0.9}).inference.selection
+    assert naming.verdict == "named"
+    assert replace(naming, settings=strict).verdict == "cannot_tell"
 
 
 def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
@@ -358,24 +367,24 @@ def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
 
 def test_moments_of_inertia_obey_the_triangle_inequality() -> None:
     numbers = numbers_of([EFFECTS["inertia_error"]], COPTER)
-    room = Room.of(numbers, COPTER)
+    bounds = Bounds.of(numbers, COPTER)
     moments = np.diag(COPTER.inertia_kg_m2)
     now = np.array([n.now for n in numbers])
-    assert room.inside(now, np.eye(3)) == pytest.approx(now)  # a body that there is
-    x, y, z = room.inside(np.array([1.0, 1.0, 2.0]), np.diag([1e-9, 1e-9, 1.0])) * moments
+    assert bounds.inside(now, np.eye(3)) == pytest.approx(now)  # a body that there is
+    x, y, z = bounds.inside(np.array([1.0, 1.0, 2.0]), np.diag([1e-9, 1e-9, 1.0])) * moments
     assert z == pytest.approx(x + y, rel=1e-6)
     assert (x, y) == pytest.approx(tuple(moments[:2]), rel=1e-6)  # what is known best stays
-    many = room.inside(np.array([[3.0, 1.0, 0.3], [1.0, 1.0, 1.0]]), np.stack(2 * [np.eye(3)]))
-    assert np.all(many @ room.rows.T >= -1e-9)
+    many = bounds.inside(np.array([[3.0, 1.0, 0.3], [1.0, 1.0, 1.0]]), np.stack(2 * [np.eye(3)]))
+    assert np.all(many @ bounds.rows.T >= -1e-9)
     assert many[1] == pytest.approx(1.0)
 
 
 def test_a_limit_holds_where_all_its_numbers_are_asked_for_and_elsewhere_the_ranges() -> None:
     numbers = numbers_of([EFFECTS["inertia_error"], EFFECTS["mass_offset"]], COPTER)
-    room = Room.of(numbers, COPTER)
-    assert len(room.rows) == 3
+    bounds = Bounds.of(numbers, COPTER)
+    assert len(bounds.rows) == 3
     mass = [i for i, n in enumerate(numbers) if n.effect == "mass_offset"]
-    alone = room.part(mass)
+    alone = bounds.part(mass)
     assert len(alone.rows) == 0
     assert alone.inside(np.array([1e3]), np.eye(1)) == numbers[mass[0]].about.prior[1]
 

@@ -17,11 +17,11 @@ from twin.explain.model.flight import FlightModel
 from twin.explain.model.model import Model
 from twin.explain.model.numbers import numbers_of
 from twin.explain.model.prediction import Batch, physics
-from twin.explain.stochastic.finding import Unsteady
-from twin.explain.stochastic.noise_level import noise_level
-from twin.explain.stochastic.search import unsteady
+from twin.explain.stochastic.finding import StochasticEffect
+from twin.explain.stochastic.noise_level import find_noise_level
+from twin.explain.stochastic.search import find_stochastic
 from twin.explain.stochastic.stuck import stuck_channels, stuck_numbers, without_stuck
-from twin.explain.stochastic.vibration import vibration
+from twin.explain.stochastic.vibration import find_vibration
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, MAG
 from twin.vehicle import GRAVITY_M_S2, Vehicle
@@ -82,11 +82,11 @@ def model(flights: Sequence[Flight], vehicle: Vehicle = NOISY) -> Model:
     return Model(vehicle, tuple(effects), numbers, made)
 
 
-def found(*flights: Flight) -> dict[str, Unsteady]:
-    return {u.effect: u for u in unsteady(model(flights), {})}
+def found(*flights: Flight) -> dict[str, StochasticEffect]:
+    return {u.effect: u for u in find_stochastic(model(flights), {})}
 
 
-def inside(u: Unsteady, name: str, value: float) -> bool:
+def inside(u: StochasticEffect, name: str, value: float) -> bool:
     low, high = u.intervals[name]
     return low <= value <= high
 
@@ -117,7 +117,7 @@ def test_noise_of_one_sensor_is_further_noise_of_that_sensor() -> None:
 
 
 def test_a_vehicle_file_without_noise_says_nothing_about_noise() -> None:
-    assert noise_level(model([hovering(noise=3.0)], COPTER)) is None
+    assert find_noise_level(model([hovering(noise=3.0)], COPTER)) is None
 
 
 def filtered(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> None:
@@ -185,8 +185,8 @@ def test_vibration_is_found_with_its_sizes(hz: float) -> None:
 
 
 def test_lines_below_the_noise_and_slow_swings_are_no_vibration() -> None:
-    assert vibration(model([hovering(shaking(85.0, 0.002, 1e-4))])) is None
-    assert vibration(model([hovering(shaking(8.0, 0.4, 0.05))])) is None
+    assert find_vibration(model([hovering(shaking(85.0, 0.002, 1e-4))])) is None
+    assert find_vibration(model([hovering(shaking(8.0, 0.4, 0.05))])) is None
 
 
 # -- gust -----------------------------------------------------------------------------------

@@ -34,7 +34,7 @@ _LATE = {
 """Effects that shift a record, and the columns that they shift."""
 
 
-def rehearse(
+def simulate_flight(
     flown: Plan, vehicle: Vehicle, plant: Vehicle, like: Sequence[Flight], voltage: float = 1.0
 ) -> Flight:
     """Fly a plan in closed loop and record it without noise.

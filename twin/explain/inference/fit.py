@@ -15,9 +15,9 @@ from scipy.optimize import minimize_scalar
 
 from ..model.model import Model
 from ..model.numbers import Number, columns_of
-from .edge import edges
-from .likelihood import Flights, Noise, Scores, White, noise_of_all, white
-from .room import Room
+from ..settings import DEFAULT, LikelihoodSettings
+from .bounds import Bounds, edges
+from .likelihood import Flights, Noise, Scores, Whitened, noise_of_all, whiten
 
 Array = NDArray[np.float64]
 ROUNDS = 4
@@ -33,7 +33,7 @@ SEARCHES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
+class Fit:
     """A hypothesis at its best.
 
     Attributes:
@@ -73,7 +73,7 @@ class Fitted:
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class Problem:
     """What hypotheses are fitted against.
 
     Attributes:
@@ -82,28 +82,33 @@ class Ground:
         columns: Numbers that `rest` has slopes by.
         rest: Without any effect.
         raw: Power of each channel without any effect.
+        settings: Of the noise, and how far laws are believed.
     """
 
     model: Model
     noise: Sequence[Noise]
     columns: tuple[int, ...]
-    rest: White
+    rest: Whitened
     raw: Array
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood
 
     @classmethod
-    def of(cls, model: Model) -> "Ground":
+    def of(
+        cls, model: Model, settings: LikelihoodSettings = DEFAULT.inference.likelihood
+    ) -> "Problem":
         """Flights with every number of their model, and the noise that it leaves."""
         columns = columns_of(model.numbers, model.effects)
         rows = model.channels(columns)
-        noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]))
-        return cls(model, noise, tuple(columns), white(rows, noise), raw_powers(rows))
+        noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]), settings)
+        rest = whiten(rows, noise, settings)
+        return cls(model, noise, tuple(columns), rest, raw_powers(rows), settings)
 
-    def nothing(self) -> Fitted:
+    def nothing(self) -> Fit:
         """The hypothesis that nothing is missing."""
         powers = self.rest.per_cell(self.rest.residual**2)
-        return Fitted((), {}, (), np.zeros(0), 0.0 * powers, 0.0, powers.sum(axis=0), self.raw)
+        return Fit((), {}, (), np.zeros(0), 0.0 * powers, 0.0, powers.sum(axis=0), self.raw)
 
-    def fit(self, effects: Sequence[str]) -> Fitted:
+    def fit(self, effects: Sequence[str]) -> Fit:
         """Fit the numbers and shapes of some effects."""
         effects = tuple(sorted(effects))
         own = [n for n in self.model.numbers if n.effect in effects]
@@ -118,8 +123,8 @@ class Ground:
         return best
 
     def _better(
-        self, best: Fitted, shapes: Mapping[str, float], name: str, tries: Sequence[float]
-    ) -> Fitted:
+        self, best: Fit, shapes: Mapping[str, float], name: str, tries: Sequence[float]
+    ) -> Fit:
         """The best of a fit and others with another value of one shape."""
         start = best
         for value in tries:
@@ -129,12 +134,12 @@ class Ground:
         return best
 
     def _between(
-        self, best: Fitted, shapes: Mapping[str, float], name: str, grid: Sequence[float]
-    ) -> Fitted:
+        self, best: Fit, shapes: Mapping[str, float], name: str, grid: Sequence[float]
+    ) -> Fit:
         """The best between the neighbours of the best value of a grid."""
         at = int(np.argmin(np.abs(np.log(grid) - np.log(best.values[name]))))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
-        trials: list[Fitted] = [best]
+        trials: list[Fit] = [best]
 
         def loss(log_value: float) -> float:
             """Less is better."""
@@ -152,64 +157,67 @@ class Ground:
 
     def _numbers(
         self, effects: tuple[str, ...], shapes: Mapping[str, float], start: Mapping[str, float]
-    ) -> Fitted:
+    ) -> Fit:
         """Fit the numbers of some effects with their shapes given."""
         columns = columns_of(self.model.numbers, effects)
         numbers = [self.model.numbers[i] for i in columns]
         if not numbers:
             return self.nothing()
         home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
-        room = Room.of(numbers, self.model.vehicle)
+        bounds = Bounds.of(numbers, self.model.vehicle)
         now = np.array([start.get(n.full, n.now) for n in numbers])
         names = [n.full for n in numbers]
         rows, raw = self._rows(columns, dict(zip(names, now, strict=True)) | dict(shapes))
         for round_ in range(ROUNDS + 1):
             scores = Scores(rows, sd, now - home)
             change, covariance = scores.fit(range(len(now)))
-            then = room.inside(now + change, covariance)
+            then = bounds.inside(now + change, covariance)
             settled = np.abs(then - now) <= SETTLED * np.sqrt(np.diag(covariance))
             if np.all(settled) or round_ == ROUNDS:
                 break
             values = dict(zip(names, then, strict=True)) | dict(shapes)
             step = rows.slopes @ (then - now)
             flights = self.model.channels([], values)
-            after, raw = white(flights, self.noise).residual, raw_powers(flights)
+            after, raw = self._whiten(flights).residual, raw_powers(flights)
             bend = after - (rows.residual - step)
             now = then
             rows = replace(rows, residual=after)
             if bend @ bend > max(1.0, STRAIGHT * float(step @ step)):
                 rows, _ = self._rows(columns, values)
         gained = rows.per_cell(0.5 * (self.rest.residual**2 - rows.residual**2))
-        gains = gained + scores.gains(range(len(now)), room.around(now))
+        gains = gained + scores.gains(range(len(now)), bounds.around(now))
         values = dict(zip(names, now.tolist(), strict=True)) | dict(shapes)
-        return Fitted(
+        return Fit(
             effects,
             values,
             tuple(numbers),
             scores.half_widths(range(len(now))),
             gains,
-            scores.told(range(len(now)), gains.sum(axis=0)) + len(shapes),
+            scores.told(range(len(now)), gains.sum(axis=0), self.settings) + len(shapes),
             rows.per_cell(rows.residual**2).sum(axis=0),
             raw,
             tuple(edges(numbers, values, self.model.vehicle)),
         )
 
-    def around(self, fitted: Fitted) -> Scores:
+    def around(self, fitted: Fit) -> Scores:
         """Hypotheses about numbers near those of a fit, in the columns of `rest`."""
         numbers = [self.model.numbers[i] for i in self.columns]
         home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
         now = np.array([fitted.values.get(n.full, n.now) for n in numbers])
-        rows = white(self.model.channels(self.columns, fitted.values), self.noise)
+        rows = self._whiten(self.model.channels(self.columns, fitted.values))
         return Scores(rows, sd, now - home)
 
-    def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> tuple[White, Array]:
+    def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> tuple[Whitened, Array]:
         """Residuals and slopes at some values, and raw powers."""
         at_rest = {n.full: n.now for n in self.model.numbers}
         if all(at_rest[name] == value for name, value in values.items()):
             known = [self.columns.index(i) for i in columns]
             return replace(self.rest, slopes=self.rest.slopes[:, known]), self.raw
         flights = self.model.channels(columns, values)
-        return white(flights, self.noise), raw_powers(flights)
+        return self._whiten(flights), raw_powers(flights)
+
+    def _whiten(self, flights: Flights) -> Whitened:
+        return whiten(flights, self.noise, self.settings)
 
 
 def raw_powers(flights: Flights) -> Array:

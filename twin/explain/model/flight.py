@@ -20,7 +20,7 @@ from ...effects import Effect
 from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
-from ...residuals.aligned import Twin, prepare
+from ...residuals.aligned import AlignedFlight, align_flight
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import airframe_inputs, measured_states
 from ...vehicle import Vehicle
@@ -28,7 +28,7 @@ from .channels import GRID_HZ, ChannelData, on_grid, shifted
 from .numbers import Number, with_effects
 from .prediction import Batch
 from .sensors import ATTITUDE_AGE, POSITION_AGE, Part, Seen, imu_parts, other_parts, pose_parts
-from .slung_load_observer import hung, swing
+from .slung_load_observer import hang_load, observe_swing
 
 Array = NDArray[np.float64]
 TURN = "heading_offset.pose_rad"
@@ -68,16 +68,16 @@ class FlightModel:
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
         self._body, self._effects = body, list(effects)
         moving = sorted({name.partition(".")[0] for name in _INTEGRATED} & set(effects))
-        self.twin = prepare(flight, with_effects(vehicle, moving, {}), 1 / GRID_HZ, effects)
+        self.aligned = align_flight(flight, with_effects(vehicle, moving, {}), 1 / GRID_HZ, effects)
         self._now = np.array([n.now for n in numbers])
         self._arrived_s = next((n.now for n in numbers if n.full == COMMAND_AGE), 0.0)
         self._force_n = self._forces() if "slung_load" in effects else None
         self._swings: dict[float, tuple[Array, Array]] = {}
-        self.twin = replace(self.twin, states=self._with_load(self.twin.states, {}))
-        seen = Seen(flight, vehicle, self.twin, self._effects, [n.full for n in numbers])
-        force = body.value(self._now, self.twin.states, self.twin.inputs.u)[:, :3]
+        self.aligned = replace(self.aligned, states=self._with_load(self.aligned.states, {}))
+        seen = Seen(flight, vehicle, self.aligned, self._effects, [n.full for n in numbers])
+        force = body.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
         self._parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
-        self._states: dict[tuple[tuple[str, float], ...], Twin] = {}
+        self._states: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
 
@@ -121,7 +121,7 @@ class FlightModel:
         if k not in self._resting:
             part = self._parts[k]
             if part.batch is None:
-                value = self._body.value(self._now, self.twin.states, self.twin.inputs.u)
+                value = self._body.value(self._now, self.aligned.states, self.aligned.inputs.u)
             else:
                 value = self._standing(k, part.rows)
             predicted = value[:, part.outputs]
@@ -193,21 +193,21 @@ class FlightModel:
 
     def _turned(self, force_b: Array) -> Array:
         """Change of a force in body axes per angle by which the measured heading is off."""
-        assert self.twin.motion.attitude is not None
-        q = list(self.twin.motion.attitude.at(self.twin.inputs.t_s).T)
+        assert self.aligned.motion.attitude is not None
+        q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
         north, east, _ = to_ned(q, list(force_b.T))
         return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
 
     def _moved(self, change: Mapping[str, float]) -> tuple[Array, Array]:
         """States and inputs with the effects that have a memory as `change` has them."""
         own = {k: v for k, v in change.items() if k in _INTEGRATED}
-        twin = self.twin
+        aligned = self.aligned
         if own:
             key = tuple(sorted(own.items()))
             if key not in self._states:
                 self._states[key] = self._prepared(own)
-            twin = self._states[key]
-        states, inputs = self._in_step(twin.states, change), twin.inputs.u
+            aligned = self._states[key]
+        states, inputs = self._in_step(aligned.states, change), aligned.inputs.u
         states = self._with_load(states, change)
         later = change[COMMAND_AGE] - self._arrived_s if COMMAND_AGE in change else 0.0
         return self._late_commands(states, inputs, later) if later else (states, inputs)
@@ -217,36 +217,38 @@ class FlightModel:
         for name, stems in ((POSITION_AGE, ("pos_", "vel_")), (ATTITUDE_AGE, ("q_",))):
             if age := change.get(name, 0.0):
                 own = [
-                    i for i, s in enumerate(self.twin.airframe.states) if s.name.startswith(stems)
+                    i
+                    for i, s in enumerate(self.aligned.airframe.states)
+                    if s.name.startswith(stems)
                 ]
                 states = states.copy()
                 states[:, own] = shifted(states[:, own], -age)
         return states
 
-    def _prepared(self, values: Mapping[str, float]) -> Twin:
+    def _prepared(self, values: Mapping[str, float]) -> AlignedFlight:
         """The flight on its grid, unmeasured states integrated with effects that move them."""
         moving = {name.partition(".")[0] for name in _INTEGRATED} & set(self._effects)
         starts = {n.full: n.now for n in self.numbers if n.effect in moving} | dict(values)
-        body = self.twin.airframe.with_starts(starts)
-        inputs = airframe_inputs(self.flight, self.vehicle, body, self.twin.inputs.t_s)
-        states = measured_states(body, self.twin.motion, inputs)
-        return replace(self.twin, airframe=body, inputs=inputs, states=states)
+        body = self.aligned.airframe.with_starts(starts)
+        inputs = airframe_inputs(self.flight, self.vehicle, body, self.aligned.inputs.t_s)
+        states = measured_states(body, self.aligned.motion, inputs)
+        return replace(self.aligned, airframe=body, inputs=inputs, states=states)
 
     def _forces(self) -> tuple[Array, Array]:
         """Specific force without a load on a rope, and what is felt beyond it, NED, (n, 3) each.
 
         Where the former is unknown, or on the ground, the vehicle counts as held.
         """
-        twin = self.twin
+        aligned = self.aligned
         bare = np.where([n.full == LOAD for n in self.numbers], 0.0, self._now)
-        force = self._body.value(bare, twin.states, twin.inputs.u)[:, :3]
+        force = self._body.value(bare, aligned.states, aligned.inputs.u)[:, :3]
         felt = np.zeros_like(force)
         if self.flight.has(*ACC):
-            felt = on_grid(Signal(*self.flight.signal(ACC)), twin.inputs.t_s) - force
-        assert twin.motion.attitude is not None
-        q = list(twin.motion.attitude.at(twin.inputs.t_s).T)
+            felt = on_grid(Signal(*self.flight.signal(ACC)), aligned.inputs.t_s) - force
+        assert aligned.motion.attitude is not None
+        q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)
         force_n, felt_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, felt))
-        known = twin.airborne & np.all(np.isfinite(force_n), axis=1)
+        known = aligned.airborne & np.all(np.isfinite(force_n), axis=1)
         there = known & np.all(np.isfinite(felt_n), axis=1)
         return (
             np.where(known[:, None], force_n, [0.0, 0.0, -self.vehicle.gravity_m_s2]),
@@ -260,21 +262,23 @@ class FlightModel:
         now = {n.full: n.now for n in self.numbers} | dict(change)
         length = now[ROPE]
         if length not in self._swings:
-            self._swings[length] = swing(*self._force_n, length, 1 / GRID_HZ)
-        names = [s.name for s in self.twin.airframe.states]
+            self._swings[length] = observe_swing(*self._force_n, length, 1 / GRID_HZ)
+        names = [s.name for s in self.aligned.airframe.states]
         share = now[LOAD] / self.vehicle.mass_kg
-        return hung(states, names, self._swings[length], self._force_n[0], length, share)
+        return hang_load(states, names, self._swings[length], self._force_n[0], length, share)
 
     def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
         """Commands, and the rotors that follow them, later by a while."""
-        twin = self.twin
+        aligned = self.aligned
         rotors = [
             i
-            for i, s in enumerate(twin.airframe.states)
+            for i, s in enumerate(aligned.airframe.states)
             if s.name.startswith(("rotor_", "effort_", "command_delay."))
         ]
         drives = [
-            i for i, n in enumerate(twin.airframe.input_names) if n.startswith(("cmd_", "rotor_"))
+            i
+            for i, n in enumerate(aligned.airframe.input_names)
+            if n.startswith(("cmd_", "rotor_"))
         ]
         states, inputs = states.copy(), inputs.copy()
         states[:, rotors] = shifted(states[:, rotors], delay_s)

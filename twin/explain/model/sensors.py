@@ -15,7 +15,7 @@ from ...logs.columns import ACC, GYRO
 from ...physics.sensors.barometer import barometer
 from ...physics.sensors.imu import imu
 from ...physics.sensors.magnetometer import magnetometer
-from ...residuals.aligned import Twin
+from ...residuals.aligned import AlignedFlight
 from ...residuals.measured import Signal, rates_of
 from ...vehicle import Vehicle
 from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, Measured, measured, on_grid, shifted
@@ -41,7 +41,7 @@ class Seen:
 
     flight: Flight
     vehicle: Vehicle
-    twin: Twin
+    aligned: AlignedFlight
     effects: Sequence[str]
     names: Sequence[str]
 
@@ -76,7 +76,7 @@ class Part:
 def imu_parts(seen: Seen) -> list[Part]:
     """Accelerometer, and rate of change of the gyroscope."""
     parts: list[tuple[tuple[str, ...], str, Array, Signal, float | None, slice]] = []
-    t, flight, v = seen.twin.inputs.t_s, seen.flight, seen.vehicle
+    t, flight, v = seen.aligned.inputs.t_s, seen.flight, seen.vehicle
     if flight.has(*ACC):
         signal = Signal(*flight.signal(ACC))
         parts.append((ACC, "m/s²", on_grid(signal, t), signal, v.accel_cutoff_hz, slice(0, 3)))
@@ -87,7 +87,7 @@ def imu_parts(seen: Seen) -> list[Part]:
         names = tuple(f"gyro_rate_{a}" for a in "xyz")
         parts.append((names, "rad/s²", rate, signal, v.gyro_cutoff_hz, slice(3, 6)))
     found = []
-    known = seen.twin.airborne & np.all(np.isfinite(seen.twin.states), axis=1)
+    known = seen.aligned.airborne & np.all(np.isfinite(seen.aligned.states), axis=1)
     for names, unit, values, signal, cutoff, outputs in parts:
         band = min(BAND_HZ, 0.35 * signal.rate_hz)
         readings = measured(names, unit, t, values, known, band, cutoff)
@@ -105,7 +105,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
     a regressor would shrink what is found with it, or feign it where the residual has it too.
     """
-    t, motion, flight = seen.twin.inputs.t_s, seen.twin.motion, seen.flight
+    t, motion, flight = seen.aligned.inputs.t_s, seen.aligned.motion, seen.flight
     if motion.attitude is None or not flight.has(*GYRO):
         return []
     v = seen.vehicle
@@ -135,7 +135,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
         return _rows(sensor, implied | _named("specific_force", pulled), len(t))
 
     rows, at = _rows(sensor, implied, len(t)), _rows(sensor, read, len(t))
-    known = seen.twin.airborne & np.all(np.isfinite(rows), axis=1)
+    known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
     known &= np.all(np.isfinite(at), axis=1)
     found = []
     for columns, unit, values, cutoff, outputs in groups:
@@ -156,7 +156,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
 
 def other_parts(seen: Seen) -> list[Part]:
     """Magnetometer and barometer."""
-    t, motion, flight = seen.twin.inputs.t_s, seen.twin.motion, seen.flight
+    t, motion, flight = seen.aligned.inputs.t_s, seen.aligned.motion, seen.flight
     sensors: list[tuple[Component, tuple[str, ...], str, dict[str, Array]]] = []
     if motion.attitude is not None and flight.has(*MAG):
         q = motion.attitude.at(t)
@@ -173,7 +173,7 @@ def other_parts(seen: Seen) -> list[Part]:
     for sensor, names, unit, inputs in sensors:
         rows = _rows(sensor, inputs, len(t))
         signal = Signal(*flight.signal(list(names)))
-        known = seen.twin.airborne & np.all(np.isfinite(rows), axis=1)
+        known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
         band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
         readings = measured(names, unit, t, signal.at(t), known, band, None)
         if readings is not None:

@@ -36,7 +36,9 @@ PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")
 SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")
 
 
-def swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) -> tuple[Array, Array]:
+def observe_swing(
+    free_n: Array, felt_n: Array, length_m: float, step_s: float
+) -> tuple[Array, Array]:
     """Direction of the rope and its rate, from a load at rest.
 
     Args:
@@ -64,7 +66,7 @@ def swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) -> tuple
     return rows[:, :3], rows[:, 3:]
 
 
-def hung(
+def hang_load(
     states: Array,
     names: Sequence[str],
     swung: tuple[Array, Array],
@@ -80,8 +82,8 @@ def hung(
     Args:
         states: Of the airframe, shape (n, n_x).
         names: Of the states.
-        swung: Direction and rate, of `swing`.
-        free_n: As in `swing`.
+        swung: Direction and rate, of `observe_swing`.
+        free_n: As in `observe_swing`.
         length_m: Of the rope.
         share: Mass of the load over that of the vehicle, which it slows down.
     """

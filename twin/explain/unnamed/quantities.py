@@ -22,9 +22,6 @@ Unit = Mapping[str, int]
 PLAIN: Unit = {}
 SPEED: Unit = {"m": 1, "s": -1}
 TURNING: Unit = {"rad": 1, "s": -1}
-OWN_NOISE_S = 0.03
-"""By so much are turning rates late where they stand for a gyroscope channel: the noise of the
-reading, low-passed to both sides, is not in them any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +41,8 @@ class Quantity:
 
 def quantities(flight: FlightModel) -> dict[str, Quantity]:
     """By symbol; what the flight does not hold is left out."""
-    twin, t = flight.twin, flight.twin.inputs.t_s
-    motion = twin.motion
+    aligned, t = flight.aligned, flight.aligned.inputs.t_s
+    motion = aligned.motion
     found = _of_rotors(flight)
     if motion.velocity is not None and motion.attitude is not None:
         q = list(motion.attitude.at(t).T)
@@ -63,8 +60,8 @@ def quantities(flight: FlightModel) -> dict[str, Quantity]:
                 found[f"{name}_{a}"] = Quantity(PLAIN, np.asarray(value), degree=1)
     if motion.position is not None:
         found["height"] = Quantity({"m": 1}, -motion.position.at(t)[:, 2])
-    if "vbat_v" in twin.airframe.input_names and flight.flight.has("vbat_v"):
-        u = twin.inputs.u[:, twin.airframe.input_names.index("vbat_v")]
+    if "vbat_v" in aligned.airframe.input_names and flight.flight.has("vbat_v"):
+        u = aligned.inputs.u[:, aligned.airframe.input_names.index("vbat_v")]
         found["voltage"] = Quantity({"V": 1}, u)
     found["time"] = Quantity({"s": 1}, t - t[0], degree=1)
     return found
@@ -73,10 +70,10 @@ def quantities(flight: FlightModel) -> dict[str, Quantity]:
 def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
     """Thrust over the weight, and commands over that of hover: whole, and front over rear, right
     over left, clockwise over counter-clockwise."""
-    twin, vehicle = flight.twin, flight.vehicle
-    body, u = twin.airframe, twin.inputs.u
+    aligned, vehicle = flight.aligned, flight.vehicle
+    body, u = aligned.airframe, aligned.inputs.u
     rotors = vehicle.rotors
-    y = body.outputs_along(twin.states, u, {"ground.enabled": 0.0}).T
+    y = body.outputs_along(aligned.states, u, {"ground.enabled": 0.0}).T
     names = [f"thrust_{i + 1}" for i in range(rotors.count)]
     weight = vehicle.mass_kg * GRAVITY_M_S2
     thrust = y[[body.output_names.index(n) for n in names]] / weight

@@ -1,0 +1,219 @@
+"""The ONNX file: numbers of torch, everything inside, the same bytes, and what int8 costs."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
+from places import ROOT
+
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
+from learning.export.graph import IR_VERSION, OPSET
+from learning.export.int8 import deviation, streamed
+from learning.export.step import INPUTS, OUTPUTS, streaming_model
+from learning.export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, reference_vectors
+from learning.model.compensator import Compensator
+
+EXAMPLE = ROOT / "examples" / "compensate_with_onnxruntime.py"
+SAMPLES = 10_000
+TOLERANCE = 1e-5
+"""Of numbers of size 1, which the tiny models' units are; the alarm is relative."""
+MODELS: dict[str, dict[str, Any]] = {
+    "track": {},
+    "track, the newest residual": {"horizon": 1},
+    "reconstruct": {"protocol": "reconstruct"},
+    "free": {"protocol": "free"},
+    "free, paper": {"protocol": "free", "preset": tiny(skip=False, spread_head=False)},
+    "no features": {"preset": tiny(features=False, temperature=0.3)},
+    "two layers": {"preset": tiny(encoder_units=(10, 7), decoder_units=(5, 9, 6))},
+    "hard": {"preset": tiny(quantiser="hard")},
+    "no quantiser": {"preset": tiny(quantiser="none"), "protocol": "free"},
+    "one command": {"commands": 1, "rate_hz": 50.0},
+}
+
+
+def assert_same(said: Rows, right: dict[str, np.ndarray], tolerance: float = TOLERANCE) -> None:
+    """Correction, spread, alarm, envelope."""
+    np.testing.assert_array_equal(said["inside"], right["inside"])
+    for name in ("correction", "spread"):
+        np.testing.assert_allclose(said[name], right[name], tolerance, tolerance, err_msg=name)
+    np.testing.assert_allclose(said["anomaly"], right["anomaly"], rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_onnxruntime_is_torch_sample_by_sample(name: str) -> None:
+    """In and out of the envelope, through phases, with sensors that pause."""
+    model = compensator(**MODELS[name])
+    right = reference_vectors(model)
+    said = streamed(streaming_model(model), right)
+    assert_same(said, right, 2e-6)
+    assert 0.5 < right["inside"].mean() < (1.0 if "reconstruct" not in name else 1.1)
+    for channel in ("correction", "spread"):
+        assert np.all(right[channel][0] != 0)
+
+
+@pytest.mark.parametrize("protocol", ["reconstruct", "track", "free"])
+def test_onnxruntime_is_torch_over_a_flight(protocol: Any) -> None:
+    """10,000 samples against the sequence form, which evaluation uses."""
+    model = compensator(protocol=protocol)
+    along = flight(model, SAMPLES)
+    found = model.run(along)
+    right = {
+        "correction": found.correction,
+        "spread": found.spread,
+        "anomaly": found.anomaly[:, None],
+        "inside": found.inside[:, None],
+    }
+    said = streamed(streaming_model(model), rows_of(along))
+    assert_same(said, right)
+    assert 0.8 < found.inside.mean() <= 1.0
+
+
+@pytest.mark.parametrize("protocol", ["track", "free"])
+def test_state_of_the_graph_is_that_of_torch(protocol: Any) -> None:
+    """Slow features apart, which `free` alone looks at: elsewhere theirs stays as it is."""
+    model = compensator(tiny(encoder_units=(5, 4)), protocol)
+    rows = rows_of(flight(model, 20))
+    session = _session(streaming_model(model))
+    theirs, ours = np.zeros((1, model.state_size), np.float32), torch.zeros(1, model.state_size)
+    with torch.no_grad():
+        for k in range(20):
+            now = {name: rows[name][k : k + 1] for name in INPUTS[:-1]}
+            theirs = session.run(None, now | {"state": theirs})[-1]
+            v, u, p, m, w = (torch.from_numpy(now[name]) for name in INPUTS[:-1])
+            ours = model.step(v, u, p, m, w, ours)[-1]
+    past, readings, begun, slow, _ = model.state_sizes
+    if protocol == "track":
+        place = slice(past + readings + begun, past + readings + begun + slow)
+        assert ours[:, place].any()
+        ours[:, place] = 0
+    np.testing.assert_allclose(theirs, ours.numpy(), atol=1e-6)
+
+
+def test_outside_the_envelope_nothing_is_corrected() -> None:
+    model = compensator()
+    rows = rows_of(flight(model, 30))
+    rows["command"][10:20, 2] = float(model.high[-2]) + 0.1
+    said = streamed(streaming_model(model), rows)
+    assert not said["correction"][10:20].any()
+    assert not said["inside"][10:20].any()
+    np.testing.assert_array_equal(said["spread"][10:20], np.tile(model.rms.numpy(), (10, 1)))
+    assert said["correction"][20:].all()
+
+
+def test_a_phase_beyond_the_table_counts_as_its_last() -> None:
+    model = compensator()
+    rows = rows_of(flight(model, 5))
+    last, beyond = dict(rows), dict(rows)
+    last["phase"] = np.full((5, 1), max(PHASE_CODES.values()), np.float32)
+    beyond["phase"] = np.full((5, 1), 99, np.float32)
+    graph = streaming_model(model)
+    assert_same(streamed(graph, beyond), streamed(graph, last), 0.0)
+
+
+# -- the files ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model() -> Compensator:
+    return compensator(vehicle="crazyflie")
+
+
+@pytest.fixture(scope="module")
+def folder(model: Compensator, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(model, tmp_path_factory.mktemp("model"))
+
+
+def test_the_same_model_gives_the_same_bytes(
+    model: Compensator, folder: Path, tmp_path: Path
+) -> None:
+    again = exported(model, tmp_path)
+    for name in (MODEL_FILE, INT8_FILE, REFERENCE_FILE):
+        assert (again / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_reads_where_onnx_of_2022_reads(folder: Path) -> None:
+    """Pinned versions, fixed shapes, plain operators, nothing outside the standard."""
+    graph = onnx.load(folder / MODEL_FILE)
+    onnx.checker.check_model(graph, full_check=True)
+    assert (OPSET, IR_VERSION) == (17, 8)
+    assert [(o.domain, o.version) for o in graph.opset_import] == [("", OPSET)]
+    assert graph.ir_version == IR_VERSION
+    assert "LSTM" not in {node.op_type for node in graph.graph.node}
+    assert [i.name for i in graph.graph.input] == list(INPUTS)
+    assert [o.name for o in graph.graph.output] == list(OUTPUTS)
+    for value in (*graph.graph.input, *graph.graph.output):
+        rows, width = (d.dim_value for d in value.type.tensor_type.shape.dim)
+        assert rows == 1
+        assert width > 0
+    assert all(t.data_location == onnx.TensorProto.DEFAULT for t in graph.graph.initializer)
+
+
+def test_metadata_say_what_a_user_must_know(model: Compensator, folder: Path) -> None:
+    texts = {p.key: p.value for p in onnx.load(folder / MODEL_FILE).metadata_props}
+    assert texts.pop("format") == "uavtwin compensator 1"
+    assert len(texts.pop("graph_sha256")) == 64
+    said = {name: json.loads(text) for name, text in texts.items()}
+    assert tuple(said["channels"]) == CHANNELS
+    assert tuple(said["units"]) == UNITS
+    assert tuple(said["groups"]) == tuple(GROUPS)
+    assert said["commands"] == ["cmd_1", "cmd_2", "cmd_3", "cmd_4"]
+    assert said["phases"] == dict(PHASE_CODES)
+    assert (said["protocol"], said["horizon"], said["rate_hz"]) == ("track", 3, 100.0)
+    assert said["vehicle"] == "crazyflie"
+    assert list(said["envelope"]) == list(model.features)
+    np.testing.assert_array_equal(said["envelope"]["gyro_x"], [model.low[0], model.high[0]])
+    np.testing.assert_array_equal(said["normalisation"]["scale"], model.scale.numpy())
+
+
+def test_a_model_of_rotor_speeds_says_so(tmp_path: Path) -> None:
+    """Then the twin's rotor speeds are to be fed, and no commands."""
+    fast = compensator(commands=2)
+    fast.feature_mean[-2:] = 1800.0
+    texts = {
+        p.key: p.value for p in onnx.load(exported(fast, tmp_path) / MODEL_FILE).metadata_props
+    }
+    assert json.loads(texts["commands"]) == ["rotor_1", "rotor_2"]
+
+
+def test_reference_vectors_check_a_runtime(folder: Path) -> None:
+    reference = dict(np.load(folder / REFERENCE_FILE))
+    assert_same(streamed(onnx.load(folder / MODEL_FILE), reference), reference)
+
+
+def test_int8_is_smaller_and_says_what_it_costs(tmp_path: Path) -> None:
+    wide = compensator(tiny(encoder_units=(64,), decoder_units=(64,), code_size=32))
+    folder = exported(wide, tmp_path)
+    reference = dict(np.load(folder / REFERENCE_FILE))
+    small = onnx.load(folder / INT8_FILE)
+    assert small.ByteSize() < 0.5 * (folder / MODEL_FILE).stat().st_size
+    (cost,) = (float(p.value) for p in small.metadata_props if p.key == "int8_deviation")
+    assert cost == pytest.approx(deviation(small, reference), rel=1e-2)
+    assert 0 < cost < 0.02
+    assert deviation(onnx.load(folder / MODEL_FILE), reference) < 1e-5
+
+
+def test_the_example_needs_no_torch(folder: Path) -> None:
+    """Nor anything else than onnxruntime and numpy, in at most 30 lines."""
+    text = EXAMPLE.read_text()
+    assert len(text.splitlines()) <= 30
+    blocked = "import sys; sys.modules.update(dict.fromkeys(['torch', 'onnx', 'twin', 'learning']))"
+    program = f"{blocked}; sys.argv = ['example', {str(folder)!r}]; exec({text!r})"
+    result = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "300 samples" in result.stdout, result.stdout
+
+
+def _session(graph: onnx.ModelProto) -> Any:
+    import onnxruntime
+
+    return onnxruntime.InferenceSession(
+        graph.SerializeToString(), providers=["CPUExecutionProvider"]
+    )
