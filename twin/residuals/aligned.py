@@ -62,8 +62,8 @@ def align_flight(
     """Put a flight onto the grid of a twin.
 
     Args:
-        flight: As read by `aligned.logs.read_flight`.
-        vehicle: As read by `aligned.vehicle.file.load_vehicle`.
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.file.load_vehicle`.
         grid_s: Step of the grid, s; unmeasured states are integrated with it.
         effects: Effects to build into the airframe, switched off.
 
