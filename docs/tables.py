@@ -9,10 +9,14 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from learning.model.registry import FAMILIES
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
+from twin.explain.settings import DEFAULT, Setting
+from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
+from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
@@ -33,6 +37,35 @@ def flight_table() -> str:
     """Columns of the flight table."""
     lines = [(f"`{c.name}`", c.unit or "-", c.description) for c in COLUMNS]
     return "\n".join(rows(("column", "unit", "meaning"), lines))
+
+
+def log_formats() -> str:
+    """Formats of flight logs."""
+    lines = [
+        (
+            f.name,
+            ", ".join(f"`{s}`" for s in f.suffixes),
+            str(f.signature),
+            ", ".join(f.packages),
+            f.holds,
+        )
+        for f in FORMATS
+    ]
+    return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def compensator() -> str:
+    """Families of compensators and their presets."""
+    lines = [
+        (
+            f"`{f.name}`",
+            f.meaning,
+            ", ".join(f"`{p}`" for p in f.presets),
+            "yes" if f.onnx else "no",
+        )
+        for f in FAMILIES
+    ]
+    return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
 
 
 def vehicle() -> str:
@@ -130,8 +163,31 @@ def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence
     return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
 
 
+# -- settings -------------------------------------------------------------------------------
+
+
+def settings() -> str:
+    """Numbers that decide what `explain` says, a table per group."""
+    groups: dict[str, list[Setting]] = {}
+    for s in DEFAULT.every():
+        groups.setdefault(s.name.rpartition(".")[0], []).append(s)
+    head = ("setting", "value", "unit", "meaning", "origin")
+    return "\n\n".join(
+        "\n".join([f"## {group}", "", *rows(head, map(_setting, own))])
+        for group, own in groups.items()
+    )
+
+
+def _setting(s: Setting) -> Sequence[str]:
+    value = ", ".join(f"{x:.4g}" for x in numbers(s.value))
+    return f"`{s.name.rpartition('.')[2]}`", value, s.about.unit, s.about.meaning, s.about.origin
+
+
 DOCUMENTS = {
+    "settings.md": settings,
     "flight_table.md": flight_table,
+    "log_formats.md": log_formats,
+    "compensator.md": compensator,
     "vehicle.md": vehicle,
     "fmus.md": fmus,
     "effects.md": effects,
