@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from twin.effects import EFFECTS
     from twin.errors import TwinError
+    from twin.explain.settings import SearchSettings
     from twin.flight.mission import mission_names
     from twin.logs import Flight, read_flight, write_flight
     from twin.vehicle.file import builtin_vehicles
@@ -39,6 +40,7 @@ __all__ = [
     "Flight",
     "GapResult",
     "Run",
+    "SearchSettings",
     "Twin",
     "TwinError",
     "Vehicle",
@@ -69,6 +71,7 @@ _HOME = {
     "Flight": "twin.logs",
     "GapResult": "uavtwin.gaps",
     "Run": "uavtwin.run",
+    "SearchSettings": "twin.explain.settings",
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",

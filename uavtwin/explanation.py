@@ -14,6 +14,7 @@ from twin.explain import explanation as inner
 from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
+from twin.explain.settings import DEFAULT, SearchSettings
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
@@ -188,6 +189,7 @@ def explain(
     payloads: Mapping[str, float] | None = None,
     seed: int = 0,
     missions: Sequence[str] | None = None,
+    settings: SearchSettings = DEFAULT,
     progress: Progress = lambda _: None,
 ) -> ExplainResult:
     """Name the physical effect that a vehicle lacks, add it, and show that the gap shrinks.
@@ -200,6 +202,7 @@ def explain(
         payloads: Known mass aboard by the name of a flight, kg.
         seed: Of every bootstrap.
         missions: To fly with the new model at the end; default: all.
+        settings: The numbers that decide what is said, `docs/settings.md`.
         progress: Called with the share done, 0..1.
 
     Raises:
@@ -211,7 +214,7 @@ def explain(
     _check_apart(fit, away)
     payloads = dict(payloads or {})
     check_payloads(payloads, [f.name for f in (*fit, *away)])
-    found = inner.explain(fit, away, model, seed, progress, missions=missions, payloads=payloads)
+    found = inner.explain(fit, away, model, seed, progress, missions=missions, payloads=payloads, settings=settings)
     return ExplainResult(found)
 
 
