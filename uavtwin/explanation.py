@@ -214,7 +214,9 @@ def explain(
     _check_apart(fit, away)
     payloads = dict(payloads or {})
     check_payloads(payloads, [f.name for f in (*fit, *away)])
-    found = inner.explain(fit, away, model, seed, progress, missions=missions, payloads=payloads, settings=settings)
+    found = inner.explain(
+        fit, away, model, seed, progress, missions=missions, payloads=payloads, settings=settings
+    )
     return ExplainResult(found)
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from twin.effects import EFFECTS
 from twin.errors import ModelError
-from twin.vehicle import Battery, Vehicle
+from twin.vehicle import Advance, Battery, RotorAir, Rotors, RunUp, Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.file.sensors import POSITION
@@ -18,6 +18,20 @@ from twin.vehicle.file.update import TIED, update_text, values_by_key
 
 TEXTS = {name: vehicle_text(name)[0] for name in builtin_vehicles()}
 Change = Callable[[Vehicle], Vehicle]
+
+
+def known_by_speed(vehicle: Vehicle) -> Rotors:
+    """Rotors that carry the vehicle and have a speed at each command."""
+    full_rad_s, most_n = 1000.0, 2.5 * vehicle.hover_thrust_n
+    return replace(
+        vehicle.rotors,
+        from_speed=True,
+        speed_rad_s=(0.0, full_rad_s),
+        thrust_n=(0.0, 0.0, most_n / full_rad_s**2),
+        torque_n_m=(0.0, 0.0, 0.01 * most_n / full_rad_s**2),
+    )
+
+
 CHANGES: dict[str, Change] = {
     "mass": lambda v: v.with_mass(0.9 * v.mass_kg),
     "name": lambda v: replace(v, name="mine", description="of my own"),
@@ -28,6 +42,32 @@ CHANGES: dict[str, Change] = {
     "arm": lambda v: replace(v, rotors=replace(v.rotors, position_m=1.2 * v.rotors.position_m)),
     "lag": lambda v: replace(v, rotors=replace(v.rotors, lag_up_s=0.02, lag_down_s=0.05)),
     "no lag": lambda v: replace(v, rotors=replace(v.rotors, lag_up_s=0.0, lag_down_s=0.0)),
+    "drag": lambda v: replace(
+        v,
+        drag_parasitic_n_s2_m2=np.array([0.1, 0.2, 0.3]),
+        drag_angular_n_m_s2=np.array([1e-4, 1e-4, 2e-4]),
+        gravity_m_s2=9.81,
+    ),
+    "air at the rotors": lambda v: replace(
+        v, rotors=replace(known_by_speed(v), air=RotorAir(1e-5, 2e-5, 3e-4, 1e-7, 2e-7))
+    ),
+    "advance": lambda v: replace(
+        v,
+        rotors=replace(
+            known_by_speed(v),
+            advance=Advance(0.2, ((0.0, 1.0), (0.5, 0.6)), ((0.0, 1.0), (0.5, 0.8))),
+        ),
+    ),
+    "run up": lambda v: replace(
+        v,
+        rotors=replace(
+            known_by_speed(v),
+            lag_up_s=0.0,
+            lag_down_s=0.0,
+            run_up=(RunUp(20.0, 0.01), RunUp(10.0, 0.02)),
+            reaction_inertia_kg_m2=1e-6,
+        ),
+    ),
     "filters": lambda v: replace(v, accel_cutoff_hz=30.0, gyro_cutoff_hz=None),
     "sensors": lambda v: replace(
         v,
@@ -132,8 +172,12 @@ def test_any_numbers_survive(mass: float, drag: list[float], scale: float) -> No
 
 def test_every_key_of_a_file_is_written() -> None:
     """Or is the same said in another way, that goes when what is written takes its place."""
-    rich = CHANGES["battery"](CHANGES["lag"](load_vehicle("copter_default")))
-    rotors = replace(rich.rotors, reference_voltage_v=11.1, voltage_exponent=2.0)
+    rich = load_vehicle("copter_default")
+    for change in ("lag", "battery", "drag", "air at the rotors", "advance"):
+        rich = CHANGES[change](rich)
+    rates = CHANGES["run up"](rich)
+    air = CHANGES["air at the rotors"](rich).rotors.air
+    rotors = replace(rich.rotors, air=air, reference_voltage_v=11.1, voltage_exponent=2.0)
     errors = dict.fromkeys(POSITION.values(), 0.1)
     rich = replace(
         rich,
@@ -143,6 +187,6 @@ def test_every_key_of_a_file_is_written() -> None:
         sensors=replace(rich.sensors, position=errors),
     )
     by_command = replace(rich, rotors=replace(rotors, from_speed=False))
-    written = values_by_key(rich).keys() | values_by_key(by_command).keys()
+    written = {k for v in (rich, by_command, rates) for k in values_by_key(v)}
     otherwise = {key for keys in TIED.values() for key in keys}
     assert set(FIELDS) - written - otherwise == set()

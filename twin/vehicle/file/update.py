@@ -15,7 +15,7 @@ from tomlkit import TOMLDocument
 from tomlkit.items import Table
 
 from ...errors import ModelError
-from .. import Vehicle
+from .. import Rotors, Vehicle
 from .fields import FIELDS
 from .read import parse_vehicle
 from .sensors import PLACE, POSITION, SENSOR_NUMBERS, WHEN
@@ -104,8 +104,7 @@ def _same(x: Any, y: Any) -> bool:
 
 def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
     """Values in SI units by key, as a file would hold them; polynomials of the command 0..1."""
-    rotors, sensors = vehicle.rotors, vehicle.sensors
-    of = "speed" if rotors.from_speed else "command"
+    sensors, battery = vehicle.sensors, vehicle.battery
     values = {
         "name": vehicle.name,
         "description": vehicle.description,
@@ -113,27 +112,19 @@ def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
         "body.inertia": vehicle.inertia_kg_m2[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)],
         "body.drag_linear": vehicle.drag_linear_n_s_m,
         "body.drag_quadratic": vehicle.drag_quadratic_n_s2_m2,
+        "body.drag_parasitic": vehicle.drag_parasitic_n_s2_m2,
+        "body.drag_angular": vehicle.drag_angular_n_m_s2,
         "body.leg_height": vehicle.leg_height_m,
-        "rotors.position": rotors.position_m,
-        "rotors.direction": rotors.direction,
-        f"rotors.thrust_from_{of}": rotors.thrust_n,
-        f"rotors.torque_from_{of}": rotors.torque_n_m,
-        "rotors.speed_from_command": rotors.speed_rad_s,
-        "rotors.lag": (rotors.lag_up_s, rotors.lag_down_s) if rotors.lag_up_s else None,
-        "rotors.spin_inertia": rotors.spin_inertia_kg_m2 or None,
-        "rotors.reference_voltage": rotors.reference_voltage_v,
-        "rotors.voltage_exponent": None
-        if rotors.voltage_exponent == 1
-        else rotors.voltage_exponent,
+        **_rotor_values(vehicle.rotors),
         "imu.position": vehicle.imu_position_m,
         "imu.accel_cutoff": vehicle.accel_cutoff_hz,
         "imu.gyro_cutoff": vehicle.gyro_cutoff_hz,
         "magnetometer.field": sensors.field_n_t,
+        "site.gravity": vehicle.gravity_m_s2,
     }
     values |= {key: getattr(sensors, name) for key, (name, _) in SENSOR_NUMBERS.items()}
     values |= {key: sensors.position.get(name) for key, name in POSITION.items()}
-    if vehicle.battery is not None:
-        battery = vehicle.battery
+    if battery is not None:
         values |= {
             "battery.full_voltage": battery.full_voltage_v,
             "battery.empty_voltage": battery.empty_voltage_v,
@@ -142,6 +133,37 @@ def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
             "battery.hover_current": battery.hover_current_a,
         }
     return {k: v for k, v in values.items() if v is not None}
+
+
+def _rotor_values(rotors: Rotors) -> dict[str, Any]:
+    """Those of the rotors; None for what they do not do."""
+    of = "speed" if rotors.from_speed else "command"
+    up, down = rotors.run_up or (None, None)
+    air, advance = rotors.air, rotors.advance
+    return {
+        "rotors.position": rotors.position_m,
+        "rotors.direction": rotors.direction,
+        f"rotors.thrust_from_{of}": rotors.thrust_n,
+        f"rotors.torque_from_{of}": rotors.torque_n_m,
+        "rotors.speed_from_command": rotors.speed_rad_s,
+        "rotors.lag": (rotors.lag_up_s, rotors.lag_down_s) if rotors.lag_up_s else None,
+        "rotors.rate_up": None if up is None else (up.linear_1_s, up.quadratic_1_rad),
+        "rotors.rate_down": None if down is None else (down.linear_1_s, down.quadratic_1_rad),
+        "rotors.spin_inertia": rotors.spin_inertia_kg_m2 or None,
+        "rotors.reaction_inertia": rotors.reaction_inertia_kg_m2 or None,
+        "rotors.reference_voltage": rotors.reference_voltage_v,
+        "rotors.voltage_exponent": (
+            None if rotors.voltage_exponent == 1 else rotors.voltage_exponent
+        ),
+        "rotors.drag": air.drag_kg_rad or None,
+        "rotors.inflow": air.inflow_kg_rad or None,
+        "rotors.lift": air.lift_kg_m or None,
+        "rotors.flapping_moment": air.flapping_kg_m_rad or None,
+        "rotors.rolling_moment": air.rolling_kg_m_rad or None,
+        "rotors.diameter": None if advance is None else advance.diameter_m,
+        "rotors.thrust_by_advance": (advance.thrust or None) if advance else None,
+        "rotors.torque_by_advance": (advance.torque or None) if advance else None,
+    }
 
 
 # -- text -----------------------------------------------------------------------------------
@@ -183,7 +205,7 @@ def _set(document: TOMLDocument, key: str, value: Any, source: str) -> None:
     if section not in document:
         document[section] = tomlkit.table()
     table, what, entry = cast(Table, document[section]), FIELDS[key], tomlkit.inline_table()
-    if what.shape == "polynomial":
+    if what.shape in ("polynomial", "rates"):
         entry["coefficients"] = [float(c) for c in value]
     elif what.shape == "list":
         entry["value"] = ["cw" if d > 0 else "ccw" for d in value]
@@ -191,7 +213,7 @@ def _set(document: TOMLDocument, key: str, value: Any, source: str) -> None:
         entry["value"] = np.asarray(value, dtype=np.float64).tolist()
     if what.unit:
         entry["unit"] = what.unit.removeprefix("poly:")
-    if key.endswith("_from_speed"):
+    if key.endswith("_from_speed") or what.shape == "rates":
         entry["of"] = "rad/s"
     entry["source"] = source
     if name in table:
