@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from twin.errors import FmuError
 from twin.logs.columns import MAX_MOTORS
+from twin.representation import short_repr
 
 from ..names import LONGEST_NAME, check_identifier, check_name, check_text, shown
 from ..units import base_exponents
@@ -73,6 +74,8 @@ class NetworkFile:
     vehicle: str
     vehicle_sha256: str
     state_size: int
+
+    __repr__ = short_repr
 
     @property
     def sees_measurements(self) -> bool:
