@@ -15,13 +15,13 @@ ROOT = Path(__file__).parents[1]
 
 def test_tables_are_generated_from_the_code() -> None:
     result = subprocess.run(
-        [sys.executable, ROOT / "docs" / "tables.py", "--check"], capture_output=True, text=True
+        [sys.executable, ROOT / "docs" / "_generate" / "tables.py", "--check"], capture_output=True, text=True
     )
-    assert result.returncode == 0, result.stdout + "run: python docs/tables.py"
+    assert result.returncode == 0, result.stdout + "run: python docs/_generate/tables.py"
 
 
 def _blocks() -> list[str]:
-    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "vehicle.md").read_text(), re.DOTALL)
+    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "guide" / "vehicle.md").read_text(), re.DOTALL)
 
 
 def test_the_vehicle_of_the_documentation_loads() -> None:
@@ -68,7 +68,7 @@ def test_examples_run(script: str) -> None:
 @pytest.mark.slow
 def test_the_fmu_document_works(tmp_path: Path) -> None:
     """Its blocks in order, as a reader would: shell commands, the Python script, the C program."""
-    text = (ROOT / "docs" / "fmus.md").read_text()
+    text = (ROOT / "docs" / "guide" / "fmus.md").read_text()
     script = ["set -eu"]
     for language, block in re.findall(r"```(sh|python|c)\n(.*?)```", text, re.DOTALL):
         if language == "sh":

@@ -8,7 +8,7 @@ from .px4.log import MAGIC
 from .px4.ulog import read_ulog
 from .table import read_table
 
-_FORMATS = "a PX4 log (.ulg) or a flight table (.parquet or .csv, see docs/flight_table.md)"
+_FORMATS = "a PX4 log (.ulg) or a flight table (.parquet or .csv, see docs/guide/flight_table.md)"
 
 
 def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Flight:

@@ -1,4 +1,6 @@
-"""Write the tables of the documentation from the definitions in code: `python docs/tables.py`.
+"""Write the tables of the documentation from the definitions in code.
+
+    python docs/_generate/tables.py [--check]
 
 Each document holds a pair of markers; what stands between them is replaced. `--check` changes
 nothing and exits 1 if a table is out of date.
@@ -9,6 +11,9 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
+from typer.main import get_command
+
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.flight.assembly import CONTROLLERS, flying_twin
@@ -16,16 +21,19 @@ from twin.logs.columns import COLUMNS
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
+from uavtwin.cli.main import app
 
-HERE = Path(__file__).parent
-BEGIN, END = "<!-- table: do not edit, run docs/tables.py -->", "<!-- end of table -->"
+DOCS = Path(__file__).parents[1]
+BEGIN = "<!-- table: do not edit, run docs/_generate/tables.py -->"
+END = "<!-- end of table -->"
 EXAMPLE = "crazyflie"
 """Vehicle whose start values are shown: it has a battery, so every component exists."""
 
 
 def rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
     """A Markdown table."""
-    content = [f"| {' | '.join(line)} |" for line in (head, *lines)]
+    cells = [[text.replace("|", "\\|") for text in line] for line in (head, *lines)]
+    content = [f"| {' | '.join(line)} |" for line in cells]
     return [content[0], "|" + "---|" * len(head), *content[1:]]
 
 
@@ -47,7 +55,7 @@ def vehicle() -> str:
         sections.setdefault(section, []).append(line)
     head = ("key", "unit", "needed", "meaning")
     return "\n\n".join(
-        "\n".join([f"### [{name}]", "", *rows(head, lines)]) for name, lines in sections.items()
+        "\n".join([f"## [{name}]", "", *rows(head, lines)]) for name, lines in sections.items()
     )
 
 
@@ -72,7 +80,7 @@ def _component(name: str, component: Component) -> str:
     lines = [_group(pattern, group) for pattern, group in groups.items()]
     return "\n".join(
         [
-            f"### {name}",
+            f"## {name}",
             "",
             f"{component.description}.",
             *([f"Effects ([numbers](effects.md)): {', '.join(effects)}."] if effects else []),
@@ -130,11 +138,59 @@ def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence
     return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
 
 
+# -- command line ---------------------------------------------------------------------------
+
+
+def command_line() -> str:
+    """Every verb with its arguments and options."""
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    verbs = {n: c for n, c in group.commands.items() if isinstance(c, TyperCommand)}
+    return "\n\n".join(_verb(name, command) for name, command in verbs.items())
+
+
+def _verb(name: str, command: TyperCommand) -> str:
+    """One verb: how to call it, what it does, a table of its options."""
+    parameters = [p for p in command.params if isinstance(p, TyperArgument | TyperOption)]
+    arguments = [p for p in parameters if isinstance(p, TyperArgument)]
+    call = " ".join(["uavtwin", name, *(_argument(p) for p in arguments)])
+    lines = [_option(p) for p in parameters if not p.hidden]
+    meaning = (command.help or "").strip()
+    return "\n".join(
+        [
+            f"## {name}",
+            "",
+            f"`{call}`",
+            "",
+            meaning,
+            "",
+            *rows(("argument or option", "default", "meaning"), lines),
+        ]
+    )
+
+
+def _argument(argument: TyperArgument) -> str:
+    return str(argument.name).upper() + ("..." if argument.nargs == -1 else "")
+
+
+def _option(parameter: TyperArgument | TyperOption) -> Sequence[str]:
+    """One line of the table: names, default, help text."""
+    if isinstance(parameter, TyperArgument):
+        names = f"`{_argument(parameter)}`"
+    else:
+        names = ", ".join(f"`{n}`" for n in (*parameter.opts, *parameter.secondary_opts))
+    given = parameter.default
+    plain = given is None or given is False or given == "" or callable(given)
+    default = "needed" if parameter.required else ("-" if plain else f"`{given}`")
+    return names, default, parameter.help or "-"
+
+
 DOCUMENTS = {
-    "flight_table.md": flight_table,
-    "vehicle.md": vehicle,
-    "fmus.md": fmus,
-    "effects.md": effects,
+    "guide/flight_table.md": flight_table,
+    "reference/vehicle_fields.md": vehicle,
+    "reference/fmu_variables.md": fmus,
+    "reference/effects.md": effects,
+    "reference/cli.md": command_line,
 }
 
 
@@ -142,7 +198,7 @@ def main(check: bool) -> int:
     """Bring all tables up to date; how many were not."""
     stale = 0
     for name, table in DOCUMENTS.items():
-        path = HERE / name
+        path = DOCS / name
         text = path.read_text("utf-8")
         head, rest = text.split(BEGIN)
         _, tail = rest.split(END)

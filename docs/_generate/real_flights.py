@@ -1,6 +1,7 @@
-"""Write real_flights.md, what `explain` says about recorded flights: ten minutes on two cores.
+"""Write results/real_flights.md, what `explain` says about recorded flights: ten minutes on two cores.
 
-    python docs/real_flights.py --data ../shared/data --out docs/real_flights.md --jobs 2
+    python docs/_generate/real_flights.py --data ../shared/data \\
+        --out docs/results/real_flights.md --jobs 2
 
 A run that was cut short goes on where it stopped; `--help` tells of the other options.
 """
@@ -9,7 +10,7 @@ import sys
 from pathlib import Path
 
 sys.path.insert(
-    0, str(Path(__file__).parents[1])
+    0, str(Path(__file__).parents[2])
 )  # benchmarks are no part of the installed package
 
 from benchmarks.real_flights.__main__ import main

@@ -1,4 +1,6 @@
-"""Write results.md: `python docs/results.py --data ../shared/data --work out/results`.
+"""Write results/compensator.md: the paper's tables, and what compensators remove.
+
+    python docs/_generate/compensator.py --data ../shared/data --work out/results
 
 Runs what is not done yet: the paper's tables, and what compensators remove on flights that they
 were not trained on. About two hours on two cores; it may be stopped and goes on from there.
@@ -11,7 +13,7 @@ from pathlib import Path
 import jinja2
 
 sys.path.insert(
-    0, str(Path(__file__).parents[1])
+    0, str(Path(__file__).parents[2])
 )  # benchmarks are no part of the installed package
 
 from benchmarks.compensator import paper, prediction
@@ -65,7 +67,7 @@ def write(table2: str, variants: str, predicted: str) -> None:
         epochs=EPOCHS,
         prediction_epochs=PREDICTION_EPOCHS,
     )
-    Path(__file__).with_name("results.md").write_text(filled, "utf-8")
+    (Path(__file__).parents[1] / "results" / "compensator.md").write_text(filled, "utf-8")
 
 
 if __name__ == "__main__":
