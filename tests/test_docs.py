@@ -15,13 +15,17 @@ ROOT = Path(__file__).parents[1]
 
 def test_tables_are_generated_from_the_code() -> None:
     result = subprocess.run(
-        [sys.executable, ROOT / "docs" / "_generate" / "tables.py", "--check"], capture_output=True, text=True
+        [sys.executable, ROOT / "docs" / "_generate" / "tables.py", "--check"],
+        capture_output=True,
+        text=True,
     )
     assert result.returncode == 0, result.stdout + "run: python docs/_generate/tables.py"
 
 
 def _blocks() -> list[str]:
-    return re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "guide" / "vehicle.md").read_text(), re.DOTALL)
+    return re.findall(
+        r"```toml\n(.*?)```", (ROOT / "docs" / "guide" / "vehicle.md").read_text(), re.DOTALL
+    )
 
 
 def test_the_vehicle_of_the_documentation_loads() -> None:

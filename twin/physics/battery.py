@@ -25,7 +25,7 @@ def battery(vehicle: Vehicle) -> Component:
     data = vehicle.battery
     if data is None:
         raise ModelError(
-            f"{vehicle.name}: the vehicle file has no [battery]; see docs/reference/vehicle_fields.md."
+            f"{vehicle.name}: the vehicle file has no [battery]; see docs/guide/vehicle.md."
         )
     m = ComponentBuilder("battery", f"Battery of {vehicle.name}")
     current = m.input("ibat_a", "A", "Current drawn", data.hover_current_a)
