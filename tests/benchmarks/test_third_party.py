@@ -19,7 +19,7 @@ from benchmarks.hidden_effects.plants.physics import Layout
 CHECK = """
 import json, sys
 import numpy as np
-from benchmarks.hidden_effects import missions
+from benchmarks.hidden_effects.plants import missions
 missions.DURATION_S = 5.0
 from benchmarks.hidden_effects.plants.aircraft import vehicle_toml
 from benchmarks.hidden_effects.plants.noise import NOISE
@@ -27,7 +27,7 @@ from benchmarks.hidden_effects.plants.orders import Order
 from benchmarks.hidden_effects.plants.own import fly
 from benchmarks.hidden_effects.plants.kinds import PLANTS
 from benchmarks.hidden_effects.plants.sensing import flight_table
-from uavtwin.fmu_gap import prepare
+from twin.residuals.aligned import align_flight
 from twin.logs.flight import Flight
 from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
 from twin.vehicle.file import parse_vehicle
@@ -38,7 +38,7 @@ for name in PLANTS[sys.argv[1]].aircraft:
     tour = missions.mission("tour", a.nominal.leg, a.pace, np.random.default_rng(5))
     order = Order(a, a.nominal, tour, NOISE["none"], (7,))
     flight = Flight(name, flight_table(order, fly([order], dynamics), 0))
-    twin = prepare(flight, parse_vehicle(vehicle_toml(a, order.noise), "v.toml"))
+    twin = align_flight(flight, parse_vehicle(vehicle_toml(a, order.noise), "v.toml"))
     readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
     for c in teacher_forced_channels(
         flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases

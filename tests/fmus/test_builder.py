@@ -10,7 +10,7 @@ from pathlib import Path
 
 import fmpy
 import pytest
-from instance import Instance, token, unzip
+from instance import RIGS, Instance, token, unzip
 from kinds import component, model
 
 from fmus import build, component_model
@@ -47,7 +47,7 @@ def test_another_process_builds_the_same_bytes(fmu_file: FmuFile, tmp_path: Path
     environment = {
         **os.environ,
         "PYTHONHASHSEED": "4711",
-        "PYTHONPATH": str(Path(__file__).parent),
+        "PYTHONPATH": str(RIGS),
         "UAVTWIN_CACHE": str(tmp_path / "cache"),
         "TZ": "Asia/Tokyo",
     }

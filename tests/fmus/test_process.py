@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from instance import Instance, unzip
+from instance import RIGS, Instance, unzip
 from kinds import component
 
 from fmus import build, component_model
@@ -33,7 +33,7 @@ def outputs(*folders: Path) -> list[str]:
     """Outputs of extracted FMUs, loaded into a new process in this order and stepped in turn."""
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM, *map(str, folders)],
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parent)},
+        env={**os.environ, "PYTHONPATH": str(RIGS)},
         capture_output=True,
         text=True,
         check=True,

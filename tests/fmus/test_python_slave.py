@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 from fmu_manipulation_toolbox.checker import get_checkers
 from fmu_manipulation_toolbox.cli.utils import ErrorCounter
 from fmu_manipulation_toolbox.operations import FMU
-from instance import Array, Instance, token, unzip
+from instance import RIGS, Array, Instance, token, unzip
 from sensor_rig import motion, readings
 
 from cosim.master import Master
@@ -313,10 +313,9 @@ print("survived")
 
 def output(program: str, *arguments: Path, here: Path) -> list[str]:
     """Lines that a program prints in a process of its own."""
-    tests = Path(__file__).parent
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     if program != ALONE:
-        environment["PYTHONPATH"] = f"{tests}{os.pathsep}{tests.parent}"
+        environment["PYTHONPATH"] = f"{RIGS}{os.pathsep}{Path(__file__).parent}"
     result = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
         cwd=here,

@@ -4,11 +4,11 @@ import re
 
 import numpy as np
 import pytest
-import twin.mission
 from numpy.typing import NDArray
 from rig import BUILTIN
 
 from twin.errors import ModelError
+from twin.flight import mission as missions
 from twin.flight.mission import PHASES, mission, mission_duration_s, mission_names
 from twin.vehicle.file import load_vehicle
 
@@ -61,7 +61,7 @@ def test_begins_and_ends_where_it_should(vehicle: str, name: str) -> None:
 
 
 def test_durations_are_those_of_the_documentation() -> None:
-    told = re.findall(r"\| `(\w+)` \|.*\| (\d+) s \|", twin.mission.__doc__ or "")
+    told = re.findall(r"\| `(\w+)` \|.*\| (\d+) s \|", missions.__doc__ or "")
     assert {name: int(s) for name, s in told} == {
         name: round(mission_duration_s(name)) for name in mission_names()
     }
