@@ -20,6 +20,7 @@ import numpy as np
 
 from twin.component import Variable
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 from .model import FmuModel, Part
 from .units import base_exponents
@@ -91,6 +92,8 @@ class NetworkFile:
     vehicle: str
     vehicle_sha256: str
     state_size: int
+
+    __repr__ = short_repr
 
     @property
     def sees_measurements(self) -> bool:

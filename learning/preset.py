@@ -26,6 +26,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from twin.errors import ModelError
+from twin.representation import short_repr
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free"]
@@ -130,6 +131,8 @@ class Preset:
     stride: int | None = None
     carry: int = 4
     augment: float = 0.3
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         sizes = (self.code_size, self.n_codes, self.phase_size, self.batch, self.window)

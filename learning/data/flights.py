@@ -25,6 +25,7 @@ from twin.errors import LogError, ModelError
 from twin.logs import Flight
 from twin.logs.columns import MAG, motor_number
 from twin.physics.sensors.magnetometer import magnetometer
+from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.short_horizon import window_ends
@@ -74,6 +75,8 @@ class ResidualFlight:
     phase: IntArray
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
 
 def residual_flight(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from twin.errors import ModelError
+from twin.representation import short_repr
 
 from ..data.channels import CHANNELS, N_PHASES
 from ..data.clustering import Clusters
@@ -73,6 +74,8 @@ class ModelInfo:
     flights: tuple[dict[str, Any], ...] = ()
     training: str = ""
     metrics: dict[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
 
 class Compensator(nn.Module):

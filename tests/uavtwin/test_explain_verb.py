@@ -23,6 +23,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin import explanation as explain_files
 from uavtwin.cli import main
+from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.report.explain import write_explain_report
 from uavtwin.report.words import certainty, claim
@@ -309,7 +310,7 @@ def test_certainty_is_never_complete(probability: float, words: str) -> None:
 
 def test_a_payload_is_told_by_flight() -> None:
     flights = ("one", "two=b")
-    assert explain_files.flight_payloads(["one=0.2", "two=b=1"], flights) == {
+    assert flight_payloads(["one=0.2", "two=b=1"], flights) == {
         "one": 0.2,
         "two=b": 1.0,
     }
@@ -327,4 +328,4 @@ def test_a_payload_is_told_by_flight() -> None:
 )
 def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
     with pytest.raises(TwinError, match=re.escape(says)):
-        explain_files.flight_payloads([text], ("one",))
+        flight_payloads([text], ("one",))

@@ -17,6 +17,7 @@ from ..physics.sensors.barometer import barometer
 from ..physics.sensors.imu import imu
 from ..physics.sensors.magnetometer import magnetometer
 from ..physics.sensors.position import position_sensor
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .closed_loop import standing
 from .control.lqr_cascade import controller
@@ -43,6 +44,8 @@ class Assembly:
     parts: Mapping[str, Component]
     connections: tuple[tuple[str, str], ...]
     duration_s: float
+
+    __repr__ = short_repr
 
     def with_starts(self, starts: Mapping[str, float]) -> "Assembly":
         """The same with other start values, "part.variable" -> value.

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..errors import LogError
+from ..representation import short_repr
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,8 @@ class Flight:
     findings: tuple[Finding, ...] = ()
     facts: dict[str, str] = field(default_factory=dict)
     source: Path | None = None
+
+    __repr__ = short_repr
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""

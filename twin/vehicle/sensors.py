@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ..representation import short_repr
+
 EARTH_FIELD_N_T = (2.11e-5, 1.5e-6, 4.384e-5)
 """World Magnetic Model 2025 at 48 N, 11 E, 500 m, mid 2025, rounded."""
 SEA_LEVEL_PRESSURE_PA = 101325.0
@@ -37,3 +39,5 @@ class Sensors:
     pressure_pa: float = SEA_LEVEL_PRESSURE_PA
     temperature_k: float = SEA_LEVEL_TEMPERATURE_K
     position: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
+
+    __repr__ = short_repr

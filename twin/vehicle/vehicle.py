@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..representation import short_repr
 from .sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -63,6 +64,8 @@ class Rotors:
     reference_voltage_v: float | None
     voltage_exponent: float
 
+    __repr__ = short_repr
+
     @property
     def count(self) -> int:
         """Number of rotors."""
@@ -103,6 +106,8 @@ class Vehicle:
     sensors: Sensors = field(default_factory=Sensors)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
+    __repr__ = short_repr
+
     @property
     def drive(self) -> Literal["command", "rotor_speed"]:
         """What the vehicle's rotors are driven by when nothing else is asked for."""
@@ -134,10 +139,10 @@ class Vehicle:
             return self.battery.mean_voltage_v
         return self.effects.get("battery_sag", {}).get("reference_v", NOMINAL_CELL_V)
 
-    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Vehicle":
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Self:
         """The same vehicle with these effects, each with all its parameters, and no others."""
         return replace(self, effects=effects)
 
-    def with_mass(self, mass_kg: float) -> "Vehicle":
+    def with_mass(self, mass_kg: float) -> Self:
         """The same vehicle with another mass."""
         return replace(self, mass_kg=mass_kg)

@@ -1,7 +1,7 @@
-"""`uavtwin simulate`: a named scenario, or somebody's `.ssp`, stepped by the master."""
+"""A named scenario, or somebody's `.ssp`, stepped by the master."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,15 @@ from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin
 from twin.flight.mission import mission_names
-from twin.vehicle.file import load_vehicle
+from twin.representation import short_repr
+from twin.vehicle import Vehicle
 
-from .export import start_values
+from .vehicles import load_vehicle
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
+DEFAULT_VEHICLE = "copter_default"
+"""Built-in vehicle that flies where none is named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,25 +35,38 @@ class Scenario:
 
     Attributes:
         target: Name of a mission, or an `.ssp` file.
-        vehicle: Vehicle file, or the name of a built-in vehicle.
+        vehicle: That flies; None: `DEFAULT_VEHICLE`, or the `.ssp`'s own.
         controller: Name of the flight controller.
         wind_m_s: Velocity of the air, NED.
         gusts: Whether the wind gusts.
         seed: Of every noise.
-        effects: Effects to switch on, at their start values where `starts` says nothing else.
-        starts: "NAME=NUMBER" texts, "part.variable".
+        effects: Effects to switch on: names, at their start values where `starts` says nothing
+            else; or numbers by effect.
+        starts: Start values, "part.variable" -> value.
         fused: Whether the whole twin runs as one FMU.
     """
 
-    target: str
-    vehicle: str = "copter_default"
+    target: str | Path
+    vehicle: Vehicle | None = None
     controller: str = "lqr"
     wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
     gusts: bool = False
     seed: int = 0
-    effects: tuple[str, ...] = ()
-    starts: tuple[str, ...] = ()
+    effects: Iterable[str] | Mapping[str, Mapping[str, float]] = ()
+    starts: Mapping[str, float] = field(default_factory=dict)
     fused: bool = False
+
+    __repr__ = short_repr
+
+    @property
+    def is_system(self) -> bool:
+        """Whether the target is an `.ssp`, which brings its own parts."""
+        return Path(self.target).suffix == ".ssp"
+
+    @property
+    def name(self) -> str:
+        """Of the mission, or of the file."""
+        return Path(self.target).name
 
 
 def scenario_system(
@@ -62,39 +78,50 @@ def scenario_system(
     compiled once.
 
     Raises:
-        TwinError: An unknown mission, vehicle, effect or start value; a broken `.ssp`.
+        TwinError: An unknown mission, effect or start value; a broken `.ssp`.
     """
-    starts = start_values(scenario.starts)
-    if scenario.target.endswith(".ssp"):
-        if scenario != Scenario(scenario.target, starts=scenario.starts):
-            raise TwinError(
-                f"{scenario.target}: an .ssp brings its own parts; of the options that shape a "
-                f"scenario only --start goes with it."
-            )
+    if scenario.is_system:
         given = read_ssp(Path(scenario.target))
-        return replace(given, starts={**given.starts, **starts})
+        _check_bare(scenario)
+        return replace(given, starts={**given.starts, **scenario.starts})
     if scenario.target not in mission_names():
         known = ", ".join(mission_names())
         raise TwinError(f"{scenario.target}: neither an .ssp file nor a scenario: {known}.")
-    twin = flying_twin(load_vehicle(scenario.vehicle), scenario.target, scenario.controller)
-    starts = _changes(twin, _shaped(twin, scenario, starts))
+    vehicle = scenario.vehicle or load_vehicle(DEFAULT_VEHICLE)
+    twin = flying_twin(vehicle, str(scenario.target), scenario.controller)
+    starts = _changes(twin, _shaped(twin, scenario))
     if not scenario.fused:
         return replace(system_of(twin, folder, progress=progress), starts=starts)
-    model = fused_model(twin, scenario.vehicle)
+    model = fused_model(twin, vehicle.name)
     fmu = build(model, folder / f"{model.name}.fmu")
     starts = {f"twin.{name}": value for name, value in starts.items()}
     return System({"twin": fmu}, starts=starts, stop_time_s=twin.duration_s, step_s=STEP_S)
 
 
-def _shaped(twin: Assembly, scenario: Scenario, starts: Mapping[str, float]) -> Assembly:
+def _check_bare(scenario: Scenario) -> None:
+    """Refuse what an `.ssp` cannot be given."""
+    bare = Scenario(scenario.target)
+    shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused")
+    given = [n for n in shaping if getattr(scenario, n) != getattr(bare, n)]
+    if given:
+        raise TwinError(
+            f"{scenario.target}: an .ssp brings its own parts; of what shapes a scenario only "
+            f"start values go with it, not {', '.join(given)}."
+        )
+
+
+def _shaped(twin: Assembly, scenario: Scenario) -> Assembly:
     """The twin with wind, seed, effects and start values of a scenario."""
     switches = {}
     for name in scenario.effects:
         if name not in EFFECTS:
-            raise TwinError(unknown_name("--effect", "effect", name, EFFECTS))
-        switches[f"{EFFECTS[name].component}.{name}.enabled"] = 1.0
+            raise TwinError(unknown_name("effects", "effect", name, EFFECTS))
+        block = f"{EFFECTS[name].component}.{name}"
+        switches[f"{block}.enabled"] = 1.0
+        if isinstance(scenario.effects, Mapping):
+            switches |= {f"{block}.{k}": x for k, x in scenario.effects[name].items()}
     twin = twin.with_wind(scenario.wind_m_s, scenario.gusts).with_seed(scenario.seed)
-    return twin.with_starts({**switches, **starts})
+    return twin.with_starts({**switches, **scenario.starts})
 
 
 def _changes(before: Assembly, after: Assembly) -> dict[str, float]:
@@ -135,17 +162,17 @@ def run_scenario(
     stop = system.stop_time_s if stop_s is None else stop_s
     begin = system.start_time_s
     if stop is None:
-        raise TwinError("no stop time: the system names none, give --stop SECONDS.")
-    for option, value in (("--step", step), ("--interval", interval_s or step)):
+        raise TwinError("no stop time: the system names none, give one in seconds.")
+    for what, value in (("step", step), ("interval", interval_s or step)):
         if not (np.isfinite(value) and value > 0):
-            raise TwinError(f"{option} {value:g}: needs a positive number of seconds, e.g. 0.01.")
+            raise TwinError(f"{what} {value:g}: needs a positive number of seconds, e.g. 0.01.")
     every = max(1, round((_INTERVAL_S if interval_s is None else interval_s) / step))
     if interval_s is not None and abs(every * step - interval_s) > 1e-9:
-        raise TwinError(f"--interval {interval_s:g}: not a whole number of steps of {step:g} s.")
+        raise TwinError(f"interval {interval_s:g}: not a whole number of steps of {step:g} s.")
     last = begin + every * step * np.floor((stop - begin) / (every * step) + 1e-9)
     if not last > begin:
         raise TwinError(
-            f"--stop {stop:g}: not even one interval of {every * step:g} s after the start at "
+            f"stop {stop:g}: not even one interval of {every * step:g} s after the start at "
             f"{begin:g} s."
         )
     with Master(system) as master:

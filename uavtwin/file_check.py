@@ -1,11 +1,11 @@
-"""`uavtwin check`: what a file holds, what is wrong with it, what it is good for."""
+"""What a file holds, what is wrong with it, what it is good for."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from fmus.inspect import inspect_fmu
 from twin.errors import ModelError, TwinError
@@ -15,9 +15,11 @@ from twin.physics.airframe import airframe
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 
+from .shown import Shown, TextTable, counted
 
-@dataclass(frozen=True, slots=True)
-class CheckReport:
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CheckReport(Shown):
     """What `check` says of one file."""
 
     file: str
@@ -26,7 +28,7 @@ class CheckReport:
     notes: tuple[str, ...]
     good_for: tuple[str, ...]
 
-    def as_json(self) -> dict[str, Any]:
+    def json(self) -> dict[str, Any]:
         """The report as plain data."""
         return {
             "file": self.file,
@@ -36,25 +38,35 @@ class CheckReport:
             "good_for": list(self.good_for),
         }
 
-    def print(self, console: Console) -> None:
-        """Print the report for a person."""
-        console.print(self.file, style="bold", markup=False)
-        for name, value in self.facts.items():
-            console.print(f"  {name:16s} {value}", markup=False)
-        for problem in self.problems:
-            console.print(f"  problem: {problem}", style="red", markup=False)
-        for note in self.notes:
-            console.print(f"  note: {note}", markup=False)
-        for use in self.good_for:
-            console.print(f"  good for: {use}", style="green", markup=False)
+    def lines(self) -> list[tuple[str, str]]:
+        """What a person reads, line by line: kind and text."""
+        return [("fact", f"{name:16s} {value}") for name, value in self.facts.items()] + [
+            (kind, f"{kind}: {text}")
+            for kind, texts in (
+                ("problem", self.problems),
+                ("note", self.notes),
+                ("good for", self.good_for),
+            )
+            for text in texts
+        ]
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """Name of the file, then the lines."""
+        yield self.file
+        yield "\n".join(text for _, text in self.lines())
+
+    def brief(self) -> str:
+        """Name of the file, and how many problems it has."""
+        return f"{type(self).__name__}: {self.file}, {counted(self.problems, 'problem')}"
 
 
-def check_file(path: Path) -> CheckReport:
+def check_file(path: str | Path) -> CheckReport:
     """Look at one file, whatever it is.
 
     Raises:
         TwinError: It cannot be read as anything known.
     """
+    path = Path(path)
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name the files in it.")
     if not path.is_file():
