@@ -29,8 +29,8 @@ def main(duration_s: float | None = None) -> None:
         )
         flight = run.json()
         print(
-            f"{air:12}  {run.recording.time_s[-1]:.0f} s, {flight['tracking_rms_m']:.3f} m rms from "
-            f"the setpoint, {flight['tracking_worst_m']:.3f} m at worst, "
+            f"{air:12}  {run.recording.time_s[-1]:.0f} s, {flight['tracking_rms_m']:.3f} m rms "
+            f"from the setpoint, {flight['tracking_worst_m']:.3f} m at worst, "
             f"leaning {np.degrees(flight['tilt_worst_rad']):.0f} degrees at most"
         )
 

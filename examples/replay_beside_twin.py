@@ -10,12 +10,12 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from twin.physics.airframe import airframe
 
 from cosim.master import Master
 from cosim.system import System, connect
 from fmus import build, component_model, replay_model
 from twin.logs import Flight, read_flight
+from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle

@@ -135,11 +135,11 @@ def flow() -> str:
 def _arrow(start: Box, end: Box) -> str:
     """A line from the side of a box that faces the other: right to left, or down."""
     if end.x > start.x:
-        x1, y1 = start.x + start.width, start.y + start.height / 2
-        x2, y2 = end.x - 2, end.y + end.height / 2
+        x1, y1 = float(start.x + start.width), start.y + start.height / 2
+        x2, y2 = float(end.x - 2), end.y + end.height / 2
     else:
         x1 = x2 = start.x + start.width / 2
-        y1, y2 = start.y + start.height, end.y - 2
+        y1, y2 = float(start.y + start.height), float(end.y - 2)
     return (
         f'<line x1="{x1:g}" y1="{y1:g}" x2="{x2:g}" y2="{y2:g}" stroke="{QUIET}" '
         'stroke-width="1.5" marker-end="url(#tip)"/>'
