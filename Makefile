@@ -53,7 +53,7 @@ tutorial: setup  ## outputs and pictures of the tutorial; needs chromium
 	$(BIN)/python docs/_generate/tutorial.py
 
 pictures: setup  ## drawings, and the picture of the README; needs chromium
-	$(BIN)/python docs/_generate/map.py
+	$(BIN)/python docs/_generate/drawings.py
 	$(BIN)/python docs/_generate/pictures.py
 
 SUBSET ?= 40

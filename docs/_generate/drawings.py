@@ -1,6 +1,6 @@
 """Draw the two pictures of the architecture page: the layers, and what flows through them.
 
-    python docs/_generate/map.py
+    python docs/_generate/drawings.py
 
 writes SVG that needs nothing else: no script, no font, no network.
 """
@@ -21,38 +21,31 @@ COLOURS = {
 }
 FONT = 'font-family="Helvetica, Arial, sans-serif"'
 
-LAYERS: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
-    ("front door", (("uavtwin", "names for Python, cli/, report/, demo/"),)),
-    ("users of the twin", (("cosim", "systems (SSP), master, recordings"),)),
-    (
-        "users of the twin",
-        (
-            ("fmus", "components to C to FMUs"),
-            ("learning", "compensator to ONNX; alone needs torch"),
-        ),
-    ),
-    ("twin", (("twin.explain", "find, name, add, show; its result"),)),
-    (
-        "twin",
-        (
-            ("explain.stochastic", "no mean: gust, noise"),
-            ("explain.unnamed", "equations"),
-            ("explain.design", "what to fly next"),
-        ),
-    ),
-    ("twin", (("explain.inference", "likelihood, fit, selection, adequacy"),)),
-    ("twin", (("explain.model", "residuals as a function of the numbers of effects"),)),
-    ("twin", (("twin.residuals", "aligned flight, prediction, gap"),)),
-    ("twin", (("twin.flight", "controllers, missions, closed loop"),)),
-    ("twin", (("twin.logs", "any format to one flight table"),)),
-    ("twin", (("twin.physics", "airframe, rotors, ground, battery, air, sensors/"),)),
-    ("twin", (("twin.vehicle.file", "TOML with units and sources, effects included"),)),
-    ("twin", (("twin.effects", "the library of named causes"),)),
-    ("twin", (("twin.vehicle", "numbers of one aircraft"),)),
-    ("twin", (("twin.component", "an equation written once: builder, rows, noise"),)),
-    ("twin", (("twin.errors", "what a user can mend"), ("twin.frames", "NED, FRD, rotations"))),
-)
-"""From the top: what may import all below it. Those side by side do not import each other."""
+WORDS = {
+    "benchmarks": "is all that right? On aircraft that share no code with twin",
+    "uavtwin": "the front door: names for Python, cli/, report/, demo/",
+    "cosim": "systems (SSP), master, recordings",
+    "fmus": "components to C to FMUs",
+    "learning": "compensator to ONNX; alone needs torch",
+    "twin.explain": "find, name, add, show; the result",
+    "twin.explain.stochastic": "no mean: gust, noise",
+    "twin.explain.unnamed": "equations",
+    "twin.explain.design": "what to fly next",
+    "twin.explain.inference": "likelihood, fit, selection, adequacy",
+    "twin.explain.model": "residuals as a function of the numbers of effects",
+    "twin.residuals": "aligned flight, prediction, gap",
+    "twin.flight": "controllers, missions, closed loop",
+    "twin.logs": "any format to one flight table",
+    "twin.physics": "airframe, rotors, ground, battery, air, sensors/",
+    "twin.vehicle.file": "TOML with units and sources, effects included",
+    "twin.effects": "the library of named causes",
+    "twin.vehicle": "numbers of one aircraft",
+    "twin.component": "an equation written once: builder, rows, noise",
+    "twin.errors": "what a user can mend",
+    "twin.frames": "NED, FRD, rotations",
+}
+"""What each room of the list of layers holds."""
+OF_THE_TWIN = {"learning", "fmus", "cosim"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,23 +91,37 @@ ARROWS = (
 )
 
 
+def rooms() -> list[list[str]]:
+    """The list of layers of the architecture page, those side by side together, the top first."""
+    page = (PICTURES.parent / "dev" / "architecture.md").read_text("utf-8")
+    listed = page.split("```layers\n")[1].split("```")[0]
+    return [line.split() for line in reversed(listed.splitlines())]
+
+
 def layers() -> str:
     """The layers as SVG."""
     width, high, gap, left = 860, 40, 6, 8
     rows = []
-    for i, (kind, rooms) in enumerate(LAYERS):
-        each = (width - 2 * left - gap * (len(rooms) - 1)) / len(rooms)
-        for k, (name, words) in enumerate(rooms):
+    for i, side_by_side in enumerate(rooms()):
+        n = len(side_by_side)
+        each = (width - 2 * left - gap * (n - 1)) / n
+        for k, name in enumerate(side_by_side):
             x, y = left + k * (each + gap), left + i * (high + gap)
-            rows.append(_box(x, y, each, high, COLOURS[kind]))
-            rows.append(_text(x + 12, y + 25, name, INK, bold=True))
-            if len(rooms) < 3:
-                rows.append(_text(x + each - 12, y + 25, words, QUIET, anchor="end", size=13))
+            rows.append(_box(x, y, each, high, COLOURS[_kind(name)]))
+            if n < 3:
+                rows.append(_text(x + 12, y + 25, name, INK, bold=True))
+                rows.append(_text(x + each - 12, y + 25, WORDS[name], QUIET, "end", 13))
             else:
-                rows[-1] = _text(x + 12, y + 17, name, INK, bold=True)
-                rows.append(_text(x + 12, y + 33, words, QUIET, size=12))
-    height = 2 * left + len(LAYERS) * (high + gap) - gap
+                rows.append(_text(x + 12, y + 17, name, INK, bold=True))
+                rows.append(_text(x + 12, y + 33, WORDS[name], QUIET, size=12))
+    height = 2 * left + len(rooms()) * (high + gap) - gap
     return _svg(width, height, "Layers: imports go downwards only", rows)
+
+
+def _kind(room: str) -> str:
+    if room.startswith("twin"):
+        return "twin"
+    return "users of the twin" if room in OF_THE_TWIN else "front door"
 
 
 def flow() -> str:
