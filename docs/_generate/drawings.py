@@ -32,6 +32,7 @@ WORDS = {
     "twin.explain.unnamed": "equations",
     "twin.explain.design": "what to fly next",
     "twin.explain.inference": "likelihood, fit, selection, adequacy",
+    "twin.explain.settings": "the numbers that decide a verdict, with their origin",
     "twin.explain.model": "residuals as a function of the numbers of effects",
     "twin.residuals": "aligned flight, prediction, gap",
     "twin.flight": "controllers, missions, closed loop",

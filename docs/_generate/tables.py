@@ -16,6 +16,8 @@ from typer.main import get_command
 
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
+from twin.explain.settings import DEFAULT, Setting
+from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
 from twin.vehicle import Vehicle
@@ -138,6 +140,26 @@ def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence
     return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
 
 
+# -- settings -------------------------------------------------------------------------------
+
+
+def settings() -> str:
+    """Numbers that decide what `explain` says, a table per group."""
+    groups: dict[str, list[Setting]] = {}
+    for s in DEFAULT.every():
+        groups.setdefault(s.name.rpartition(".")[0], []).append(s)
+    head = ("setting", "value", "unit", "meaning", "origin")
+    return "\n\n".join(
+        "\n".join([f"## {group}", "", *rows(head, map(_setting, own))])
+        for group, own in groups.items()
+    )
+
+
+def _setting(s: Setting) -> Sequence[str]:
+    value = ", ".join(f"{x:.4g}" for x in numbers(s.value))
+    return f"`{s.name.rpartition('.')[2]}`", value, s.about.unit, s.about.meaning, s.about.origin
+
+
 # -- command line ---------------------------------------------------------------------------
 
 
@@ -190,6 +212,7 @@ DOCUMENTS = {
     "reference/vehicle_fields.md": vehicle,
     "reference/fmu_variables.md": fmus,
     "reference/effects.md": effects,
+    "reference/settings.md": settings,
     "reference/cli.md": command_line,
 }
 

@@ -17,6 +17,7 @@ from twin.errors import TwinError
 from twin.explain.design.designer import Suggestion
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
+from twin.explain.settings import DEFAULT
 from twin.explain.unnamed.equations import Equation
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
@@ -186,6 +187,26 @@ def test_the_fmu_has_the_effect_on(named: Run) -> None:
     assert (starts["rotor_drag.enabled"], starts["thrust_scale.enabled"]) == ("true", "false")
     value = named.json["effects"][0]["parameters"]["k_xy_1_s"]["value"]
     assert float(starts["rotor_drag.k_xy_1_s"]) == pytest.approx(value, rel=1e-5)
+
+
+def test_the_settings_are_recorded(named: Run) -> None:
+    assert named.json["settings"] == {"hash": DEFAULT.hash, "changed": {}}
+    assert named.found is not None
+    bands = ((0.2, 0.4), (0.4, 0.8), (0.8, 1.5), (1.5, 3.0))
+    changed = {"inference.selection.sure": 0.9, "stochastic.gust.slope_bands_hz": bands}
+    other = explain_json(replace(named.found, settings=DEFAULT.with_values(changed)))
+    assert other["settings"]["changed"] == {
+        "inference.selection.sure": 0.9,
+        "stochastic.gust.slope_bands_hz": [list(b) for b in bands],
+    }
+    assert other["settings"]["hash"] != DEFAULT.hash
+
+
+def test_every_key_is_in_the_documentation(named: Run) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "explain.md").read_text("utf-8")
+    lines = text.partition("## explain.json")[2].partition("\n## ")[0].splitlines()
+    told = {k for line in lines for k in re.findall(r"`(\w+)`", line.split(" | ")[0])}
+    assert told == set(named.json)
 
 
 def test_run_json_lists_every_input(named: Run) -> None:

@@ -14,27 +14,38 @@ in a vehicle file, smoothness of a spectrum, motion that no model has quite righ
 from collections.abc import Mapping, Sequence
 
 from ..model.model import Model
-from .finding import PRIOR_ODDS, StochasticEffect
+from ..settings import DEFAULT, StochasticSettings
+from .finding import StochasticEffect, prior_log_odds
 from .gust import find_gust
 from .noise_level import find_noise_level
 from .stuck import Stuck, stuck_numbers
 from .vibration import find_vibration
 
 
-def find_stochastic(model: Model, values: Mapping[str, float]) -> list[StochasticEffect]:
+def find_stochastic(
+    model: Model, values: Mapping[str, float], settings: StochasticSettings = DEFAULT.stochastic
+) -> list[StochasticEffect]:
     """Effects without a mean that the flights show, the surest first.
 
     Args:
         model: Flights, stuck readings taken out.
         values: Numbers of the effects that have been named, "effect.number" -> value.
+        settings: Of each kind.
     """
-    found = [find_noise_level(model), find_vibration(model), find_gust(model, values)]
+    found = [
+        find_noise_level(model, settings),
+        find_vibration(model, settings),
+        find_gust(model, values, settings),
+    ]
     return sorted((u for u in found if u is not None), key=lambda u: -u.log_odds)
 
 
-def find_stuck(stuck: Sequence[Stuck]) -> list[StochasticEffect]:
+def find_stuck(
+    stuck: Sequence[Stuck], settings: StochasticSettings = DEFAULT.stochastic
+) -> list[StochasticEffect]:
     """The effect of readings that stand still; none where all go on."""
     if not stuck:
         return []
     channels = tuple(dict.fromkeys(s.channel for s in stuck))
-    return [StochasticEffect("stuck_sensor", -PRIOR_ODDS, stuck_numbers(stuck), {}, channels, 1.0)]
+    odds = -prior_log_odds(settings)
+    return [StochasticEffect("stuck_sensor", odds, stuck_numbers(stuck), {}, channels, 1.0)]

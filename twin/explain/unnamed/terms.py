@@ -8,7 +8,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from .quantities import OWN_NOISE_S, PLAIN, Quantity, Unit, later
+from ..settings import DEFAULT, UnnamedSettings
+from .quantities import PLAIN, Quantity, Unit, later
 
 Array = NDArray[np.float64]
 CHANNEL_UNITS: Mapping[str, Unit] = {
@@ -36,17 +37,25 @@ class Term:
     values: Array
 
 
-def terms(known: Mapping[str, Quantity], channel: str, tones_hz: tuple[float, ...]) -> list[Term]:
+def terms(
+    known: Mapping[str, Quantity],
+    channel: str,
+    tones_hz: tuple[float, ...],
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> list[Term]:
     """Everything up to products of two, laws of drag and tones that may explain a channel.
 
     Args:
         known: Quantities of a flight.
         channel: See `flight_model`.
         tones_hz: Frequencies at which something may shake.
+        settings: How late turning rates are where they stand for a gyroscope.
     """
     axis = channel[-1]
     own = {
-        k: later(v, OWN_NOISE_S) if k.startswith("omega_") and channel.startswith("gyro_") else v
+        k: later(v, settings.own_noise_s)
+        if k.startswith("omega_") and channel.startswith("gyro_")
+        else v
         for k, v in known.items()
         if _may_explain(k, v, channel)
     }
