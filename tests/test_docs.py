@@ -14,6 +14,7 @@ import pytest
 import uavtwin as ut
 from twin.residuals.gap import Channel, FlightGap, gap_json
 from twin.vehicle.file import parse_vehicle
+from uavtwin.demo.flights import fly, hide
 
 ROOT = Path(__file__).parents[1]
 
@@ -123,6 +124,16 @@ def test_links_of_the_files_at_the_top_lead_somewhere() -> None:
         assert [link for link in links if not (ROOT / link).exists()] == []
 
 
+def test_every_path_that_the_documents_name_is_there() -> None:
+    """Folders and sources in the font of code."""
+    folders = "twin|learning|fmus|cosim|uavtwin|benchmarks|examples|tests|docs"
+    path = re.compile(rf"`((?:{folders})/(?:[\w./-]*(?:/|\.(?:py|md|toml|c|h)))?)`")
+    pages = [*(ROOT / "docs").rglob("*.md"), *ROOT.glob("*.md")]
+    named = {m for page in pages for m in path.findall(page.read_text("utf-8"))}
+    assert len(named) > 50
+    assert [name for name in sorted(named) if not (ROOT / name).exists()] == []
+
+
 def test_pictures_are_small() -> None:
     """They travel with every clone."""
     tutorial = [p.stat().st_size for p in (ROOT / "docs/tutorial/pictures").iterdir()]
@@ -162,6 +173,35 @@ def test_the_tutorial_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert named[0] == named[1] == ["The model lacks mass offset: "]
     for place in re.findall(r"pictures/(\w+)\.png", page):
         assert (tmp_path / place / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_the_python_of_the_readme_works(tmp_path: Path) -> None:
+    """On shorter flights than those of the demo."""
+    there = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.0)))
+    away, across = ("forward", 2.0, (3.0, 1.0, -1.0)), ("forward", 2.0, (-1.0, 2.0, -1.0))
+    back = ("forward", 2.0, (0.0, 0.0, -1.3))
+    ways = {
+        "fit_1": (*there, away, back),
+        "fit_2": (*there, across, back),
+        "holdout": (*there, across, away, back),
+    }
+    vehicle = ut.vehicle("copter_default")
+    plant = hide(vehicle, seed=4).plant
+    (tmp_path / "demo" / "flights").mkdir(parents=True)
+    for seed, (name, way) in enumerate(ways.items()):
+        flight = fly(vehicle, plant, seed, name, way)
+        ut.write_flight(flight, tmp_path / "demo" / "flights" / f"{name}.parquet")
+    script = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text("utf-8"), re.DOTALL)
+    result = subprocess.run(
+        [sys.executable, "-c", "\n".join(script)], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result.stderr
+    assert "The model lacks rotor drag: " in result.stdout
+    assert "[effects.rotor_drag]" in (tmp_path / "better.toml").read_text("utf-8")
+    assert (tmp_path / "explained.html").is_file()
+    assert (tmp_path / "flight.html").is_file()
+    assert len(list(tmp_path.rglob("*.fmu"))) == 2  # FMI 2 and 3
 
 
 SHORT = {"fly_tour_in_wind.py": ["3"], "ab_effect.py": ["8"], "swap_controller.py": ["3"]}
