@@ -149,7 +149,7 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
     seen: set[str] = set()
     for member in members:
         name = member.orig_filename
-        if _unsafe(name):
+        if is_unsafe(name):
             problems.append(f"unsafe path in the archive: {name!r}")
         key = name.rstrip("/").casefold()
         if key in seen:
@@ -173,7 +173,8 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
     return problems
 
 
-def _unsafe(name: str) -> bool:
+def is_unsafe(name: str) -> bool:
+    """Whether a member of this name could land outside the folder, or not land everywhere."""
     parts = name.replace("\\", "/").split("/")
     return (
         "\\" in name

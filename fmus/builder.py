@@ -14,8 +14,10 @@ import platformdirs
 
 from twin.errors import FmuError
 
+from .archive import is_unsafe
 from .description import build_description, model_description
 from .model import FmuModel
+from .names import shown
 from .platforms import (
     DEFAULT,
     PLATFORMS,
@@ -159,7 +161,14 @@ def cache_folder() -> Path:
 
 
 def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
-    """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes."""
+    """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes.
+
+    Raises:
+        FmuError: A member would land outside the folder that it is unpacked into.
+    """
+    for name in members:
+        if is_unsafe(name):
+            raise FmuError(f"{path.name}: {shown(name)} is no name of a member; rename the part.")
     partial = path.with_name(f".{path.name}.{os.getpid()}")
     with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
         for name in sorted(members):

@@ -6,14 +6,19 @@ from lxml import etree
 
 from twin.component import Variable
 
-from .model import FmuModel
+from .model import FmuModel, check_interface
 from .units import base_exponents
 
 GENERATION_TOOL = "uavtwin"
 
 
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
-    """The XML file; value references count from 1 in the order of the interface table."""
+    """The XML file; value references count from 1 in the order of the interface table.
+
+    Raises:
+        FmuError: A name or a text of the model cannot stand in an FMU.
+    """
+    check_interface(model)
     root = _fmi2(model, token, sources) if fmi == 2 else _fmi3(model, token)
     return _bytes(root)
 

@@ -8,9 +8,13 @@ import casadi as ca
 import numpy as np
 
 from twin.component import Causality, Component, Sampling, Variable, check_range, unknown_name
-from twin.errors import ModelError
+from twin.errors import FmuError, ModelError
 from twin.representation import short_repr
 
+from .names import LONGEST_VARIABLE, check_identifier, check_name, check_text
+
+Constant = int | tuple[int, ...] | tuple[float, ...]
+"""Value of a macro: a number, or the numbers of an array."""
 _EXPORTED = re.compile(
     r"^(?:const )?\w+\*? (?P<name>\w+)\([^)]*\) ?\{(?:[^\n]*\}|.*?\n\})\n+"
     r"|^static const casadi_int casadi_s\d+\[[^;]*;\n",
@@ -34,6 +38,7 @@ class Part:
         glue: File of `fmus/c` that makes a model of tables and kernels.
         kernels: C source in front of it.
         defines: Macros that the glue needs.
+        shortcuts: How many cheaper kernels the glue tries; None where it knows of none.
         sampling: What happens at sample instants.
         resources: Files it reads.
         folder: Where they lie in the resources folder, "" or ending in a slash.
@@ -47,7 +52,8 @@ class Part:
     max_step_s: float
     glue: str
     kernels: str = ""
-    defines: Mapping[str, int | str] = field(default_factory=dict)
+    defines: Mapping[str, Constant] = field(default_factory=dict)
+    shortcuts: int | None = None
     sampling: Sampling | None = None
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
@@ -157,6 +163,23 @@ class FmuModel:
         return self.step_s or self.parts[0].max_step_s
 
 
+def check_interface(model: FmuModel) -> None:
+    """Whether names and texts of a model can stand in an FMU, each variable once.
+
+    Raises:
+        FmuError: One cannot.
+    """
+    check_identifier("model identifier", model.name)
+    check_text(f"{model.name}: description", model.description)
+    names: set[str] = set()
+    for v in (v for part in model.parts for v in part.variables):
+        check_name(f"{model.name}: variable", v.name, LONGEST_VARIABLE)
+        check_text(f"{model.name}: description of {v.name}", v.description)
+        if v.name in names:
+            raise FmuError(f"{model.name}: {v.name} is there twice; name each variable once.")
+        names.add(v.name)
+
+
 def component_model(component: Component) -> FmuModel:
     """The FMU model of a CasADi component: kernels generated as C."""
     kernels = _kernels(component)
@@ -169,7 +192,8 @@ def component_model(component: Component) -> FmuModel:
         max_step_s=component.max_step_s,
         glue="casadi.h",
         kernels=_kernel_source(kernels),
-        defines=_defines(component, kernels),
+        defines=_workspace(kernels),
+        shortcuts=len(component.shortcuts),
         sampling=component.sampling,
     )
     return FmuModel(component.name, component.description, (part,))
@@ -213,14 +237,13 @@ def _kernel_source(functions: list[ca.Function]) -> str:
     return source
 
 
-def _defines(component: Component, functions: list[ca.Function]) -> dict[str, int | str]:
-    """Work space of the kernels, and the list of shortcuts."""
+def _workspace(functions: list[ca.Function]) -> dict[str, int]:
+    """Sizes of what the kernels work in."""
     return {
         "N_ARGUMENTS": max(f.sz_arg() for f in functions) + 1,
         "N_RESULTS": max(f.sz_res() for f in functions) + 1,
         "N_INTEGERS": max(f.sz_iw() for f in functions) + 1,
         "N_WORK": max(f.sz_w() for f in functions) + 1,
-        "SHORTCUTS(TRY)": " ".join(f"TRY({i})" for i in range(len(component.shortcuts))),
     }
 
 

@@ -1,14 +1,23 @@
-"""The generated C of an FMU: a file per part with its tables, and `system.c`, which joins them."""
+"""The generated C of an FMU: a file per part with its tables, and `system.c`, which joins them.
+
+Names and numbers of a model come from files; they get into C through `literals` and `names` alone.
+"""
 
 from collections.abc import Iterable
 
 from twin.component import Sampling, Variable
 
-from .model import FmuModel, Part
+from .literals import c_list, c_number, c_string
+from .model import Constant, FmuModel, Part
+from .names import LONGEST_VARIABLE, check_identifier, check_name
 
 
 def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
-    """Generated C files by name."""
+    """Generated C files by name.
+
+    Raises:
+        FmuError: A name is no identifier, or a number is not finite.
+    """
     return {
         **{f"part_{part.name}.c": _part(part) for part in model.parts},
         "system.c": _system(model, token),
@@ -18,17 +27,24 @@ def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
 def _part(part: Part) -> str:
     """Tables, kernels, and the code around them; static apart from the model itself."""
     parameters, inputs = len(part.of("parameter")), len(part.of("input"))
+    check_identifier("part of an FMU", part.name)
+    check_identifier(f"{part.name}: glue", part.glue.removesuffix(".h"))
     defines = {
         "MODEL": f"model_{part.name}",
         "N_VARIABLES": len(part.variables) + 1,
         "FIRST_INPUT": 1 + parameters,
         "FIRST_OUTPUT": 1 + parameters + inputs,
         "N_STATES": len(part.state_names),
-        "MAX_STEP": repr(part.max_step_s),
-        "FOLDER": f'"{part.folder}"',
-        **part.defines,
+        "MAX_STEP": c_number(part.max_step_s),
+        "FOLDER": c_string(part.folder),
+        **{
+            check_identifier(f"{part.name}: macro", k): _constant(v)
+            for k, v in part.defines.items()
+        },
     }
-    states = "".join(f'"{name}", ' for name in part.state_names)
+    if part.shortcuts is not None:
+        defines["SHORTCUTS(TRY)"] = " ".join(f"TRY({i})" for i in range(part.shortcuts))
+    states = "".join(f"{c_string(name)}, " for name in part.state_names)
     return "\n".join(
         [
             "#include <math.h>\n",
@@ -47,12 +63,17 @@ def _part(part: Part) -> str:
     )
 
 
+def _constant(value: Constant) -> str:
+    return c_list(value) if isinstance(value, tuple) else c_number(value)
+
+
 def _variable(v: Variable) -> str:
     """One line of the interface table."""
-    causality = "FIXED_PARAMETER" if v.fixed else v.causality.upper()
-    low = "-HUGE_VAL" if v.minimum is None else repr(float(v.minimum))
-    high = "HUGE_VAL" if v.maximum is None else repr(float(v.maximum))
-    return f'{{"{v.name}", {causality}, {float(v.start)!r}, {low}, {high}}}'
+    name = c_string(check_name("variable of an FMU", v.name, LONGEST_VARIABLE))
+    causality = "FIXED_PARAMETER" if v.fixed else check_identifier(v.name, v.causality.upper())
+    low = "-HUGE_VAL" if v.minimum is None else c_number(float(v.minimum))
+    high = "HUGE_VAL" if v.maximum is None else c_number(float(v.maximum))
+    return f"{{{name}, {causality}, {c_number(float(v.start))}, {low}, {high}}}"
 
 
 def _sampling(part: Part, sampling: Sampling) -> str:
@@ -60,11 +81,11 @@ def _sampling(part: Part, sampling: Sampling) -> str:
     defines = {
         "SAMPLE_PERIOD": reference[sampling.period],
         "SEED": 0 if sampling.seed is None else reference[sampling.seed],
-        "N_NOISE": sampling.channels,
-        "STREAM": f"{sampling.stream}u",
+        "N_NOISE": c_number(sampling.channels),
+        "STREAM": f"{c_number(sampling.stream)}u",
         "N_LINES": len(sampling.lines),
     }
-    lines = [f'{{"{line.name}", {line.samples}}}' for line in sampling.lines]
+    lines = [f"{{{c_string(line.name)}, {c_number(line.samples)}}}" for line in sampling.lines]
     return "\n".join(
         [
             *(f"#define {name} {value}" for name, value in defines.items()),
@@ -94,8 +115,8 @@ def _system(model: FmuModel, token: str) -> str:
             _table("static const Connection connections[]", connections or ["{{0, 0}, {0, 0}}"]),
             _table("static const unsigned visits[]", map(str, model.order)),
             "const System fmu = {",
-            f'    .token = "{token}",',
-            f"    .step = {'HUGE_VAL' if model.step_s is None else repr(model.step_s)},",
+            f"    .token = {c_string(token)},",
+            f"    .step = {'HUGE_VAL' if model.step_s is None else c_number(model.step_s)},",
             f"    .n_parts = {len(names)},",
             "    .models = models,",
             f"    .n_ports = {len(ports) + 1},",

@@ -50,7 +50,7 @@ def base_exponents(unit: str) -> dict[str, int]:
     """
     if unit in BASE_UNITS:
         return BASE_UNITS[unit]
-    match = re.fullmatch(r"(N|N\.m)\.s(\d*)/rad(\d*)", unit)
+    match = re.fullmatch(r"(N|N\.m)\.s([0-9]?)/rad([0-9]?)", unit)
     if match is None or match[2] != match[3]:
         raise KeyError(f"unit {unit!r} is not in fmus/units.py")
     power = int(match[2] or 1)

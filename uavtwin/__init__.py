@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from twin.vehicle.file import builtin_vehicles
 
     from .explanation import ExplainResult, explain
+    from .exports.parts import Twin, compensator, component, replay, twin
+    from .exports.write import export
     from .file_check import check_file as check
     from .flights import read_flights
-    from .fmu_export import export
     from .gaps import GapResult, gap
     from .learned import evaluate, train
-    from .parts import Twin, compensator, component, replay, twin
     from .run import Run, simulate
     from .vehicles import Vehicle, load_vehicle, vehicle
 
@@ -69,25 +69,25 @@ _HOME = {
     "Flight": "twin.logs",
     "GapResult": "uavtwin.gaps",
     "Run": "uavtwin.run",
-    "Twin": "uavtwin.parts",
+    "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",
     "builtin_vehicles": "twin.vehicle.file",
     "check": "uavtwin.file_check:check_file",
-    "compensator": "uavtwin.parts",
-    "component": "uavtwin.parts",
+    "compensator": "uavtwin.exports.parts",
+    "component": "uavtwin.exports.parts",
     "evaluate": "uavtwin.learned",
     "explain": "uavtwin.explanation",
-    "export": "uavtwin.fmu_export",
+    "export": "uavtwin.exports.write",
     "gap": "uavtwin.gaps",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",
     "read_flight": "twin.logs",
     "read_flights": "uavtwin.flights",
-    "replay": "uavtwin.parts",
+    "replay": "uavtwin.exports.parts",
     "simulate": "uavtwin.run",
     "train": "uavtwin.learned",
-    "twin": "uavtwin.parts",
+    "twin": "uavtwin.exports.parts",
     "vehicle": "uavtwin.vehicles",
     "write_flight": "twin.logs",
 }

@@ -18,10 +18,10 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 
 from . import vehicles
+from .exports.parts import component
+from .exports.write import export_parts
 from .flights import checked_flights
-from .fmu_export import export_parts
 from .output import output_file, write_json
-from .parts import component
 from .report.explain import write_explain_report
 from .report.gap import number
 from .report.words import certainty, claim, interval, shrink_words, title

@@ -15,7 +15,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import twin
-from learning.data import channels, flights
+from learning.data import channels, flights, residual_table
 from learning.data.flights import (
     DEFAULT_HORIZON_S,
     DEFAULT_RATE_HZ,
@@ -86,9 +86,17 @@ def _residual(
     return read_residuals(kept)[0]
 
 
-def _state() -> str:
-    """Hash of the sources that make residuals."""
+def source_files() -> list[Path]:
+    """The sources that make a residual flight, and those that keep it."""
     root = Path(next(iter(twin.__path__)))
-    files = [f for f in sorted(root.rglob("*.py")) if "explain" not in f.relative_to(root).parts]
-    files += [Path(str(m.__file__)) for m in (channels, flights)]
-    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+    files = [f for f in sorted(root.rglob("*.py")) if f.relative_to(root).parts[0] != "explain"]
+    return files + [Path(str(m.__file__)) for m in (channels, flights, residual_table)]
+
+
+def _state() -> str:
+    """Hash of the sources: their names and what stands in them."""
+    digest = hashlib.sha256()
+    for file in source_files():
+        content = file.read_bytes()
+        digest.update(f"{file.name}\0{len(content)}\0".encode() + content)
+    return digest.hexdigest()

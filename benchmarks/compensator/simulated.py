@@ -29,8 +29,8 @@ from benchmarks.hidden_effects.plants.kinds import EFFECTS
 from benchmarks.hidden_effects.plants.missions import mission
 from benchmarks.hidden_effects.plants.noise import NOISE
 from benchmarks.hidden_effects.plants.orders import Order
-from benchmarks.hidden_effects.plants.own import Trace, fly
-from benchmarks.hidden_effects.plants.parameters import Parameters
+from benchmarks.hidden_effects.plants.own.flight import Trace, fly
+from benchmarks.hidden_effects.plants.own.parameters import Parameters
 from benchmarks.hidden_effects.plants.sensing import flight_table
 from twin.logs.flight import Flight
 from twin.logs.table import write_flight

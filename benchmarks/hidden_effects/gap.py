@@ -7,11 +7,11 @@ from scipy.signal import lfilter
 
 from .plants.aircraft import Aircraft
 from .plants.missions import CONTROL_HZ
-from .plants.own import Trace
-from .plants.parameters import FIELD_T, Array, Batch, Parameters
-from .plants.physics import Dynamics, Layout, motion, own_dynamics
+from .plants.own.flight import Trace
+from .plants.own.parameters import FIELD_T, Array, Batch, Parameters
+from .plants.own.physics import Dynamics, Layout, motion, own_dynamics
+from .plants.own.vectors import rotation, to_body
 from .plants.sensing import accelerometer, barometer, gyroscope, magnetometer, seen_pose
-from .plants.vectors import rotation, to_body
 
 UNITS = {
     "acc": "m/s^2",

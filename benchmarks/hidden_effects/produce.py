@@ -15,9 +15,9 @@ from .plants.kinds import EFFECTS, PLANTS
 from .plants.missions import mission
 from .plants.noise import NOISE
 from .plants.orders import Order
-from .plants.own import fly
-from .plants.parameters import Parameters
-from .plants.physics import Simulator, own_dynamics
+from .plants.own.flight import fly
+from .plants.own.parameters import Parameters
+from .plants.own.physics import Simulator, own_dynamics
 from .plants.sensing import flight_table
 
 FLIGHTS = {"fit_1": "tour", "fit_2": "forward", "holdout_1": "tour"}

@@ -44,6 +44,7 @@ WORDS = {
     "twin.component": "an equation written once: builder, rows, noise",
     "twin.errors": "what a user can mend",
     "twin.frames": "NED, FRD, rotations",
+    "twin.representation": "values in a line or two",
 }
 """What each room of the list of layers holds."""
 OF_THE_TWIN = {"learning", "fmus", "cosim"}

@@ -294,6 +294,12 @@ class Compensator(nn.Module):
         return inside * (expected * torch.exp(out.log_spread)) + (1 - inside) * self.rms
 
 
+def untrained_compensator(info: ModelInfo, seed: int = 0) -> Compensator:
+    """A model with random weights, of the size that a trained one has: for measuring its speed."""
+    torch.manual_seed(seed)
+    return Compensator(info).eval()
+
+
 def network_inputs(span: SpanSequence) -> tuple[Tensor, Tensor, Tensor]:
     """known (n, 15), features (n, F) and one-hot phase (n, phases) of a span, float32."""
     known = span.lags[..., 0] if span.lags.shape[-1] else np.zeros_like(span.d)

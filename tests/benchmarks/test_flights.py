@@ -20,7 +20,7 @@ from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, vehicle_toml
 from benchmarks.hidden_effects.plants.kinds import EFFECTS
 from benchmarks.hidden_effects.plants.noise import NOISE
 from benchmarks.hidden_effects.plants.orders import Order
-from benchmarks.hidden_effects.plants.own import Trace, fly
+from benchmarks.hidden_effects.plants.own.flight import Trace, fly
 from benchmarks.hidden_effects.plants.sensing import flight_table
 from benchmarks.hidden_effects.produce import hide
 from twin.logs.flight import Flight

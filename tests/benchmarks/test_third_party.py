@@ -13,8 +13,8 @@ import pytest
 
 from benchmarks.hidden_effects.plants.jsbsim import JsbsimFlights
 from benchmarks.hidden_effects.plants.kinds import EFFECTS, PLANTS
-from benchmarks.hidden_effects.plants.parameters import GRAVITY_M_S2, Batch, Parameters
-from benchmarks.hidden_effects.plants.physics import Layout
+from benchmarks.hidden_effects.plants.own.parameters import GRAVITY_M_S2, Batch, Parameters
+from benchmarks.hidden_effects.plants.own.physics import Layout
 
 CHECK = """
 import json, sys
@@ -24,7 +24,7 @@ missions.DURATION_S = 5.0
 from benchmarks.hidden_effects.plants.aircraft import vehicle_toml
 from benchmarks.hidden_effects.plants.noise import NOISE
 from benchmarks.hidden_effects.plants.orders import Order
-from benchmarks.hidden_effects.plants.own import fly
+from benchmarks.hidden_effects.plants.own.flight import fly
 from benchmarks.hidden_effects.plants.kinds import PLANTS
 from benchmarks.hidden_effects.plants.sensing import flight_table
 from twin.residuals.aligned import align_flight

@@ -1,10 +1,13 @@
 """What the tests of the exported compensator share: tiny models, flights to run them along."""
 
+import hashlib
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
@@ -136,4 +139,24 @@ def exported(model: Compensator, folder: Path) -> Path:
     """The folder with the ONNX files of a model."""
     folder.mkdir(parents=True, exist_ok=True)
     export_onnx(model, folder)
+    return folder
+
+
+def changed(
+    model: onnx.ModelProto, folder: Path, raw: dict[str, str] | None = None, **said: Any
+) -> Path:
+    """A new folder with a model whose checksum is right.
+
+    Args:
+        model: Perhaps with another graph than it had.
+        folder: To be made.
+        raw: Metadata other than they were, as texts.
+        said: The same as values of JSON.
+    """
+    texts = {p.key: p.value for p in model.metadata_props}
+    texts |= {k: json.dumps(v) for k, v in said.items()} | (raw or {})
+    digest = hashlib.sha256(model.graph.SerializeToString(deterministic=True)).hexdigest()
+    onnx.helper.set_model_props(model, texts | {"graph_sha256": digest})
+    folder.mkdir(parents=True)
+    (folder / "model.onnx").write_bytes(model.SerializeToString())
     return folder

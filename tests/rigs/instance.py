@@ -18,8 +18,6 @@ from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-RIGS = Path(__file__).parent
-"""On the path of processes that tests start."""
 
 
 class Instance:

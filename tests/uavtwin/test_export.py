@@ -22,7 +22,7 @@ from cosim.slave.interface import read_interface
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
 from uavtwin.cli.export import Choice, export_components
-from uavtwin.products import WrittenFile
+from uavtwin.exports.products import WrittenFile
 
 Array = NDArray[np.float64]
 COMPONENTS = (

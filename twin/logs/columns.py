@@ -59,7 +59,7 @@ VEL = ("vel_x", "vel_y", "vel_z")
 QUAT = ("q_w", "q_x", "q_y", "q_z")
 MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT)
 
-_MOTOR = re.compile(r"(cmd|rotor)_([1-9]\d*)")
+_MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]*)")
 
 
 def motor_columns(stem: str, n: int) -> tuple[str, ...]:

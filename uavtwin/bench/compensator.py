@@ -10,16 +10,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import torch
-
 from fmus import build
 from fmus.compensator import FILE, compensator_model
 from learning.export.write import INT8_FILE, export_onnx
-from learning.model.compensator import Compensator, ModelInfo
+from learning.model.compensator import ModelInfo, untrained_compensator
 from learning.preset import PAPER
 from twin.errors import FmuError
 
-from .speed import Row
+from .figure import Row
 
 SAMPLES = 5000
 RUNS = 10
@@ -81,9 +79,8 @@ def compensator_rows(folder: Path) -> list[Row]:
     """
     import fmpy
 
-    torch.manual_seed(0)
-    model = Compensator(ModelInfo(PAPER, "reconstruct", 0, 100.0, 4, CLUSTERS))
-    export_onnx(model.eval(), folder)
+    model = untrained_compensator(ModelInfo(PAPER, "reconstruct", 0, 100.0, 4, CLUSTERS))
+    export_onnx(model, folder)
     fmu = build(compensator_model(folder), folder / "compensator.fmu")
     unpacked = fmpy.extract(str(fmu), str(folder / "compensator"))
     float32 = _measured(_ONNXRUNTIME, folder / FILE)

@@ -11,9 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import fmpy
 
@@ -28,23 +26,11 @@ from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu
 from twin.vehicle.file import load_vehicle
 
+from .figure import Row
+
 STEP_S = 1e-3
 REPEATS = 5
 WHOLE_S = 60.0
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """One measured figure; no value where it was skipped, `what` then says why."""
-
-    what: str
-    value: float | None
-    unit: str
-    goal: str
-
-    def as_json(self) -> dict[str, Any]:
-        """As plain data."""
-        return asdict(self)
 
 
 def run_bench(progress: Callable[[float], None] = lambda _: None) -> list[Row]:

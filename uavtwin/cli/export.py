@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from twin.physics.rotors import Drive
     from twin.physics.sensors.position import Kind
 
-    from ..parts import Controller
-    from ..products import Exportable, WrittenFile
+    from ..exports.parts import Controller
+    from ..exports.products import Exportable, WrittenFile
     from ..vehicles import Vehicle
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
@@ -168,8 +168,8 @@ def export_components(
     """
     from twin.component import unknown_name
 
-    from ..fmu_export import export_parts
-    from ..parts import COMPONENTS
+    from ..exports.parts import COMPONENTS
+    from ..exports.write import export_parts
     from ..vehicles import load_vehicle
 
     vehicle, known = load_vehicle(choice.vehicle), (*COMPONENTS, REPLAY, COMPENSATOR, FUSED)
@@ -211,7 +211,7 @@ def _part(
     """What a name stands for."""
     from twin.logs import read_flight
 
-    from .. import parts
+    from ..exports import parts
 
     if name == FUSED:
         controller = cast("Controller", choice.controller)
@@ -232,7 +232,7 @@ def _part(
 
 def _network(choice: Choice, vehicle: "Vehicle") -> "NetworkFile | None":
     """The trained network, held against the vehicle."""
-    from ..parts import check_compensator, compensator
+    from ..exports.parts import check_compensator, compensator
 
     if choice.model is None:
         return None

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from twin.logs import Flight
 
     from ..explanation import ExplainResult
-    from ..products import WrittenFile
+    from ..exports.products import WrittenFile
     from ..shown import TextTable
 
 STDOUT = Console(highlight=False, soft_wrap=True)

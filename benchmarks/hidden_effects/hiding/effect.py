@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..plants.aircraft import Aircraft
-from ..plants.parameters import Array, Parameters
+from ..plants.own.parameters import Array, Parameters
 
 AXES = "xyz"
 

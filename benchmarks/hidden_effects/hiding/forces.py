@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..plants.aircraft import Aircraft
-from ..plants.parameters import GRAVITY_M_S2, Parameters
-from ..plants.rotor import climb_slope, induced_velocity
+from ..plants.own.parameters import GRAVITY_M_S2, Parameters
+from ..plants.own.rotor import climb_slope, induced_velocity
 from .effect import Change, Hidden, Number, changed, direction, factor, factors, sign, vector
 
 Rng = np.random.Generator

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..plants.aircraft import Aircraft
 from ..plants.missions import DURATION_S
-from ..plants.parameters import STEP_S, Parameters
+from ..plants.own.parameters import STEP_S, Parameters
 from .effect import (
     Change,
     Hidden,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .noise import Noise
-from .parameters import FIELD_T, GRAVITY_M_S2, GROUND_PRESSURE_PA, Array, Parameters
+from .own.parameters import FIELD_T, GRAVITY_M_S2, GROUND_PRESSURE_PA, Array, Parameters
 
 _X = np.array([[1.0, 1, 0], [-1, -1, 0], [1, -1, 0], [-1, 1, 0]])
 _HEX = [[np.cos(a), np.sin(a), 0.0] for a in np.arange(6) * np.pi / 3]

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from .aircraft import Aircraft
-from .forces import pad_forces
 from .jsbsim_files import METRE, NEWTON, SECANT, numbers, package_file, rows, simulator
-from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch, Parameters, stack
-from .physics import Dynamics, Instant, Layout, own_dynamics
-from .rotor import climb_slope, induced_velocity
+from .own.forces import pad_forces
+from .own.parameters import GRAVITY_M_S2, STEP_S, Array, Batch, Parameters, stack
+from .own.physics import Dynamics, Instant, Layout, own_dynamics
+from .own.rotor import climb_slope, induced_velocity
 
 RPM = 30 / np.pi
 _ROTORS, _MAP_ORDER = 4, 4

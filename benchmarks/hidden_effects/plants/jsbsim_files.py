@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from .parameters import GRAVITY_M_S2, Array
+from .own.parameters import GRAVITY_M_S2, Array
 
 NEWTON, METRE = 1 / 4.4482216152605, 1 / 0.3048
 """In lbf and ft."""

@@ -9,7 +9,7 @@ from ..hiding.forces import FORCES, OUTSIDE
 from ..hiding.readings import READINGS
 from .aircraft import AIRCRAFT, Aircraft
 from .jsbsim import f450, f450_dynamics
-from .physics import Dynamics, own_dynamics
+from .own.physics import Dynamics, own_dynamics
 from .third_party import CRAZYFLIES, crazyflie, crazyflie_dynamics
 
 EFFECTS: dict[str, Hidden] = {h.name: h for h in (*FORCES, *READINGS, *OUTSIDE)}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .parameters import Array
+from .own.parameters import Array
 
 CONTROL_HZ = 200
 DURATION_S = 24.0

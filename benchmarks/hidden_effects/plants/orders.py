@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 from .aircraft import Aircraft
 from .missions import CONTROL_HZ, Setpoints
 from .noise import Noise
-from .parameters import Array, Parameters
+from .own.parameters import Array, Parameters
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import pandas as pd
 from .missions import CONTROL_HZ
 from .noise import ACCEL_BIT_M_S2, GYRO_BIT_RAD_S
 from .orders import Order
-from .own import POSE_EVERY, Trace
-from .parameters import (
+from .own.flight import POSE_EVERY, Trace
+from .own.parameters import (
     FIELD_T,
     GRAVITY_M_S2,
     GROUND_PRESSURE_PA,
@@ -19,7 +19,7 @@ from .parameters import (
     Array,
     Parameters,
 )
-from .vectors import cross, rotation, to_body, turned
+from .own.vectors import cross, rotation, to_body, turned
 
 SLOW_EVERY = 4
 """Samples of the IMU per sample of magnetometer and barometer."""

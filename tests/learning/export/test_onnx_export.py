@@ -11,6 +11,7 @@ import onnx
 import pytest
 import torch
 from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
+from places import ROOT
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
 from learning.export.graph import IR_VERSION, OPSET
@@ -19,7 +20,6 @@ from learning.export.step import INPUTS, OUTPUTS, streaming_model
 from learning.export.write import INT8_FILE, MODEL_FILE, REFERENCE_FILE, reference_vectors
 from learning.model.compensator import Compensator
 
-ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "compensate_with_onnxruntime.py"
 SAMPLES = 10_000
 TOLERANCE = 1e-5

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from instance import RIGS, Instance, unzip
+from instance import Instance, unzip
 from kinds import component
+from places import IMPORT_PATH
 
 from fmus import build, component_model
 from twin.component import Component, ComponentBuilder
@@ -33,7 +34,7 @@ def outputs(*folders: Path) -> list[str]:
     """Outputs of extracted FMUs, loaded into a new process in this order and stepped in turn."""
     result = subprocess.run(
         [sys.executable, "-c", PROGRAM, *map(str, folders)],
-        env={**os.environ, "PYTHONPATH": str(RIGS)},
+        env={**os.environ, "PYTHONPATH": IMPORT_PATH},
         capture_output=True,
         text=True,
         check=True,

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import fmpy
 import pytest
-from instance import RIGS, Instance, token, unzip
+from instance import Instance, token, unzip
 from kinds import component, model
+from places import IMPORT_PATH
 
 from fmus import build, component_model
 from twin.errors import FmuError
@@ -47,7 +48,7 @@ def test_another_process_builds_the_same_bytes(fmu_file: FmuFile, tmp_path: Path
     environment = {
         **os.environ,
         "PYTHONHASHSEED": "4711",
-        "PYTHONPATH": str(RIGS),
+        "PYTHONPATH": IMPORT_PATH,
         "UAVTWIN_CACHE": str(tmp_path / "cache"),
         "TZ": "Asia/Tokyo",
     }

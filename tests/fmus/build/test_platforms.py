@@ -20,13 +20,13 @@ import numpy as np
 import pytest
 from instance import Instance, library, token, unzip
 from kinds import component, model
+from places import HOST_SOURCE
 
 from fmus import build
 from fmus.platforms import PLATFORMS, select_platforms, universal_binary
 from twin.errors import FmuError
 
 FmuPath = Callable[[str, int], Path]
-HOST = Path(__file__).with_name("host.c")
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 STEPS = 10_000
 ARM_LIBRARIES = Path("/usr/aarch64-linux-gnu")
@@ -277,7 +277,7 @@ def host_program(folder: Path, fmi: int, platform: str) -> Path:
         "-s",
         f"-DFMI={fmi}",
         f"-I{HEADERS}",
-        HOST,
+        HOST_SOURCE,
         "-o",
         out,
         *([] if platform == "win64" else ["-ldl"]),

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from instance import Instance, library, token, unzip
 from kinds import ALL, component, replay_example
+from places import HOST_SOURCE
 
 FmuPath = Callable[[str, int], Path]
-HOST = Path(__file__).with_name("host.c")
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SANITIZE = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 CHANGED, VALUE = "initial.omega_x", 0.3
@@ -35,7 +35,7 @@ def compile_host(folder: Path, fmi: int, *flags: str) -> Path:
     path = folder / f"host{fmi}{len(flags)}"
     if not path.exists():
         strict = ("-Wall", "-Wextra", "-Werror", "-O1")
-        cc(*strict, *flags, f"-DFMI={fmi}", f"-I{HEADERS}", HOST, "-o", path, "-ldl")
+        cc(*strict, *flags, f"-DFMI={fmi}", f"-I{HEADERS}", HOST_SOURCE, "-o", path, "-ldl")
     return path
 
 

@@ -2,7 +2,6 @@
 
 import hashlib
 import importlib.util
-import json
 import os
 import subprocess
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ import fmpy
 import numpy as np
 import onnx
 import pytest
-from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
+from compensator_rig import Rows, changed, compensator, exported, flight, rows_of, tiny
 from fmpy.validation import validate_fmu
 from instance import Array, Instance, library, unzip
 
@@ -40,7 +39,7 @@ from twin.errors import FmuError, TwinError
 from twin.flight.assembly import Assembly, connected_by_name, flying_twin
 from twin.vehicle.file import load_vehicle, vehicle_text
 from uavtwin.cli.export import Choice, default_vehicle, export_components
-from uavtwin.products import WrittenFile
+from uavtwin.exports.products import WrittenFile
 
 VEHICLE, H = "crazyflie", 0.01
 SAMPLES = {"track": 10_000, "reconstruct": 1000, "free": 1000}
@@ -453,17 +452,6 @@ def test_start_values_are_baked_in(
 
 
 # -- damaged, foreign, refused files --------------------------------------------------------
-
-
-def changed(graph: onnx.ModelProto, folder: Path, **said: Any) -> Path:
-    """A folder with a model whose checksum is right, some metadata other than they were."""
-    texts = {p.key: p.value for p in graph.metadata_props}
-    texts |= {k: json.dumps(v) for k, v in said.items()}
-    digest = hashlib.sha256(graph.graph.SerializeToString(deterministic=True)).hexdigest()
-    onnx.helper.set_model_props(graph, texts | {"graph_sha256": digest})
-    folder.mkdir()
-    (folder / FILE).write_bytes(graph.SerializeToString())
-    return folder
 
 
 def test_damaged_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:

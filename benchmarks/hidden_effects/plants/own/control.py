@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .missions import CONTROL_HZ
+from ..missions import CONTROL_HZ
 from .parameters import GRAVITY_M_S2, Array, Batch
 from .vectors import cross, rotation
 

@@ -7,9 +7,9 @@ from pathlib import Path
 from fmus.platforms import Platform, compilers, select_platforms
 from twin.errors import TwinError
 
-from .output import results_folder
+from ..output import results_folder
+from ..shown import Shown, TextTable, counted
 from .products import Exportable, Starts, WrittenFile, products_of, write_products
-from .shown import Shown, TextTable, counted
 
 Progress = Callable[[float], None]
 VERSIONS = (2, 3)

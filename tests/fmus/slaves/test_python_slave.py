@@ -18,7 +18,8 @@ from fmpy.validation import validate_fmu
 from fmu_manipulation_toolbox.checker import get_checkers
 from fmu_manipulation_toolbox.cli.utils import ErrorCounter
 from fmu_manipulation_toolbox.operations import FMU
-from instance import RIGS, Array, Instance, token, unzip
+from instance import Array, Instance, token, unzip
+from places import IMPORT_PATH
 from sensor_rig import motion, readings
 
 from cosim.master import Master
@@ -315,7 +316,7 @@ def output(program: str, *arguments: Path, here: Path) -> list[str]:
     """Lines that a program prints in a process of its own."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     if program != ALONE:
-        environment["PYTHONPATH"] = f"{RIGS}{os.pathsep}{Path(__file__).parent}"
+        environment["PYTHONPATH"] = f"{IMPORT_PATH}{os.pathsep}{Path(__file__).parent}"
     result = subprocess.run(
         [sys.executable, "-c", program, *map(str, arguments)],
         cwd=here,

@@ -26,8 +26,8 @@ from twin.physics.sensors.position import PRESETS, Kind, position_sensor
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
-from .flights import checked_flights
-from .vehicles import checked_vehicle
+from ..flights import checked_flights
+from ..vehicles import checked_vehicle
 
 Controller = Literal["lqr", "px4"]
 

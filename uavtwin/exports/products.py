@@ -15,7 +15,7 @@ from fmus.python_slave.build import build_network_slave, build_python_slave
 from twin.component import Component, unknown_name
 from twin.errors import TwinError
 
-from .output import sha256
+from ..output import sha256
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin

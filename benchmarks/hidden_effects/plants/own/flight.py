@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..missions import CONTROL_HZ
+from ..orders import Draws, Order, between, draw
 from .control import Controller, Setpoint
-from .missions import CONTROL_HZ
-from .orders import Draws, Order, between, draw
 from .parameters import GRAVITY_M_S2, STEP_S, Array, Batch
 from .physics import Dynamics, Layout, Motion, Simulator, motion, own_dynamics
 from .vectors import cross, rotation, to_ned, turned

@@ -1,0 +1,119 @@
+"""Interface table of a compensator: what its file says as variables of an FMU."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from twin.component import Variable
+
+from ..model import Constant, FmuModel, Part
+from .c_source import PREAMBLE, network_source
+from .network_file import NetworkFile, read_network
+
+MAX_STEP_S = 1e-3
+"""Nothing is integrated; it is what a compensator alone names as its step."""
+
+
+def compensator_model(folder: Path) -> FmuModel:
+    """The native FMU model of the compensator in a folder.
+
+    Raises:
+        UnsupportedNetworkError: The C generator refuses the network.
+        FmuError: The folder holds no compensator, or a package is missing.
+    """
+    return native_model(read_network(folder))
+
+
+def native_model(network: NetworkFile) -> FmuModel:
+    """The same of a network that was read."""
+    defines: dict[str, Constant] = {
+        "SAMPLE_PERIOD": 1,
+        "N_CHANNELS": len(network.channels),
+        "N_COMMANDS": len(network.commands),
+        "N_GROUPS": len(network.groups) if network.sees_measurements else 0,
+        "N_NETWORK": network.state_size,
+        "GROUP_OF_CHANNEL": network.group_of_channel,
+        "INITIAL_SPREAD": network.uncorrected_rms,
+    }
+    return interface_model(network, PREAMBLE + network_source(network.content), defines)
+
+
+def interface_model(
+    network: NetworkFile, kernels: str = "", defines: Mapping[str, Constant] = {}
+) -> FmuModel:
+    """Names, units and dependencies of a compensator, with its code or without."""
+    variables = (
+        Variable(
+            "sample_period",
+            "parameter",
+            "s",
+            "Time between two samples, as trained",
+            1 / network.rate_hz,
+            1 / network.rate_hz,
+            1 / network.rate_hz,
+            fixed=True,
+        ),
+        *_inputs(network),
+        *_outputs(network),
+    )
+    dependencies: dict[str, tuple[str, ...]] = {
+        v.name: () for v in variables if v.causality == "output"
+    }
+    dependencies |= {f"corrected.{c}": (c,) for c in network.channels}
+    held = [f"{kind} {c}" for kind in ("correction", "spread") for c in network.channels]
+    memory = [f"number {i} of the network's state" for i in range(network.state_size)]
+    part = Part(
+        name="compensator",
+        variables=variables,
+        dependencies=dependencies,
+        initial_dependencies=dependencies,
+        state_names=(*memory, *held, "anomaly", "inside"),
+        max_step_s=MAX_STEP_S,
+        glue="compensator.h",
+        kernels=kernels,
+        defines=defines,
+    )
+    name = f" of {network.vehicle}" if network.vehicle else ""
+    sees = {"free": "sees no measurement", "reconstruct": "sees the present measurement"}.get(
+        network.protocol, f"sees measurements as old as {network.horizon} samples"
+    )
+    return FmuModel("compensator", f"Learned correction of the sensors{name}, {sees}", (part,))
+
+
+def _inputs(network: NetworkFile) -> list[Variable]:
+    codes = ", ".join(f"{code} {name}" for name, code in network.phases.items())
+    channels = list(zip(network.channels, network.units, strict=True))
+    unknown = max(network.phases.values())
+    table = [Variable(c, "input", u, f"What the twin reads, {c}") for c, u in channels]
+    for i, c in enumerate(network.commands, start=1):
+        unit, what = ("rad/s", "Speed") if c.startswith("rotor_") else ("1", "Command")
+        table.append(Variable(c, "input", unit, f"{what} of motor {i}"))
+    table.append(Variable("phase", "input", "1", f"Phase of the flight: {codes}", 0.0, 0, unknown))
+    if network.sees_measurements:
+        table += [
+            Variable(f"measured.{c}", "input", u, f"What the aircraft measured, {c}")
+            for c, u in channels
+        ]
+        table += [
+            Variable(f"valid.{g}", "input", "1", f"Whether measured.{g}_* is new", boolean=True)
+            for g in network.groups
+        ]
+    return table
+
+
+def _outputs(network: NetworkFile) -> list[Variable]:
+    meanings = {
+        "correction": "To be added to what the twin reads",
+        "corrected": "What the twin reads with its correction",
+        "spread": "Standard deviation expected of what is left",
+    }
+    channels = list(zip(network.channels, network.units, strict=True))
+    table = [
+        Variable(f"{kind}.{c}", "output", u, f"{meaning}, {c}")
+        for kind, meaning in meanings.items()
+        for c, u in channels
+    ]
+    table.append(
+        Variable("anomaly", "output", "1", "Strangeness of the residual; above 1 is unusual")
+    )
+    inside = "Whether the flight is within the training's envelope; outside nothing is corrected"
+    return [*table, Variable("inside", "output", "1", inside, boolean=True)]
