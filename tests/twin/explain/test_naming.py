@@ -345,6 +345,13 @@ def test_a_name_whose_cause_is_likely_another_is_not_given(quiet: Flight) -> Non
     assert weighed(quiet, [one], [0.99], {"a": 0.3}).verdict == "cannot_tell"
 
 
+def test_settings_decide_from_when_on_a_name_is_given(quiet: Flight) -> None:
+    naming = weighed(quiet, [hypothesis(("a",), [1e4], [1.0])], [0.85], {"a": 1.0})
+    strict = DEFAULT.with_values({"inference.selection.sure": 0.9}).inference.selection
+    assert naming.verdict == "named"
+    assert replace(naming, settings=strict).verdict == "cannot_tell"
+
+
 def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
     ab, ac, bc = (hypothesis(tuple(pair), [1e4], [1.0]) for pair in ("ab", "ac", "bc"))
     sure = dict.fromkeys("abc", 0.95)
