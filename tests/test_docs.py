@@ -222,7 +222,7 @@ def test_examples_run(script: str) -> None:
         [sys.executable, "-W", "error", ROOT / "examples" / script, *SHORT.get(script, [])],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=240,
     )
     assert result.returncode == 0, result.stderr
     assert re.search(SAYS.get(script, r"\w"), result.stdout), result.stdout

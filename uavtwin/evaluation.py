@@ -12,8 +12,8 @@ from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight
 from learning.data.residual_table import read_residuals
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
-from learning.model.compensator import Compensator
 from learning.model.corrected import Corrected
+from learning.model.family import TrainedModel
 from learning.model.folder import load
 from twin.errors import TwinError
 from twin.logs import Flight
@@ -46,7 +46,7 @@ class Evaluation(Shown):
         corrected: By flight.
     """
 
-    model: Compensator
+    model: TrainedModel
     table: pd.DataFrame
     flights: tuple[ResidualFlight, ...]
     explained: tuple[ResidualFlight, ...] | None
@@ -160,10 +160,10 @@ def evaluation_claim(found: Evaluation) -> str:
     return f"{what}: {text or 'as good as the best trivial baseline everywhere'}."
 
 
-def _task(model: Compensator) -> str:
+def _task(model: TrainedModel) -> str:
     info = model.info
     if info.protocol != "track":
-        return info.protocol
+        return str(info.protocol)
     return f"track, {info.horizon} samples ({1e3 * info.horizon / info.rate_hz:g} ms) ahead"
 
 
@@ -183,6 +183,7 @@ def evaluation_json(found: Evaluation) -> dict[str, Any]:
     """Everything for a machine; a figure that is not defined is null."""
     info = found.model.info
     return {
+        "family": found.model.family,
         "protocol": info.protocol,
         "horizon": info.horizon,
         "horizon_s": info.horizon / info.rate_hz,
@@ -208,7 +209,12 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
-    """How often the score exceeds the level of one training sample in 100, and where most."""
+    """How often the score exceeds the level of one training sample in 100, and where most.
+
+    None of it from a model that gives no alarm.
+    """
+    if np.isnan(corrected.anomaly).any():
+        return {"share_above_1": None, "largest": None, "at_s": None}
     inside = np.zeros(len(flight.t_s), dtype=np.bool_)
     for a, b in flight.spans:
         inside[a:b] = True
@@ -279,9 +285,16 @@ def _flight(found: Evaluation, i: int) -> dict[str, Any]:
         "notes": flight.notes,
         "inside": float(np.mean(corrected.inside[_airborne(flight)])),
         "anomaly": _anomaly(flight, corrected),
-        "score": _figure(f"f{i}-anomaly", anomaly_figure(flight.t_s, corrected.anomaly)),
+        "score": _score(f"f{i}-anomaly", flight, corrected),
         "figures": figures,
     }
+
+
+def _score(name: str, flight: ResidualFlight, corrected: Corrected) -> dict[str, Any] | None:
+    """Figure of the anomaly score, None of a model that gives none."""
+    if np.isnan(corrected.anomaly).any():
+        return None
+    return _figure(name, anomaly_figure(flight.t_s, corrected.anomaly))
 
 
 def _airborne(flight: ResidualFlight) -> slice:

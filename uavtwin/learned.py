@@ -15,7 +15,7 @@ from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
 if TYPE_CHECKING:
-    from learning.model.compensator import Compensator
+    from learning.model.family import TrainedModel
     from learning.preset import Protocol
 
     from .evaluation import Evaluation
@@ -37,8 +37,8 @@ class TrainResult(Shown):
     files: tuple[str, ...]
     claim: str
 
-    def model(self) -> "Compensator":
-        """The network itself."""
+    def model(self) -> "TrainedModel":
+        """The model itself."""
         from learning.model.folder import load
 
         return load(self.folder)
@@ -75,12 +75,13 @@ def train(
         flights: To train on.
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
-        preset: `best`: ours; `paper`: the paper's text; `published`: its code.
+        preset: `best`: ours; `paper`: the paper's text; `published`: its code; `linear`: no
+            network; others in docs/guide/compensator.md.
         protocol: `track`: it sees residuals as old as the horizon; `free`: none; `reconstruct`:
             the present one.
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer.
-        epochs: Default: the preset's.
+        epochs: Default: the preset's; none for a preset in closed form.
         seed: Of everything that is drawn.
         force: Whether the folder may hold other files already.
         progress: Called with the share done, 0..1.

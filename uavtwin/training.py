@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,12 @@ import numpy as np
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight
 from learning.data.residual_table import write_residuals
-from learning.export.write import export_onnx
+from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
-from learning.preset import Preset, Protocol, preset_named
+from learning.model.registry import FamilyRow, check_preset, family_row, preset_named
+from learning.preset import Protocol
 from learning.training.checkpoint import CHECKPOINT
-from learning.training.train import train
+from learning.training.fit import fit_model
 from twin.errors import TwinError
 from twin.logs import Flight
 
@@ -35,12 +36,26 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is to be trained."""
+    """What is to be trained.
 
-    preset: Preset
+    Attributes:
+        family: To which the preset belongs.
+        preset: Of the family's own dataclass.
+        protocol: What the model sees.
+        horizon: Samples, in `track`; else 0.
+        seed: Of everything that is drawn.
+    """
+
+    family: FamilyRow
+    preset: Any
     protocol: Protocol
     horizon: int
     seed: int
+
+    @property
+    def epochs(self) -> int | None:
+        """Of the training; None where it is in closed form."""
+        return getattr(self.preset, "epochs", None)
 
 
 def plan_training(
@@ -55,15 +70,18 @@ def plan_training(
     """Check everything that can be wrong before the work begins.
 
     Raises:
-        TwinError: An unknown preset, or a folder that holds something else than an interrupted
-            training.
+        TwinError: An unknown preset, one that does not go with the protocol or has no epochs, or
+            a folder that holds something else than an interrupted training.
     """
-    chosen = preset_named(preset)
+    family, chosen = preset_named(preset)
+    check_preset(family, chosen, protocol)
     if epochs is not None:
+        if "epochs" not in {f.name for f in fields(chosen)}:
+            raise TwinError(f"preset {preset} is in closed form and has no epochs; give none")
         chosen = replace(chosen, epochs=epochs)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
-    return Plan(chosen, protocol, horizon if protocol == "track" else 0, seed)
+    return Plan(family, chosen, protocol, horizon if protocol == "track" else 0, seed)
 
 
 def prepare(
@@ -100,32 +118,21 @@ def run_training(
         Names of the files, the page first.
     """
     text = vehicle.toml()
-    compensator = train(
-        residuals,
-        plan.preset,
-        plan.protocol,
-        plan.horizon,
-        plan.seed,
-        out,
-        lambda done, _: progress(done),
+    task = TrainingTask(
+        protocol=plan.protocol,
+        horizon=plan.horizon,
+        seed=plan.seed,
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
-    export_onnx(compensator, out)
+    model = fit_model(
+        residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)
+    )
+    exported = plan.family.load().export(model, out)
     (out / VEHICLE_FILE).write_text(text, "utf-8")
     write_residuals(residuals, out / RESIDUALS)
     _write_page(out, residuals)
-    names = (
-        REPORT,
-        "model.onnx",
-        "model_int8.onnx",
-        "reference.npz",
-        WEIGHTS,
-        MODEL,
-        CURVE,
-        VEHICLE_FILE,
-        RESIDUALS,
-    )
+    names = (REPORT, *exported, WEIGHTS, MODEL, CURVE, VEHICLE_FILE, RESIDUALS)
     return [n for n in names if (out / n).is_file()]
 
 
@@ -135,6 +142,13 @@ def training_claim(out: Path) -> str:
     rows = _validation(about)
     helped = [r for r in rows if r["removed"] > 0]
     task = _task(about)
+    if not rows:
+        row = family_row(about["family"])
+        onnx = "" if row.onnx else "; it has no ONNX form and makes no FMU"
+        return (
+            f"{task}: {row.meaning}, preset {about['preset']['name']}, fitted to "
+            f"{len(about['flights'])} flights; `uavtwin evaluate` measures it on others{onnx}."
+        )
     if about["protocol"] == "reconstruct":
         left = float(np.mean([r["after"] for r in rows])) if rows else float("nan")
         return (
@@ -163,10 +177,14 @@ def _task(about: dict[str, Any]) -> str:
 
 
 def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
-    """Channels with validation samples: error of the linear prediction and with the network."""
+    """Channels with validation samples: error of the linear prediction and with the network.
+
+    None from a family that keeps no time for validation.
+    """
     rows = []
-    for channel, unit in zip(CHANNELS, UNITS, strict=True):
-        errors = about["metrics"]["validation_mse"][channel]
+    said = about["metrics"].get("validation_mse", {})
+    for channel, unit in zip(CHANNELS, UNITS, strict=True) if said else ():
+        errors = said[channel]
         before, after = errors["linear"], errors["with_network"]
         if before > 0:
             removed = 1 - float(np.sqrt(after / before))
@@ -184,8 +202,6 @@ def _validation(about: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
     about = json.loads((out / MODEL).read_text("utf-8"))
-    curve = json.loads((out / CURVE).read_text("utf-8"))
-    figure = curve_figure(curve, about["metrics"]["best_epoch"])
     page = render(
         "training.html.j2",
         {"number": number, "percent": percent, "unit": pretty_unit},
@@ -202,6 +218,15 @@ def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
             }
             for f in residuals
         ],
-        figure={"json": embedded(figure), "height": int(figure.layout.height)},
+        figure=_curve(out, about),
     )
     (out / REPORT).write_text(page, encoding="utf-8")
+
+
+def _curve(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
+    """Figure of the learning curve, None of a model in closed form."""
+    if not (out / CURVE).is_file():
+        return None
+    curve = json.loads((out / CURVE).read_text("utf-8"))
+    figure = curve_figure(curve, about["metrics"]["best_epoch"])
+    return {"json": embedded(figure), "height": int(figure.layout.height)}

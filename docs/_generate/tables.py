@@ -14,12 +14,14 @@ from pathlib import Path
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
+from learning.model.registry import FAMILIES
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.explain.settings import DEFAULT, Setting
 from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
+from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
@@ -43,6 +45,35 @@ def flight_table() -> str:
     """Columns of the flight table."""
     lines = [(f"`{c.name}`", c.unit or "-", c.description) for c in COLUMNS]
     return "\n".join(rows(("column", "unit", "meaning"), lines))
+
+
+def log_formats() -> str:
+    """Formats of flight logs."""
+    lines = [
+        (
+            f.name,
+            ", ".join(f"`{s}`" for s in f.suffixes),
+            str(f.signature),
+            ", ".join(f.packages),
+            f.holds,
+        )
+        for f in FORMATS
+    ]
+    return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def compensator() -> str:
+    """Families of compensators and their presets."""
+    lines = [
+        (
+            f"`{f.name}`",
+            f.meaning,
+            ", ".join(f"`{p}`" for p in f.presets),
+            "yes" if f.onnx else "no",
+        )
+        for f in FAMILIES
+    ]
+    return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
 
 
 def vehicle() -> str:
@@ -214,6 +245,8 @@ DOCUMENTS = {
     "reference/effects.md": effects,
     "reference/settings.md": settings,
     "reference/cli.md": command_line,
+    "guide/log_formats.md": log_formats,
+    "guide/compensator.md": compensator,
 }
 
 

@@ -100,7 +100,10 @@ def read_network(folder: Path) -> NetworkFile:
     """
     path = folder / FILE
     if not path.is_file():
-        raise FmuError(f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote.")
+        raise FmuError(
+            f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote, of a preset "
+            f"that has an ONNX form (docs/guide/compensator.md)."
+        )
     with path.open("rb") as file:
         content = file.read(MAX_FILE_BYTES + 1)
     model = parse_network(path, content)

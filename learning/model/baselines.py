@@ -15,8 +15,9 @@ Each is the mean of the phase where it knows nothing, and offers what a model of
 readings do without the twin: a correction that does not beat them hides a twin of no use.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from ..data.channels import CHANNELS, N_PHASES
 from ..data.flights import ResidualFlight, held
 from ..data.scaling import features_of, in_spans
 from ..data.sequences import smoothing
+from ..preset import PROTOCOLS, Protocol
 from .corrected import Corrected
 
 Array = NDArray[np.float64]
@@ -38,7 +40,24 @@ TINY = 1e-6
 itself from lag to lag."""
 RIDGES = (1e-4, 1e-2, 1.0, 100.0)
 """Tried strengths of the regression on inputs; its regressors are standardised."""
-Predict = Callable[[ResidualFlight], Array]
+Numbers = Mapping[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """How a baseline is made and what it says.
+
+    Attributes:
+        protocols: Under which it may be used.
+        names: Of its numbers.
+        fit: Training flights and horizon -> its numbers by name.
+        predict: Flight, numbers and horizon -> correction, shape (n, 15), units of the channels.
+    """
+
+    protocols: tuple[Protocol, ...]
+    names: tuple[str, ...]
+    fit: Callable[[Sequence[ResidualFlight], int], Numbers]
+    predict: Callable[[ResidualFlight, Numbers, int], Array]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,18 +65,22 @@ class Baseline:
     """A prediction with the spread it had on its training flights.
 
     Attributes:
-        predict: Correction of a flight, shape (n, 15), units of the channels.
+        rule: Name in `RULES`.
+        horizon: Age of the newest residual it sees, samples.
+        numbers: What the rule needs, by name.
         spread: Rms of what it left, per phase and channel, shape (phases, 15).
     """
 
-    predict: Predict
+    rule: str
+    horizon: int
+    numbers: Numbers
     spread: Array
 
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; there is no envelope and no alarm."""
         n = len(flight.t_s)
         return Corrected(
-            self.predict(flight),
+            RULES[self.rule].predict(flight, self.numbers, self.horizon),
             self.spread[flight.phase],
             np.full(n, np.nan),
             np.ones(n, dtype=np.bool_),
@@ -74,23 +97,16 @@ def fit_baselines(
         protocol: `reconstruct`, `track` or `free`.
         horizon: Samples ahead in `track`.
     """
-    mean = phase_means(train)
-    reading = by_phase(train, [np.nan_to_num(f.virtual) + f.residual for f in train])
-    chosen: dict[str, Predict] = {
-        "none": lambda flight: np.zeros_like(flight.residual),
-        "mean": lambda flight: mean[flight.phase],
-    }
-    if protocol == "reconstruct":
-        chosen["last"] = lambda flight: _average(flight, mean, 0, 1)
-        chosen["average"] = lambda flight: _average(flight, mean, 0, AVERAGED)
-    if protocol == "track":
-        chosen["last"] = lambda flight: _average(flight, mean, horizon, 1)
-        chosen["last reading"] = lambda flight: _last_reading(flight, reading, horizon)
-        chosen[f"linear AR({ORDER})"] = _autoregression(train, mean, horizon)
-    if protocol == "free":
-        chosen["mean reading"] = lambda flight: _less_virtual(flight, reading[flight.phase])
-        chosen["linear in inputs"] = _linear_in_inputs(train, mean)
-    return {name: Baseline(predict, _spread(train, predict)) for name, predict in chosen.items()}
+    possible = [name for name, rule in RULES.items() if protocol in rule.protocols]
+    return {name: fit_baseline(name, train, horizon) for name in possible}
+
+
+def fit_baseline(name: str, train: Sequence[ResidualFlight], horizon: int = 0) -> Baseline:
+    """One baseline by its name; arguments as in `fit_baselines`."""
+    rule = RULES[name]
+    numbers = rule.fit(train, horizon)
+    left = [(f.residual - rule.predict(f, numbers, horizon)) ** 2 for f in train]
+    return Baseline(name, horizon, numbers, np.sqrt(by_phase(train, left)))
 
 
 def by_phase(train: Sequence[ResidualFlight], values: Sequence[Array]) -> Array:
@@ -160,6 +176,9 @@ def slow_features(flight: ResidualFlight, centre: Array, spread: Array) -> Array
     return np.hstack(found)
 
 
+# -- the rules ------------------------------------------------------------------------------
+
+
 def _about(flight: ResidualFlight, mean: Array) -> Array:
     return flight.residual - mean[flight.phase]
 
@@ -169,16 +188,31 @@ def _average(flight: ResidualFlight, mean: Array, horizon: int, count: int) -> A
     return np.asarray(mean[flight.phase] + past.mean(axis=-1))
 
 
-def _last_reading(flight: ResidualFlight, reading: Array, horizon: int) -> Array:
-    about = flight.virtual + flight.residual - reading[flight.phase]
-    return _less_virtual(flight, reading[flight.phase] + lags(flight, about, horizon, 1)[..., 0])
+def _fit_nothing(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
+    return {}
+
+
+def _fit_mean(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
+    return {"mean": phase_means(train)}
+
+
+def _fit_reading(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
+    """Mean of what each sensor read."""
+    return {"reading": by_phase(train, [np.nan_to_num(f.virtual) + f.residual for f in train])}
+
+
+def _last_reading(flight: ResidualFlight, numbers: Numbers, horizon: int) -> Array:
+    reading = numbers["reading"][flight.phase]
+    about = flight.virtual + flight.residual - reading
+    return _less_virtual(flight, reading + lags(flight, about, horizon, 1)[..., 0])
 
 
 def _less_virtual(flight: ResidualFlight, reading: Array) -> Array:
     return np.nan_to_num(reading - flight.virtual)
 
 
-def _autoregression(train: Sequence[ResidualFlight], mean: Array, horizon: int) -> Predict:
+def _fit_autoregression(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
+    mean = phase_means(train)
     weights = np.zeros((len(CHANNELS), ORDER))
     past = [lags(f, _about(f, mean), horizon, ORDER) for f in train]
     for c in range(len(CHANNELS)):
@@ -188,15 +222,17 @@ def _autoregression(train: Sequence[ResidualFlight], mean: Array, horizon: int) 
         weights[c] = np.linalg.solve(
             gram + (TINY * np.trace(gram) + 1e-300) * np.eye(ORDER), x.T @ y
         )
-
-    def predict(flight: ResidualFlight) -> Array:
-        past = lags(flight, _about(flight, mean), horizon, ORDER)
-        return np.asarray(mean[flight.phase] + np.einsum("tck,ck->tc", past, weights))
-
-    return predict
+    return {"mean": mean, "weights": weights}
 
 
-def _linear_in_inputs(train: Sequence[ResidualFlight], mean: Array) -> Predict:
+def _autoregression(flight: ResidualFlight, numbers: Numbers, horizon: int) -> Array:
+    mean = numbers["mean"]
+    past = lags(flight, _about(flight, mean), horizon, ORDER)
+    return np.asarray(mean[flight.phase] + np.einsum("tck,ck->tc", past, numbers["weights"]))
+
+
+def _fit_linear_in_inputs(train: Sequence[ResidualFlight], horizon: int) -> Numbers:
+    mean = phase_means(train)
     inside = np.concatenate([features_of(f)[in_spans(f)] for f in train])
     finite = np.isfinite(inside)
     n = np.maximum(finite.sum(axis=0), 1)
@@ -213,7 +249,15 @@ def _linear_in_inputs(train: Sequence[ResidualFlight], mean: Array) -> Predict:
             for c in range(len(CHANNELS))
         ]
     )
-    return lambda flight: mean[flight.phase] + slow_features(flight, centre, spread) @ weights.T
+    return {"mean": mean, "centre": centre, "spread": spread, "weights": weights}
+
+
+def _linear_in_inputs(flight: ResidualFlight, numbers: Numbers, horizon: int) -> Array:
+    x = slow_features(flight, numbers["centre"], numbers["spread"])
+    return np.asarray(numbers["mean"][flight.phase] + x @ numbers["weights"].T)
+
+
+# -- least squares --------------------------------------------------------------------------
 
 
 def _targets(train: Sequence[ResidualFlight], mean: Array, channel: int) -> Array:
@@ -250,5 +294,38 @@ def _ridge(x: Sequence[Array], y: Sequence[Array]) -> Array:
     return best
 
 
-def _spread(train: Sequence[ResidualFlight], predict: Predict) -> Array:
-    return np.sqrt(by_phase(train, [(f.residual - predict(f)) ** 2 for f in train]))
+RULES: Mapping[str, Rule] = MappingProxyType(
+    {
+        "none": Rule(PROTOCOLS, (), _fit_nothing, lambda f, _, h: np.zeros_like(f.residual)),
+        "mean": Rule(PROTOCOLS, ("mean",), _fit_mean, lambda f, k, h: k["mean"][f.phase]),
+        "last": Rule(
+            ("reconstruct", "track"),
+            ("mean",),
+            _fit_mean,
+            lambda f, k, h: _average(f, k["mean"], h, 1),
+        ),
+        "average": Rule(
+            ("reconstruct",),
+            ("mean",),
+            _fit_mean,
+            lambda f, k, h: _average(f, k["mean"], h, AVERAGED),
+        ),
+        "last reading": Rule(("track",), ("reading",), _fit_reading, _last_reading),
+        f"linear AR({ORDER})": Rule(
+            ("track",), ("mean", "weights"), _fit_autoregression, _autoregression
+        ),
+        "mean reading": Rule(
+            ("free",),
+            ("reading",),
+            _fit_reading,
+            lambda f, k, h: _less_virtual(f, k["reading"][f.phase]),
+        ),
+        "linear in inputs": Rule(
+            ("free",),
+            ("mean", "centre", "spread", "weights"),
+            _fit_linear_in_inputs,
+            _linear_in_inputs,
+        ),
+    }
+)
+"""Every baseline by its name, in the order in which they are printed."""

@@ -7,7 +7,6 @@ the same numbers for whole flights, fast.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from twin.errors import ModelError
-from twin.representation import short_repr
-
 from ..data.channels import CHANNELS, N_PHASES
-from ..data.clustering import Clusters
 from ..data.flights import ResidualFlight
-from ..data.scaling import FEATURE_CHANNELS, Scaling, feature_names
+from ..data.scaling import FEATURE_CHANNELS, UNLIMITED, Scaling, feature_names
 from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
@@ -32,55 +27,24 @@ from ..data.sequences import (
     sequences,
     smoothing,
 )
-from ..preset import Preset, Protocol
+from ..preset import Preset
 from ..threads import one_thread
 from .corrected import Corrected
+from .info import ModelInfo
 from .linear_predictor import predict_base
 from .network import NetworkOut, SvqNetwork
+
+__all__ = ["Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
 
 Array = NDArray[np.float64]
 CHUNK = 4096
 """Samples per call of the network over a long flight, to bound memory."""
 
 
-@dataclass(frozen=True, slots=True)
-class ModelInfo:
-    """What a model is, besides its weights: content of `model.json`.
-
-    Attributes:
-        preset: Hyper-parameters.
-        protocol: Which measurements it sees.
-        horizon: Age of the newest residual it sees in `track`, samples; else 0.
-        rate_hz: Samples per second that it must be called with.
-        n_commands: Motor commands it sees.
-        clusters: Channels of each network.
-        seed: Of the training.
-        vehicle: Name of the twin's vehicle, "" where not said.
-        vehicle_sha256: Of the vehicle's file.
-        flights: Of the training: name, sha256, samples, seconds.
-        training: Hash of all that decides the weights.
-        metrics: As measured on the validation time.
-    """
-
-    preset: Preset
-    protocol: Protocol
-    horizon: int
-    rate_hz: float
-    n_commands: int
-    clusters: Clusters
-    seed: int = 0
-    vehicle: str = ""
-    vehicle_sha256: str = ""
-    flights: tuple[dict[str, Any], ...] = ()
-    training: str = ""
-    metrics: dict[str, Any] = field(default_factory=dict)
-
-    __repr__ = short_repr
-
-
 class Compensator(nn.Module):
     """Streaming model; everything it needs is in its buffers and weights."""
 
+    family = "fc_mc_svq"
     mean: Tensor
     scale: Tensor
     feature_mean: Tensor
@@ -97,7 +61,7 @@ class Compensator(nn.Module):
     anomaly_scale: Tensor
     phases: Tensor
 
-    def __init__(self, info: ModelInfo) -> None:
+    def __init__(self, info: ModelInfo[Preset]) -> None:
         super().__init__()
         check_protocol(info.protocol, info.horizon)
         self.info = info
@@ -229,7 +193,7 @@ class Compensator(nn.Module):
         Raises:
             ModelError: Rate or number of commands differs from the training's.
         """
-        self.check(flight)
+        self.info.check_flight(flight)
         n = len(flight.t_s)
         correction = np.zeros((n, len(CHANNELS)))
         spread = np.tile(self.rms.double().numpy(), (n, 1))
@@ -267,18 +231,14 @@ class Compensator(nn.Module):
             found.append(NetworkOut(y, log_spread, distance))
         return found
 
-    def check(self, flight: ResidualFlight) -> None:
-        """Raise ModelError unless the flight has the model's rate and number of commands."""
-        if flight.rate_hz != self.info.rate_hz:
-            raise ModelError(
-                f"{flight.name}: residuals at {flight.rate_hz:g} Hz, the model was trained at "
-                f"{self.info.rate_hz:g} Hz; make them anew at the model's rate"
-            )
-        if flight.commands.shape[1] != self.info.n_commands:
-            raise ModelError(
-                f"{flight.name}: {flight.commands.shape[1]} motor commands, the model was trained "
-                f"with {self.info.n_commands}; it is good for aircraft of that many motors only"
-            )
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Weights and buffers by name."""
+        return {k: v.detach().numpy() for k, v in self.state_dict().items()}
+
+    def details(self) -> dict[str, Any]:
+        """The envelope: ends of each feature's range, None where it has none."""
+        limits = zip(self.features, self.low.tolist(), self.high.tolist(), strict=True)
+        return {"envelope": {n: [a, b] if abs(a) < UNLIMITED / 2 else None for n, a, b in limits}}
 
     def _shares(self) -> tuple[float, ...]:
         return smoothing(self.info.rate_hz)
@@ -294,7 +254,7 @@ class Compensator(nn.Module):
         return inside * (expected * torch.exp(out.log_spread)) + (1 - inside) * self.rms
 
 
-def untrained_compensator(info: ModelInfo, seed: int = 0) -> Compensator:
+def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:
     """A model with random weights, of the size that a trained one has: for measuring its speed."""
     torch.manual_seed(seed)
     return Compensator(info).eval()

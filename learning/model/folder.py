@@ -1,21 +1,27 @@
-"""A trained model as a folder: safetensors and JSON, nothing that runs code when it is read."""
+"""A trained model as a folder: safetensors and JSON, nothing that runs code when it is read.
+
+What is the same for every family is written and read here; the family adds its own part.
+"""
 
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.numpy import load_file, save_file
 
 from twin.errors import ModelError
 
 from ..data.channels import CHANNELS, UNITS
-from ..data.scaling import UNLIMITED
-from ..preset import preset_from_json, preset_json
-from .compensator import Compensator, ModelInfo
+from .info import ModelInfo
+from .registry import UNSAID, family_row
+
+if TYPE_CHECKING:
+    from .family import Family, TrainedModel
 
 WEIGHTS = "weights.safetensors"
 MODEL = "model.json"
@@ -24,42 +30,48 @@ FORMAT = 1
 """Version of the folder's layout."""
 
 
-def save(compensator: Compensator, folder: Path) -> None:
-    """Write weights and description; the same model gives the same bytes."""
+def save(model: "TrainedModel", folder: Path) -> None:
+    """Write numbers and description; the same model gives the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
-    tensors = {k: v.detach().contiguous() for k, v in compensator.state_dict().items()}
+    tensors = {k: np.ascontiguousarray(v) for k, v in model.tensors().items()}
     part = folder / f"{WEIGHTS}.part"
     save_file(tensors, part)
     os.replace(part, folder / WEIGHTS)
-    write_json(folder / MODEL, info_json(compensator))
+    write_json(folder / MODEL, info_json(model))
 
 
-def load(folder: Path) -> Compensator:
-    """The model of a folder.
+def load(folder: Path) -> "TrainedModel":
+    """The model of a folder, whatever its family.
 
     Raises:
-        ModelError: A file is missing, of another layout or does not fit the description.
+        ModelError: A file is missing, of another layout or family, or does not fit the description.
     """
     for name in (MODEL, WEIGHTS):
         if not (folder / name).is_file():
             raise ModelError(f"{folder}: no {name}; a model is what `uavtwin train` wrote")
     try:
-        compensator = Compensator(info_from_json(json.loads((folder / MODEL).read_text("utf-8"))))
-        compensator.load_state_dict(load_file(folder / WEIGHTS))
-    except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
+        content = json.loads((folder / MODEL).read_text("utf-8"))
+        family = family_row(content.get("family", UNSAID)).load()
+        model: TrainedModel = family.build(
+            info_from_json(content, family), load_file(folder / WEIGHTS)
+        )
+    except (
+        *(AttributeError, KeyError, TypeError, ValueError, RuntimeError),
+        *(ModelError, SafetensorError),
+    ) as error:
         raise ModelError(
             f"{folder}: {MODEL} and {WEIGHTS} do not fit each other or this version ({error}); "
             "train the model anew"
         ) from error
-    return compensator.eval()
+    return model
 
 
-def info_json(compensator: Compensator) -> dict[str, Any]:
+def info_json(model: "TrainedModel") -> dict[str, Any]:
     """Content of `model.json`."""
-    info = compensator.info
-    low, high = compensator.low.tolist(), compensator.high.tolist()
+    info = model.info
     return {
         "format": FORMAT,
+        "family": model.family,
         "protocol": info.protocol,
         "horizon": info.horizon,
         "rate_hz": info.rate_hz,
@@ -67,11 +79,8 @@ def info_json(compensator: Compensator) -> dict[str, Any]:
         "channels": list(CHANNELS),
         "units": list(UNITS),
         "clusters": [[CHANNELS[i] for i in cluster] for cluster in info.clusters],
-        "envelope": {
-            name: [a, b] if abs(a) < UNLIMITED / 2 else None
-            for name, a, b in zip(compensator.features, low, high, strict=True)
-        },
-        "preset": preset_json(info.preset),
+        **model.details(),
+        "preset": asdict(info.preset),
         "seed": info.seed,
         "vehicle": info.vehicle,
         "vehicle_sha256": info.vehicle_sha256,
@@ -81,7 +90,7 @@ def info_json(compensator: Compensator) -> dict[str, Any]:
     }
 
 
-def info_from_json(content: Mapping[str, Any]) -> ModelInfo:
+def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> ModelInfo[Any]:
     """What `info_json` was made from."""
     if content["format"] != FORMAT or tuple(content["channels"]) != CHANNELS:
         raise ValueError(f"layout {content['format']} with {len(content['channels'])} channels")
@@ -89,11 +98,17 @@ def info_from_json(content: Mapping[str, Any]) -> ModelInfo:
     numbers = {name: i for i, name in enumerate(CHANNELS)}
     clusters = [[numbers[name] for name in cluster] for cluster in content["clusters"]]
     return ModelInfo(
-        preset=preset_from_json(content["preset"]),
+        preset=_preset_from_json(content["preset"], family),
         clusters=tuple(tuple(cluster) for cluster in clusters),
         flights=tuple(content["flights"]),
         **{name: content[name] for name in same},
     )
+
+
+def _preset_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> Any:
+    """A preset of the family; JSON has lists where it has tuples."""
+    kind = type(next(iter(family.presets().values())))
+    return kind(**{k: tuple(v) if isinstance(v, list) else v for k, v in content.items()})
 
 
 def write_json(path: Path, content: object) -> None:

@@ -5,11 +5,9 @@ have had uninterrupted. One torch thread: small matrices gain nothing from two, 
 the machine is shared.
 """
 
-import hashlib
-import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,22 +20,20 @@ from torch import Tensor
 from twin.errors import ModelError
 
 from ..data.flights import ResidualFlight
-from ..data.scaling import in_spans
 from ..data.sequences import check_protocol
 from ..model.compensator import Compensator
+from ..model.family import Progress, silent
 from ..model.folder import CURVE, MODEL, load, save, write_json
 from ..model.network import ClusterNetwork, SvqNetwork
 from ..preset import Preset, Protocol, preset_json
 from ..threads import one_thread
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from .inputs import check_flights, describe_flight, hash_training
 from .losses import Losses, losses
 from .problem import Workpiece
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-Progress = Callable[[float, float | None], None]
-"""Called with the share done, 0..1, and the seconds left, None while not known."""
-
 SLOWEST_RATE = 0.01
 """Share of the learning rate at the end of its schedule."""
 
@@ -73,21 +69,21 @@ def train(
     Raises:
         ModelError: The flights do not fit together, or the folder belongs to another training.
     """
-    _check_flights(flights)
+    check_flights(flights)
     check_protocol(protocol, horizon)
-    about = [_flight_about(f) for f in flights]
-    training = _hash([preset_json(preset), protocol, horizon, seed, about])
+    about = [describe_flight(f) for f in flights]
+    training = hash_training([preset_json(preset), protocol, horizon, seed, about])
     folder.mkdir(parents=True, exist_ok=True)
     if resume and (folder / MODEL).is_file():
         done = load(folder)
-        if done.info.training == training:
+        if isinstance(done, Compensator) and done.info.training == training:
             return done
     if not resume:
         (folder / CHECKPOINT).unlink(missing_ok=True)
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         piece = Workpiece(flights, preset, protocol, horizon, seed)
-        standing = _fit(piece, training, folder, progress or (lambda *_: None), checkpoint_s)
+        standing = _fit(piece, training, folder, progress or silent, checkpoint_s)
         piece.calibrate()
     compensator = piece.compensator
     compensator.info = replace(
@@ -204,35 +200,3 @@ def _optimiser(network: SvqNetwork, preset: Preset) -> torch.optim.Optimizer:
 
 def _copy(network: SvqNetwork) -> dict[str, Tensor]:
     return {k: v.detach().clone() for k, v in network.state_dict().items()}
-
-
-def _check_flights(flights: Sequence[ResidualFlight]) -> None:
-    if not flights:
-        raise ModelError("training needs at least one flight")
-    kinds = {(f.rate_hz, f.commands.shape[1]) for f in flights}
-    if len(kinds) > 1:
-        said = ", ".join(f"{r:g} Hz with {m} motor commands" for r, m in sorted(kinds))
-        raise ModelError(f"training flights differ: {said}; train on flights of one kind")
-    for flight in flights:
-        if not flight.spans or not flight.fresh[in_spans(flight)].any():
-            raise ModelError(
-                f"{flight.name}: no span with a measured residual; leave this flight out"
-            )
-
-
-def _flight_about(flight: ResidualFlight) -> dict[str, Any]:
-    digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
-    arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
-    for array in (*arrays, flight.fresh, flight.phase.astype(np.int64)):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    samples = int(in_spans(flight).sum())
-    return {
-        "name": flight.name,
-        "sha256": digest.hexdigest(),
-        "samples": samples,
-        "seconds": samples / flight.rate_hz,
-    }
-
-
-def _hash(content: object) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -115,6 +115,34 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert "explained twin" in page and "corrected twin" in page
 
 
+@pytest.mark.parametrize(("preset", "claim"), [("linear", "linear prediction"), ("mean", "base")])
+def test_a_family_in_closed_form_goes_through_the_same_verbs(
+    preset: str,
+    claim: str,
+    logs: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """No network: no curve, no ONNX, no alarm; a page without them, figures as for any other."""
+    flights = [logs["one"], logs["two"], "--vehicle", "copter_default", "--rate", 50]
+    out = tmp_path / "model"
+    _run("train", *flights, "--preset", preset, "--protocol", "free", "--out", out)
+    said = " ".join(capsys.readouterr().out.split())
+    assert claim in said and "has no ONNX form" in said and "model.onnx" not in said
+    assert json.loads((out / "run.json").read_text("utf-8"))["options"]["epochs"] is None
+    page = (out / "report.html").read_text("utf-8")
+    assert "Learning curve" not in page and "Validation time" not in page
+    _run("evaluate", out, logs["three"], "--out", tmp_path / "e", "--json")
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["anomaly"] == [
+        {"flight": "three", "share_above_1": None, "largest": None, "at_s": None}
+    ]
+    left = {(r["group"], r["model"]): r["rmse"] for r in printed["groups"]}
+    if preset == "mean":
+        assert all(left[g, "model"] == left[g, "mean"] for g in ("gyro", "acc", "pos", "vel"))
+    assert "Anomaly score" not in (tmp_path / "e" / "report.html").read_text("utf-8")
+
+
 def test_a_flight_of_the_training_is_refused(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -124,8 +152,12 @@ def test_a_flight_of_the_training_is_refused(
 
 
 def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Path) -> None:
-    with pytest.raises(TwinError, match="no preset 'bset'; there are paper"):
+    with pytest.raises(TwinError, match=r"no preset 'bset'; there are .*paper"):
         _train(logs, tmp_path / "m", "--preset", "bset")
+    with pytest.raises(TwinError, match="preset last: not under protocol free"):
+        _train(logs, tmp_path / "m", "--preset", "last", "--protocol", "free")
+    with pytest.raises(TwinError, match="preset mean is in closed form and has no epochs"):
+        _train(logs, tmp_path / "m", "--preset", "mean")
     with pytest.raises(TwinError, match=r"rate 30 Hz: needs 1000 Hz over a whole number"):
         _train(logs, tmp_path / "m", "--rate", 30)
     (tmp_path / "full").mkdir()

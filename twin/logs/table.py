@@ -18,31 +18,40 @@ import pyarrow.parquet as pq
 from ..errors import LogError
 from .columns import is_known
 from .flight import Finding, Flight
+from .formats import ReadOptions
 from .validate import check_columns, validate
 
 _METADATA = b"uavtwin"
 _EMPTY = ["", "nan", "NaN", "NAN"]
 
 
-def read_table(path: Path, blob: bytes) -> Flight:
-    """Read a flight table.
+def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
+    """Read a flight table in Parquet; what its writer noted is taken over.
 
     Args:
         path: File name.
-        blob: Content of the file, Parquet or CSV.
+        blob: Content of the file.
+        options: None of them concerns a flight table.
 
     Raises:
         LogError: It contradicts the definition of the flight table.
     """
     findings: list[Finding] = []
     facts: dict[str, str] = {}
-    if blob.startswith(b"PAR1"):
-        raw = _parquet(path, blob, facts, findings)
-        facts.setdefault("format", "flight table, Parquet")
-    else:
-        raw = _csv(path, blob, findings)
-        facts["format"] = "flight table, CSV"
-    findings += check_columns(path.name, [str(c) for c in raw.columns])
+    return _checked(path, _parquet(path, blob, facts, findings), facts, findings)
+
+
+def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
+    """Read a flight table in CSV; arguments and errors as in `read_parquet`."""
+    findings: list[Finding] = []
+    return _checked(path, _csv(path, blob, findings), {}, findings)
+
+
+def _checked(
+    path: Path, raw: pd.DataFrame, facts: dict[str, str], findings: list[Finding]
+) -> Flight:
+    """The flight of columns as they are in the file."""
+    findings = findings + check_columns(path.name, [str(c) for c in raw.columns])
     raw = raw[[c for c in raw.columns if is_known(str(c))]]
     table = pd.DataFrame({c: _numbers(path, raw[c]) for c in raw if c != "phase"})
     table["phase"] = _phase(raw)

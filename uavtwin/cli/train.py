@@ -15,7 +15,11 @@ def train(
     flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
     vehicle: VehicleName,
     preset: Annotated[
-        str, typer.Option(help="best: ours; paper: the paper's text; published: its code.")
+        str,
+        typer.Option(
+            help="best: ours; paper: the paper's text; published: its code; linear: no network; "
+            "mean, last, ...: docs/guide/compensator.md."
+        ),
     ] = "best",
     protocol: Annotated[
         Protocol,
@@ -56,7 +60,7 @@ def train(
         "protocol": protocol,
         "horizon": plan.horizon,
         "rate": rate,
-        "epochs": plan.preset.epochs,
+        "epochs": plan.epochs,
     }
     write_run(out, "train", options, [p for p in (*flights, Path(vehicle)) if p.is_file()], seed)
     STDOUT.print(training_claim(out), style="bold", markup=False)

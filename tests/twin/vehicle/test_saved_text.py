@@ -12,7 +12,9 @@ from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.vehicle import Battery, Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
-from twin.vehicle.file.update import update_text
+from twin.vehicle.file.fields import FIELDS
+from twin.vehicle.file.sensors import POSITION
+from twin.vehicle.file.update import TIED, update_text, values_by_key
 
 TEXTS = {name: vehicle_text(name)[0] for name in builtin_vehicles()}
 Change = Callable[[Vehicle], Vehicle]
@@ -126,3 +128,21 @@ def test_any_numbers_survive(mass: float, drag: list[float], scale: float) -> No
     vehicle = replace(base, mass_kg=mass, drag_linear_n_s_m=np.array(drag), rotors=rotors)
     for text in (TEXTS["crazyflie"], ""):
         same(parse_vehicle(update_text(vehicle, text), "new.toml"), vehicle)
+
+
+def test_every_key_of_a_file_is_written() -> None:
+    """Or is the same said in another way, that goes when what is written takes its place."""
+    rich = CHANGES["battery"](CHANGES["lag"](load_vehicle("copter_default")))
+    rotors = replace(rich.rotors, reference_voltage_v=11.1, voltage_exponent=2.0)
+    errors = dict.fromkeys(POSITION.values(), 0.1)
+    rich = replace(
+        rich,
+        rotors=rotors,
+        accel_cutoff_hz=30.0,
+        gyro_cutoff_hz=80.0,
+        sensors=replace(rich.sensors, position=errors),
+    )
+    by_command = replace(rich, rotors=replace(rotors, from_speed=False))
+    written = values_by_key(rich).keys() | values_by_key(by_command).keys()
+    otherwise = {key for keys in TIED.values() for key in keys}
+    assert set(FIELDS) - written - otherwise == set()

@@ -16,7 +16,6 @@ from ...errors import LogError
 from ..clock import advancing
 from ..flight import Array, Finding
 
-MAGIC = b"ULog\x01\x12\x35"
 _FIRST_DATA = b"AL"  # the first of these ends the definitions
 _LONGEST = 10000  # bytes of a message; longer ones are damage
 _MESSAGES = b"BFIMPQADLCSOR"

@@ -10,10 +10,12 @@ from ...errors import LogError
 from ..assemble import Rows
 from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
+from ..formats import ReadOptions
+from ..phases import label_phases
 from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
-from .phases import from_px4_phases, label
+from .phases import from_px4_phases
 
 _GAUSS_T = 1e-4
 _RPM_RAD_S = 2.0 * np.pi / 60.0
@@ -33,14 +35,13 @@ _LIMITS = {  # beyond these a sample is damaged, not flown
 }
 
 
-def read_ulog(path: Path, blob: bytes, rebuild_commands: bool | None = None) -> Flight:
+def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a PX4 ULog.
 
     Args:
         path: File name.
         blob: Content of the file.
-        rebuild_commands: Re-run the rate controller to get the motor commands at full rate;
-            None: where the log holds them slower than 100 Hz and has what it takes.
+        options: Whether the motor commands are rebuilt.
     """
     log = open_px4(path, blob)
     rows = Rows()
@@ -49,7 +50,7 @@ def read_ulog(path: Path, blob: bytes, rebuild_commands: bool | None = None) -> 
     _magnetometer(log, rows)
     _barometer(log, rows)
     _estimate(log, rows)
-    commands = from_px4_commands(log, rebuild_commands)
+    commands = from_px4_commands(log, options.rebuild_commands)
     _end(log)
     _battery(log, rows, commands)
     _rotors(log, rows)
@@ -67,7 +68,7 @@ def read_ulog(path: Path, blob: bytes, rebuild_commands: bool | None = None) -> 
             f"position or velocity within {len(t_us)} rows. Log the default topics "
             "(SDLOG_PROFILE bit 0) and fly again."
         )
-    phase = label(table["time"].to_numpy(), from_px4_phases(log))
+    phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= _coverage(rows, t_us)
     return Flight(path.stem, table, tuple(log.findings), facts, path)
@@ -111,7 +112,7 @@ def _facts(log: Px4Log) -> dict[str, str]:
     """What the log says about the vehicle."""
     release = int(log.info.get("ver_sw_release", "0") or 0)
     version = ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
-    facts = {"format": "PX4 ULog", "firmware": f"PX4 {version}" if release else "PX4"}
+    facts = {"firmware": f"PX4 {version}" if release else "PX4"}
     if "ver_hw" in log.info:
         facts["hardware"] = log.info["ver_hw"]
     if "SYS_AUTOSTART" in log.params:

@@ -28,7 +28,7 @@ _MAPS = tuple(
     for what in ("thrust", "torque", "speed")
     for of in ("speed", "command")
 )
-_TIED = {
+TIED = {
     **dict.fromkeys(_MAPS, (*_MAPS, "rotors.command_range", "rotors.torque_per_thrust")),
     "magnetometer.field": (*PLACE, *WHEN),
 }
@@ -76,7 +76,7 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
 
 def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
     """Keys whose values differ from those of the text; without one, all that are no defaults."""
-    wanted, found = _values(vehicle), {} if there is None else _values(there)
+    wanted, found = values_by_key(vehicle), {} if there is None else values_by_key(there)
     for key in wanted.keys() | found.keys():
         if there is None and vehicle.sources.get(key, "").startswith(_DEFAULT):
             continue
@@ -102,7 +102,7 @@ def _same(x: Any, y: Any) -> bool:
     return bool(np.array_equal(x, y))
 
 
-def _values(vehicle: Vehicle) -> dict[str, Any]:
+def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
     """Values in SI units by key, as a file would hold them; polynomials of the command 0..1."""
     rotors, sensors = vehicle.rotors, vehicle.sensors
     of = "speed" if rotors.from_speed else "command"
@@ -149,10 +149,10 @@ def _values(vehicle: Vehicle) -> dict[str, Any]:
 
 def _with_numbers(vehicle: Vehicle, there: Vehicle | None, text: str, changed: set[str]) -> str:
     """The text with these keys written anew, each with a source."""
-    document, wanted = tomlkit.parse(text), _values(vehicle)
+    document, wanted = tomlkit.parse(text), values_by_key(vehicle)
     for name in (n for n in ("name", "description") if n in changed):
         document[name] = wanted[name]
-    keys = changed.union(*(_TIED.get(key, ()) for key in changed))
+    keys = changed.union(*(TIED.get(key, ()) for key in changed))
     for key in (k for k in FIELDS if k in keys):
         if key in wanted:
             _set(document, key, wanted[key], _source(vehicle, there, key))
@@ -164,7 +164,7 @@ def _with_numbers(vehicle: Vehicle, there: Vehicle | None, text: str, changed: s
 def _source(vehicle: Vehicle, there: Vehicle | None, key: str) -> str:
     """Pedigree of a number; that of the text no longer holds for a number that was changed."""
     source, before = _pedigree(vehicle, key), "" if there is None else _pedigree(there, key)
-    changed = there is None or not _same(_values(vehicle)[key], _values(there).get(key))
+    changed = there is None or not _same(values_by_key(vehicle)[key], values_by_key(there).get(key))
     if source and (source != before or not changed):
         return source
     return f"{_BY_HAND}; before: {before}" if before else _BY_HAND

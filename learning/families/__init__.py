@@ -1,0 +1,1 @@
+"""The families of compensators, one module each; `learning.model.registry` names them."""

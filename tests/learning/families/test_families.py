@@ -1,0 +1,240 @@
+"""Each family of compensators keeps its word under each preset and protocol."""
+
+import json
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from residual_rig import made_up
+
+from learning.data.flights import ResidualFlight
+from learning.families.linear import LinearModel
+from learning.families.svq import Svq
+from learning.model.baselines import fit_baselines
+from learning.model.compensator import Compensator
+from learning.model.family import TrainedModel, TrainingTask
+from learning.model.folder import MODEL, WEIGHTS, load, save
+from learning.model.registry import FAMILIES, FamilyRow, check_preset, family_row, preset_named
+from learning.preset import PRESETS, PROTOCOLS, Protocol
+from learning.training.fit import fit_model
+from twin.errors import ModelError
+
+HORIZONS = {"reconstruct": 0, "track": 2, "free": 0}
+FLIGHTS = [made_up(0, every=3), made_up(1, every=3)]
+AWAY = made_up(2, every=3)
+NAMES = [row.name for row in FAMILIES]
+LARGEST_WIDTH = 64
+"""Presets with more units than that are left to the benchmarks."""
+
+
+def quick(preset: Any) -> Any:
+    """The preset, trained for one epoch where it has some."""
+    epochs = {"epochs": 1} if any(f.name == "epochs" for f in fields(preset)) else {}
+    return replace(preset, **epochs)
+
+
+def cases() -> list[Any]:
+    """Every preset that is quick enough under each of its protocols."""
+    found = []
+    for row in FAMILIES:
+        family = row.load()
+        for preset in map(quick, family.presets().values()):
+            if max(getattr(preset, "encoder_units", (0,))) <= LARGEST_WIDTH:
+                for protocol in family.protocols(preset):
+                    name = f"{row.name}-{preset.name}-{protocol}"
+                    found.append(pytest.param(row, preset, protocol, id=name))
+    return found
+
+
+def trained(row: FamilyRow, preset: Any, protocol: Protocol, folder: Path) -> TrainedModel:
+    task = TrainingTask(protocol, HORIZONS[protocol], 3, "v", "0f")
+    return fit_model(FLIGHTS, row, preset, task, folder)
+
+
+# -- each keeps its word --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("row", "preset", "protocol"), cases())
+def test_a_model_is_kept_as_it_is(
+    row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
+) -> None:
+    """Written and read: same bytes, same correction to the last bit; same seed, same bytes."""
+    model = trained(row, preset, protocol, tmp_path / "one")
+    again = load(tmp_path / "one")
+    assert again.family == row.name and again.info == model.info
+    assert again.info.protocol == protocol and again.info.horizon == HORIZONS[protocol]
+    assert (again.info.vehicle, again.info.seed, again.info.rate_hz) == ("v", 3, 100.0)
+    assert [f["name"] for f in again.info.flights] == ["made_up_0", "made_up_1"]
+    for name in ("correction", "spread", "anomaly", "inside"):
+        one, other = (getattr(m.run(AWAY), name) for m in (model, again))
+        np.testing.assert_array_equal(one, other, err_msg=name)
+    save(again, tmp_path / "copy")
+    trained(row, preset, protocol, tmp_path / "two")
+    for name in (MODEL, WEIGHTS):
+        written = (tmp_path / "one" / name).read_bytes()
+        assert written == (tmp_path / "copy" / name).read_bytes(), name
+        assert written == (tmp_path / "two" / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(("row", "preset", "protocol"), cases())
+def test_a_model_is_finite_and_sees_what_it_may(
+    row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
+) -> None:
+    """A measurement changes nothing before its age is that of the horizon; in `free` nothing."""
+    model = trained(row, preset, protocol, tmp_path)
+    row_of_change, (a, b) = 40, AWAY.spans[0]
+    residual, fresh = AWAY.residual.copy(), AWAY.fresh.copy()
+    residual[row_of_change] += 3 * np.std(AWAY.residual, axis=0)
+    fresh[row_of_change] = True
+    before, after = (
+        model.run(replace(AWAY, residual=r, fresh=fresh)) for r in (AWAY.residual, residual)
+    )
+    for found in (before, after):
+        inside = np.zeros(len(AWAY.t_s), dtype=np.bool_)
+        for start, end in AWAY.spans:
+            inside[start:end] = True
+        assert found.correction.shape == AWAY.residual.shape
+        assert np.isfinite(found.correction[inside]).all()
+        assert np.isfinite(found.spread).all() and (found.spread >= 0).all()
+    change = np.any(before.correction[a:b] != after.correction[a:b], axis=1)
+    first = int(np.argmax(change)) if change.any() else b
+    earliest = b if protocol == "free" else row_of_change + HORIZONS[protocol]
+    assert first >= earliest, f"the measurement of row {row_of_change} shows in row {first}"
+
+
+@pytest.mark.parametrize(("row", "preset", "protocol"), cases())
+def test_other_flights_are_refused(
+    row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
+) -> None:
+    model = trained(row, preset, protocol, tmp_path)
+    with pytest.raises(ModelError, match=r"50 Hz.*100 Hz"):
+        model.run(replace(AWAY, rate_hz=50.0))
+    with pytest.raises(ModelError, match=r"4 motor commands.*with 2"):
+        model.run(replace(AWAY, commands=np.zeros((len(AWAY.t_s), 4))))
+
+
+@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
+def test_what_is_exported_is_what_the_row_says(row: FamilyRow, tmp_path: Path) -> None:
+    family = row.load()
+    preset = quick(family.presets()[row.presets[-1]])
+    model = trained(row, preset, family.protocols(preset)[0], tmp_path)
+    written = family.export(model, tmp_path)
+    assert ("model.onnx" in written) is row.onnx, f"{row.name!r} says onnx={row.onnx}"
+    assert all((tmp_path / name).is_file() for name in written)
+
+
+# -- the folder -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("linear")
+    trained(*preset_named("linear"), "track", path)
+    return path
+
+
+def test_a_folder_without_a_family_is_of_the_first(tmp_path: Path) -> None:
+    """As written before there were others."""
+    trained(family_row("fc_mc_svq"), quick(PRESETS["best"]), "free", tmp_path)
+    new = load(tmp_path)
+    content = json.loads((tmp_path / MODEL).read_text())
+    assert content.pop("family") == "fc_mc_svq"
+    (tmp_path / MODEL).write_text(json.dumps(content))
+    old = load(tmp_path)
+    assert isinstance(old, Compensator) and old.info == new.info
+    np.testing.assert_array_equal(old.run(AWAY).correction, new.run(AWAY).correction)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"family": "oracle"}, "no family 'oracle'; there are .*fc_mc_svq"),
+        ({"family": "trivial"}, "normalise"),
+        ({"protocol": "free", "horizon": 0}, "weights of shape"),
+        ({"preset": {"name": "linear", "depth": 3}}, "depth"),
+    ],
+)
+def test_a_folder_of_another_family_is_refused(
+    folder: Path, tmp_path: Path, change: dict[str, object], said: str
+) -> None:
+    content = json.loads((folder / MODEL).read_text()) | change
+    (tmp_path / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes())
+    (tmp_path / MODEL).write_text(json.dumps(content))
+    with pytest.raises(ModelError, match=f"{said}.*train the model anew"):
+        load(tmp_path)
+
+
+def test_a_baseline_without_its_numbers_is_refused(tmp_path: Path) -> None:
+    trained(*preset_named("mean"), "free", tmp_path)
+    content = json.loads((tmp_path / MODEL).read_text())
+    content["preset"]["rule"] = "mean reading"
+    (tmp_path / MODEL).write_text(json.dumps(content))
+    with pytest.raises(ModelError, match="rule 'mean reading' needs reading"):
+        load(tmp_path)
+
+
+# -- presets --------------------------------------------------------------------------------
+
+
+def test_unknown_presets_and_protocols_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match=r"no preset 'bset'; there are .*paper.*linear.*mean"):
+        preset_named("bset")
+    row, preset = preset_named("last")
+    with pytest.raises(ModelError, match="preset last: not under protocol free, only under recons"):
+        check_preset(row, preset, "free")
+    with pytest.raises(ModelError, match="not under protocol free"):
+        fit_model(FLIGHTS, row, preset, TrainingTask("free"), tmp_path)
+    with pytest.raises(ModelError, match="protocol track: horizon 0"):
+        fit_model(FLIGHTS, row, preset, TrainingTask("track"), tmp_path)
+    with pytest.raises(ModelError, match="at least one flight"):
+        fit_model([], row, preset, TrainingTask("reconstruct"), tmp_path)
+
+
+# -- the members ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("protocol", ["track", "free"])
+def test_the_linear_family_is_the_network_with_shut_gates(
+    protocol: Protocol, tmp_path: Path
+) -> None:
+    """Two implementations: float64 here, the network's float32 buffers there."""
+    one = trained(*preset_named("linear"), protocol, tmp_path / "linear")
+    other = trained(family_row("fc_mc_svq"), quick(PRESETS["best"]), protocol, tmp_path / "svq")
+    assert isinstance(one, LinearModel) and isinstance(other, Compensator)
+    with torch.no_grad():
+        other.gate.zero_()
+    said, expected = one.run(AWAY), other.run(AWAY)
+    np.testing.assert_array_equal(said.inside, expected.inside)
+    size = AWAY.residual.std(axis=0)
+    np.testing.assert_allclose(said.correction / size, expected.correction / size, atol=1e-5)
+    assert np.abs(said.correction / size).max() > 0.1
+    assert np.isnan(said.anomaly).all()
+
+
+def test_the_spread_of_the_linear_family_is_that_of_what_is_left(tmp_path: Path) -> None:
+    model = trained(*preset_named("linear"), "track", tmp_path)
+    flight: ResidualFlight = FLIGHTS[0]
+    found = model.run(flight)
+    rows = flight.fresh & found.inside[:, None]
+    ratio = np.where(rows, (flight.residual - found.correction) / found.spread, np.nan)
+    np.testing.assert_allclose(np.sqrt(np.nanmean(ratio**2, axis=0)), 1.0, atol=0.15)
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_the_trivial_family_says_what_the_baselines_say(protocol: Protocol, tmp_path: Path) -> None:
+    family = family_row("trivial").load()
+    expected = fit_baselines(FLIGHTS, protocol, HORIZONS[protocol])
+    rules = {p.rule: p for p in family.presets().values() if protocol in family.protocols(p)}
+    assert list(rules) == list(expected)
+    for rule, preset in rules.items():
+        model = trained(family_row("trivial"), preset, protocol, tmp_path / preset.name)
+        said, wanted = model.run(AWAY), expected[rule].run(AWAY)
+        np.testing.assert_array_equal(said.correction, wanted.correction)
+        np.testing.assert_array_equal(said.spread, wanted.spread)
+
+
+def test_svq_has_the_presets_of_the_paper() -> None:
+    assert Svq().presets() is PRESETS

@@ -1,0 +1,141 @@
+"""The log formats that are read: one row each, and all that is said of formats comes from here.
+
+A format is its reader, in a module of its own with the format's units and frames, and its row in
+`FORMATS`. docs/dev/extending/log_format.md adds one step by step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Protocol, cast
+
+from ..errors import LogError
+from .flight import Flight
+from .signature import HEAD, FirstWord, Magic, Signature
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """What a caller may ask of a reader; one that has no use for an option leaves it.
+
+    Attributes:
+        rebuild_commands: Re-run the autopilot's rate controller to get the motor commands at full
+            rate. None: where they are logged slower than 100 Hz and the log has what it takes.
+    """
+
+    rebuild_commands: bool | None = None
+
+
+class Reader(Protocol):
+    """Function that reads one format."""
+
+    def __call__(self, path: Path, blob: bytes, options: ReadOptions) -> Flight:
+        """A flight from the content of a file.
+
+        Args:
+            path: Its name, for messages.
+            blob: Its content, which has the signature of the format.
+            options: What the caller asks for.
+
+        Raises:
+            LogError: It cannot be used; the text says why and what to do.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LogFormat:
+    """One format of flight logs.
+
+    Attributes:
+        name: As printed.
+        suffixes: Endings that its files usually have; they are said, never looked at.
+        signature: What its files begin with; no file has the signatures of two formats.
+        reader: `MODULE:FUNCTION` below `twin.logs`, imported when the first such file is read.
+        packages: Distributions that the reader needs besides numpy and pandas.
+        holds: What a flight may be asked for that came from such a file, in a line.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    signature: Signature
+    reader: str
+    packages: tuple[str, ...]
+    holds: str
+
+    def __str__(self) -> str:
+        return f"{self.name} ({', '.join(self.suffixes)})"
+
+    def load(self) -> Reader:
+        """The reader, imported.
+
+        Raises:
+            LogError: A package that it needs is not installed.
+        """
+        module, _, function = self.reader.partition(":")
+        try:
+            return cast(Reader, getattr(import_module(f".{module}", __package__), function))
+        except ModuleNotFoundError as error:
+            if error.name not in self.packages:
+                raise
+            raise LogError(
+                f"{self.name} is read with {error.name}, which is not installed: "
+                f"pip install {error.name}"
+            ) from error
+
+
+FORMATS: tuple[LogFormat, ...] = (
+    LogFormat(
+        name="PX4 ULog",
+        suffixes=(".ulg",),
+        signature=Magic(b"ULog\x01\x12\x35"),
+        reader="px4.ulog:read_ulog",
+        packages=("pyulog",),
+        holds="whatever was logged; motor commands rebuilt where they were logged too slowly",
+    ),
+    LogFormat(
+        name="flight table, Parquet",
+        suffixes=(".parquet",),
+        signature=Magic(b"PAR1"),
+        reader="table:read_parquet",
+        packages=("pyarrow",),
+        holds="every column; facts and findings of the program that wrote it",
+    ),
+    LogFormat(
+        name="flight table, CSV",
+        suffixes=(".csv",),
+        signature=FirstWord(b"time"),
+        reader="table:read_csv",
+        packages=("pyarrow",),
+        holds="every column",
+    ),
+)
+
+
+def known_formats(formats: Sequence[LogFormat] = FORMATS) -> str:
+    """All formats in one line, for errors and help."""
+    return "; ".join(str(f) for f in formats)
+
+
+def recognise(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> LogFormat | None:
+    """The format of a file, by its first bytes; None where it has none of these.
+
+    Raises:
+        LogError: Two formats claim it.
+    """
+    found = [f for f in formats if f.signature.matches(blob[:HEAD])]
+    if len(found) > 1:
+        raise LogError(
+            f"begins like {' and like '.join(f.name for f in found)} and can be read as neither. "
+            f"Write it anew as one of: {known_formats(formats)}."
+        )
+    return found[0] if found else None
+
+
+def nearly(blob: bytes, formats: Sequence[LogFormat] = FORMATS) -> str:
+    """What is wrong with a file whose signature is damaged, "" where it has none."""
+    for each in formats:
+        if damage := each.signature.damage(blob[:HEAD]):
+            return f"{each.name}, {damage}"
+    return ""
