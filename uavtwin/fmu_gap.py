@@ -44,8 +44,8 @@ def flight_gap(
     """Residuals of one flight against one vehicle.
 
     Args:
-        flight: As read by `aligned.logs.read_flight`.
-        vehicle: As read by `aligned.vehicle.load_vehicle`.
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.load_vehicle`.
         horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
         progress: Called with the share done, 0..1.
 

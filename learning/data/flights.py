@@ -89,8 +89,8 @@ def residual_flight(
     """Residuals of a flight against a vehicle.
 
     Args:
-        flight: As read by `aligned.logs.read_flight`.
-        vehicle: As read by `aligned.vehicle.file.load_vehicle`, its effects included.
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
         rate_hz: Of the grid; 1000 Hz over a whole number.
         horizon_s: From the restart to the reading; a multiple of 1 ms, at least one interval.
         progress: Called with the share done, 0..1.

@@ -1,7 +1,7 @@
 """Short windows of flight from measured states on, all of them in one batch.
 
 The same equations, steps and sample instants as the FMUs that `uavtwin gap` runs window by window.
-Commands that are late are so in the inputs, as in all of a `aligned.residuals.aligned.Twin`.
+Commands that are late are so in the inputs, as in all of an `AlignedFlight`.
 """
 
 from collections.abc import Callable

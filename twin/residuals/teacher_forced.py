@@ -26,6 +26,8 @@ from .measured import RATE_CUTOFF_HZ, MeasuredMotion, Signal, differentiate, zer
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
+SPIN_RATE = "spin_rate_"
+"""What inputs of the airframe for rotor accelerations start with."""
 """Step of the grid: the communication step of the co-simulation."""
 _WARM_UP_S = 2.0
 RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple(
@@ -87,7 +89,8 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
 def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
     """Inputs of the airframe on a uniform grid: the last sample held.
 
-    What no flight table holds, such as the wind, stays at its start value. The `command_delay` of
+    What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
+    those of the measured rotor speeds. The `command_delay` of
     the vehicle acts here, so that it is to be off in the airframe: a delay line knows no past where
     an airframe is started in mid-flight.
     """
@@ -97,6 +100,9 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
     columns = []
     for i, name in enumerate(airframe.input_names):
         if not is_known(name):
+            speed = name.replace(SPIN_RATE, "rotor_")
+            if speed != name and flight.has(speed):
+                u[:, i] = _rate_along(*flight.signal([speed]), t_s)
             continue
         if flight.has(name):
             signal = Signal(*flight.signal([name]))
@@ -128,6 +134,11 @@ def as_driven(flight: Flight, airframe: Component, inputs: Inputs) -> Flight:
     table = pd.DataFrame(u[kept], columns=columns)
     table.insert(0, "time", inputs.t_s[kept])
     return Flight(flight.name, table)
+
+
+def _rate_along(sampled_s: Array, values: Array, t_s: Array) -> Array:
+    """Time derivative of a sampled signal, straight lines between its samples; shape (n,)."""
+    return np.gradient(np.interp(t_s, sampled_s, values[:, 0]), t_s)
 
 
 def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:

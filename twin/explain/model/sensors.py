@@ -17,7 +17,7 @@ from ...physics.sensors.imu import imu
 from ...physics.sensors.magnetometer import magnetometer
 from ...residuals.aligned import AlignedFlight
 from ...residuals.measured import Signal, rates_of
-from ...vehicle import GRAVITY_M_S2, Vehicle
+from ...vehicle import Vehicle
 from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, Measured, measured, on_grid, shifted
 from .prediction import Batch, sensing
 
@@ -120,7 +120,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     if motion.velocity is not None and flight.has(*ACC):
         acc = on_grid(Signal(*flight.signal(ACC)), t)
         pull = np.gradient(motion.velocity.at(t), t, axis=0)
-        pull[:, 2] -= GRAVITY_M_S2
+        pull[:, 2] -= v.gravity_m_s2
         alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
         implied |= alpha | _named("specific_force", _pulled(motion.attitude.at(t), pull))
         read |= alpha | _named("specific_force", force)
