@@ -184,7 +184,7 @@ def test_the_python_of_the_readme_works(tmp_path: Path) -> None:
     back = ("forward", 2.0, (0.0, 0.0, -1.3))
     ways = {
         "fit_1": (*there, away, back),
-        "fit_2": (*there, across, back),
+        "fit_2": (*there, across, away, back),
         "holdout": (*there, across, away, back),
     }
     vehicle = ut.vehicle("copter_default")
