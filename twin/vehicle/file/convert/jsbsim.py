@@ -55,6 +55,7 @@ def convert_jsbsim(path: Path) -> str:
     Raises:
         ModelError: Something in it has no place in a vehicle file.
     """
+    path = path.resolve()  # engines are in folders beside that of the aircraft
     parts = _parts(path)
     body = _body(path.name, parts["mass_balance"])
     engines = parts["propulsion"].findall("engine")
@@ -198,9 +199,8 @@ def _check_upright(file: str, thruster: Element) -> None:
     orient = thruster.find("orient")
     angles = np.zeros(3)
     if orient is not None:
-        unit = orient.get("unit", "RAD")
         tags = ("roll", "pitch", "yaw")
-        angles = _TO_SI[unit] * np.array(
+        angles = _factor(file, orient.get("unit", "RAD")) * np.array(
             [float(floats(file, f"<{t}>", orient.findtext(t, "0"), 1)[0]) for t in tags]
         )
     if np.abs(angles - [0.0, np.pi / 2, 0.0]).max() > 1e-6:
