@@ -115,7 +115,7 @@ def test_an_interrupted_gap_writes_nothing(
 def test_demo_needs_a_vehicle_driven_by_commands(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    document = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
+    document = (Path(__file__).parents[2] / "docs" / "guide" / "vehicle.md").read_text()
     path = tmp_path / "paper.toml"
     path.write_text(document.split("```toml\n")[1].split("```")[0])
     code, _, said = run(capsys, "demo", "--vehicle", path, "--out", tmp_path / "o")
