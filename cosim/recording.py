@@ -8,6 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,8 @@ class Recording:
     steps: int = 0
     rejected: int = 0
     lateness_s: float = 0.0
+
+    __repr__ = short_repr
 
     def __getitem__(self, name: str) -> NDArray[np.float64]:
         """One column by name."""

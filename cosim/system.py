@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 from .slave.interface import Interface
 
@@ -43,6 +44,8 @@ class System:
     stop_time_s: float | None = None
     step_s: float | None = None
     folder: object = field(default=None, repr=False, compare=False)
+
+    __repr__ = short_repr
 
     def split(self, name: str) -> tuple[str, str]:
         """Slave and variable of "slave.variable".

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.master import Master
-from uavtwin.simulate import Scenario, scenario_system
+from uavtwin.simulation import Scenario, scenario_system
 
 LEAN = "twin.airframe.q_y"
 

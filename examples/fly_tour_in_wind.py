@@ -5,31 +5,32 @@ You will see how far from its setpoints the vehicle is, and how far it leans:
 """
 
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
-
-SCENARIOS = {
-    "still air": Scenario("tour", effects=("rotor_drag",)),
-    "5 m/s, gusts": Scenario(
-        "tour", effects=("rotor_drag",), wind_m_s=(3.0, 4.0, 0.0), gusts=True, seed=3
-    ),
-}
+import uavtwin as ut
 
 
-def main(stop_s: float | None = None) -> None:
+def main(duration_s: float | None = None) -> None:
     """Fly both, print a line each."""
-    for name, scenario in SCENARIOS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            system = scenario_system(scenario, Path(folder))
-            recording = run_scenario(system, stop_s)
-        flight = summary(recording)
+    vehicle = ut.vehicle("copter_default")
+    for air, wind, gusts in (
+        ("still air", (0.0, 0.0, 0.0), False),
+        ("5 m/s, gusts", (3.0, 4.0, 0.0), True),
+    ):
+        run = ut.simulate(
+            "tour",
+            vehicle,
+            wind=wind,
+            gusts=gusts,
+            seed=3,
+            effects=["rotor_drag"],
+            duration=duration_s,
+        )
+        flight = run.json()
         print(
-            f"{name:12}  {recording.time_s[-1]:.0f} s, {flight['tracking_rms_m']:.3f} m rms from "
-            f"the setpoint, {flight['tracking_worst_m']:.3f} m at worst, "
+            f"{air:12}  {run.recording.time_s[-1]:.0f} s, {flight['tracking_rms_m']:.3f} m rms "
+            f"from the setpoint, {flight['tracking_worst_m']:.3f} m at worst, "
             f"leaning {np.degrees(flight['tilt_worst_rad']):.0f} degrees at most"
         )
 

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from cosim.system import Connection
-from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
+from uavtwin.simulation import Scenario, run_scenario, scenario_system, summary
 
 SLAVE = '''
 from math import cos, pi

@@ -5,24 +5,23 @@ Everything else stays. You will see how well each follows the tour in 5 m/s of w
 """
 
 import sys
-import tempfile
-from pathlib import Path
 
-from twin.flight.assembly import CONTROLLERS
-from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
+import uavtwin as ut
 
 
-def main(stop_s: float | None = None) -> None:
+def main(duration_s: float | None = None) -> None:
     """Fly with each controller, print a line each."""
-    for name in CONTROLLERS:
-        scenario = Scenario(
-            "tour", controller=name, wind_m_s=(3.0, 4.0, 0.0), effects=("rotor_drag",)
-        )
-        with tempfile.TemporaryDirectory() as folder:
-            recording = run_scenario(scenario_system(scenario, Path(folder)), stop_s)
-        flight = summary(recording)
+    for controller in ("lqr", "px4"):
+        flight = ut.simulate(
+            "tour",
+            ut.vehicle("copter_default"),
+            controller=controller,
+            wind=(3.0, 4.0, 0.0),
+            effects=["rotor_drag"],
+            duration=duration_s,
+        ).json()
         print(
-            f"{name:4} {flight['tracking_rms_m']:.3f} m rms from the setpoint, "
+            f"{controller:4} {flight['tracking_rms_m']:.3f} m rms from the setpoint, "
             f"{flight['tracking_worst_m']:.3f} m at worst"
         )
 

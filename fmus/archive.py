@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from lxml import etree
 
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 MAX_UNPACKED_BYTES = 512 * 2**20
 MAX_MEMBERS = 20_000
@@ -39,6 +40,8 @@ class Archive:
     problems: tuple[str, ...]
     description: bytes
     root: etree._Element
+
+    __repr__ = short_repr
 
     @property
     def names(self) -> frozenset[str]:

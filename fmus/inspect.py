@@ -13,6 +13,7 @@ from fmpy.model_description import ModelDescription
 from fmpy.validation import validate_fmu
 
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 from .archive import DESCRIPTION, open_archive
 
@@ -28,6 +29,8 @@ class FmuReport:
 
     facts: dict[str, str]
     problems: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 def inspect_fmu(path: Path) -> FmuReport:

@@ -9,6 +9,7 @@ import numpy as np
 
 from twin.component import Causality, Component, Sampling, Variable, check_range, unknown_name
 from twin.errors import FmuError, ModelError
+from twin.representation import short_repr
 
 from .names import LONGEST_VARIABLE, check_identifier, check_name, check_text
 
@@ -57,6 +58,8 @@ class Part:
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
 
+    __repr__ = short_repr
+
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Its parameters, inputs or outputs."""
         return tuple(v for v in self.variables if v.causality == causality)
@@ -82,6 +85,8 @@ class FmuModel:
     connections: tuple[tuple[str, str], ...] = ()
     order: tuple[int, ...] = (0,)
     step_s: float | None = None
+
+    __repr__ = short_repr
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -26,6 +26,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from twin.errors import ModelError
+from twin.representation import short_repr
 
 Clustering = Literal["kmeans", "sensors", "none", "channels"]
 Protocol = Literal["reconstruct", "track", "free"]
@@ -131,6 +132,8 @@ class Preset:
     carry: int = 4
     augment: float = 0.3
 
+    __repr__ = short_repr
+
     def __post_init__(self) -> None:
         sizes = (self.code_size, self.n_codes, self.phase_size, self.batch, self.window)
         counts = (*sizes, self.epochs, self.carry, self.validate_every)
@@ -197,7 +200,7 @@ shuffled windows of all three flights, 777 batches an epoch, 194,250 in all, and
 these windows, in ranges of -1..1, hover numbered 1 and takeoff 2; `PAPER` takes some 5,000."""
 
 BEST = Preset(name="best")
-"""What measurably beats it: docs/results.md."""
+"""What measurably beats it: docs/results/compensator.md."""
 
 PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})
 

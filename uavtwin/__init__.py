@@ -1,1 +1,119 @@
-"""uavtwin: a hybrid digital twin of a multirotor UAV."""
+"""uavtwin: a hybrid digital twin of a multirotor UAV.
+
+    import uavtwin as ut
+
+    vehicle = ut.load_vehicle("mine.toml")            # or ut.vehicle("crazyflie")
+    fit, held = ut.read_flights("fit_*.ulg"), ut.read_flights("other.ulg")
+    print(ut.gap(fit[0], vehicle))
+    found = ut.explain(fit, held, vehicle)
+    ut.export(ut.twin(found.vehicle), "twin.fmu", fmi=(2, 3))
+    run = ut.simulate("tour", found.vehicle, wind=(5, 0, 0))
+
+Names are loaded when they are used, so that the import costs next to nothing.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from twin.effects import EFFECTS
+    from twin.errors import TwinError
+    from twin.explain.settings import SearchSettings
+    from twin.flight.mission import mission_names
+    from twin.logs import Flight, read_flight, write_flight
+    from twin.vehicle.file import builtin_vehicles
+
+    from .explanation import ExplainResult, explain
+    from .exports.parts import Twin, compensator, component, replay, twin
+    from .exports.write import export
+    from .file_check import check_file as check
+    from .flights import read_flights
+    from .gaps import GapResult, gap
+    from .learned import evaluate, train
+    from .run import Run, simulate
+    from .vehicles import Vehicle, load_vehicle, vehicle
+
+    __version__: str
+
+__all__ = [
+    "EFFECTS",
+    "ExplainResult",
+    "Flight",
+    "GapResult",
+    "Run",
+    "SearchSettings",
+    "Twin",
+    "TwinError",
+    "Vehicle",
+    "__version__",
+    "builtin_vehicles",
+    "check",
+    "compensator",
+    "component",
+    "evaluate",
+    "explain",
+    "export",
+    "gap",
+    "load_vehicle",
+    "mission_names",
+    "read_flight",
+    "read_flights",
+    "replay",
+    "simulate",
+    "train",
+    "twin",
+    "vehicle",
+    "write_flight",
+]
+
+_HOME = {
+    "EFFECTS": "twin.effects",
+    "ExplainResult": "uavtwin.explanation",
+    "Flight": "twin.logs",
+    "GapResult": "uavtwin.gaps",
+    "Run": "uavtwin.run",
+    "SearchSettings": "twin.explain.settings",
+    "Twin": "uavtwin.exports.parts",
+    "TwinError": "twin.errors",
+    "Vehicle": "uavtwin.vehicles",
+    "builtin_vehicles": "twin.vehicle.file",
+    "check": "uavtwin.file_check:check_file",
+    "compensator": "uavtwin.exports.parts",
+    "component": "uavtwin.exports.parts",
+    "evaluate": "uavtwin.learned",
+    "explain": "uavtwin.explanation",
+    "export": "uavtwin.exports.write",
+    "gap": "uavtwin.gaps",
+    "load_vehicle": "uavtwin.vehicles",
+    "mission_names": "twin.flight.mission",
+    "read_flight": "twin.logs",
+    "read_flights": "uavtwin.flights",
+    "replay": "uavtwin.exports.parts",
+    "simulate": "uavtwin.run",
+    "train": "uavtwin.learned",
+    "twin": "uavtwin.exports.parts",
+    "vehicle": "uavtwin.vehicles",
+    "write_flight": "twin.logs",
+}
+"""Module of each name, and its name there where it is another. A name here is never that of a
+module of this package: importing the module would put it in the place of the name."""
+
+if not TYPE_CHECKING:  # so that a type checker refuses a name that is not above
+
+    def __getattr__(name: str) -> object:
+        from importlib import import_module
+
+        if name == "__version__":
+            from importlib.metadata import version
+
+            found: object = version("uavtwin")
+        elif name in _HOME:
+            module, _, there = _HOME[name].partition(":")
+            found = getattr(import_module(module), there or name)
+        else:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        globals()[name] = found
+        return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

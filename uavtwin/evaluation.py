@@ -1,13 +1,12 @@
-"""What `uavtwin evaluate` does: a compensator and trivial baselines on flights of their own."""
+"""Evaluation: a compensator and trivial baselines on flights of their own."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.table import Table
 
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight
@@ -17,24 +16,25 @@ from learning.model.corrected import Corrected
 from learning.model.family import TrainedModel
 from learning.model.folder import load
 from twin.errors import TwinError
-from twin.logs import Flight, read_flight
+from twin.logs import Flight
+from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
-from .export import VEHICLE_FILE
-from .output import write_json
+from .output import output_file, write_json
 from .report.figures import embedded, pretty_unit
 from .report.gap import number, percent
 from .report.learning_figures import anomaly_figure, correction_figure
 from .report.page import render
-from .training import RESIDUALS
+from .shown import Shown, TextTable, counted
+from .training import RESIDUALS, VEHICLE_FILE
 
 MODEL = "model"
 """What the compensator is called beside the baselines."""
 Progress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Evaluation:
+@dataclass(frozen=True, slots=True, repr=False)
+class Evaluation(Shown):
     """A model and what it makes of flights.
 
     Attributes:
@@ -52,16 +52,45 @@ class Evaluation:
     explained: tuple[ResidualFlight, ...] | None
     corrected: tuple[Corrected, ...]
 
+    @property
+    def claim(self) -> str:
+        """Where the model beats the best trivial baseline, and where it does not."""
+        return evaluation_claim(self)
+
+    def frame(self) -> pd.DataFrame:
+        """A row per model, flight, phase and channel."""
+        return self.table.copy()
+
+    def json(self) -> dict[str, Any]:
+        """The content of `evaluation.json`."""
+        return evaluation_json(self)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        with output_file(Path(path)) as file:
+            write_evaluation_report(self, file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The claim, and the rms that each model leaves."""
+        yield self.claim
+        yield evaluation_table(self)
+
+    def brief(self) -> str:
+        """Protocol and flights."""
+        flights = counted(self.flights, "flight")
+        return f"{type(self).__name__}: {self.model.info.protocol}, {flights}"
+
 
 def evaluate_model(
-    folder: Path, paths: Sequence[Path], explained: str | None, progress: Progress
-) -> tuple[list[Flight], Evaluation]:
-    """Read, compare, correct and score.
+    folder: Path, given: Sequence[Flight], explained: Vehicle | None, progress: Progress
+) -> Evaluation:
+    """Compare, correct and score.
 
     Args:
-        folder: That `uavtwin train` wrote.
-        paths: Flights; none of the training.
-        explained: Vehicle file whose twin is drawn beside the model's.
+        folder: That `train` wrote.
+        given: Flights; none of the training.
+        explained: Vehicle whose twin is drawn beside the model's.
         progress: Called with the share done.
 
     Raises:
@@ -70,13 +99,11 @@ def evaluate_model(
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
-    other = None if explained is None else load_vehicle(explained)
-    read = [read_flight(path) for path in paths]
-    _check_new(read, folder, train)
-    vehicles = [vehicle] if other is None else [vehicle, other]
+    _check_new(given, folder, train)
+    vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
-    done, total = 0, len(read) * len(vehicles)
-    for flight in read:
+    done, total = 0, len(given) * len(vehicles)
+    for flight in given:
         for found, each in zip(residuals, vehicles, strict=True):
 
             def share(part: float, done: int = done) -> None:
@@ -86,7 +113,7 @@ def evaluate_model(
             done += 1
     flights = residuals[0]
     task = Task(model.info.protocol, model.info.horizon)
-    return read, Evaluation(
+    return Evaluation(
         model=model,
         table=evaluate({MODEL: model}, train, flights, task),
         flights=tuple(flights),
@@ -140,16 +167,16 @@ def _task(model: TrainedModel) -> str:
     return f"track, {info.horizon} samples ({1e3 * info.horizon / info.rate_hz:g} ms) ahead"
 
 
-def evaluation_table(found: Evaluation) -> Table:
+def evaluation_table(found: Evaluation) -> TextTable:
     """Rms left by each model, a row per sensor."""
-    rows = by_group(found)
-    names = list(dict.fromkeys(rows["model"]))
-    table = Table("rms left", "unit", "n", *names, box=None)
-    for group, part in rows.groupby("group", sort=False):
+    table = by_group(found)
+    names = list(dict.fromkeys(table["model"]))
+    rows = []
+    for group, part in table.groupby("group", sort=False):
         cells = part.set_index("model")
         unit, n = str(cells["unit"].iloc[0]), str(int(cells["n"].iloc[0]))
-        table.add_row(str(group), unit, n, *(f"{cells['rmse'][k]:.3g}" for k in names))
-    return table
+        rows.append((str(group), unit, n, *(f"{cells['rmse'][k]:.3g}" for k in names)))
+    return TextTable(("rms left", "unit", "n", *names), tuple(rows))
 
 
 def evaluation_json(found: Evaluation) -> dict[str, Any]:
@@ -203,6 +230,11 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
 def write_evaluation(found: Evaluation, folder: Path) -> None:
     """`evaluation.json` and the page."""
     write_json(folder / "evaluation.json", evaluation_json(found))
+    write_evaluation_report(found, folder / "report.html")
+
+
+def write_evaluation_report(found: Evaluation, path: Path) -> None:
+    """Write the page; an existing one is replaced."""
     rows = by_group(found)
     page = render(
         "evaluation.html.j2",
@@ -223,7 +255,7 @@ def write_evaluation(found: Evaluation, folder: Path) -> None:
         ],
         flights=[_flight(found, i) for i in range(len(found.flights))],
     )
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    path.write_text(page, encoding="utf-8")
 
 
 def _flight(found: Evaluation, i: int) -> dict[str, Any]:

@@ -1,35 +1,278 @@
-"""`uavtwin explain`: what a model lacks, as JSON, page, vehicle file and FMUs."""
+"""What a model lacks, as a result to print, report and go on with; and as a folder of files."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import isfinite
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
-from twin.explain.estimates import estimates_of
+from twin.explain import explanation as inner
+from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
-from twin.vehicle.file import vehicle_text
-from twin.vehicle.file.write import Written, with_effect_sections
+from twin.explain.settings import DEFAULT, SearchSettings
+from twin.logs import Flight
+from twin.vehicle import Vehicle
 
-from .cli.options import named_numbers
-from .export import Choice, export_components
-from .output import write_json
+from . import vehicles
+from .exports.parts import component
+from .exports.write import export_parts
+from .flights import checked_flights
+from .output import output_file, write_json
 from .report.explain import write_explain_report
+from .report.gap import number
+from .report.words import certainty, claim, interval, shrink_words, title
+from .shown import Shown, TextTable, counted
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, repr=False)
+class ExplainResult(Shown):
+    """What flights say about a model.
+
+    Attributes:
+        details: Everything that was found, with the hypotheses and their fits.
+    """
+
+    details: Explanation = field(repr=False)
+
+    @property
+    def verdict(self) -> str:
+        """In a word: named, nothing, unnamed, cannot_tell, unusable."""
+        return self.details.verdict
+
+    @property
+    def sentence(self) -> str:
+        """The answer in one sentence."""
+        return claim(self.details)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects that are told about, the most probable first; none where nothing is named."""
+        return tuple(listed_effects(self.details))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to keep in mind, the worst first."""
+        return self.details.warnings
+
+    @cached_property
+    def vehicle(self) -> vehicles.Vehicle:
+        """The vehicle with the named effects on; as it stood where none is named."""
+        return explained_vehicle(self.details)
+
+    @property
+    def vehicle_before(self) -> vehicles.Vehicle:
+        """The vehicle as it stood."""
+        return vehicles.Vehicle.of(self.details.vehicle)
+
+    def candidates(self) -> "pd.DataFrame":
+        """A row per number of each effect that is told about, with its 95 % interval."""
+        import pandas as pd
+
+        rows = [
+            {
+                "effect": effect,
+                "probability": probability_of(self.details, effect),
+                "number": e.number.name,
+                "value": e.value,
+                "low": None if e.ci95 is None else e.ci95[0],
+                "high": None if e.ci95 is None else e.ci95[1],
+                "unit": e.number.about.unit,
+            }
+            for effect in self.effects
+            for e in estimates_of(self.details, effect)
+        ]
+        columns = ["effect", "probability", "number", "value", "low", "high", "unit"]
+        return pd.DataFrame(rows, columns=columns)
+
+    def candidates_table(self) -> TextTable:
+        """Effects with their numbers and their nearest rival, in words."""
+        rows = []
+        for effect in self.effects:
+            first = next(iter(rivals(self.details, effect)), None)
+            rival = (
+                "" if first is None else f"{title(first['name'])} {certainty(first['probability'])}"
+            )
+            told = estimates_of(self.details, effect)
+            for i, e in enumerate(told):
+                head = (title(effect), certainty(probability_of(self.details, effect)))
+                rows.append(
+                    (
+                        *(head if i == 0 else ("", "")),
+                        e.number.name,
+                        number(e.value),
+                        e.number.about.unit,
+                        interval(e.ci95),
+                        rival if i == 0 else "",
+                    )
+                )
+        header = ("effect", "certainty", "number", "value", "unit", "95 % interval", "rival")
+        return TextTable(header, tuple(rows))
+
+    def frame(self) -> "pd.DataFrame":
+        """The gap of the held-out flights before and after: a row per channel."""
+        import pandas as pd
+
+        compared = self.details.comparison
+        columns = ["channel", "unit", "n", "before", "after", "noise_floor", "shrink"]
+        rows = [
+            {**{c: getattr(g, c) for c in columns[1:]}, "channel": g.name}
+            | {"shrink_low": g.shrink_ci95[0], "shrink_high": g.shrink_ci95[1]}
+            for g in (() if compared is None else compared.gaps)
+        ]
+        return pd.DataFrame(rows, columns=[*columns, "shrink_low", "shrink_high"])
+
+    def gap_table(self) -> TextTable:
+        """The gap of the held-out flights before and after, in words."""
+        compared = self.details.comparison
+        return TextTable(
+            ("channel", "unit", "n", "before", "after", "noise floor", "shrink, 95 %"),
+            tuple(
+                (
+                    g.name,
+                    g.unit,
+                    str(g.n),
+                    f"{g.before:.4g}",
+                    f"{g.after:.4g}",
+                    f"{g.noise_floor:.4g}",
+                    shrink_words(g),
+                )
+                for g in (() if compared is None else compared.gaps)
+            ),
+        )
+
+    def json(self) -> dict[str, Any]:
+        """The content of `explain.json`."""
+        return explain_json(self.details)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        with output_file(Path(path)) as file:
+            write_explain_report(self.details, file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The sentence, candidates, what to fly next, before and after, warnings."""
+        yield self.sentence
+        if self.effects:
+            yield self.candidates_table()
+        if self.details.next_manoeuvre is not None:
+            yield f"Fly next: {self.details.next_manoeuvre.description}"
+        if self.details.comparison is not None:
+            yield self.gap_table()
+        if self.warnings:
+            yield "\n".join(self.warnings)
+
+    def brief(self) -> str:
+        """Verdict, vehicle and flights."""
+        what = f": {', '.join(self.effects)}" if self.effects else ""
+        return (
+            f"{type(self).__name__}: {self.verdict}{what}; {self.details.vehicle.name}, fitted on "
+            f"{counted(self.details.flights, 'flight')}"
+        )
+
+
+def explain(
+    flights: Flight | Sequence[Flight],
+    holdout: Flight | Sequence[Flight],
+    vehicle: Vehicle,
+    *,
+    payloads: Mapping[str, float] | None = None,
+    seed: int = 0,
+    missions: Sequence[str] | None = None,
+    settings: SearchSettings = DEFAULT,
+    progress: Progress = lambda _: None,
+) -> ExplainResult:
+    """Name the physical effect that a vehicle lacks, add it, and show that the gap shrinks.
+
+    Args:
+        flights: To fit on.
+        holdout: Flights that take no part in the fit and show the gap; none (`[]`): blocks of time
+            of the others stand in, which is weaker.
+        vehicle: As it stands.
+        payloads: Known mass aboard by the name of a flight, kg.
+        seed: Of every bootstrap.
+        missions: To fly with the new model at the end; default: all.
+        settings: The numbers that decide what is said, `docs/settings.md`.
+        progress: Called with the share done, 0..1.
+
+    Raises:
+        TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, or a
+            payload is of no flight.
+    """
+    fit, away = checked_flights(flights, "explain"), checked_flights(holdout, "explain")
+    model = vehicles.checked_vehicle(vehicle, "explain")
+    _check_apart(fit, away)
+    payloads = dict(payloads or {})
+    check_payloads(payloads, [f.name for f in (*fit, *away)])
+    found = inner.explain(
+        fit, away, model, seed, progress, missions=missions, payloads=payloads, settings=settings
+    )
+    return ExplainResult(found)
+
+
+def _check_apart(fit: Sequence[Flight], away: Sequence[Flight]) -> None:
+    """Refuse a flight on both sides."""
+    if not fit:
+        raise TwinError("explain: no flight to fit on.")
+    files = {f.source.resolve() for f in fit if f.source is not None}
+    for flight in away:
+        read_from_same = flight.source is not None and flight.source.resolve() in files
+        if read_from_same or any(flight is f for f in fit):
+            raise TwinError(f"{flight.name}: is a flight of the fit; hold out others.")
+
+
+def check_payloads(payloads: Mapping[str, float], flights: Sequence[str]) -> None:
+    """Refuse a payload of no flight, and one that is no mass.
+
+    Args:
+        payloads: Known mass aboard by flight, kg.
+        flights: Names.
+
+    Raises:
+        TwinError: So it is.
+    """
+    for name, mass_kg in payloads.items():
+        if name not in flights:
+            raise TwinError(unknown_name("payload", "flight", name, flights))
+        if not (isfinite(mass_kg) and mass_kg >= 0):
+            raise TwinError(f"payload of {name} = {mass_kg:g} kg: must be finite, 0 or more.")
+
+
+def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
+    """The vehicle with the named effects, each number with its pedigree; else as it stood."""
+    if found.added is None:
+        return vehicles.Vehicle.of(found.vehicle)
+    flights, sources = " and ".join(found.flights), dict(found.vehicle.sources)
+    for effect in found.effects:
+        certainties = {e.number.name: e.ci95 for e in estimates_of(found, effect)}
+        for name in found.added.effects[effect]:
+            sources[f"effects.{effect}.{name}"] = (
+                f"uavtwin explain, {flights}, {_certainty(certainties.get(name))}"
+            )
+    return replace(vehicles.Vehicle.of(found.added), sources=sources)
+
+
+def _certainty(ci95: tuple[float, float] | None) -> str:
+    return "no interval" if ci95 is None else "95 % interval {:.4g} to {:.4g}".format(*ci95)
 
 
 def write_explanation(
-    found: Explanation,
-    vehicle: str,
-    folder: Path,
-    fmus: bool = True,
-    progress: Callable[[float], None] = lambda _: None,
+    found: Explanation, folder: Path, fmus: bool = True, progress: Progress = lambda _: None
 ) -> list[str]:
     """Write everything that was found.
 
     Args:
         found: What was found.
-        vehicle: Vehicle file, or name of a built-in vehicle, that it was found about.
         folder: To write into.
         fmus: Whether to build the components on which the named effects act.
         progress: Called with the share done.
@@ -42,50 +285,10 @@ def write_explanation(
     written = ["report.html", "explain.json"]
     if found.added is None:
         return written
-    path = folder / "vehicle.toml"
-    path.write_text(_new_vehicle(found, vehicle), "utf-8")
-    written.append(path.name)
+    vehicle = explained_vehicle(found)
+    written.append(vehicle.save(folder / "vehicle.toml").name)
     if fmus:
-        choice = Choice(vehicle=str(path))
-        rows = export_components(_components(found), choice)(folder, progress)
-        written += [str(row["file"]) for row in rows]
+        names = sorted({EFFECTS[e].component for e in found.effects})
+        rows = export_parts([component(n, vehicle) for n in names])(folder, progress)
+        written += [row.file for row in rows]
     return written
-
-
-def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, float]:
-    """Known mass aboard by flight, kg, of "FLIGHT=KG" texts.
-
-    Raises:
-        TwinError: A text is not of that form, or there is no such flight.
-    """
-    form = f"FLIGHT=KG, e.g. {flights[0]}=0.2"
-    payloads = named_numbers(texts, "--payload", form)
-    for name, mass_kg in payloads.items():
-        if not 0 <= mass_kg < float("inf"):
-            raise TwinError(f"--payload {name}={mass_kg:g}: write {form}.")
-        if name not in flights:
-            raise TwinError(unknown_name("--payload", "flight", name, flights))
-    return payloads
-
-
-def _components(found: Explanation) -> list[str]:
-    """Components on which the named effects act."""
-    return sorted({EFFECTS[e].component for e in found.effects})
-
-
-def _new_vehicle(found: Explanation, vehicle: str) -> str:
-    """Text of the vehicle file with the named effects in it."""
-    assert found.added is not None
-    flights = " and ".join(found.flights)
-    effects = {}
-    for effect in found.effects:
-        certainties = {t.number.name: t.ci95 for t in estimates_of(found, effect)}
-        effects[effect] = {
-            name: Written(value, f"uavtwin explain, {flights}, {_certainty(certainties.get(name))}")
-            for name, value in found.added.effects[effect].items()
-        }
-    return with_effect_sections(vehicle_text(vehicle)[0], found.vehicle, effects)
-
-
-def _certainty(ci95: tuple[float, float] | None) -> str:
-    return "no interval" if ci95 is None else "95 % interval {:.4g} to {:.4g}".format(*ci95)

@@ -58,6 +58,27 @@ def results_folder(out: Path, force: bool) -> Iterator[Path]:
             ) from error
 
 
+@contextmanager
+def output_file(path: Path) -> Iterator[Path]:
+    """A temporary file of the same kind that takes the place of `path` at the end.
+
+    Nothing happens to `path` if that fails. Folders above it are made.
+
+    Raises:
+        TwinError: It is a folder, or it cannot be written.
+    """
+    if path.is_dir():
+        raise TwinError(f"{path}: is a folder; name a file.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".uavtwin-", dir=path.parent) as folder:
+            file = Path(folder) / path.name
+            yield file
+            file.replace(path)
+    except OSError as error:
+        raise TwinError(f"{path}: cannot be written: {error.strerror}.") from error
+
+
 def _nearest(out: Path) -> Path:
     """The folder itself, or the nearest one above it that exists."""
     return next(path for path in (out, *out.absolute().parents) if path.exists())

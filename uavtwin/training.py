@@ -1,4 +1,4 @@
-"""What `uavtwin train` does: flights to residuals, residuals to a model folder with its page."""
+"""Training: flights to residuals, residuals to a model folder with its page."""
 
 import hashlib
 import json
@@ -19,17 +19,18 @@ from learning.preset import Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.fit import fit_model
 from twin.errors import TwinError
-from twin.logs import Flight, read_flight
-from twin.vehicle.file import load_vehicle, vehicle_text
+from twin.logs import Flight
 
-from .export import VEHICLE_FILE
 from .output import check_folder
 from .report.figures import embedded, pretty_unit
 from .report.gap import number, percent
 from .report.learning_figures import curve_figure
 from .report.page import render
+from .vehicles import Vehicle
 
 RESIDUALS, REPORT = "training.parquet", "report.html"
+VEHICLE_FILE = "vehicle.toml"
+"""In the folder of a trained model: the vehicle whose twin it corrects."""
 Progress = Callable[[float], None]
 
 
@@ -76,7 +77,7 @@ def plan_training(
     check_preset(family, chosen, protocol)
     if epochs is not None:
         if "epochs" not in {f.name for f in fields(chosen)}:
-            raise TwinError(f"preset {preset} is in closed form and has no epochs; omit --epochs")
+            raise TwinError(f"preset {preset} is in closed form and has no epochs; give none")
         chosen = replace(chosen, epochs=epochs)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
@@ -84,43 +85,44 @@ def plan_training(
 
 
 def prepare(
-    paths: Sequence[Path], vehicle: str, rate_hz: float, progress: Progress
-) -> tuple[list[Flight], list[ResidualFlight]]:
-    """Flights as they were read, and their residuals against the vehicle.
+    flights: Sequence[Flight], vehicle: Vehicle, rate_hz: float, progress: Progress
+) -> list[ResidualFlight]:
+    """Residuals of flights against the vehicle.
 
     Raises:
-        TwinError: A flight or the vehicle cannot be used, or two flights have one name.
+        TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
     """
-    model = load_vehicle(vehicle)
-    names = [p.name for p in paths]
-    for path in paths:
-        if names.count(path.name) > 1:
-            raise TwinError(f"{path}: two flights are named {path.name}; rename one of them.")
-    flights = [read_flight(path) for path in paths]
+    names = [f.name for f in flights]
+    for flight in flights:
+        if names.count(flight.name) > 1:
+            raise TwinError(
+                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
+                f"of them."
+            )
     residuals = []
     for i, flight in enumerate(flights):
 
         def share(done: float, i: int = i) -> None:
             progress((i + done) / len(flights))
 
-        residuals.append(residual_flight(flight, model, rate_hz, progress=share))
-    return flights, residuals
+        residuals.append(residual_flight(flight, vehicle, rate_hz, progress=share))
+    return residuals
 
 
 def run_training(
-    plan: Plan, residuals: Sequence[ResidualFlight], vehicle: str, out: Path, progress: Progress
+    plan: Plan, residuals: Sequence[ResidualFlight], vehicle: Vehicle, out: Path, progress: Progress
 ) -> list[str]:
     """Train, export and write the page; a checkpoint in the folder is gone on from.
 
     Returns:
         Names of the files, the page first.
     """
-    text, _ = vehicle_text(vehicle)
+    text = vehicle.toml()
     task = TrainingTask(
         protocol=plan.protocol,
         horizon=plan.horizon,
         seed=plan.seed,
-        vehicle=load_vehicle(vehicle).name,
+        vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
     )
     model = fit_model(

@@ -61,20 +61,14 @@ class Run:
     share: float = 1.0
 
     def key(self) -> str:
-        """Name of its files: hash of all that decides the scores."""
+        """Name of its files: hash of all that decides the scores, sources included."""
         content = {**asdict(self), "preset": preset_json(self.preset), "name": ""}
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-        for path in sorted(Path(str(learning.__file__)).parent.glob("*.py")):
-            if path.name in SOURCES:
+        root = Path(str(learning.__file__)).parent
+        for path in sorted(root.rglob("*.py")):
+            if "export" not in path.relative_to(root).parts:
                 digest.update(path.read_bytes())
         return f"{self.preset.name}_{self.seed}_{digest.hexdigest()[:12]}"
-
-
-SOURCES = (
-    *("base.py", "channels.py", "clustering.py", "compensator.py", "losses.py", "network.py"),
-    *("paper_tables.py", "scaling.py", "sequences.py", "training.py", "windows.py", "workpiece.py"),
-)
-"""Modules of `learning` that decide the scores."""
 
 
 def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[dict[str, Any]]:

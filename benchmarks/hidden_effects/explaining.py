@@ -3,7 +3,7 @@
 import hashlib
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,16 +26,23 @@ def twin_state() -> str:
     return digest.hexdigest()[:12]
 
 
-def explain_case(folder: Path) -> dict[str, Any]:
-    """Content of `explain.json` and the time it took, without missions of the new model."""
+def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Content of `explain.json` and the time it took, without missions of the new model.
+
+    Args:
+        folder: Of the case.
+        changed: Settings of the search that are not to be the default ones, by name.
+    """
     from twin.explain.explanation import explain
     from twin.explain.result_json import explain_json
+    from twin.explain.settings import DEFAULT
     from twin.logs import read_flight
     from twin.vehicle.file import load_vehicle
 
     wall, cpu = time.perf_counter(), time.process_time()
     fit, away = ([read_flight(folder / name) for name in names] for names in (FIT, HOLDOUT))
-    found = explain(fit, away, load_vehicle(str(folder / VEHICLE)), missions=())
+    settings = DEFAULT.with_values(changed or {})
+    found = explain(fit, away, load_vehicle(str(folder / VEHICLE)), missions=(), settings=settings)
     return {
         **explain_json(found),
         "seconds": round(time.perf_counter() - wall, 2),
@@ -62,21 +69,21 @@ class Worker:
     """A process that explains one case after the other; a case that kills it costs no other.
 
     Args:
-        answer: Called there with the folder of a case.
+        answer: Called there with what is asked: the folder of a case, if nothing else is said.
         longest_s: Time for a case.
     """
 
     def __init__(
-        self, answer: Callable[[Path], dict[str, Any]] = answer, longest_s: float = LONGEST_S
+        self, answer: Callable[[Any], dict[str, Any]] = answer, longest_s: float = LONGEST_S
     ) -> None:
         self._answer, self._longest_s = answer, longest_s
         self._connection: Connection | None = None
 
-    def __call__(self, folder: Path) -> dict[str, Any]:
+    def __call__(self, asked: Any) -> dict[str, Any]:
         """Result of a case."""
         try:
             connection = self._connection or self._start()
-            connection.send(folder)
+            connection.send(asked)
             if connection.poll(self._longest_s):
                 result: dict[str, Any] = connection.recv()
                 return result
@@ -107,7 +114,7 @@ class Worker:
         return self._connection
 
 
-def _serve(connection: Connection, answer: Callable[[Path], dict[str, Any]]) -> None:
+def _serve(connection: Connection, answer: Callable[[Any], dict[str, Any]]) -> None:
     """Answer until nobody asks any more."""
     connection.send("ready")
     try:

@@ -11,7 +11,8 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
@@ -68,31 +69,63 @@ def run(
     files = {i: out / results / f"{i}.json" for i in folders}
     missing = [i for i, file in files.items() if not _is_done(file, again, state)]
     print(f"{len(folders)} cases, {len(folders) - len(missing)} there already", file=sys.stderr)
-    queue: SimpleQueue[str] = SimpleQueue()
-    for i in missing:
-        queue.put(i)
-    progress = _Progress(len(missing))
+    ask(
+        [Question(i, folders[i], files[i], {"case": i, "twin": state}) for i in missing],
+        jobs,
+        worker,
+    )
+    return 1 if any(_read(f).get("verdict") == "error" for f in files.values()) else 0
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a process is asked.
+
+    Attributes:
+        label: For people.
+        asked: What the worker is called with.
+        file: Where the answer goes.
+        beside: Written into it beside what is said.
+    """
+
+    label: str
+    asked: Any
+    file: Path
+    beside: Mapping[str, Any]
+
+
+def ask(questions: Iterable[Question], jobs: int, worker: Callable[[], Worker] = Worker) -> None:
+    """Have questions answered, each into its file as soon as it is, with a line on stderr.
+
+    Args:
+        questions: In the order in which they are taken.
+        jobs: Processes.
+        worker: Makes one.
+    """
+    queue: SimpleQueue[Question] = SimpleQueue()
+    for question in questions:
+        queue.put(question)
+    progress = _Progress(queue.qsize())
 
     def serve() -> None:
-        """Take cases until none is left."""
+        """Take questions until none is left."""
         explain = worker()
         try:
             while True:
-                i = queue.get_nowait()
-                said = {"case": i, "twin": state, **explain(folders[i])}
-                write_json(files[i], said)
-                progress.done(said)
+                question = queue.get_nowait()
+                said = {**question.beside, **explain(question.asked)}
+                write_json(question.file, said)
+                progress.done(question.label, said)
         except Empty:
             return
         finally:
             explain.close()
 
-    threads = [Thread(target=serve, daemon=True) for _ in range(min(jobs, len(missing)))]
+    threads = [Thread(target=serve, daemon=True) for _ in range(min(jobs, queue.qsize()))]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    return 1 if any(_read(f).get("verdict") == "error" for f in files.values()) else 0
 
 
 class _Progress:
@@ -102,7 +135,7 @@ class _Progress:
         self._total, self._done, self._start = total, 0, time.perf_counter()
         self._lock = Lock()
 
-    def done(self, said: dict[str, Any]) -> None:
+    def done(self, label: str, said: Mapping[str, Any]) -> None:
         """One more."""
         with self._lock:
             self._done += 1
@@ -110,7 +143,7 @@ class _Progress:
             left = spent / self._done * (self._total - self._done)
             what = said.get("error") or f"{said['verdict']}, {said['seconds']:.0f} s"
             print(
-                f"{self._done}/{self._total} {said['case']} {what}; {_minutes(left)} left",
+                f"{self._done}/{self._total} {label} {what}; {_minutes(left)} left",
                 file=sys.stderr,
                 flush=True,
             )

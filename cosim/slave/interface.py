@@ -11,6 +11,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmus.archive import open_archive
 from twin.errors import FmuError
+from twin.representation import short_repr
 
 _INTEGERS: dict[str, type[np.generic]] = {
     f"{sign}Int{bits}": np.dtype(f"{sign.lower()}int{bits}").type
@@ -59,6 +60,8 @@ class Port:
     kind: str | None
     items: tuple[tuple[str, int], ...] = ()
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Interface:
@@ -66,6 +69,8 @@ class Interface:
 
     path: Path
     description: ModelDescription
+
+    __repr__ = short_repr
 
     @cached_property
     def fmi(self) -> int:

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from twin.errors import FmuError
 from twin.logs.columns import MAX_MOTORS
+from twin.representation import short_repr
 
 from ..names import LONGEST_NAME, check_identifier, check_name, check_text, shown
 from ..units import base_exponents
@@ -74,6 +75,8 @@ class NetworkFile:
     vehicle_sha256: str
     state_size: int
 
+    __repr__ = short_repr
+
     @property
     def sees_measurements(self) -> bool:
         """Whether measured signals enter at all."""
@@ -99,7 +102,7 @@ def read_network(folder: Path) -> NetworkFile:
     if not path.is_file():
         raise FmuError(
             f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote, of a preset "
-            f"that has an ONNX form (docs/compensator.md)."
+            f"that has an ONNX form (docs/guide/compensator.md)."
         )
     with path.open("rb") as file:
         content = file.read(MAX_FILE_BYTES + 1)

@@ -25,6 +25,7 @@ from twin.errors import LogError, ModelError
 from twin.logs import Flight
 from twin.logs.columns import MAG, motor_number
 from twin.physics.sensors.magnetometer import magnetometer
+from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
 from twin.residuals.short_horizon import READ, window_ends
@@ -75,6 +76,8 @@ class ResidualFlight:
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
 
+    __repr__ = short_repr
+
 
 def residual_flight(
     flight: Flight,
@@ -86,8 +89,8 @@ def residual_flight(
     """Residuals of a flight against a vehicle.
 
     Args:
-        flight: As read by `aligned.logs.read_flight`.
-        vehicle: As read by `aligned.vehicle.file.load_vehicle`, its effects included.
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
         rate_hz: Of the grid; 1000 Hz over a whole number.
         horizon_s: From the restart to the reading; a multiple of 1 ms, at least one interval.
         progress: Called with the share done, 0..1.

@@ -6,6 +6,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.representation import short_repr
+
 from ..preset import Normalise
 from .channels import CHANNELS, N_PHASES
 from .flights import ResidualFlight
@@ -47,6 +49,8 @@ class Scaling:
     low: Array
     high: Array
     rms: Array
+
+    __repr__ = short_repr
 
     def arrays(self) -> dict[str, Array]:
         """Every array by its name."""

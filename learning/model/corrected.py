@@ -6,6 +6,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.representation import short_repr
+
 from ..data.flights import ResidualFlight
 
 Array = NDArray[np.float64]
@@ -28,6 +30,8 @@ class Corrected:
     spread: Array
     anomaly: Array
     inside: BoolArray
+
+    __repr__ = short_repr
 
 
 class Model(Protocol):

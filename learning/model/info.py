@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from twin.errors import ModelError
+from twin.representation import short_repr
 
 from ..data.clustering import Clusters
 from ..data.flights import ResidualFlight
@@ -43,6 +44,8 @@ class ModelInfo(Generic[P]):
     flights: tuple[dict[str, Any], ...] = ()
     training: str = ""
     metrics: dict[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
 
     def check_flight(self, flight: ResidualFlight) -> None:
         """Raise ModelError unless the flight has the model's rate and number of commands."""

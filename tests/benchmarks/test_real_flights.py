@@ -282,6 +282,6 @@ def test_without_recordings_the_command_says_what_is_missing(
 
 
 def test_the_page_in_the_repository_names_every_scenario() -> None:
-    text = (ROOT / "docs" / "real_flights.md").read_text("utf-8")
+    text = (ROOT / "docs" / "results" / "real_flights.md").read_text("utf-8")
     assert text.startswith((ROOT / "benchmarks/real_flights/protocol.md").read_text()[:60])
     assert all(f"## {s.title}\n" in text for s in SCENARIOS)

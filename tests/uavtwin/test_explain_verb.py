@@ -17,12 +17,14 @@ from twin.errors import TwinError
 from twin.explain.design.designer import Suggestion
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
+from twin.explain.settings import DEFAULT
 from twin.explain.unnamed.equations import Equation
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin import explanation as explain_files
 from uavtwin.cli import main
+from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.report.explain import write_explain_report
 from uavtwin.report.words import certainty, claim
@@ -187,6 +189,26 @@ def test_the_fmu_has_the_effect_on(named: Run) -> None:
     assert float(starts["rotor_drag.k_xy_1_s"]) == pytest.approx(value, rel=1e-5)
 
 
+def test_the_settings_are_recorded(named: Run) -> None:
+    assert named.json["settings"] == {"hash": DEFAULT.hash, "changed": {}}
+    assert named.found is not None
+    bands = ((0.2, 0.4), (0.4, 0.8), (0.8, 1.5), (1.5, 3.0))
+    changed = {"inference.selection.sure": 0.9, "stochastic.gust.slope_bands_hz": bands}
+    other = explain_json(replace(named.found, settings=DEFAULT.with_values(changed)))
+    assert other["settings"]["changed"] == {
+        "inference.selection.sure": 0.9,
+        "stochastic.gust.slope_bands_hz": [list(b) for b in bands],
+    }
+    assert other["settings"]["hash"] != DEFAULT.hash
+
+
+def test_every_key_is_in_the_documentation(named: Run) -> None:
+    text = (Path(__file__).parents[2] / "docs/reference/json.md").read_text("utf-8")
+    lines = text.partition("## explain.json")[2].partition("\n## ")[0].splitlines()
+    told = {k for line in lines for k in re.findall(r"`(\w+)`", line.split(" | ")[0])}
+    assert told == set(named.json)
+
+
 def test_run_json_lists_every_input(named: Run) -> None:
     record = json.loads((named.out / "run.json").read_text())
     assert record["verb"] == "explain"
@@ -309,7 +331,7 @@ def test_certainty_is_never_complete(probability: float, words: str) -> None:
 
 def test_a_payload_is_told_by_flight() -> None:
     flights = ("one", "two=b")
-    assert explain_files.flight_payloads(["one=0.2", "two=b=1"], flights) == {
+    assert flight_payloads(["one=0.2", "two=b=1"], flights) == {
         "one": 0.2,
         "two=b": 1.0,
     }
@@ -327,4 +349,4 @@ def test_a_payload_is_told_by_flight() -> None:
 )
 def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
     with pytest.raises(TwinError, match=re.escape(says)):
-        explain_files.flight_payloads([text], ("one",))
+        flight_payloads([text], ("one",))

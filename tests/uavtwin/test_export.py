@@ -5,7 +5,6 @@ import logging
 import zipfile
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -22,7 +21,8 @@ from cosim.master import Master
 from cosim.slave.interface import read_interface
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
-from uavtwin.export import Choice, export_components
+from uavtwin.cli.export import Choice, export_components
+from uavtwin.exports.products import WrittenFile
 
 Array = NDArray[np.float64]
 COMPONENTS = (
@@ -42,7 +42,7 @@ CASES = [(name, fmi) for name in (*COMPONENTS, "corrected_twin") for fmi in (2, 
 
 
 @pytest.fixture(scope="module")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[str, Any]]]:
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[WrittenFile]]:
     """Everything of the Crazyflie, FMI 2 and 3, and the list of it."""
     folder = tmp_path_factory.mktemp("exported")
     choice = Choice("crazyflie", "2,3", mission="tour")
@@ -53,23 +53,23 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[dict[
     return folder, rows
 
 
-def test_lists_what_it_wrote(exported: tuple[Path, list[dict[str, Any]]]) -> None:
+def test_lists_what_it_wrote(exported: tuple[Path, list[WrittenFile]]) -> None:
     folder, rows = exported
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
     wanted = {f"fmi{fmi}/{name}.fmu" for name, fmi in CASES}
     wanted |= {f"fmi{fmi}/corrected_twin.ssp" for fmi in (2, 3)}
-    assert {row["file"] for row in rows} == files == wanted
+    assert {row.file for row in rows} == files == wanted
     for row in rows:
-        content = (folder / row["file"]).read_bytes()
-        assert row["bytes"] == len(content)
-        assert row["sha256"] == hashlib.sha256(content).hexdigest()
-        assert row["platforms"] == ["linux64"]
-        assert row["file"].startswith(f"fmi{row['fmi']}/")
+        content = (folder / row.file).read_bytes()
+        assert row.bytes == len(content)
+        assert row.sha256 == hashlib.sha256(content).hexdigest()
+        assert row.platforms == ("linux64",)
+        assert row.file.startswith(f"fmi{row.fmi}/")
 
 
 @pytest.mark.parametrize(("name", "fmi"), CASES)
 def test_checkers_find_no_problem(
-    exported: tuple[Path, list[dict[str, Any]]], name: str, fmi: int
+    exported: tuple[Path, list[WrittenFile]], name: str, fmi: int
 ) -> None:
     path = str(exported[0] / f"fmi{fmi}" / f"{name}.fmu")
     assert validate_fmu(path) == []
@@ -86,7 +86,7 @@ def test_checkers_find_no_problem(
 
 @pytest.mark.parametrize(("name", "fmi"), CASES)
 def test_every_variable_has_unit_and_description(
-    exported: tuple[Path, list[dict[str, Any]]], name: str, fmi: int
+    exported: tuple[Path, list[WrittenFile]], name: str, fmi: int
 ) -> None:
     path = exported[0] / f"fmi{fmi}" / f"{name}.fmu"
     description = fmpy.read_model_description(str(path))
@@ -171,9 +171,7 @@ NAMES = (*STATES, *FELT, *CHAINED)
 
 
 @pytest.fixture(scope="module")
-def ssp(
-    exported: tuple[Path, list[dict[str, Any]]], tmp_path_factory: pytest.TempPathFactory
-) -> Path:
+def ssp(exported: tuple[Path, list[WrittenFile]], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The exported `.ssp` with wind, gusts and noise, taking off at once."""
     system = read_ssp(exported[0] / "fmi2" / "corrected_twin.ssp")
     starts = {

@@ -14,11 +14,17 @@ from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
 from twin.flight.mission import mission_names
-from uavtwin.simulate import Scenario, run_scenario, scenario_system, summary
+from uavtwin.simulation import Scenario, run_scenario, scenario_system, summary
+from uavtwin.vehicles import load_vehicle
 
 VEHICLE = "crazyflie"
 WINDY = Scenario(
-    "tour", VEHICLE, wind_m_s=(3.0, -2.0, 0.0), gusts=True, seed=4, effects=("rotor_drag",)
+    "tour",
+    load_vehicle(VEHICLE),
+    wind_m_s=(3.0, -2.0, 0.0),
+    gusts=True,
+    seed=4,
+    effects=("rotor_drag",),
 )
 Call = Callable[..., tuple[int, str, str]]
 
@@ -130,11 +136,11 @@ def test_an_ssp_takes_start_values_and_no_other_shape(
     assert table["environment.wind_x"].eq(-3).all()
     code, _, told = simulate(ssp, "--gusts", "--out", tmp_path / "p")
     assert code == 2
-    assert "only --start goes with it" in told
+    assert "only start values go with it, not gusts." in told
 
 
 def test_the_controller_is_swapped(windy: System, tmp_path: Path) -> None:
-    px4 = scenario_system(Scenario("tour", VEHICLE, "px4"), tmp_path)
+    px4 = scenario_system(Scenario("tour", load_vehicle(VEHICLE), "px4"), tmp_path)
     lqr = replace(windy, starts={})
     ours, theirs = (summary(run_scenario(s, stop_s=6.0)) for s in (lqr, px4))
     assert ours["tracking_worst_m"] != theirs["tracking_worst_m"]
@@ -200,13 +206,13 @@ def test_wrong_use(simulate: Call, tmp_path: Path, arguments: tuple[str, ...]) -
 @pytest.mark.parametrize(
     ("times", "text"),
     [
-        ({"stop_s": -1.0}, "--stop -1: not even one interval"),
-        ({"stop_s": np.nan}, "--stop nan"),
+        ({"stop_s": -1.0}, "stop -1: not even one interval"),
+        ({"stop_s": np.nan}, "stop nan"),
         ({"stop_s": np.inf}, "stop time inf s must be a finite number"),
-        ({"step_s": 0.0}, "--step 0: needs a positive number"),
-        ({"step_s": -1.0}, "--step -1"),
-        ({"interval_s": np.nan}, "--interval nan"),
-        ({"interval_s": 0.0}, "--interval 0"),
+        ({"step_s": 0.0}, "step 0: needs a positive number"),
+        ({"step_s": -1.0}, "step -1"),
+        ({"interval_s": np.nan}, "interval nan"),
+        ({"interval_s": 0.0}, "interval 0"),
         ({"interval_s": 0.0015}, "not a whole number of steps of 0.001 s"),
     ],
 )
@@ -217,5 +223,5 @@ def test_wrong_times(windy: System, times: dict[str, float], text: str) -> None:
 
 
 def test_a_system_without_stop_time_asks_for_one(windy: System) -> None:
-    with pytest.raises(TwinError, match="give --stop SECONDS"):
+    with pytest.raises(TwinError, match="give one in seconds"):
         run_scenario(System(windy.fmus, windy.connections))

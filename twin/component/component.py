@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from ..representation import short_repr
 from .noise import normal
 
 Array = NDArray[np.float64]
@@ -85,6 +86,8 @@ class Shortcut:
     outputs: ca.Function
     update: ca.Function | None
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class DelayLine:
@@ -124,6 +127,8 @@ class Sampling:
     delays: ca.Function
     update: ca.Function
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True)
 class Component:
@@ -154,6 +159,8 @@ class Component:
     max_step_s: float
     shortcuts: tuple[Shortcut, ...] = ()
     sampling: Sampling | None = None
+
+    __repr__ = short_repr
 
     @property
     def variables(self) -> tuple[Variable, ...]:

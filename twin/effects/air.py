@@ -5,11 +5,17 @@ from dataclasses import replace
 import casadi as ca
 
 from ..frames import cross
-from .definition import Block, Effect, EffectParameter
+from ..vehicle import Vehicle
+from .definition import Block, Effect, EffectParameter, Limit
 from .stages import Air, Thrust, Wrench
 
 NEAREST_GROUND = 0.25
 """Rotor height over the scale of the ground effect below which it grows no more: standing."""
+
+
+def _weight_on_arm(vehicle: Vehicle) -> float:
+    """Moment of the whole weight on the arm of a rotor, N m."""
+    return vehicle.mass_kg * vehicle.gravity_m_s2 * vehicle.arm_m
 
 
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
@@ -30,8 +36,16 @@ def _parasitic_drag(w: Wrench, p: Block) -> Wrench:
     air = w.motion.air_b
     # Bounded below: the root has no derivative at rest.
     speed = ca.sqrt(ca.fmax(sum((v * v for v in air), start=ca.SX(0)), 1e-30))
-    c = p["c_1_m"] * w.motion.body.mass * w.motion.density * speed
-    return replace(w, force=[f - c * v for f, v in zip(w.force, air, strict=True)])
+    m = w.motion.body.mass * w.motion.density * speed
+    c = [p["c_1_m"], p["c_1_m"] + p["more_y_1_m"], p["c_1_m"] + p["more_z_1_m"]]
+    return replace(w, force=[f - m * k * v for f, k, v in zip(w.force, c, air, strict=True)])
+
+
+def _slowing(_: Vehicle) -> tuple[Limit, ...]:
+    return tuple(
+        Limit({"c_1_m": 1.0, f"more_{a}_1_m": 1.0}, f"drag along body {a} slows")
+        for a in ("y", "z")
+    )
 
 
 def _induced_inflow(r: Thrust, p: Block) -> Thrust:
@@ -58,6 +72,15 @@ def _blade_flapping(w: Wrench, p: Block) -> Wrench:
         force=[f + d for f, d in zip(w.force, back, strict=True)],
         moment=[a + b for a, b in zip(w.moment, moment, strict=True)],
     )
+
+
+def _flapping_moment(w: Wrench, p: Block) -> Wrench:
+    share = w.motion.density / len(w.rotors.spin)
+    moment = list(w.moment)
+    for spin, (x, y, _) in zip(w.rotors.spin, w.motion.hubs_air_b, strict=True):
+        k = p["k_n_s"] * share * spin
+        moment = [moment[0] - k * y, moment[1] + k * x, moment[2]]
+    return replace(w, moment=moment)
 
 
 def _steady_wind(a: Air, p: Block) -> Air:
@@ -100,10 +123,14 @@ PARASITIC_DRAG = Effect(
         EffectParameter(
             "c_1_m", "1/m", "drag over mass and speed squared, 0.5 rho Cd A / m", 0.02, (0, 0.2)
         ),
+        EffectParameter("more_y_1_m", "1/m", "on top of that along body y", 0.0, (-0.2, 0.2)),
+        EffectParameter("more_z_1_m", "1/m", "on top of that along body z", 0.0, (-0.2, 0.4)),
     ),
     ("acc", "vel", "q"),
-    "Stevens, Lewis & Johnson, Aircraft Control and Simulation, ch. 2",
+    "Stevens, Lewis & Johnson, Aircraft Control and Simulation, ch. 2; a coefficient per axis on "
+    "the whole speed: Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485",
     _parasitic_drag,
+    _slowing,
 )
 
 INDUCED_INFLOW = Effect(
@@ -149,6 +176,28 @@ BLADE_FLAPPING = Effect(
     _blade_flapping,
 )
 
+FLAPPING_MOMENT = Effect(
+    "flapping_moment",
+    "the air twists the rotors as they move through it: a moment without a force, nose up in "
+    "forward flight where it is positive",
+    "airframe",
+    Wrench,
+    (
+        EffectParameter(
+            "k_n_s",
+            "N.s",
+            "moment of all rotors per speed in hover",
+            0.005,
+            (-0.05, 0.05),
+            scale=_weight_on_arm,
+        ),
+    ),
+    ("gyro", "vel", "q"),
+    "hub moment of stiff rotors, proportional to rotor speed and to that through the air: Martin & "
+    "Salaun, ICRA 2010; Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485 (k_flap, other sign)",
+    _flapping_moment,
+)
+
 STEADY_WIND = Effect(
     "steady_wind",
     "a wind that does not change during the flight",
@@ -192,6 +241,7 @@ EFFECTS = (
     INDUCED_INFLOW,
     TRANSLATIONAL_LIFT,
     BLADE_FLAPPING,
+    FLAPPING_MOMENT,
     STEADY_WIND,
     GROUND_EFFECT,
 )

@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..frames import cross
+
 AIR_DENSITY_KG_M3 = 1.225
 """ISA at sea level, ICAO Doc 7488."""
 
@@ -76,6 +78,14 @@ class Motion:
     gravity: ca.SX
     voltage: ca.SX
     start_vel_n: list[ca.SX]
+
+    @property
+    def hubs_air_b(self) -> list[list[ca.SX]]:
+        """Velocity of each rotor hub through the air, body FRD, m/s."""
+        return [
+            [v + c for v, c in zip(self.air_b, cross(self.omega_b, hub), strict=True)]
+            for hub in self.body.hubs
+        ]
 
 
 @dataclass(frozen=True, slots=True)

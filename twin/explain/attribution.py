@@ -8,12 +8,9 @@ from numpy.typing import NDArray
 
 from ..residuals.channels import GRID_HZ, ChannelData
 from .model.model import Model
+from .settings import DEFAULT, AttributionSettings
 
 Array = NDArray[np.float64]
-FELT = 0.1
-"""Share of the power of a channel's residual that an effect explains at least where it acts."""
-STRONG = 0.5
-"""Part of its strength in the strongest phase that an effect has where it is said to act."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +35,7 @@ def attribute_effect(
     model: Model,
     values: Mapping[str, float],
     with_all: Sequence[Sequence[ChannelData]],
+    settings: AttributionSettings = DEFAULT.attribution,
 ) -> Attribution:
     """Where an effect acts.
 
@@ -46,6 +44,7 @@ def attribute_effect(
         model: Flights, against the model as it stood.
         values: Numbers of all added effects, "effect.number" -> value.
         with_all: Channels of each flight with all of them.
+        settings: From when on an effect acts.
     """
     others = {k: v for k, v in values.items() if k.partition(".")[0] != effect}
     without = model.channels([], others)
@@ -57,8 +56,9 @@ def attribute_effect(
         power, left = float(lacking @ lacking), float(complete @ complete)
         taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
-    channels = tuple(name for name in ranked if taken[name] >= FELT) or tuple(ranked[:1])
-    return Attribution(effect, channels, _phases(channels[0], model, without, with_all), without)
+    channels = tuple(name for name in ranked if taken[name] >= settings.felt) or tuple(ranked[:1])
+    phases = _phases(channels[0], model, without, with_all, settings.strong)
+    return Attribution(effect, channels, phases, without)
 
 
 def _phases(
@@ -66,6 +66,7 @@ def _phases(
     model: Model,
     without: Sequence[Sequence[ChannelData]],
     with_all: Sequence[Sequence[ChannelData]],
+    strong: float,
 ) -> tuple[str, ...]:
     """Phases in which an effect changes a channel most."""
     i = next(i for i, c in enumerate(with_all[0]) if c.name == name)
@@ -77,4 +78,4 @@ def _phases(
     names, values = np.concatenate(phase), np.concatenate(change)
     size = {str(p): float(np.sqrt(np.mean(values[names == p] ** 2))) for p in np.unique(names)}
     strongest = max(size.values())
-    return tuple(p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= STRONG * strongest)
+    return tuple(p for p in sorted(size, key=lambda p: -size[p]) if size[p] >= strong * strongest)

@@ -8,11 +8,12 @@ from typing import Any
 from ..effects import EFFECTS
 from .explanation import Explanation
 from .inference.fit import Fit
-from .inference.selection import LEAST, Naming
+from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
 from .stochastic.finding import StochasticEffect
 
 MOST_RIVALS = 5
+"""That are listed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ def listed_effects(found: Explanation) -> list[str]:
         return []
     if naming.verdict == "cannot_tell":
         every = {e for f in naming.fitted for e in f.effects}
-        effects = {e for e in every if naming.probability_of(e) >= LEAST}
+        effects = {e for e in every if naming.probability_of(e) >= naming.settings.least}
     else:
         effects = set(naming.best.effects)
     effects |= {u.effect for u in found.stochastic}

@@ -12,10 +12,11 @@ from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
 from .holdout import Comparison, compare_holdout
 from .inference.fit import Fit
-from .inference.selection import LEAST, Naming, Verdict, name_effects
+from .inference.selection import Naming, Verdict, name_effects
 from .localization import Place, localize
 from .model.numbers import with_effects
 from .model.payload import Payloads
+from .settings import DEFAULT, SearchSettings, UsableSettings
 from .split import Span, held_out_spans, hidden
 from .stochastic.finding import StochasticEffect
 from .stochastic.search import find_stochastic, find_stuck
@@ -26,7 +27,7 @@ from .usable import reasons_unusable
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
 WEAKER = (
-    "no flight was held out: every third block of time of the same flights stands in for one, "
+    "no flight was held out: one block of time in {} of the same flights stands in for one, "
     "which is weaker, because what one flight has in common is in both parts"
 )
 
@@ -66,6 +67,7 @@ class Explanation:
         missions: Closed-loop flights of the new model; none where no effect was added.
         unnamed: Equations for what no effect explains.
         next_manoeuvre: What to fly to learn more.
+        settings: What decided all this.
     """
 
     verdict: Verdict
@@ -84,6 +86,7 @@ class Explanation:
     missions: tuple[Mission, ...] = ()
     unnamed: tuple[Equation, ...] = ()
     next_manoeuvre: Suggestion | None = None
+    settings: SearchSettings = DEFAULT
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -107,6 +110,7 @@ def explain(
     progress: Callable[[float], None] = lambda _: None,
     missions: Sequence[str] | None = None,
     payloads: Payloads | None = None,
+    settings: SearchSettings = DEFAULT,
 ) -> Explanation:
     """Say what a model lacks, and prove it.
 
@@ -118,26 +122,34 @@ def explain(
         progress: Called with the share done.
         missions: To fly with the new model; default: all.
         payloads: Known masses aboard, of flights of either kind.
+        settings: The numbers that decide what is said.
     """
     names = tuple(f.name for f in flights)
-    stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f)]
-    fit, reasons = _usable([without_stuck(f, stuck) for f in flights], vehicle)
-    held, left_out = _usable([without_stuck(f, stuck) for f in holdout], vehicle)
+    stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f, settings.stochastic.stuck)]
+    fit, reasons = _usable([without_stuck(f, stuck) for f in flights], vehicle, settings.usable)
+    held, left_out = _usable([without_stuck(f, stuck) for f in holdout], vehicle, settings.usable)
     if not fit:
-        return Explanation("unusable", vehicle, names, tuple(reasons))
+        return Explanation("unusable", vehicle, names, tuple(reasons), settings=settings)
     warnings = [f"left out: {reason}" for reason in reasons + left_out]
     away = tuple(HeldOut(f.name) for f in held)
     if not held:
-        spans = [held_out_spans(f) for f in fit]
+        spans = [held_out_spans(f, settings.holdout) for f in fit]
         held = [hidden(f, s, inside=False) for f, s in zip(fit, spans, strict=True)]
         fit = [hidden(f, s, inside=True) for f, s in zip(fit, spans, strict=True)]
         away = tuple(HeldOut(f.name, tuple(s)) for f, s in zip(fit, spans, strict=True))
-        warnings.append(WEAKER)
+        warnings.append(WEAKER.format(settings.holdout.spared_every))
     found = Explanation(
-        "unusable", vehicle, tuple(f.name for f in fit), warnings=tuple(warnings), holdout=away
+        "unusable",
+        vehicle,
+        tuple(f.name for f in fit),
+        warnings=tuple(warnings),
+        holdout=away,
+        settings=settings,
     )
     try:
-        naming = name_effects(fit, vehicle, seed, lambda done: progress(0.5 * done), payloads)
+        naming = name_effects(
+            fit, vehicle, seed, lambda done: progress(0.5 * done), payloads, settings.inference
+        )
     except LogError as error:
         return replace(found, reasons=(str(error),))
     found = _named(found, naming, [s for s in stuck if s.flight in names])
@@ -148,7 +160,9 @@ def explain(
     found = _with_gap(found, held, seed, payloads)
     progress(0.85)
     if found.verdict in ("named", "cannot_tell"):
-        found = replace(found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed))
+        found = replace(
+            found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed, settings=settings.design)
+        )
     if found.added is None:
         return found
     flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
@@ -166,19 +180,20 @@ def _not_felt(naming: Naming) -> list[str]:
     ]
 
 
-def _usable(flights: Sequence[Flight], vehicle: Vehicle) -> tuple[list[Flight], list[str]]:
+def _usable(
+    flights: Sequence[Flight], vehicle: Vehicle, settings: UsableSettings
+) -> tuple[list[Flight], list[str]]:
     """Flights fit for the search, and why the others are not."""
-    found = [(f, reasons_unusable(f, vehicle)) for f in flights]
+    found = [(f, reasons_unusable(f, vehicle, settings)) for f in flights]
     return [f for f, against in found if not against], [r for _, against in found for r in against]
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
     """The same with the effects that were found, and their numbers."""
-    shown = _shown(naming)
+    shown, settings = _shown(naming), found.settings.stochastic
     model, steady = naming.problem.model, {} if shown is None else shown.values
-    beside = tuple(
-        u for u in (*find_stuck(stuck), *find_stochastic(model, steady)) if u.log_odds > 0
-    )
+    every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
+    beside = tuple(u for u in every if u.log_odds > 0)
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
     exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
@@ -200,10 +215,9 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     assert naming is not None
     if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
-    problem = naming.problem
-    alone = find_equations(problem, problem.nothing(), seed)
-    likely = [f for f, p in zip(naming.fitted, naming.probabilities, strict=True) if p >= LEAST]
-    if alone is None or not explains_better(problem, likely, alone):
+    problem, settings = naming.problem, found.settings.unnamed
+    alone = find_equations(problem, problem.nothing(), seed, settings)
+    if alone is None or not explains_better(problem, naming.likely, alone, settings):
         return found
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
@@ -215,8 +229,7 @@ def _shown(naming: Naming) -> Fit | None:
     if naming.verdict == "named":
         return naming.best
     if naming.verdict == "cannot_tell":
-        likely = zip(naming.fitted, naming.probabilities, strict=True)
-        return next((f for f, p in likely if f.effects and p >= LEAST), None)
+        return next((f for f in naming.likely if f.effects), None)
     return None
 
 
@@ -226,14 +239,27 @@ def _with_gap(
     """The same with the gap of held-out flights, where effects act, and where the gap is."""
     effects = () if found.shown is None else found.shown.effects
     assert found.naming is not None
+    settings = found.settings
     steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
-        comparison = compare_holdout(held, found.vehicle, effects, steady, seed, payloads)
+        comparison = compare_holdout(
+            held,
+            found.vehicle,
+            effects,
+            steady,
+            seed,
+            payloads,
+            settings.holdout,
+            settings.inference.likelihood,
+        )
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"
         return replace(found, warnings=(*found.warnings, problem))
-    acts = [attribute_effect(e, comparison.model, steady, comparison.after) for e in effects]
-    where = localize(found.naming.problem.model, steady, comparison.floors)
+    acts = [
+        attribute_effect(e, comparison.model, steady, comparison.after, settings.attribution)
+        for e in effects
+    ]
+    where = localize(found.naming.problem.model, steady, comparison.floors, settings.localization)
     return replace(
         found,
         comparison=comparison,

@@ -21,13 +21,12 @@ from .inference.likelihood import Scores, noise_of_all, whiten
 from .model.model import Model, candidates, model_of
 from .model.numbers import columns_of
 from .model.payload import Payloads
+from .settings import DEFAULT, HoldoutSettings, LikelihoodSettings
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
-BLOCK_S = 1.0
-"""Length of the blocks of the bootstrap."""
 DRAWS = 1000
-FEWEST_BLOCKS = 5
+"""Of the bootstrap."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +106,8 @@ def compare_holdout(
     values: Mapping[str, float],
     seed: int = 0,
     payloads: Payloads | None = None,
+    settings: HoldoutSettings = DEFAULT.holdout,
+    likelihood: LikelihoodSettings = DEFAULT.inference.likelihood,
 ) -> Comparison:
     """Compare held-out flights with a model before and after effects are added.
 
@@ -117,6 +118,8 @@ def compare_holdout(
         values: Their numbers, "effect.number" -> value.
         seed: Of the bootstrap.
         payloads: Known masses aboard.
+        settings: Of the bootstrap.
+        likelihood: Of the noise, for the noise floor.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -127,48 +130,52 @@ def compare_holdout(
     before = model.channels([])
     linear = columns_of(model.numbers, model.effects)
     rows = model.channels(linear, values)
-    floors = _floors(rows, np.array([model.numbers[i].sd for i in linear]))
+    floors = _floors(rows, np.array([model.numbers[i].sd for i in linear]), likelihood)
     after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
     gaps = [
-        _gap([f[i] for f in before], [f[i] for f in after], floors[i], seed)
+        _gap([f[i] for f in before], [f[i] for f in after], floors[i], seed, settings)
         for i in range(len(before[0]))
     ]
     return Comparison(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after)
 
 
-def _floors(rows: Flights, sd: Array) -> list[float]:
+def _floors(rows: Flights, sd: Array, settings: LikelihoodSettings) -> list[float]:
     """Rms of each channel that the fit of all numbers at once leaves."""
-    noise = noise_of_all(rows, sd)
-    change, _ = Scores(whiten(rows, noise), sd).fit(range(len(sd)))
+    noise = noise_of_all(rows, sd, settings)
+    change, _ = Scores(whiten(rows, noise, settings), sd).fit(range(len(sd)))
     left = [[c.residual - c.slopes @ change for c in flight] for flight in rows]
     return [_rms(np.concatenate(parts)) for parts in zip(*left, strict=True)]
 
 
 def _gap(
-    before: Sequence[ChannelData], after: Sequence[ChannelData], floor: float, seed: int
+    before: Sequence[ChannelData],
+    after: Sequence[ChannelData],
+    floor: float,
+    seed: int,
+    settings: HoldoutSettings,
 ) -> ChannelGap:
-    sums = [_block_sums(b, a) for b, a in zip(before, after, strict=True)]
+    sums = [_block_sums(b, a, settings.block_s) for b, a in zip(before, after, strict=True)]
     rms_before, rms_after = (
         _rms(np.concatenate([c.residual for c in channels])) for channels in (before, after)
     )
-    interval = _shrink_interval(np.concatenate(sums), seed)
+    interval = _shrink_interval(np.concatenate(sums), seed, settings.fewest_blocks)
     floor = min(floor, rms_before, rms_after)
     name, unit, n = before[0].name, before[0].unit, sum(len(b.t_s) for b in before)
     return ChannelGap(name, unit, n, rms_before, rms_after, floor, interval)
 
 
-def _block_sums(before: ChannelData, after: ChannelData) -> Array:
+def _block_sums(before: ChannelData, after: ChannelData, block_s: float) -> Array:
     """Sums of squares before and after, per block of time, shape (blocks, 2)."""
-    number = np.floor(before.t_s / BLOCK_S).astype(np.int64)
+    number = np.floor(before.t_s / block_s).astype(np.int64)
     _, number = np.unique(number, return_inverse=True)
     squares = [np.bincount(number, c.residual**2) for c in (before, after)]
     return np.stack(squares, axis=-1)
 
 
-def _shrink_interval(sums: Array, seed: int) -> tuple[float, float]:
+def _shrink_interval(sums: Array, seed: int, fewest: int) -> tuple[float, float]:
     """95 % interval of the shrink, by bootstrap over the blocks."""
     n = len(sums)
-    if n < FEWEST_BLOCKS or not sums[:, 0].sum() > 0:
+    if n < fewest or not sums[:, 0].sum() > 0:
         return math.nan, math.nan
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), size=DRAWS) @ sums
     draws = draws[draws[:, 0] > 0]

@@ -11,17 +11,13 @@ from ..residuals.channels import GRID_HZ, ChannelData
 from ..residuals.spectra import spectrum
 from .model.flight import FlightModel
 from .model.model import Model
+from .settings import DEFAULT, LocalizationSettings
 
 Array = NDArray[np.float64]
 MOST = 8
 """Places that are listed."""
-ABOVE_FLOOR = 1.2
-"""A residual over its noise floor by less is noise."""
-FEWEST = 25
 BANDS_HZ = ((0.0, 0.5), (0.5, 2.0), (2.0, 6.0), (6.0, 18.0))
-BINS = 10
-TELLING = 0.2
-"""Share of a residual that a quantity must account for to be worth telling."""
+"""One of which is said to hold most of a residual."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +48,19 @@ class Place:
     goes_with: tuple[str, float] | None
 
 
-def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, float]) -> list[Place]:
+def localize(
+    model: Model,
+    values: Mapping[str, float],
+    floors: Mapping[str, float],
+    settings: LocalizationSettings = DEFAULT.localization,
+) -> list[Place]:
     """The places where residuals stand out most above their noise floor, the worst first.
 
     Args:
         model: Flights, against the model as it stands.
         values: Numbers of the named effects, "effect.number" -> value.
         floors: Noise floor by channel; channels without one are left out.
+        settings: What is worth telling.
     """
     before, after = model.channels([]), model.channels([], values)
     found = []
@@ -71,9 +73,9 @@ def localize(model: Model, values: Mapping[str, float], floors: Mapping[str, flo
         ]
         phase = np.concatenate([p.phase for p in parts])
         for name in np.unique(phase):
-            if np.sum(phase == name) >= FEWEST:
-                found.append(_place(channel, str(name), parts, floors[channel.name]))
-    found = [p for p in found if p.over_floor > ABOVE_FLOOR]
+            if np.sum(phase == name) >= settings.fewest:
+                found.append(_place(channel, str(name), parts, floors[channel.name], settings))
+    found = [p for p in found if p.over_floor > settings.above_floor]
     return sorted(found, key=lambda p: -p.over_floor)[:MOST]
 
 
@@ -97,7 +99,13 @@ def _rows(flight: FlightModel, before: ChannelData, after: ChannelData) -> _Rows
     )
 
 
-def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -> Place:
+def _place(
+    channel: ChannelData,
+    phase: str,
+    parts: list[_Rows],
+    floor: float,
+    settings: LocalizationSettings,
+) -> Place:
     masks = [p.phase == phase for p in parts]
     before = np.concatenate([p.before[m] for p, m in zip(parts, masks, strict=True)])
     after = np.concatenate([p.after[m] for p, m in zip(parts, masks, strict=True)])
@@ -111,7 +119,7 @@ def _place(channel: ChannelData, phase: str, parts: list[_Rows], floor: float) -
         over_floor=power**0.5 / floor if floor > 0 else np.inf,
         explained=1 - float(np.mean(after**2)) / power if power > 0 else 0.0,
         band_hz=_band(parts, masks),
-        goes_with=_goes_with(parts, masks, before),
+        goes_with=_goes_with(parts, masks, before, settings),
     )
 
 
@@ -128,20 +136,24 @@ def _band(parts: list[_Rows], masks: list[NDArray[np.bool_]]) -> tuple[float, fl
 
 
 def _goes_with(
-    parts: list[_Rows], masks: list[NDArray[np.bool_]], residual: Array
+    parts: list[_Rows],
+    masks: list[NDArray[np.bool_]],
+    residual: Array,
+    settings: LocalizationSettings,
 ) -> tuple[str, float] | None:
     """Quantity over which a curve takes most of the residual, about its mean."""
     about = residual - residual.mean()
-    power, best = float(about @ about), ("", TELLING)
+    power, best = float(about @ about), ("", settings.telling)
+    bins = settings.bins
     for name in set.intersection(*(set(p.quantities) for p in parts)):
         x = np.concatenate([p.quantities[name][m] for p, m in zip(parts, masks, strict=True)])
         if not np.all(np.isfinite(x)) or np.ptp(x) == 0 or power == 0:
             continue
-        edges = np.quantile(x, np.linspace(0, 1, BINS + 1)[1:-1])
+        edges = np.quantile(x, np.linspace(0, 1, bins + 1)[1:-1])
         number = np.searchsorted(edges, x)
-        count = np.bincount(number, minlength=BINS)
-        total = np.bincount(number, about, minlength=BINS)
-        share = float(np.sum(total**2 / np.maximum(count, 1))) / power - (BINS - 1) / len(x)
+        count = np.bincount(number, minlength=bins)
+        total = np.bincount(number, about, minlength=bins)
+        share = float(np.sum(total**2 / np.maximum(count, 1))) / power - (bins - 1) / len(x)
         if (share, name) > (best[1], best[0]):
             best = (name, share)
     return best if best[0] else None

@@ -42,6 +42,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         ],
         "closed_loop": _missions(found.missions) if found.missions else None,
         "next_manoeuvre": None if found.next_manoeuvre is None else asdict(found.next_manoeuvre),
+        "settings": {"hash": found.settings.hash, "changed": found.settings.changed},
     }
     strict = _strict(content)
     assert isinstance(strict, dict)

@@ -7,21 +7,20 @@ import numpy as np
 
 from ..logs import Flight
 from ..physics.sensors.table import SENSORS
+from .settings import DEFAULT, HoldoutSettings
 
 READINGS = tuple(c for s in SENSORS for c in s.columns)
 """What is hidden. Pose and commands stay: they are inputs of the twin."""
-BLOCK_S = 4.0
-EVERY = 3
-"""One block in so many is held out."""
 Span = tuple[float, float]
 
 
-def held_out_spans(flight: Flight) -> list[Span]:
-    """Every third block of time, the second one first."""
+def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) -> list[Span]:
+    """One block of time in so many, the second one first."""
     time = flight.table["time"].to_numpy(dtype=np.float64)
     first, last = float(time[0]), float(time[-1])
-    starts = np.arange(first + BLOCK_S, last, EVERY * BLOCK_S)
-    return [(float(s), min(float(s) + BLOCK_S, last)) for s in starts]
+    block_s = settings.spared_s
+    starts = np.arange(first + block_s, last, settings.spared_every * block_s)
+    return [(float(s), min(float(s) + block_s, last)) for s in starts]
 
 
 def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:

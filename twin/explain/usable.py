@@ -12,115 +12,111 @@ from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
+from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]
-SHORTEST_S = 3.0
-MOST_SATURATED = 0.2
-"""Share of the time in the air that motors may spend at a limit."""
-AT_LIMIT = 1e-3
-IMPACT_M_S2, IMPACT_HZ = 5 * GRAVITY_M_S2, 20.0
-"""Specific force below a frequency that no flight reaches, but a blow does."""
-UPSIDE_DOWN_S = 0.2
-LATEST_S = 0.5
-"""Attitude and gyroscope may be apart by so much: a delay is an effect like others."""
-SLOW_HZ, SLOWEST_M_S = 1.0, 0.2
-"""Velocity and position are compared below a frequency, and from a speed on."""
-SAME_MOTION = 0.5
-"""Correlation from which on two signals count as the same motion in the same axes."""
 
 
-def reasons_unusable(flight: Flight, vehicle: Vehicle) -> list[str]:
+def reasons_unusable(
+    flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
+) -> list[str]:
     """Why nothing can be learnt from a flight about a vehicle; empty for a usable one."""
     try:
         aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
     except LogError as error:
         return [str(error)]
     checks = (_too_short, _saturated, _fallen, _hit, _turning, _moving, _upward)
-    return [f"{flight.name}: {reason}" for check in checks for reason in check(flight, aligned)]
+    return [
+        f"{flight.name}: {reason}"
+        for check in checks
+        for reason in check(flight, aligned, settings)
+    ]
 
 
-def _too_short(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _too_short(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     seconds = float(aligned.airborne.sum()) / GRID_HZ
-    if seconds < SHORTEST_S:
-        yield f"only {seconds:.1f} s in the air; at least {SHORTEST_S:g} s are needed"
+    if seconds < settings.shortest_s:
+        yield f"only {seconds:.1f} s in the air; at least {settings.shortest_s:g} s are needed"
 
 
-def _saturated(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _saturated(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     commands = motor_columns("cmd", sum(c.startswith("cmd_") for c in flight.table))
     if not commands or not flight.has(*commands):
         return
     values = Signal(*flight.signal(commands)).held(aligned.inputs.t_s[aligned.airborne])
-    at_limit = np.any((values <= AT_LIMIT) | (values >= 1 - AT_LIMIT), axis=1)
-    if np.mean(at_limit) > MOST_SATURATED:
+    near = settings.at_limit
+    at_limit = np.any((values <= near) | (values >= 1 - near), axis=1)
+    if np.mean(at_limit) > settings.most_saturated:
         yield (
             f"a motor is at a limit for {100 * np.mean(at_limit):.0f} % of the time in the air: "
             f"commands no longer say what the motors do"
         )
 
 
-def _fallen(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _fallen(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     if aligned.motion.attitude is None:
         return
     t = aligned.inputs.t_s
     _, x, y, _ = aligned.motion.attitude.at(t).T
     upright = 1 - 2 * (x * x + y * y)  # cosine of the tilt
     over = aligned.airborne & (upright < 0)
-    if np.sum(over) > UPSIDE_DOWN_S * GRID_HZ:
+    if np.sum(over) > settings.upside_down_s * GRID_HZ:
         yield f"upside down at {t[np.argmax(over)]:.1f} s: crashed, or aerobatics"
         return
     end = upright[np.isfinite(upright)][-round(GRID_HZ) :]
-    if len(end) and np.median(end) < 0.5:
+    if len(end) and np.median(end) < settings.tipped_cos:
         yield "lies on its side at the end of the record: crashed"
 
 
-def _hit(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _hit(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     if not flight.has(*ACC):
         return
     signal = Signal(*flight.signal(ACC))
     force = np.linalg.norm(
-        Signal(signal.t_s, zero_phase(signal, IMPACT_HZ)).at(aligned.inputs.t_s), axis=1
+        Signal(signal.t_s, zero_phase(signal, settings.impact_hz)).at(aligned.inputs.t_s), axis=1
     )
-    hit = aligned.airborne & (force > IMPACT_M_S2)
+    hit = aligned.airborne & (force > settings.impact_m_s2)
     if hit.any():
         when, size = aligned.inputs.t_s[np.argmax(hit)], np.max(force[hit]) / GRAVITY_M_S2
         yield f"hits something at {when:.1f} s: {size:.0f} g"
 
 
-def _turning(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _turning(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     """Attitude against gyroscope, with either of them late."""
     attitude, rates = aligned.motion.attitude, aligned.motion.rates
     if attitude is None or rates is None or not aligned.motion.rates_measured:
         return
-    found = [agreement(attitude, rates, s) for s in np.linspace(-LATEST_S, LATEST_S, 21)]
+    late = np.linspace(-settings.latest_s, settings.latest_s, 21)
+    found = [agreement(attitude, rates, s) for s in late]
     same = [f for f in found if f is not None]
-    if same and (max(same) < SAME_MOTION or -min(same) > max(same)):
+    if same and (max(same) < settings.same_motion or -min(same) > max(same)):
         yield (
             f"attitude and gyroscope do not turn together (correlation {max(same):.2f} at best): "
             f"check that q is [w, x, y, z], body to NED, and that both use forward-right-down axes"
         )
 
 
-def _moving(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _moving(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     """Velocity against position."""
     if not flight.has(*POS) or not flight.has(*VEL):
         return
     position, velocity = (Signal(*flight.signal(c)) for c in (POS, VEL))
-    moved = Signal(position.t_s, zero_phase(position, SLOW_HZ))
+    moved = Signal(position.t_s, zero_phase(position, settings.slow_hz))
     a = Signal(moved.t_s, differentiate(moved)).at(aligned.inputs.t_s)
-    b = Signal(velocity.t_s, zero_phase(velocity, SLOW_HZ)).at(aligned.inputs.t_s)
+    b = Signal(velocity.t_s, zero_phase(velocity, settings.slow_hz)).at(aligned.inputs.t_s)
     known = np.all(np.isfinite(a) & np.isfinite(b), axis=1)
     for axis, x, y in zip("xyz", a[known].T, b[known].T, strict=True):
-        if len(y) == 0 or np.sqrt(np.mean(y * y)) < SLOWEST_M_S:
+        if len(y) == 0 or np.sqrt(np.mean(y * y)) < settings.slowest_m_s:
             continue
         same = float(np.sum(x * y) / np.sqrt(np.sum(x * x) * np.sum(y * y) + 1e-30))
-        if same < SAME_MOTION:
+        if same < settings.same_motion:
             yield (
                 f"vel_{axis} is not the rate of change of pos_{axis} (correlation {same:.2f}): "
                 f"check that both are north-east-down"
             )
 
 
-def _upward(flight: Flight, aligned: AlignedFlight) -> Iterator[str]:
+def _upward(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
     if not flight.has(*ACC):
         return
     down = Signal(*flight.signal(ACC)).at(aligned.inputs.t_s[aligned.airborne])[:, 2]

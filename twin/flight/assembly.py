@@ -15,6 +15,7 @@ from ..physics.battery import battery
 from ..physics.environment import environment
 from ..physics.sensors.position import position_sensor
 from ..physics.sensors.table import components_of_sensors
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .closed_loop import standing
 from .control.lqr_cascade import controller
@@ -41,6 +42,8 @@ class Assembly:
     parts: Mapping[str, Component]
     connections: tuple[tuple[str, str], ...]
     duration_s: float
+
+    __repr__ = short_repr
 
     def with_starts(self, starts: Mapping[str, float]) -> "Assembly":
         """The same with other start values, "part.variable" -> value.

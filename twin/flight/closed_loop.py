@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..component import Component
 from ..errors import ModelError
 from ..physics.airframe import AXES, airframe
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .control.hover import drives, thrust_inverse
 from .control.lqr_cascade import controller
@@ -54,6 +55,8 @@ class Flown:
     phase: Array
     body: Component
     bounds: tuple[float, float]
+
+    __repr__ = short_repr
 
     def state(self, *names: str) -> Array:
         """States by name, shape (n, len(names))."""

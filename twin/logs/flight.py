@@ -1,4 +1,4 @@
-"""A flight in memory: the flight table of `docs/flight_table.md` plus what its reader doubts."""
+"""A flight in memory: the table of `docs/guide/flight_table.md` plus what its reader doubts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..errors import LogError
+from ..representation import short_repr
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,8 @@ class Flight:
     findings: tuple[Finding, ...] = ()
     facts: dict[str, str] = field(default_factory=dict)
     source: Path | None = None
+
+    __repr__ = short_repr
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""

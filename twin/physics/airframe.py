@@ -21,9 +21,10 @@ from ..effects import Blocks, Effect, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
 from ..errors import ModelError
 from ..frames import carried, cross, quaternion_rate, to_body, to_ned
-from ..vehicle import GRAVITY_M_S2, Vehicle
+from ..vehicle import Vehicle
 from ..vehicle.thrust_map import first_reaching, hover_level
 from .ground import ground_contact
+from .rotor_air import hub_loads
 from .rotors import Drive, rotor_equations, rotor_inputs
 
 Array = NDArray[np.float64]
@@ -178,7 +179,7 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
             f"positions and directions."
         )
     levels = guess[len(names) :]
-    if steady and vehicle.rotors.lag_up_s == 0:
+    if steady and not vehicle.rotors.follows:
         # The only lag is an effect; it may be off, and is then trimmed for the time it is not.
         p = component.parameter_values({"motor_lag.enabled": 1.0, "motor_lag.tau_s": 1.0})
         missing = ca.Function("missing", [unknown], [component.derivatives(x, u, p)[steady]])
@@ -210,7 +211,9 @@ def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.
     if vehicle.rotors.reference_voltage_v is not None or blocks.include("battery_sag"):
         voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
     mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
-    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
+    gravity = m.parameter(
+        "gravity", vehicle.gravity_m_s2, "m/s2", "Acceleration of free fall", minimum=0
+    )
     body = blocks.apply(
         Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
     )
@@ -318,7 +321,8 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
     """Linear and quadratic drag along the body axes.
 
     Source: quadratic, Stevens, Lewis & Johnson, ch. 2; linear (rotor drag lumped into the body),
-    Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7.
+    Faessler, Franchi & Scaramuzza, RA-L 2018, eq. 7; by the whole speed, as one flow round the
+    body has it, with a coefficient per axis, Folk, Paulos & Kumar, RotorPy, arXiv 2306.04485.
     """
     force = []
     for i, (axis, air) in enumerate(zip(AXES, motion.air_b, strict=True)):
@@ -337,7 +341,44 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
             minimum=0,
         )
         force.append(-motion.density * (linear + quadratic * ca.fabs(air)) * air)
-    return force
+    if not np.any(vehicle.drag_parasitic_n_s2_m2):
+        return force
+    c = _per_axis(
+        m,
+        "drag.parasitic",
+        vehicle.drag_parasitic_n_s2_m2,
+        "N.s2/m2",
+        "Drag by the square of the whole speed, along body",
+    )
+    # Bounded below: the root has no derivative at rest.
+    speed = ca.sqrt(ca.fmax(sum((v * v for v in motion.air_b), start=ca.SX(0)), 1e-30))
+    return [
+        f - motion.density * k * speed * v for f, k, v in zip(force, c, motion.air_b, strict=True)
+    ]
+
+
+def _damping(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
+    """Moment of the air on a turning body, by the square of each body rate."""
+    if not np.any(vehicle.drag_angular_n_m_s2):
+        return [ca.SX(0)] * 3
+    c = _per_axis(
+        m,
+        "drag.angular",
+        vehicle.drag_angular_n_m_s2,
+        "N.m.s2/rad2",
+        "Moment of the air by the square of the rate about body",
+    )
+    return [-motion.density * k * ca.fabs(w) * w for k, w in zip(c, motion.omega_b, strict=True)]
+
+
+def _per_axis(
+    m: ComponentBuilder, name: str, values: Array, unit: str, meaning: str
+) -> list[ca.SX]:
+    """Three numbers that are not negative as parameters, one per body axis."""
+    return [
+        m.parameter(f"{name}_{a}", v, unit, f"{meaning} {d}", minimum=0)
+        for a, d, v in zip(AXES, _FRD, values.tolist(), strict=True)
+    ]
 
 
 def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
@@ -354,10 +395,10 @@ def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
 
 
 def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
-    """Drag of the body, thrust, reaction torque and gyroscopic torque of the rotors."""
+    """Drag of the body; thrust, torques and loads of the air on the rotors."""
     motion = rotors.motion
     force = _drag(m, vehicle, motion)
-    moment = [ca.SX(0)] * 3
+    moment = _damping(m, vehicle, motion)
     for hub, direction, thrust, torque in zip(
         motion.body.hubs, rotors.direction, rotors.thrust, rotors.torque, strict=True
     ):
@@ -380,6 +421,9 @@ def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
         momentum = [ca.SX(0), ca.SX(0), inertia * hover_level(vehicle) * spin]
         gyroscopic = cross(motion.omega_b, momentum)
         moment = [a - b for a, b in zip(moment, gyroscopic, strict=True)]
+    for push, twist in hub_loads(m, vehicle, rotors):
+        force = [a + b for a, b in zip(force, push, strict=True)]
+        moment = [a + b for a, b in zip(moment, twist, strict=True)]
     return Wrench(rotors, force, moment)
 
 

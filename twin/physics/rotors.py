@@ -20,6 +20,7 @@ from ..effects.stages import Motion, Motors, Thrust
 from ..errors import ModelError
 from ..vehicle import Rotors, Vehicle
 from ..vehicle.thrust_map import hover_level, polynomial
+from .rotor_air import by_advance, gained_thrust
 
 Drive = Literal["command", "rotor_speed"]
 
@@ -64,6 +65,11 @@ def rotor_equations(
     # A fitted polynomial may be negative near zero, where a rotor at rest does not push down.
     pushes = [_not_negative(polynomial(thrust, x)) * motion.density for x in level]
     twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
+    thrust_share, torque_share = by_advance(m, rotors, motion, level)
+    gained = gained_thrust(m, rotors.air, motion, level)
+    reactions = _reactions(m, rotors, rate)
+    pushes = [t * k + g for t, k, g in zip(pushes, thrust_share, gained, strict=True)]
+    twists = [q * k + r for q, k, r in zip(twists, torque_share, reactions, strict=True)]
     spin, spin_rate = _spin(vehicle, level, rate)
     return Thrust(
         motion, rotors.direction.tolist(), vehicle.hover_thrust_n, spin, spin_rate, pushes, twists
@@ -72,12 +78,26 @@ def rotor_equations(
 
 def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.SX]:
     """Time derivatives of measured rotor speeds, an input where an effect asks for them."""
-    if not blocks.include("rotor_inertia_torque"):
+    if not blocks.include("rotor_inertia_torque") and rotors.reaction_inertia_kg_m2 == 0:
         return [ca.SX(0)] * rotors.count
     return [
         m.input(f"spin_rate_{i}", "rad/s2", f"Rate of change of the speed of rotor {i}")
         for i in range(1, rotors.count + 1)
     ]
+
+
+def _reactions(m: ComponentBuilder, rotors: Rotors, rate: list[ca.SX]) -> list[ca.SX]:
+    """Torque that speeds each rotor up, which the body feels as it does that of the air."""
+    if rotors.reaction_inertia_kg_m2 == 0:
+        return [ca.SX(0)] * rotors.count
+    inertia = m.parameter(
+        "reaction_inertia",
+        rotors.reaction_inertia_kg_m2,
+        "kg.m2",
+        "Inertia of one rotor in the reaction to its own acceleration",
+        minimum=0,
+    )
+    return [inertia * r for r in rate]
 
 
 def _driven_by_command(
@@ -125,7 +145,7 @@ def _driven_by_command(
             m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
         )
         steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
-    if not blocks.include("motor_lag") and rotors.lag_up_s == 0:
+    if not blocks.include("motor_lag") and not rotors.follows:
         return steady, [ca.SX(0)] * rotors.count
     return _lagging(m, rotors, steady, motors)
 
@@ -140,12 +160,19 @@ def _lagging(
         if rotors.from_speed
         else ("effort", "1", "effective command of motor")
     )
+    gains = _run_up(m, rotors)
     levels, rates = [], []
     for i, target in enumerate(steady, start=1):
         start = m.parameter(f"initial.{state}_{i}", 0.0, unit, f"Initial {meaning} {i}", fixed=True)
         x = m.state(f"{state}_{i}", unit, meaning.capitalize() + f" {i}", start)
         lag = ca.if_else(target > x, motors.lag_up, motors.lag_down)
-        if rotors.lag_up_s > 0:
+        if gains is not None:
+            # As a time constant, 1 / gain: a further lag adds to it.
+            (a_up, b_up), (a_down, b_down) = gains
+            a, b = ca.if_else(target > x, a_up, a_down), ca.if_else(target > x, b_up, b_down)
+            gain = a + b * (target + x)
+            level, rate = x, gain * (target - x) / (1 + lag * gain)
+        elif rotors.lag_up_s > 0:
             level, rate = x, (target - x) / lag
         else:
             lags = lag > 0
@@ -155,6 +182,31 @@ def _lagging(
         levels.append(level)
         rates.append(rate)
     return levels, rates
+
+
+def _run_up(m: ComponentBuilder, rotors: Rotors) -> list[tuple[ca.SX, ca.SX]] | None:
+    """Linear and quadratic coefficient, rising and falling, as parameters."""
+    if rotors.run_up is None:
+        return None
+    return [
+        (
+            m.parameter(
+                f"run_up.linear_{way}",
+                r.linear_1_s,
+                "1/s",
+                f"Acceleration of a {way} rotor per missing speed",
+                minimum=0,
+            ),
+            m.parameter(
+                f"run_up.quadratic_{way}",
+                r.quadratic_1_rad,
+                "1/rad",
+                f"Acceleration of a {way} rotor per missing square of the speed",
+                minimum=0,
+            ),
+        )
+        for way, r in zip(("rising", "falling"), rotors.run_up, strict=True)
+    ]
 
 
 SLOWEST_SPIN = 0.1

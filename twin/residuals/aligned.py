@@ -14,7 +14,7 @@ from ..errors import LogError
 from ..logs import Flight
 from ..physics.airframe import airframe
 from ..physics.sensors.imu import imu
-from ..vehicle import GRAVITY_M_S2, Vehicle
+from ..vehicle import Vehicle
 from .measured import MeasuredMotion, measured_motion
 from .teacher_forced import GRID_S, Inputs, airframe_inputs, choose_drive, measured_states
 
@@ -66,8 +66,8 @@ def align_flight(
     """Put a flight onto the grid of a twin.
 
     Args:
-        flight: As read by `aligned.logs.read_flight`.
-        vehicle: As read by `aligned.vehicle.file.load_vehicle`.
+        flight: As read by `twin.logs.read_flight`.
+        vehicle: As read by `twin.vehicle.file.load_vehicle`.
         grid_s: Step of the grid, s; unmeasured states are integrated with it.
         effects: Effects to build into the airframe, switched off.
 
@@ -167,7 +167,7 @@ def _airborne(
     """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
     resting place where the record starts at rest and holds a position."""
     thrust = _rotor_thrust(body, vehicle.rotors.count, inputs)
-    carried = thrust > 0.5 * vehicle.mass_kg * GRAVITY_M_S2
+    carried = thrust > 0.5 * vehicle.mass_kg * vehicle.gravity_m_s2
     airborne = carried & (phases != "ground")
     starts_in_air = (
         bool(np.median(carried[: max(1, round(0.2 / inputs.step_s))])) and phases[0] != "ground"

@@ -26,6 +26,8 @@ from .unmeasured import integrate_states
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
+SPIN_RATE = "spin_rate_"
+"""What inputs of the airframe for rotor accelerations start with."""
 """Step of the grid: the communication step of the co-simulation."""
 _WARM_UP_S = 2.0
 RIGID = tuple(f"{s}_{a}" for s in ("pos", "vel", "omega") for a in AXES) + tuple(
@@ -87,19 +89,20 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
 def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
     """Inputs of the airframe on a uniform grid: the last sample held.
 
-    What no flight table holds, such as the wind, stays at its start value. Effects of the vehicle
-    by which commands act late act here, so that they are to be off in the airframe: a delay line
-    knows no past where an airframe is started in mid-flight.
+    What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
+    those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
+    so that they are to be off in the airframe: a delay line knows no past where an airframe is
+    started in mid-flight.
     """
     notes: list[str] = []
     late_s = late_actions(vehicle)
     u = np.tile(airframe.input_values(), (len(t_s), 1))
     columns = []
     for i, name in enumerate(airframe.input_names):
-        rotor = name.replace("spin_rate", "rotor")
-        if rotor != name and flight.has(rotor):
-            u[:, i] = _rate(Signal(*flight.signal([rotor])), t_s)
         if not is_known(name):
+            speed = name.replace(SPIN_RATE, "rotor_")
+            if speed != name and flight.has(speed):
+                u[:, i] = _rate(Signal(*flight.signal([speed])), t_s)
             continue
         if flight.has(name):
             signal = Signal(*flight.signal([name]))

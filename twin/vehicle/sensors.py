@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..representation import short_repr
+
 EARTH_FIELD_N_T = (2.11e-5, 1.5e-6, 4.384e-5)
 """World Magnetic Model 2025 at 48 N, 11 E, 500 m, mid 2025, rounded."""
 SEA_LEVEL_PRESSURE_PA = 101325.0
@@ -54,3 +56,5 @@ class Sensors:
         "site.temperature", f"{SEA_LEVEL_TEMPERATURE_K:g} K", SEA_LEVEL_TEMPERATURE_K
     )
     position: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
+
+    __repr__ = short_repr

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..representation import short_repr
 from .sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -33,6 +34,71 @@ class Battery:
 
 
 @dataclass(frozen=True, slots=True)
+class RotorAir:
+    """What the air does to one rotor that moves through it, at its hub; all 0: nothing.
+
+    With the rotor speed w, rad/s, and the velocity V of the hub through the air, m/s, body FRD:
+
+        thrust += lift (V_x^2 + V_y^2) + inflow w V_z
+        force   = -drag w [V_x, V_y, 0]
+        moment  = flapping w [-V_y, V_x, 0] - rolling w [V_x, V_y, 0]
+
+    Source: drag, inflow, lift and flapping (there with the opposite sign), Folk, Paulos & Kumar,
+    RotorPy, arXiv 2306.04485; drag and rolling, Martin & Salaun, The True Role of Accelerometer
+    Feedback in Quadrotor Control, ICRA 2010, as Gazebo has them.
+
+    Attributes:
+        drag_kg_rad: In-plane force per rotor speed and hub speed.
+        inflow_kg_rad: Thrust lost per rotor speed and climb speed.
+        lift_kg_m: Thrust gained per square of the in-plane hub speed.
+        flapping_kg_m_rad: Moment that raises the leading edge, per rotor speed and hub speed.
+        rolling_kg_m_rad: Moment against the hub's velocity, per rotor speed and hub speed.
+    """
+
+    drag_kg_rad: float = 0.0
+    inflow_kg_rad: float = 0.0
+    lift_kg_m: float = 0.0
+    flapping_kg_m_rad: float = 0.0
+    rolling_kg_m_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Advance:
+    """How thrust and reaction torque change with the advance ratio, as propellers are published.
+
+    The advance ratio is the climb speed of the hub through the air over the turns per second and
+    the diameter. Between the rows on straight lines, beyond them the first and last values.
+
+    Source: Leishman, Principles of Helicopter Aerodynamics, sec. 2.3; UIUC propeller data.
+
+    Attributes:
+        diameter_m: Of the rotor.
+        thrust: Rows (advance ratio, thrust over that at rest); empty: always 1.
+        torque: The same of the reaction torque.
+    """
+
+    diameter_m: float
+    thrust: tuple[tuple[float, float], ...]
+    torque: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RunUp:
+    """How a rotor follows its command: `dw/dt = linear (u - w) + quadratic (u^2 - w^2)`.
+
+    A motor whose torque falls with its speed, against a torque of the air that grows with the
+    square of it, is of this kind.
+
+    Attributes:
+        linear_1_s: Of the difference of speeds.
+        quadratic_1_rad: Of the difference of their squares.
+    """
+
+    linear_1_s: float
+    quadratic_1_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class Rotors:
     """Rotors of one aircraft, all alike but for place and sense of rotation.
 
@@ -49,6 +115,12 @@ class Rotors:
         spin_inertia_kg_m2: Of one rotor about its axis; 0 when unknown.
         reference_voltage_v: Voltage at which the maps of the command hold; None: ignored.
         voltage_exponent: Power of (voltage / reference) that multiplies the command.
+        run_up: How the speed follows the command, rising and falling, in place of the lag; None:
+            by the lag.
+        reaction_inertia_kg_m2: Inertia of one rotor in the reaction to its own acceleration; 0:
+            no reaction.
+        air: What the air does to a moving rotor.
+        advance: Thrust and torque in a climb; None: as at rest, but for `air`.
     """
 
     position_m: Array
@@ -62,11 +134,22 @@ class Rotors:
     spin_inertia_kg_m2: float
     reference_voltage_v: float | None
     voltage_exponent: float
+    run_up: tuple[RunUp, RunUp] | None = None
+    reaction_inertia_kg_m2: float = 0.0
+    air: RotorAir = RotorAir()
+    advance: Advance | None = None
+
+    __repr__ = short_repr
 
     @property
     def count(self) -> int:
         """Number of rotors."""
         return len(self.direction)
+
+    @property
+    def follows(self) -> bool:
+        """Whether rotors follow their command with a delay of their own."""
+        return self.lag_up_s > 0 or self.run_up is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +159,10 @@ class Vehicle:
     Attributes:
         inertia_kg_m2: Inertia matrix, shape (3, 3).
         drag_linear_n_s_m: Per body axis, shape (3,).
-        drag_quadratic_n_s2_m2: Per body axis, shape (3,).
+        drag_quadratic_n_s2_m2: Per body axis, by its own speed, `c |v_i| v_i`, shape (3,).
+        drag_parasitic_n_s2_m2: Per body axis, by the whole speed, `c |v| v_i`, shape (3,).
+        drag_angular_n_m_s2: Moment per body axis, `c |omega_i| omega_i`, shape (3,).
+        gravity_m_s2: Acceleration of free fall where it flies.
         leg_height_m: Centre of mass over the ground when standing.
         imu_position_m: Accelerometer from the centre of mass, shape (3,).
         sensors: Noise of the sensors, and the site.
@@ -102,6 +188,11 @@ class Vehicle:
     doubts: tuple[str, ...] = ()
     sensors: Sensors = field(default_factory=Sensors)
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    drag_parasitic_n_s2_m2: Array = field(default_factory=lambda: np.zeros(3))
+    drag_angular_n_m_s2: Array = field(default_factory=lambda: np.zeros(3))
+    gravity_m_s2: float = GRAVITY_M_S2
+
+    __repr__ = short_repr
 
     @property
     def drive(self) -> Literal["command", "rotor_speed"]:
@@ -113,7 +204,7 @@ class Vehicle:
     @property
     def hover_thrust_n(self) -> float:
         """Thrust of one rotor in hover, equally shared."""
-        return self.mass_kg * GRAVITY_M_S2 / self.rotors.count
+        return self.mass_kg * self.gravity_m_s2 / self.rotors.count
 
     @property
     def arm_m(self) -> float:
@@ -134,10 +225,10 @@ class Vehicle:
             return self.battery.mean_voltage_v
         return self.effects.get("battery_sag", {}).get("reference_v", NOMINAL_CELL_V)
 
-    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> "Vehicle":
+    def with_effects(self, effects: Mapping[str, Mapping[str, float]]) -> Self:
         """The same vehicle with these effects, each with all its parameters, and no others."""
         return replace(self, effects=effects)
 
-    def with_mass(self, mass_kg: float) -> "Vehicle":
+    def with_mass(self, mass_kg: float) -> Self:
         """The same vehicle with another mass."""
         return replace(self, mass_kg=mass_kg)

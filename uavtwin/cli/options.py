@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: options and exit codes."""
+"""What the verbs of the command line share: options, exit codes, texts read into numbers."""
 
 from collections.abc import Sequence
 from enum import IntEnum
@@ -39,6 +39,15 @@ def named_numbers(texts: Sequence[str], option: str, form: str) -> dict[str, flo
         if not name:
             raise TwinError(f"{option} {text}: write {form}.")
     return values
+
+
+def start_values(texts: Sequence[str] | None) -> dict[str, float]:
+    """Start values of the option `--start`.
+
+    Raises:
+        TwinError: A text is not NAME=NUMBER.
+    """
+    return named_numbers(texts or (), "--start", "NAME=NUMBER")
 
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]

@@ -5,17 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twin.explain.explanation import Explanation, explain
-from twin.explain.result_json import explain_json
 from twin.logs import Flight
 from twin.logs.table import write_flight
-from twin.residuals.flight_gap import flight_gap
-from twin.residuals.gap import FlightGap, gap_json
+from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
-from ..explanation import write_explanation
+from ..explanation import ExplainResult, explain, write_explanation
+from ..gaps import GapResult, gap
 from ..output import write_json
-from ..report.gap import write_gap_report
 from ..report.words import title
 from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
 
@@ -50,13 +47,15 @@ class Demo:
 
     hidden: Hidden
     flights: tuple[Flight, ...]
-    gap: FlightGap
-    found: Explanation
+    gap: GapResult
+    found: ExplainResult
+
+    __repr__ = short_repr
 
     @property
     def right(self) -> bool:
         """Whether the name is that of the hidden effect, alone."""
-        shown = self.found.shown
+        shown = self.found.details.shown
         return (
             self.found.verdict == "named"
             and shown is not None
@@ -86,42 +85,41 @@ def run_demo(
         for i, (name, waypoints) in enumerate((FIT | HOLDOUT).items())
     )
     progress(0.1)
-    gap = flight_gap(flights[0], vehicle, progress=lambda done: progress(0.1 + 0.2 * done))
+    compared = gap(flights[0], vehicle, progress=lambda done: progress(0.1 + 0.2 * done))
     fit, away = flights[: len(FIT)], flights[len(FIT) :]
-    found = explain(fit, away, vehicle, seed, lambda done: progress(0.3 + 0.7 * done))
-    return Demo(hidden, flights, gap, found)
+    found = explain(fit, away, vehicle, seed=seed, progress=lambda done: progress(0.3 + 0.7 * done))
+    return Demo(hidden, flights, compared, found)
 
 
 def write_demo(
-    demo: Demo, vehicle: str, folder: Path, progress: Callable[[float], None] = lambda _: None
+    demo: Demo, folder: Path, progress: Callable[[float], None] = lambda _: None
 ) -> list[str]:
     """Write flights, gap, explanation and the truth; returns the names of the files.
 
     Args:
         demo: The chain, run.
-        vehicle: Vehicle file, or name of a built-in vehicle.
         folder: To write into.
         progress: Called with the share done.
     """
     (folder / "flights").mkdir()
     for flight in demo.flights:
         write_flight(flight, folder / "flights" / f"{flight.name}.parquet")
-    write_json(folder / "gap.json", gap_json([demo.gap]))
-    write_gap_report([demo.gap], folder / "gap.html")
+    write_json(folder / "gap.json", demo.gap.json())
+    demo.gap.report(folder / "gap.html")
     hidden = demo.hidden
     write_json(
         folder / "truth.json",
         {"effect": hidden.effect, "text": hidden.text, "named_rightly": demo.right},
     )
-    written = write_explanation(demo.found, vehicle, folder, progress=progress)
+    written = write_explanation(demo.found.details, folder, progress=progress)
     return [*written, "flights/", "gap.html", "gap.json", "truth.json"]
 
 
 def demo_json(demo: Demo) -> dict[str, Any]:
     """Everything for a program."""
     return {
-        "gap": gap_json([demo.gap]),
-        "explain": explain_json(demo.found),
+        "gap": demo.gap.json(),
+        "explain": demo.found.json(),
         "truth": {"effect": demo.hidden.effect, "text": demo.hidden.text},
         "named_rightly": demo.right,
     }

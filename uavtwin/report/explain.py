@@ -75,7 +75,7 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
                 "name": title(r["name"]),
                 "meaning": meaning(r["name"]),
                 "certainty": certainty(r["probability"]),
-                "why": why_lost(r),
+                "why": why_lost(r, found.settings.inference),
             }
             for r in rivals(found, effect)
         ],

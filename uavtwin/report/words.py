@@ -16,9 +16,8 @@ from twin.explain.estimates import (
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
 from twin.explain.inference.fit import Fit
-from twin.explain.inference.pool import PER_EFFECT
-from twin.explain.inference.selection import LEAST
 from twin.explain.model.numbers import Number
+from twin.explain.settings import DEFAULT, InferenceSettings
 
 from .figures import pretty_unit
 from .gap import number, percent
@@ -55,7 +54,7 @@ def claim(found: Explanation) -> str:
     tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
-    if naming.outside > LEAST:
+    if naming.outside > naming.settings.least:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
 
@@ -65,9 +64,10 @@ def _what_else(found: Explanation, sure: list[str]) -> str:
     if not undecided(found):
         return ""
     assert found.naming is not None
+    least = found.naming.settings.least
     every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
     chance = {e: probability_of(found, e) for e in sorted(every)}
-    likely = sorted((e for e in chance if chance[e] >= LEAST), key=lambda e: -chance[e])
+    likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     tied = _joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Beside that, these flights cannot tell what it lacks: {tied}."
 
@@ -132,14 +132,14 @@ def interval(ci95: tuple[float, float] | None) -> str:
     return "\N{EN DASH}" if ci95 is None else " to ".join(map(number, ci95))
 
 
-def why_lost(rival: Mapping[str, Any]) -> str:
+def why_lost(rival: Mapping[str, Any], settings: InferenceSettings = DEFAULT.inference) -> str:
     """Why another explanation, of `rivals`, was not chosen."""
     if rival["name"] == "nothing":
         return "leaves the whole gap open" if "behind" in rival else "does not look like this"
-    if rival["probability"] >= LEAST:
+    if rival["probability"] >= settings.selection.least:
         return "explains the flights about as well: they cannot tell the two apart"
     partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])
-    if rival["behind"] < PER_EFFECT:
+    if rival["behind"] < settings.prior.per_effect:
         return f"{partners}explains the flights about as well, but with more effects or numbers"
     return (
         f"{partners}takes {100 * rival['share']:.1f} % of the gap of a channel at best, but "

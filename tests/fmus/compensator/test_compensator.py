@@ -38,7 +38,8 @@ from learning.model.compensator import Compensator
 from twin.errors import FmuError, TwinError
 from twin.flight.assembly import Assembly, connected_by_name, flying_twin
 from twin.vehicle.file import load_vehicle, vehicle_text
-from uavtwin.export import Choice, default_vehicle, export_components
+from uavtwin.cli.export import Choice, default_vehicle, export_components
+from uavtwin.exports.products import WrittenFile
 
 VEHICLE, H = "crazyflie", 0.01
 SAMPLES = {"track": 10_000, "reconstruct": 1000, "free": 1000}
@@ -317,7 +318,7 @@ def test_the_same_model_gives_the_same_bytes(fmu_of: Fmu, tmp_path: Path) -> Non
 # -- uavtwin export -------------------------------------------------------------------------
 
 
-def export(names: list[str], out: Path, **choice: Any) -> list[dict[str, Any]]:
+def export(names: list[str], out: Path, **choice: Any) -> list[WrittenFile]:
     """What `uavtwin export` writes into a new folder."""
     out.mkdir()
     return export_components(names, Choice(**choice))(out, lambda _: None)
@@ -360,7 +361,7 @@ def test_export_of_the_corrected_twin(
     """Descriptions alone: the sensors, the commands and the phase feed the compensator."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
     rows = export(["corrected-twin"], tmp_path / "out", vehicle=VEHICLE, model=folder_of("track"))
-    assert [row["file"] for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
+    assert [row.file for row in rows] == ["corrected_twin.fmu", "corrected_twin.ssp"]
     parts = read_ssp(tmp_path / "out" / "corrected_twin.ssp")
     fed = {c.target: c.source for c in parts.connections if c.target.startswith("compensator.")}
     givers = {
@@ -517,10 +518,10 @@ def test_what_the_c_generator_refuses_becomes_a_python_slave(
         compensator_model(folder)
     choice: dict[str, Any] = {"vehicle": VEHICLE, "model": folder}
     (row_,) = export(["compensator"], tmp_path / "out", **choice)
-    assert "GlobalLpPool" in row_["note"]
-    assert "onnxruntime" in row_["note"]
+    assert "GlobalLpPool" in row_.note
+    assert "onnxruntime" in row_.note
     for names, fmi, words in (
-        (["compensator"], "3", "--fmi 2"),
+        (["compensator"], "3", "for FMI 2 alone"),
         (["corrected-twin"], "2", "export the compensator alone"),
     ):
         with pytest.raises(TwinError, match=words):

@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 from twin.effects import EFFECTS
-from twin.explain.design.designer import ENOUGH, Held, Suggestion, lead, next_manoeuvre, suggestions
+from twin.explain.design.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
 from twin.explain.design.manoeuvres import hover_height_m, manoeuvres, plan
 from twin.explain.design.rehearsal import rehearse
 from twin.explain.inference import selection as search
-from twin.explain.inference.likelihood import BLOCK_S, Block
+from twin.explain.inference.likelihood import Block
 from twin.explain.inference.selection import Naming, name_effects
 from twin.explain.model.numbers import with_effects
 from twin.explain.model.payload import carrying
+from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
 from twin.logs import Flight
 from twin.vehicle import Vehicle
@@ -121,7 +122,7 @@ def test_a_plan_strings_manoeuvres_together_at_whole_blocks() -> None:
     flight = plan(COPTER, manoeuvres(COPTER))
     spans = list(flight.spans.values())
     assert [a for a, _ in spans[1:]] == [b for _, b in spans[:-1]]
-    assert np.all(np.array(spans) % BLOCK_S == 0)
+    assert np.all(np.array(spans) % DEFAULT.inference.likelihood.block_s == 0)
     assert len(flight.setpoints) == len(flight.phases)
     for first, last in spans:
         for t in (first, last - STEP_S):
@@ -217,7 +218,7 @@ def test_a_known_payload_separates_extra_mass_from_weak_rotors(truth: str) -> No
     naming = tie(hovering(COPTER, PLANTS[truth]), COPTER, list(PLANTS))
     ranked = suggestions(naming, COPTER, ["hover", "payload_swap"])
     assert ranked[0].manoeuvre == "payload_swap"
-    assert ranked[0].separation > max(ENOUGH, 10 * ranked[1].separation)
+    assert ranked[0].separation > max(DEFAULT.design.enough, 10 * ranked[1].separation)
     (swap,) = (m for m in manoeuvres(COPTER) if m.name == "payload_swap")
     old = hovering(COPTER, PLANTS[truth])
     loaded, plant = (carrying(v, swap.payload_kg) for v in (COPTER, PLANTS[truth]))

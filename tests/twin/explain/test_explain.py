@@ -14,7 +14,8 @@ from twin.explain.attribution import attribute_effect
 from twin.explain.holdout import ChannelGap, Comparison, compare_holdout
 from twin.explain.localization import localize
 from twin.explain.model.numbers import with_effects
-from twin.explain.split import BLOCK_S, held_out_spans, hidden
+from twin.explain.settings import DEFAULT
+from twin.explain.split import held_out_spans, hidden
 from twin.explain.usable import reasons_unusable
 from twin.flight.stability import fly_missions
 from twin.logs import Flight
@@ -106,7 +107,7 @@ def test_places_name_channel_phase_and_what_the_residual_goes_with(shown: Compar
 
 def test_time_blocks_share_no_reading_and_lose_none(flight: Flight) -> None:
     spans = held_out_spans(flight)
-    assert spans == [(BLOCK_S, flight.table["time"].iloc[-1])]
+    assert spans == [(DEFAULT.holdout.spared_s, flight.table["time"].iloc[-1])]
     fit, held = (hidden(flight, spans, inside) for inside in (True, False))
     for column in ("acc_x", "gyro_z"):
         a, b, whole = (f.table[column].notna() for f in (fit, held, flight))

@@ -11,15 +11,16 @@ from twin.component.sampled import noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import pool as hypotheses
 from twin.explain.inference import selection as search
-from twin.explain.inference.adequacy import LAW, coherent, credible
+from twin.explain.inference.adequacy import coherent, credible
 from twin.explain.inference.bounds import Bounds, edges
 from twin.explain.inference.fit import Fit, Problem
-from twin.explain.inference.likelihood import EXACT, Scores, Whitened, believed
+from twin.explain.inference.likelihood import Scores, Whitened, believed
 from twin.explain.inference.pool import Pool, dominated, worth_a_name
 from twin.explain.inference.robust_covariance import half_widths
 from twin.explain.inference.selection import Naming, _spoils, name_effects
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import at_voltage, numbers_of
+from twin.explain.settings import DEFAULT
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
@@ -86,8 +87,8 @@ def test_a_larger_set_has_to_explain_more_than_a_law_may_be_off() -> None:
 def test_an_effect_that_spoils_a_channel_is_told(quiet: Flight) -> None:
     problem = ground_of(quiet, "accel_bias")
     best = problem.fit(["accel_bias"])
-    assert not _spoils(best, problem)
-    assert _spoils(replace(best, raw=2.0 * problem.raw), problem)
+    assert not _spoils(best, problem, DEFAULT.inference.selection)
+    assert _spoils(replace(best, raw=2.0 * problem.raw), problem, DEFAULT.inference.selection)
 
 
 def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
@@ -220,7 +221,7 @@ def test_log_likelihood_counts_in_full_at_first_and_by_its_ratio_later() -> None
     assert believed(np.array([-3.0, 0.0, 1e-3])) == pytest.approx([-3.0, 0.0, 1e-3], rel=1e-3)
     small, large = believed(np.array([1e6, 1e8]))
     twice = believed(np.array([2e6, 2e8])) - [small, large]
-    assert twice == pytest.approx(EXACT * np.log(2), rel=1e-3)
+    assert twice == pytest.approx(DEFAULT.inference.likelihood.exact * np.log(2), rel=1e-3)
 
 
 def samples(slopes: np.ndarray) -> Whitened:
@@ -235,7 +236,9 @@ def test_only_numbers_that_change_what_is_explained_are_told() -> None:
     scores = Scores(samples(np.array([[30.0, 0.0], [0.0, 1.0]])), np.ones(2))
     assert scores.told([0], np.zeros(1)) == pytest.approx(900 / 901)
     assert scores.told([0, 1], np.zeros(1)) == pytest.approx(900 / 901 + 1 / 2)
-    assert scores.told([0, 1], np.array([100 * EXACT])) == pytest.approx(0.899 + 0.0098, abs=1e-3)
+    assert scores.told(
+        [0, 1], np.array([100 * DEFAULT.inference.likelihood.exact])
+    ) == pytest.approx(0.899 + 0.0098, abs=1e-3)
 
 
 def turned(heading_steps: int) -> Flight:
@@ -296,7 +299,7 @@ def test_what_is_not_forgotten_is_told_from_noise() -> None:
 
 
 def test_a_name_is_believed_less_the_more_it_leaves() -> None:
-    beliefs = [credible(x * LAW) for x in (0, 1, 2, 3, 7)]
+    beliefs = [credible(x * DEFAULT.inference.adequacy.law) for x in (0, 1, 2, 3, 7)]
     assert beliefs == sorted(beliefs, reverse=True)
     assert beliefs[0] > 0.95 > 0.9 > beliefs[2] > 0.5 > beliefs[3]
     assert beliefs[-1] < 1e-6
@@ -340,6 +343,13 @@ def test_a_name_whose_cause_is_likely_another_is_not_given(quiet: Flight) -> Non
     one = hypothesis(("a",), [1e4], [1.0])
     assert weighed(quiet, [one], [0.99], {"a": 0.9}).verdict == "named"
     assert weighed(quiet, [one], [0.99], {"a": 0.3}).verdict == "cannot_tell"
+
+
+def test_settings_decide_from_when_on_a_name_is_given(quiet: Flight) -> None:
+    naming = weighed(quiet, [hypothesis(("a",), [1e4], [1.0])], [0.85], {"a": 1.0})
+    strict = DEFAULT.with_values({"inference.selection.sure": 0.9}).inference.selection
+    assert naming.verdict == "named"
+    assert replace(naming, settings=strict).verdict == "cannot_tell"
 
 
 def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:

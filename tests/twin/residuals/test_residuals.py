@@ -5,13 +5,18 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from twin.errors import ModelError
+from twin.logs import Flight
+from twin.physics.airframe import airframe
 from twin.residuals.gap import Channel, FlightGap, gap_json, pool, rank, summarise
 from twin.residuals.spectra import slow_part, spectrum
+from twin.residuals.teacher_forced import airframe_inputs
+from twin.vehicle.file import load_vehicle
 
 RATE_HZ = 200.0
 
@@ -167,3 +172,21 @@ def test_any_record_however_short_gives_strict_json(n: int, bad: list[tuple[int,
     )
     report = json.loads(json.dumps(gap_json([gap(cut)]), allow_nan=False))
     assert report["channels"]["acc_z"]["n"] == int(np.isfinite(measured).sum())
+
+
+def test_rotors_accelerate_as_their_measured_speeds_say() -> None:
+    """Reaction of rotors that swing at 1 Hz, from speeds that are measured at 200 Hz."""
+    base = load_vehicle("copter_default")
+    inertia = 2e-5
+    vehicle = replace(base, rotors=replace(base.rotors, reaction_inertia_kg_m2=inertia))
+    t_s = np.arange(400) / RATE_HZ
+    speed = 600 + 50 * np.sin(2 * np.pi * t_s)
+    flight = Flight(
+        "swing", pd.DataFrame({"time": t_s} | {f"rotor_{i}": speed for i in (1, 2, 3, 4)})
+    )
+    body = airframe(vehicle, "rotor_speed")
+    grid_s = 0.2 + 1e-3 * np.arange(1000)
+    inputs = airframe_inputs(flight, vehicle, body, grid_s)
+    found = inputs.u[:, body.input_names.index("spin_rate_3")]
+    exact = 50 * 2 * np.pi * np.cos(2 * np.pi * grid_s)
+    assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()

@@ -415,6 +415,66 @@ BAD: dict[str, tuple[str, str, str]] = {
         'spin_inertia = { value = 1e-6, unit = "kg*m^2", source = "s" }',
         r"spin_inertia needs the rotor speed",
     ),
+    "drag of rotors without speed": (
+        "reference_voltage",
+        'drag = { value = 1e-4, unit = "kg/rad", source = "s" }',
+        r"rotors\.drag needs the rotor speed",
+    ),
+    "table without speed": (
+        "reference_voltage",
+        'thrust_by_advance = { value = [[0, 1], [1, 0]], unit = "1", source = "s" }',
+        r"thrust_by_advance needs the rotor speed",
+    ),
+    "table without diameter": (
+        "reference_voltage",
+        'thrust_by_advance = { value = [[0, 1], [1, 0]], unit = "1", source = "s" }',
+        r"thrust_by_advance needs rotors\.diameter",
+    ),
+    "table that falls": (
+        "reference_voltage",
+        'thrust_by_advance = { value = [[0, 1], [0, 0]], unit = "1", source = "s" }',
+        r"J must rise from row to row",
+    ),
+    "table of three columns": (
+        "reference_voltage",
+        'torque_by_advance = { value = [[0, 1, 2], [1, 0, 2]], unit = "1", source = "s" }',
+        r"rows of \[J, factor\]; it has shape \(2, 3\)",
+    ),
+    "lag and rates": (
+        "reference_voltage",
+        'rate_up = { coefficients = [7, 0], unit = "1/s", of = "rpm", source = "s" }',
+        r"rotors\.lag and rotors\.rate_up say the same thing",
+    ),
+    "one rate": (
+        "lag",
+        'rate_up = { coefficients = [7, 0], unit = "1/s", of = "rpm", source = "s" }',
+        r"rate_up and rotors\.rate_down belong together",
+    ),
+    "rate of nothing": (
+        "lag",
+        'rate_up = { coefficients = [0, 0], unit = "1/s", of = "rpm", source = "s" }',
+        r"must be two numbers \[a, b\], one above zero",
+    ),
+    "rate without coefficients": (
+        "lag",
+        'rate_up = { value = 7, unit = "1/s", source = "s" }',
+        r"rate_up needs coefficients = \[a, b\]",
+    ),
+    "rate of no speed": (
+        "lag",
+        'rate_up = { coefficients = [7, 0], unit = "1/s", source = "s" }',
+        r'rate_up needs of = "rad/s"',
+    ),
+    "drag that pushes": (
+        "drag_quadratic",
+        'drag_parasitic = { value = [1, -1, 1], unit = "N*s^2/m^2", source = "s" }',
+        r"body\.drag_parasitic = .* must be zero or positive",
+    ),
+    "no gravity": (
+        "full_voltage",
+        '[site]\ngravity = { value = 0, unit = "m/s^2", source = "s" }',
+        r"site\.gravity = .* must be positive",
+    ),
     "range of one": (
         "command_range",
         'command_range = { value = [0, 0], source = "s" }',
@@ -447,6 +507,55 @@ def test_what_is_wrong_is_said(case: str) -> None:
         parse_vehicle(entry(FULL, key, line), "mine.toml")
     assert str(error.value).startswith("mine.toml: ")
     assert len(str(error.value)) < 600
+
+
+AIR = """\
+drag = { value = 0.119, unit = "g/rad", source = "s" }
+inflow = { value = 2.32e-4, unit = "N*s^2/(m*rad)", source = "s" }
+lift = { value = 1e-3, unit = "N/(m/s)^2", source = "s" }
+flapping_moment = { value = -1e-6, unit = "N*m/((rad/s)*(m/s))", source = "s" }
+rolling_moment = { value = 2e-6, unit = "kg*m/rad", source = "s" }
+reaction_inertia = { value = 20, unit = "mg*m^2", source = "s" }
+diameter = { value = 10, unit = "inch", source = "s" }
+thrust_by_advance = { value = [[0, 1], [50, 0]], unit = "percent", source = "s" }
+speed_from_command = { coefficients = [0, 2000], unit = "rad/s", source = "s" }
+rate_up = { coefficients = [7, 2e-4], unit = "1/s", of = "rpm", source = "s" }
+rate_down = { coefficients = [0, 3e-4], unit = "1/s", of = "rad/s", source = "s" }
+"""
+
+
+def test_loads_of_the_air_on_rotors_are_converted_to_si() -> None:
+    v = parse_vehicle(by_speed() + AIR.replace("[0, 1], [50, 0]", "[0, 100], [50, 0]"), "air.toml")
+    air, advance, run_up = v.rotors.air, v.rotors.advance, v.rotors.run_up
+    assert air.drag_kg_rad == pytest.approx(1.19e-4)
+    assert (air.inflow_kg_rad, air.lift_kg_m) == pytest.approx((2.32e-4, 1e-3))
+    assert (air.flapping_kg_m_rad, air.rolling_kg_m_rad) == pytest.approx((-1e-6, 2e-6))
+    assert v.rotors.reaction_inertia_kg_m2 == pytest.approx(2e-5)
+    assert advance is not None
+    assert advance.diameter_m == pytest.approx(0.254)
+    np.testing.assert_allclose(advance.thrust, [[0, 1], [0.5, 0]])
+    assert advance.torque == ()
+    assert run_up is not None
+    up, down = run_up
+    # dw = b (u^2 - w^2) in rpm/s is (2 pi / 60) b (60 / 2 pi)^2 of the squares in rad/s.
+    assert (up.linear_1_s, up.quadratic_1_rad) == pytest.approx((7.0, 2e-4 * 60 / (2 * np.pi)))
+    assert (down.linear_1_s, down.quadratic_1_rad) == (0.0, 3e-4)
+    assert v.doubts == ()
+
+
+def test_what_looks_odd_about_rotors_is_a_doubt() -> None:
+    table = 'thrust_by_advance = { value = [[0, 0.9], [1, 0]], unit = "1", source = "s" }\n'
+    diameter = 'diameter = { value = 0.2, unit = "m", source = "s" }\n'
+    reaction = 'reaction_inertia = { value = 1e-5, unit = "kg*m^2", source = "s" }\n'
+    speed = 'speed_from_command = { coefficients = [0, 5000], unit = "rad/s", source = "s" }\n'
+    for text, says in (
+        (table + diameter, "thrust_by_advance is 0.9 at rest"),
+        (diameter, "diameter counts only with"),
+        (reaction + speed, "counts only with measured rotor speeds"),
+    ):
+        (doubt,) = parse_vehicle(by_speed() + text, "odd.toml").doubts
+        assert says in doubt
+    assert parse_vehicle(by_speed() + reaction, "fine.toml").doubts == ()
 
 
 def test_all_mistakes_are_said_at_once() -> None:

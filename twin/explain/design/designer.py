@@ -24,17 +24,16 @@ from ...logs import Flight
 from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
 from ..inference.fit import Fit
-from ..inference.likelihood import BLOCK_S, Block, blocks_of
+from ..inference.likelihood import Block, blocks_of
 from ..inference.selection import Naming
 from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying
+from ..settings import DEFAULT, DesignSettings
 from .manoeuvres import Manoeuvre, manoeuvres, plan
 from .rehearsal import rehearse, volts_of
 
 Array = NDArray[np.float64]
-ENOUGH = 5.0
-"""Expected log likelihood below which a manoeuvre separates nothing."""
 SHAPE_STEP = 0.03
 """Relative step by which a shape is moved for its slope."""
 
@@ -78,6 +77,7 @@ def next_manoeuvre(
     vehicle: Vehicle,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
+    settings: DesignSettings = DEFAULT.design,
 ) -> Suggestion | None:
     """The manoeuvre that separates the two leading explanations best.
 
@@ -86,14 +86,15 @@ def next_manoeuvre(
         vehicle: The model as it stands.
         seed: Not used: nothing is drawn.
         progress: Called with the share done.
+        settings: Sizes of manoeuvres, and what is enough.
 
     Returns:
         None where the name is sure, or where no manoeuvre of the list would help.
     """
     if naming.sure:
         return None
-    best = suggestions(naming, vehicle, progress=progress)[0]
-    return best if best.separation >= ENOUGH else None
+    best = suggestions(naming, vehicle, progress=progress, settings=settings)[0]
+    return best if best.separation >= settings.enough else None
 
 
 def suggestions(
@@ -101,6 +102,7 @@ def suggestions(
     vehicle: Vehicle,
     among: Sequence[str] | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    settings: DesignSettings = DEFAULT.design,
 ) -> list[Suggestion]:
     """What each manoeuvre separates of the two leading explanations, the best first.
 
@@ -109,9 +111,11 @@ def suggestions(
         vehicle: The model as it stands.
         among: Names of manoeuvres that can be flown there; default: all.
         progress: Called with the share done.
+        settings: Sizes of manoeuvres.
     """
+    block_s = naming.problem.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
-    listed = [m for m in _flyable(naming, vehicle) if among is None or m.name in among]
+    listed = [m for m in _flyable(naming, vehicle, settings) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
     held = [_held(naming, f) for f in rivals]
     rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
@@ -119,7 +123,7 @@ def suggestions(
         progress((n + 0.3) / (len(rounds) + 0.3))
         loaded = carrying(vehicle, payload_kg)
         chosen = [m for m in listed if (m.voltage, m.payload_kg) == (voltage, payload_kg)]
-        flown = plan(loaded, chosen)
+        flown = plan(loaded, chosen, settings, block_s)
         plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
             flight = rehearse(flown, loaded, plant, flights, voltage)
@@ -128,7 +132,7 @@ def suggestions(
             continue
         for name, (first, last) in flown.spans.items():
             if last <= flight.table["time"].iloc[-1]:
-                inside = [b for (_, k), b in blocks.items() if first <= k * BLOCK_S < last]
+                inside = [b for (_, k), b in blocks.items() if first <= k * block_s < last]
                 leads[name] += lead(inside, held[1 - i]) / 2
     pair, present = (rivals[0].effects, rivals[1].effects), _present(naming, *rivals)
     found = [Suggestion(m.name, m.description, pair, leads[m.name], present) for m in listed]
@@ -152,7 +156,7 @@ def _parting(
         if c.name in noise
     ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
-    return blocks_of([rows], even) if rows else {}
+    return blocks_of([rows], even, naming.problem.settings) if rows else {}
 
 
 def lead(blocks: Sequence[Block], held: Held) -> float:
@@ -185,7 +189,8 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
 def _held(naming: Naming, fitted: Fit) -> Held:
     """How far the flights so far, and the priors, let the numbers of an explanation move."""
     problem = naming.problem
-    blocks = blocks_of(_answers(problem.model, fitted), problem.noise).values()
+    answers = _answers(problem.model, fitted)
+    blocks = blocks_of(answers, problem.noise, problem.settings).values()
     numbers, at = _numbers(problem.model, fitted), dict(fitted.values)
     prior = np.diag([1 / n.sd**2 for n in numbers])
     return Held(
@@ -197,13 +202,14 @@ def _held(naming: Naming, fitted: Fit) -> Held:
 
 def _present(naming: Naming, a: Fit, b: Fit) -> float:
     """Log likelihood by which the truth leads in the flights so far: both are at their best."""
-    model, noise = naming.problem.model, naming.problem.noise
+    problem, model = naming.problem, naming.problem.model
     ours, theirs = model.channels([], a.values), model.channels([], b.values)
     rows = [
         [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
         for f, g in zip(ours, theirs, strict=True)
     ]
-    return 0.5 * sum(block.power for block in blocks_of(rows, noise).values())
+    blocks = blocks_of(rows, problem.noise, problem.settings).values()
+    return 0.5 * sum(block.power for block in blocks)
 
 
 def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
@@ -236,10 +242,11 @@ def _names(model: Model) -> list[str]:
 # -- flying ---------------------------------------------------------------------------------
 
 
-def _flyable(naming: Naming, vehicle: Vehicle) -> list[Manoeuvre]:
+def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list[Manoeuvre]:
     """Manoeuvres that can be told from another: the battery only where its voltage counts."""
     flights = _flights(naming)
-    listed = manoeuvres(vehicle, charged=volts_of(flights, vehicle) >= vehicle.voltage_v)
+    charged = volts_of(flights, vehicle) >= vehicle.voltage_v
+    listed = manoeuvres(vehicle, charged, settings)
     effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
     felt = vehicle.rotors.reference_voltage_v is not None
     felt = felt or any("vbat" in EFFECTS[e].needs for e in effects)

@@ -16,7 +16,7 @@ from ...flight.control.hover import thrust_inverse
 from ...flight.minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
 from ...flight.mission import SMALL_ARM_M
 from ...vehicle import GRAVITY_M_S2, Vehicle
-from ..inference.likelihood import BLOCK_S
+from ..settings import DEFAULT, DesignSettings
 
 Array = NDArray[np.float64]
 Move = Callable[[Array], Array]
@@ -24,23 +24,6 @@ Move = Callable[[Array], Array]
 shape (n, 4)."""
 Point = tuple[float, float, float, float, float]
 """Time to get there in s, then north, east, down in m and heading in rad, off the hover."""
-HOVER_M = 1.5
-"""Height of the hover over the resting place, and unit of the ways. Vehicles with short arms fly
-everything at half the size, as in missions."""
-PUSH, FASTEST_M_S2 = 0.4, 4.0
-"""Share of the acceleration that thrust over weight allows, and its bound. Made up."""
-CLEARANCE_M, CLEARANCE_ARMS = 0.15, 0.7
-"""Between legs and ground, the larger of both: who reads the log must see that it flies."""
-OTHER_VOLTAGE = 0.1
-"""What lies between a charged and a nearly empty battery, as a share of the voltage."""
-PAYLOAD, LIGHTEST_PAYLOAD = 0.5, 0.02
-"""Known mass to be strapped on, as a share of the vehicle's. The largest, where thrust allows it:
-explanations part by half of that of what they explain, and laws are right to a seventh only (see
-`evidence.EXACT`). The smallest: made up."""
-PAUSE_S = 1.0
-"""Shortest hover after a manoeuvre."""
-SETTLE_S = 6.0
-"""Hover after the takeoff, in which the controller learns what its model lacks."""
 _GROUND_S, _TAKEOFF_S = 1.0, 3.0
 
 
@@ -73,7 +56,7 @@ class Plan:
         setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
         phases: Of each row.
         spans: Of each manoeuvre with the hover after it, first and last time in s, whole multiples
-            of `evidence.BLOCK_S`.
+            of a block of time.
     """
 
     setpoints: Array
@@ -81,47 +64,59 @@ class Plan:
     spans: Mapping[str, tuple[float, float]]
 
 
-def manoeuvres(vehicle: Vehicle, charged: bool = True) -> tuple[Manoeuvre, ...]:
+def manoeuvres(
+    vehicle: Vehicle, charged: bool = True, settings: DesignSettings = DEFAULT.design
+) -> tuple[Manoeuvre, ...]:
     """All there are.
 
     Args:
         vehicle: Its arms scale the ways, its thrust over weight the accelerations.
         charged: Whether the flights so far had a charged battery.
+        settings: Sizes.
     """
-    k = hover_height_m(vehicle) / HOVER_M
+    k = hover_height_m(vehicle, settings) / settings.hover_m
     lift = thrust_inverse(vehicle).full_n / vehicle.hover_thrust_n
-    climb = min(PUSH * (lift - 1) * GRAVITY_M_S2, FASTEST_M_S2)
-    push = min(PUSH * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, FASTEST_M_S2)
+    share, fastest = settings.push, settings.fastest_m_s2
+    climb = min(share * (lift - 1) * GRAVITY_M_S2, fastest)
+    push = min(share * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, fastest)
     climb, push = max(climb, 0.3), max(push, 0.3)
     return (
-        *_on_the_spot(charged),
-        _payload_swap(vehicle, lift),
-        *_vertical(vehicle, k, climb),
+        *_on_the_spot(charged, settings.other_voltage),
+        _payload_swap(vehicle, lift, settings),
+        *_vertical(vehicle, k, climb, settings),
         *_sideways(k, push),
     )
 
 
-def hover_height_m(vehicle: Vehicle) -> float:
+def hover_height_m(vehicle: Vehicle, settings: DesignSettings = DEFAULT.design) -> float:
     """Over the resting place, where manoeuvres start."""
-    return HOVER_M * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
+    return settings.hover_m * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
 
 
-def plan(vehicle: Vehicle, chosen: Sequence[Manoeuvre]) -> Plan:
+def plan(
+    vehicle: Vehicle,
+    chosen: Sequence[Manoeuvre],
+    settings: DesignSettings = DEFAULT.design,
+    block_s: float = DEFAULT.inference.likelihood.block_s,
+) -> Plan:
     """A flight: stand, take off, fly each manoeuvre, land.
 
     Args:
         vehicle: Says where it stands and how high it hovers.
         chosen: In this order.
+        settings: Sizes.
+        block_s: Blocks of time that flights are judged in.
     """
-    height = hover_height_m(vehicle)
+    height = hover_height_m(vehicle, settings)
     pieces = [
         ("ground", np.zeros((_rows(_GROUND_S), 4))),
         ("takeoff", _sampled(_path((_TAKEOFF_S, 0, 0, -height, 0)), _TAKEOFF_S)),
     ]
     hover, spans, t = np.array([0.0, 0.0, -height, 0.0]), {}, 0.0
     before = _GROUND_S + _TAKEOFF_S
-    for m in (Manoeuvre("", "", SETTLE_S, _path()), *chosen):
-        last = t + BLOCK_S * math.ceil((before + m.duration_s + PAUSE_S) / BLOCK_S)
+    for m in (Manoeuvre("", "", settings.settle_s, _path()), *chosen):
+        blocks = math.ceil((before + m.duration_s + settings.pause_s) / block_s)
+        last = t + block_s * blocks
         pieces.append(("tour", hover + _sampled(m.move, m.duration_s)))
         pieces.append(("hover", np.tile(hover, (_rows(last - t - before - m.duration_s), 1))))
         spans[m.name] = (t, last)
@@ -141,11 +136,11 @@ def plan(vehicle: Vehicle, chosen: Sequence[Manoeuvre]) -> Plan:
 # -- the list -------------------------------------------------------------------------------
 
 
-def _on_the_spot(charged: bool) -> list[Manoeuvre]:
+def _on_the_spot(charged: bool, other_voltage: float) -> list[Manoeuvre]:
     """Hovers and turns."""
     turn = np.pi / 3
     other = "a nearly empty" if charged else "a freshly charged"
-    voltage = 1 - OTHER_VOLTAGE if charged else 1 + OTHER_VOLTAGE
+    voltage = 1 - other_voltage if charged else 1 + other_voltage
     return [
         Manoeuvre("hover", "Hover for 7 s without moving.", 7.0, _path()),
         Manoeuvre("other_voltage", f"Hover for 7 s with {other} battery.", 7.0, _path(), voltage),
@@ -163,9 +158,9 @@ def _on_the_spot(charged: bool) -> list[Manoeuvre]:
     ]
 
 
-def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
+def _payload_swap(vehicle: Vehicle, lift: float, settings: DesignSettings) -> Manoeuvre:
     """Hover with a mass that is known: what scales a force acts on it, what adds one does not."""
-    share = max(min(PAYLOAD, PUSH * (lift - 1)), LIGHTEST_PAYLOAD)
+    share = max(min(settings.payload, settings.push * (lift - 1)), settings.lightest_payload)
     payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
     return Manoeuvre(
         "payload_swap",
@@ -177,12 +172,14 @@ def _payload_swap(vehicle: Vehicle, lift: float) -> Manoeuvre:
     )
 
 
-def _vertical(vehicle: Vehicle, k: float, climb: float) -> list[Manoeuvre]:
+def _vertical(
+    vehicle: Vehicle, k: float, climb: float, settings: DesignSettings
+) -> list[Manoeuvre]:
     """Up and down: in steps, for long, to the ground."""
     short, tall, fast = k, 4 * k, 2.5 * k
     step_s, tall_s = _time_s(short, climb), _time_s(tall, climb, fast)
-    clearance = max(CLEARANCE_M, CLEARANCE_ARMS * vehicle.arm_m)
-    low = hover_height_m(vehicle) - clearance
+    clearance = max(settings.clearance_m, settings.clearance_arms * vehicle.arm_m)
+    low = hover_height_m(vehicle, settings) - clearance
     return [
         _pointwise(
             "vertical_steps",

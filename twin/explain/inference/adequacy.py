@@ -12,54 +12,54 @@ import numpy as np
 from ...physics.sensors.table import BODY, sensor_of
 from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ..model.model import Model
+from ..settings import DEFAULT, AdequacySettings
 from .fit import Fit
 
-LAW = 1 / 7
-"""Deviation of a law of the right name from nature's, as a share of what it explains; the same as
-in `evidence.EXACT`."""
-OUTSIDE = 0.1
-"""Prior probability that a cause is none of the library. Made up."""
-CHANCE = 2.0
-"""Deviations by which what is left has to stand out of noise."""
-MEMORY = 2.0
-"""Time in which noise is forgotten, in periods of the highest frequency of a channel."""
 
-
-def credible(misfit: float) -> float:
+def credible(misfit: float, settings: AdequacySettings = DEFAULT.inference.adequacy) -> float:
     """Probability that a cause is of the library, given the share of amplitude that is left.
 
-    By Bayes: what a right name leaves is normal about zero, with the deviation `LAW`; a wrong name
+    By Bayes: what a right name leaves is normal about zero, with the deviation `law`; a wrong name
     may leave anything.
     """
-    right = (1 - OUTSIDE) * 2 / (LAW * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / LAW) ** 2)
-    return float(right / (right + OUTSIDE))
+    law, outside = settings.law, settings.outside
+    right = (1 - outside) * 2 / (law * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / law) ** 2)
+    return float(right / (right + outside))
 
 
-def misfits(model: Model, fitted: Fit, without: Mapping[str, Fit]) -> dict[str, float]:
+def misfits(
+    model: Model,
+    fitted: Fit,
+    without: Mapping[str, Fit],
+    settings: AdequacySettings = DEFAULT.inference.adequacy,
+) -> dict[str, float]:
     """Of each effect the share of amplitude that it leaves in the channel that it explains most.
 
     Args:
         model: Flights.
         fitted: A hypothesis.
         without: The same without one of its effects, by that effect.
+        settings: What counts as left.
     """
     after, found = model.channels([], fitted.values), {}
     for effect, rest in without.items():
         i = int(np.argmax((fitted.gains - rest.gains).sum(axis=0)))
         before = model.channels([], rest.values)
         (there, _), (left, chance) = (
-            coherent([f[i] for f in flights]) for flights in (before, after)
+            coherent([f[i] for f in flights], settings) for flights in (before, after)
         )
-        share = max(left - CHANCE * chance, 0.0) / there if there > 0 else 0.0
+        share = max(left - settings.chance * chance, 0.0) / there if there > 0 else 0.0
         found[effect] = float(np.sqrt(min(share, 1.0)))
     return found
 
 
-def coherent(flights: Sequence[ChannelData]) -> tuple[float, float]:
+def coherent(
+    flights: Sequence[ChannelData], settings: AdequacySettings = DEFAULT.inference.adequacy
+) -> tuple[float, float]:
     """Mean power of a channel that is not forgotten, and the deviation of that by mere noise."""
     sensor = sensor_of(flights[0].name)
     band = BAND_HZ if sensor is not None and sensor.group == BODY else POSE_BAND_HZ
-    lag = round(MEMORY * CHANNEL_HZ / band)
+    lag = round(settings.memory * CHANNEL_HZ / band)
     total, power, n = 0.0, 0.0, 0
     for c in flights:
         for k in np.unique(c.piece):

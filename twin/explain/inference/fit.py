@@ -15,6 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from ..model.model import Model
 from ..model.numbers import Number, columns_of
+from ..settings import DEFAULT, LikelihoodSettings
 from .bounds import Bounds, edges
 from .likelihood import Flights, Noise, Scores, Whitened, noise_of_all, whiten
 
@@ -81,6 +82,7 @@ class Problem:
         columns: Numbers that `rest` has slopes by.
         rest: Without any effect.
         raw: Power of each channel without any effect.
+        settings: Of the noise, and how far laws are believed.
     """
 
     model: Model
@@ -88,14 +90,18 @@ class Problem:
     columns: tuple[int, ...]
     rest: Whitened
     raw: Array
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood
 
     @classmethod
-    def of(cls, model: Model) -> "Problem":
+    def of(
+        cls, model: Model, settings: LikelihoodSettings = DEFAULT.inference.likelihood
+    ) -> "Problem":
         """Flights with every number of their model, and the noise that it leaves."""
         columns = columns_of(model.numbers, model.effects)
         rows = model.channels(columns)
-        noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]))
-        return cls(model, noise, tuple(columns), whiten(rows, noise), raw_powers(rows))
+        noise = noise_of_all(rows, np.array([model.numbers[i].sd for i in columns]), settings)
+        rest = whiten(rows, noise, settings)
+        return cls(model, noise, tuple(columns), rest, raw_powers(rows), settings)
 
     def nothing(self) -> Fit:
         """The hypothesis that nothing is missing."""
@@ -172,7 +178,7 @@ class Problem:
             values = dict(zip(names, then, strict=True)) | dict(shapes)
             step = rows.slopes @ (then - now)
             flights = self.model.channels([], values)
-            after, raw = whiten(flights, self.noise).residual, raw_powers(flights)
+            after, raw = self._whiten(flights).residual, raw_powers(flights)
             bend = after - (rows.residual - step)
             now = then
             rows = replace(rows, residual=after)
@@ -187,7 +193,7 @@ class Problem:
             tuple(numbers),
             scores.half_widths(range(len(now))),
             gains,
-            scores.told(range(len(now)), gains.sum(axis=0)) + len(shapes),
+            scores.told(range(len(now)), gains.sum(axis=0), self.settings) + len(shapes),
             rows.per_cell(rows.residual**2).sum(axis=0),
             raw,
             tuple(edges(numbers, values, self.model.vehicle)),
@@ -198,7 +204,7 @@ class Problem:
         numbers = [self.model.numbers[i] for i in self.columns]
         home, sd = (np.array([f(n) for n in numbers]) for f in (_now, _sd))
         now = np.array([fitted.values.get(n.full, n.now) for n in numbers])
-        rows = whiten(self.model.channels(self.columns, fitted.values), self.noise)
+        rows = self._whiten(self.model.channels(self.columns, fitted.values))
         return Scores(rows, sd, now - home)
 
     def _rows(self, columns: Sequence[int], values: Mapping[str, float]) -> tuple[Whitened, Array]:
@@ -208,7 +214,10 @@ class Problem:
             known = [self.columns.index(i) for i in columns]
             return replace(self.rest, slopes=self.rest.slopes[:, known]), self.raw
         flights = self.model.channels(columns, values)
-        return whiten(flights, self.noise), raw_powers(flights)
+        return self._whiten(flights), raw_powers(flights)
+
+    def _whiten(self, flights: Flights) -> Whitened:
+        return whiten(flights, self.noise, self.settings)
 
 
 def raw_powers(flights: Flights) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...residuals.channels import ChannelData
+from ..settings import DEFAULT, LikelihoodSettings
 from .bounds import Bounds
 from .robust_covariance import half_widths
 
@@ -23,16 +24,6 @@ Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
 Key = tuple[int, int]
 """Flight and number of the time block in it."""
-AR_ORDER = 15
-BLOCK_S = 2.0
-HUBER = 4.0
-"""Innovations beyond so many standard deviations weigh less (a bump, a lost packet)."""
-ROUGHNESS = 1e-3
-"""White noise added to every channel, as a share of its unexplained power: no model is exact, and
-without it a smooth residual would count as known to many more digits than it is."""
-EXACT = 100.0
-"""Log likelihood in a channel from which on the law of an effect shows that it is not exact: two
-percent more of it are worth two, as if the law were right to about a seventh."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,35 +60,41 @@ class Noise:
     weights: tuple[Array, ...]
 
 
-def noise_of(channels: Sequence[ChannelData], unexplained: Sequence[Array], order: int) -> Noise:
+def noise_of(
+    channels: Sequence[ChannelData],
+    unexplained: Sequence[Array],
+    order: int,
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+) -> Noise:
     """Noise of a channel from what is left of it.
 
     Args:
         channels: The channel of each flight.
         unexplained: Per flight, shape (n,).
         order: Of the autoregression; 0: white.
+        settings: Of the noise.
     """
     parts = [
         u[c.piece == k]
         for c, u in zip(channels, unexplained, strict=True)
         for k in np.unique(c.piece)
     ]
-    inverse, size = _autoregression(parts, order)
+    inverse, size = _autoregression(parts, order, settings.roughness)
     weights = []
     for c, u in zip(channels, unexplained, strict=True):
         size_of = np.abs(_whitened(c, u, inverse)) / size
-        weights.append(np.sqrt(np.minimum(1.0, HUBER / np.maximum(size_of, 1e-9))))
+        weights.append(np.sqrt(np.minimum(1.0, settings.huber / np.maximum(size_of, 1e-9))))
     return Noise(inverse, size, tuple(weights))
 
 
-def _autoregression(parts: Sequence[Array], order: int) -> tuple[Array, float]:
-    """Inverse filter and the deviation of the innovation."""
+def _autoregression(parts: Sequence[Array], order: int, roughness: float) -> tuple[Array, float]:
+    """Inverse filter and the deviation of the innovation, with some white noise added."""
     long = [r for r in parts if len(r) > 2 * order]
     if order == 0 or not long:
         return np.ones(1), max(float(np.std(np.concatenate(list(parts)))), 1e-12)
     windows = np.vstack([np.lib.stride_tricks.sliding_window_view(r, order + 1) for r in long])
     past, now = windows[:, :-1][:, ::-1], windows[:, -1]
-    rough = ROUGHNESS * float(np.mean(now * now)) + 1e-300
+    rough = roughness * float(np.mean(now * now)) + 1e-300
     a = np.linalg.solve(past.T @ past + rough * len(now) * np.eye(order), past.T @ now)
     innovation = now - past @ a
     gain = 1.0 + float(a @ a)
@@ -175,12 +172,17 @@ _FAR = 1 << 32
 """More blocks of time than any flight has."""
 
 
-def whiten(flights: Flights, noise: Sequence[Noise]) -> Whitened:
+def whiten(
+    flights: Flights,
+    noise: Sequence[Noise],
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+) -> Whitened:
     """Channels through the inverse of their noise.
 
     Args:
         flights: Channels of each flight.
         noise: Of each channel.
+        settings: Length of the blocks of time.
     """
     residuals, slopes, channels, keys = [], [], [], []
     for f, row in enumerate(flights):
@@ -189,7 +191,7 @@ def whiten(flights: Flights, noise: Sequence[Noise]) -> Whitened:
             residuals.append(_whitened(c, c.residual, n.inverse) * weight)
             slopes.append(_whitened(c, c.slopes, n.inverse) * weight[:, None])
             channels.append(np.full(len(c.t_s), i, dtype=np.intp))
-            keys.append(f * _FAR + np.floor(c.t_s / BLOCK_S).astype(np.intp))
+            keys.append(f * _FAR + np.floor(c.t_s / settings.block_s).astype(np.intp))
     known, block = np.unique(np.concatenate(keys), return_inverse=True)
     channel = np.concatenate(channels)
     order = np.lexsort((channel, block))
@@ -203,19 +205,24 @@ def whiten(flights: Flights, noise: Sequence[Noise]) -> Whitened:
     )
 
 
-def blocks_of(flights: Flights, noise: Sequence[Noise]) -> dict[Key, Block]:
+def blocks_of(
+    flights: Flights,
+    noise: Sequence[Noise],
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+) -> dict[Key, Block]:
     """Sums over blocks of time, all channels together."""
-    return whiten(flights, noise).blocks()
+    return whiten(flights, noise, settings).blocks()
 
 
-def believed(gains: Array) -> Array:
+def believed(gains: Array, settings: LikelihoodSettings = DEFAULT.inference.likelihood) -> Array:
     """Log likelihood of each channel, given that no law is exact.
 
-    What a law gets wrong grows with what it explains: a gain counts in full up to `EXACT`, and by
+    What a law gets wrong grows with what it explains: a gain counts in full up to `exact`, and by
     its ratio above, as in a posterior that asks for closeness to the data and not for the data:
     Miller & Dunson, J. American Statistical Association 114 (2019).
     """
-    return np.where(gains > 0, EXACT * np.log1p(np.maximum(gains, 0) / EXACT), gains)
+    exact = settings.exact
+    return np.where(gains > 0, exact * np.log1p(np.maximum(gains, 0) / exact), gains)
 
 
 class Scores:
@@ -249,7 +256,12 @@ class Scores:
         grams, pulls = self._of(c)
         return half_widths(inverse, grams, pulls - grams @ change)
 
-    def told(self, columns: Sequence[int], gains: Array) -> float:
+    def told(
+        self,
+        columns: Sequence[int],
+        gains: Array,
+        settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+    ) -> float:
         """How many of some numbers the channels tell, with a law that is not exact.
 
         A direction in which they may move without changing much of what is explained is free.
@@ -258,10 +270,11 @@ class Scores:
         Args:
             columns: The numbers.
             gains: Log likelihood that each channel gains by them, shape (channels,).
+            settings: How exact a law is.
         """
         c = np.asarray(columns, dtype=np.intp)
         grams, _ = self._of(c)
-        gram = np.einsum("bckl,c->kl", grams, 1 / (1 + np.maximum(gains, 0) / EXACT))
+        gram = np.einsum("bckl,c->kl", grams, 1 / (1 + np.maximum(gains, 0) / settings.exact))
         return float(np.trace(np.linalg.solve(gram + np.diag(self._precision[c]), gram)))
 
     def gains(self, columns: Sequence[int], bounds: Bounds) -> Array:
@@ -290,7 +303,9 @@ class Scores:
         return self._grams[:, :, columns[:, None], columns], self._pulls[:, :, columns]
 
 
-def noise_of_all(flights: Flights, sd: Array, rounds: int = 3) -> list[Noise]:
+def noise_of_all(
+    flights: Flights, sd: Array, settings: LikelihoodSettings = DEFAULT.inference.likelihood
+) -> list[Noise]:
     """Noise of every channel, from what all numbers together leave unexplained.
 
     The first fit takes the noise for white: an autoregression would take an offset for a walk.
@@ -298,14 +313,16 @@ def noise_of_all(flights: Flights, sd: Array, rounds: int = 3) -> list[Noise]:
     Args:
         flights: Channels of each flight; all have the same channels in the same order.
         sd: Prior deviations of the numbers, shape (k,).
-        rounds: Fits of all numbers and the noise in turn, after the first.
+        settings: Of the noise.
     """
     by_channel = list(zip(*flights, strict=True))
     unexplained = [[c.residual for c in channels] for channels in by_channel]
     order = 0
-    for _ in range(rounds + 1):
-        noise = [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]
-        change, _ = Scores(whiten(flights, noise), sd).fit(range(len(sd)))
+    for _ in range(settings.rounds + 1):
+        noise = [
+            noise_of(c, u, order, settings) for c, u in zip(by_channel, unexplained, strict=True)
+        ]
+        change, _ = Scores(whiten(flights, noise, settings), sd).fit(range(len(sd)))
         unexplained = [[c.residual - c.slopes @ change for c in ch] for ch in by_channel]
-        order = AR_ORDER
-    return [noise_of(c, u, order) for c, u in zip(by_channel, unexplained, strict=True)]
+        order = settings.order
+    return [noise_of(c, u, order, settings) for c, u in zip(by_channel, unexplained, strict=True)]

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.numbers import Number, columns_of
+from ..settings import DEFAULT, LikelihoodSettings, PoolSettings
 from .bounds import Bounds
 from .likelihood import Scores, believed
 
@@ -44,7 +45,10 @@ def score(
 
 
 def search(
-    scores: Scores, numbers: Sequence[Number], bounds: Bounds, width: int = 12, most: int = 3
+    scores: Scores,
+    numbers: Sequence[Number],
+    bounds: Bounds,
+    settings: PoolSettings = DEFAULT.inference.pool,
 ) -> list[Hypothesis]:
     """Hypotheses of up to `most` effects, best first, `nothing` among them.
 
@@ -56,9 +60,9 @@ def search(
         found[(name,)] = score(scores, numbers, bounds, (name,))
     for pair in combinations(sorted(names), 2):
         found[pair] = score(scores, numbers, bounds, pair)
-    for size in range(3, most + 1):
+    for size in range(3, settings.most + 1):
         best = sorted((h for k, h in found.items() if len(k) == size - 1), key=lambda h: -h.gain)
-        for h in best[:width]:
+        for h in best[: settings.width]:
             for name in names:
                 key = tuple(sorted({*h.effects, name}))
                 if len(key) == size and key not in found:
@@ -66,7 +70,12 @@ def search(
     return sorted(found.values(), key=lambda h: -h.gain)
 
 
-def weights(hypotheses: Sequence[Hypothesis], prior: Array, seed: int = 0) -> Array:
+def weights(
+    hypotheses: Sequence[Hypothesis],
+    prior: Array,
+    seed: int = 0,
+    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+) -> Array:
     """Probability of each hypothesis, shape (k,).
 
     Bayesian bootstrap over the blocks of time: a lead that rests on a few blocks is worth little.
@@ -76,10 +85,12 @@ def weights(hypotheses: Sequence[Hypothesis], prior: Array, seed: int = 0) -> Ar
         hypotheses: Scored over the same blocks.
         prior: Log of the prior weight of each, shape (k,).
         seed: Of the draws.
+        settings: How exact a law is.
     """
     blocks = len(hypotheses[0].gains)
     draws = np.random.default_rng(seed).dirichlet(np.ones(blocks), DRAWS) * blocks
-    total = np.stack([believed(draws @ h.gains).sum(axis=1) for h in hypotheses], axis=-1) + prior
+    each = [believed(draws @ h.gains, settings).sum(axis=1) for h in hypotheses]
+    total = np.stack(each, axis=-1) + prior
     total -= total.max(axis=1, keepdims=True)
     share = np.exp(total)
     return np.asarray((share / share.sum(axis=1, keepdims=True)).mean(axis=0))

@@ -13,26 +13,16 @@ from ...logs import Flight
 from ...vehicle import Vehicle
 from ..model.model import candidates, model_of
 from ..model.payload import Payloads
+from ..settings import DEFAULT, InferenceSettings, SelectionSettings
 from .adequacy import credible, misfits
 from .fit import Fit, Problem
-from .pool import MOST, Pool, dominated, grow, log_prior, pool_of, worth_a_name
+from .pool import Pool, dominated, grow, log_prior, pool_of, worth_a_name
 from .search import Hypothesis, weights
 
 Array = NDArray[np.float64]
 Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
-SMALLEST_SHARE = 0.03
-"""An effect that takes less than this share of the power of every channel is none to speak of."""
 IMPOSSIBLE = 1e6
-SURE = 0.8
-"""Probability from which on a name is given."""
-CREDIBLE = 0.5
-"""Probability that its cause is of the library at all, from which on a name is given."""
-LEAST = 0.05
-"""Probability below which a hypothesis or an effect is no candidate."""
-SPOILT = 1.5
-"""Times the power that a channel has without any effect."""
-CHECKED = 0.02
-"""Probability from which on a hypothesis is held against the rules."""
+"""Log odds against what is ruled out: more than any flight can tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +36,7 @@ class Naming:
         credible: Of the effects of likely hypotheses, the probability that their cause is of the
             library at all, see `misfit`.
         problem: What they were fitted against.
+        settings: From when on a name is given.
     """
 
     fitted: tuple[Fit, ...]
@@ -53,11 +44,18 @@ class Naming:
     shares: tuple[float, ...]
     credible: Mapping[str, float]
     problem: Problem
+    settings: SelectionSettings = DEFAULT.inference.selection
 
     @property
     def best(self) -> Fit:
         """The most probable hypothesis."""
         return self.fitted[0]
+
+    @property
+    def likely(self) -> tuple[Fit, ...]:
+        """Hypotheses that are candidates, the most probable first."""
+        pairs = zip(self.fitted, self.probabilities, strict=True)
+        return tuple(f for f, p in pairs if p >= self.settings.least)
 
     def probability_of(self, effect: str) -> float:
         """That an effect is missing, alone or with others."""
@@ -67,7 +65,7 @@ class Naming:
     def verdict(self) -> Verdict:
         """In a word: something is named where one effect is sure, whatever else is not."""
         if not self.best.effects:
-            return "nothing" if self.probabilities[0] >= SURE else "cannot_tell"
+            return "nothing" if self.probabilities[0] >= self.settings.sure else "cannot_tell"
         return "cannot_tell" if self.undecided == self.best.effects else "named"
 
     @property
@@ -77,7 +75,9 @@ class Naming:
 
     def _is_sure(self, effect: str) -> bool:
         believable = self.credible[effect]
-        return believable >= CREDIBLE and self.together([effect]) >= SURE * believable
+        if believable < self.settings.credible:
+            return False
+        return self.together([effect]) >= self.settings.sure * believable
 
     @property
     def sure(self) -> bool:
@@ -102,6 +102,7 @@ def name_effects(
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
     payloads: Payloads | None = None,
+    settings: InferenceSettings = DEFAULT.inference,
 ) -> Naming:
     """Fit every effect that the flights can show, alone and together.
 
@@ -111,43 +112,52 @@ def name_effects(
         seed: Of the bootstrap.
         progress: Called with the share done.
         payloads: Known masses aboard.
+        settings: Noise, prices, rules.
     """
     model = model_of(
         flights, vehicle, candidates(flights), lambda done: progress(0.2 * done), payloads
     )
-    problem = Problem.of(model)
-    pool = pool_of(problem, lambda done: progress(0.2 + 0.7 * done))
+    problem = Problem.of(model, settings.likelihood)
+    pool = pool_of(problem, lambda done: progress(0.2 + 0.7 * done), settings)
     chance = _weighed(pool, seed)
     fitted = pool.fitted
     order = np.argsort(-chance)
     ranked = tuple(fitted[i] for i in order)
     probabilities = tuple(float(chance[i]) for i in order)
-    likely = [f for f, p in zip(ranked, probabilities, strict=True) if p >= LEAST] or [ranked[0]]
+    least = settings.selection.least
+    likely = [f for f, p in zip(ranked, probabilities, strict=True) if p >= least] or [ranked[0]]
     return Naming(
         ranked,
         probabilities,
         tuple(share(f, problem.nothing()) for f in ranked),
         _credible(pool, likely),
         problem,
+        settings.selection,
     )
 
 
 def _weighed(pool: Pool, seed: int) -> Array:
     """Probabilities of what competes; what is likely is held against the rules first."""
+    settings = pool.settings
     out: dict[tuple[str, ...], bool] = {}
     while True:
         fitted = pool.fitted
         allowed = [f for f in fitted if not out.get(f.effects)]
-        ruled_out = [out.get(f.effects, False) or dominated(f, allowed) for f in fitted]
-        prior = np.array([log_prior(f) for f in fitted]) - IMPOSSIBLE * np.array(ruled_out)
-        chance = weights([Hypothesis(f.effects, f.gains) for f in fitted], prior, seed)
-        likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= CHECKED]
+        ruled_out = [out.get(f.effects, False) or dominated(f, allowed, settings) for f in fitted]
+        prior = np.array([log_prior(f, settings.prior) for f in fitted])
+        prior -= IMPOSSIBLE * np.array(ruled_out)
+        competing = [Hypothesis(f.effects, f.gains) for f in fitted]
+        chance = weights(competing, prior, seed, settings.likelihood)
+        checked = settings.selection.checked
+        likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= checked]
         new = next((f for f in likely if f.effects not in out), None)
         if new is None:
             return _without_trifles(fitted, chance)
         pool.add(worth_a_name(new))
         out[new.effects] = (
-            _spoils(new, pool.problem) or not _material(pool, new) or _hangs(pool, new)
+            _spoils(new, pool.problem, settings.selection)
+            or not _material(pool, new)
+            or _hangs(pool, new)
         )
 
 
@@ -167,32 +177,33 @@ def _hangs(pool: Pool, fitted: Fit) -> bool:
     A name must not hang on one beside it that leaves what it should explain.
     """
     believable = {e: p for e, p in _credible(pool, [fitted]).items() if e in worth_a_name(fitted)}
-    if len(believable) < 2 or min(believable.values()) >= CREDIBLE:
+    least = pool.settings.selection.credible
+    if len(believable) < 2 or min(believable.values()) >= least:
         return False
     worst = min(believable, key=lambda e: believable[e])
     rest = pool.add(pool.without(fitted, worst).effects)
-    if len(fitted.effects) > MOST:
+    if len(fitted.effects) > pool.settings.pool.most:
         grow(pool, rest, worst)
     return True
 
 
 def _credible(pool: Pool, likely: Sequence[Fit]) -> dict[str, float]:
     """Of each effect, in the most probable hypothesis with it, what `misfit.credible` says."""
+    model, settings = pool.problem.model, pool.settings.adequacy
     found: dict[str, float] = {}
     for fitted in likely:
-        left = misfits(
-            pool.problem.model, fitted, {e: pool.without(fitted, e) for e in fitted.effects}
-        )
-        found = {e: credible(m) for e, m in left.items()} | found
+        without = {e: pool.without(fitted, e) for e in fitted.effects}
+        left = misfits(model, fitted, without, settings)
+        found = {e: credible(m, settings) for e, m in left.items()} | found
     return found
 
 
-def _spoils(fitted: Fit, problem: Problem) -> bool:
+def _spoils(fitted: Fit, problem: Problem, settings: SelectionSettings) -> bool:
     """Whether a channel is left clearly worse than without any effect.
 
     White noise hardly counts what is slow: an offset that a hypothesis brings in.
     """
-    return bool(np.any(fitted.raw > SPOILT * problem.raw))
+    return bool(np.any(fitted.raw > settings.spoilt * problem.raw))
 
 
 def _material(pool: Pool, fitted: Fit) -> bool:
@@ -204,7 +215,8 @@ def _material(pool: Pool, fitted: Fit) -> bool:
     trifles = (EFFECTS[e] for e in fitted.effects if e not in names)
     if not all(isinstance(e.seen_as, Shift) for e in trifles):
         return False
-    return all(share(fitted, pool.without(fitted, e)) >= SMALLEST_SHARE for e in names)
+    least = pool.settings.selection.smallest_share
+    return all(share(fitted, pool.without(fitted, e)) >= least for e in names)
 
 
 def share(fitted: Fit, beyond: Fit) -> float:

@@ -25,7 +25,7 @@ from ...residuals.aligned import AlignedFlight, align_flight
 from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, on_grid, shifted
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import airframe_inputs, measured_states
-from ...vehicle import GRAVITY_M_S2, Vehicle
+from ...vehicle import Vehicle
 from .numbers import Number, with_effects
 from .prediction import Physics
 from .sensors import PLACE, TURN, Seen, imu_parts, other_parts, pose_parts
@@ -320,7 +320,7 @@ class FlightModel:
         known = aligned.airborne & np.all(np.isfinite(force_n), axis=1)
         there = known & np.all(np.isfinite(felt_n), axis=1)
         return (
-            np.where(known[:, None], force_n, [0.0, 0.0, -GRAVITY_M_S2]),
+            np.where(known[:, None], force_n, [0.0, 0.0, -self.vehicle.gravity_m_s2]),
             np.where(there[:, None], felt_n, 0.0),
         )
 

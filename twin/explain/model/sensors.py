@@ -22,7 +22,7 @@ from ...residuals.channels import (
 )
 from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
 from ...residuals.measured import Signal, rates_of
-from ...vehicle import GRAVITY_M_S2, Vehicle
+from ...vehicle import Vehicle
 from .numbers import Number
 from .prediction import SensorBatch
 
@@ -119,7 +119,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     if motion.velocity is not None and flight.has(*accelerometer.columns):
         acc = on_grid(Signal(*flight.signal(accelerometer.columns)), t)
         pull = np.gradient(motion.velocity.at(t), t, axis=0)
-        pull[:, 2] -= GRAVITY_M_S2
+        pull[:, 2] -= v.gravity_m_s2
         alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
         implied |= alpha | _named("specific_force", _pulled(motion.attitude.at(t), pull))
         read |= alpha | _named("specific_force", force)

@@ -5,10 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-PRIOR_ODDS = -float(np.log(40.0))
-"""One of forty effects."""
+from ..settings import DEFAULT, StochasticSettings
+
 SURE = 1.96
 """Standard deviations of a 95 % interval."""
+
+
+def prior_log_odds(settings: StochasticSettings = DEFAULT.stochastic) -> float:
+    """Log odds for an effect before anything is seen."""
+    return -float(np.log(settings.one_of))
 
 
 @dataclass(frozen=True, slots=True)

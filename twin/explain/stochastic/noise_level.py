@@ -8,25 +8,16 @@ from numpy.typing import NDArray
 from ...effects import Effect, NoiseFloor
 from ...physics.sensors.table import SENSORS
 from ..model.model import Model
-from .finding import PRIOR_ODDS, SURE, StochasticEffect
-from .spectral import LINE_WINDOW_S, Piece, cells_of, level, pieces_of, rate_of
+from ..settings import DEFAULT, StochasticSettings
+from .finding import SURE, StochasticEffect, prior_log_odds
+from .spectral import Piece, cells_of, level, pieces_of, rate_of
 
 Array = NDArray[np.float64]
-SLOWEST_HZ = 80.0
-"""Sample rate from which on the upper half of the band is free of motion."""
-NOISE_BANDS = ((0.25, 0.33), (0.33, 0.41), (0.41, 0.49))
-"""Parts of the band that have to agree, over the sample rate."""
-LOW = 0.2
-"""Quantile of the cells that lines which wander about leave alone."""
-FLAT = 1.3
-"""Largest ratio of the noise in two parts of the band: force of the air falls by more than that."""
-KNOWN_NOISE = 0.08
-"""Log deviation of the noise that a vehicle file gives from that of a reading, where it holds."""
-NOISE_RANGE = (0.1, 30.0)
-"""A ratio beyond is no noise level: readings without noise, or another unit."""
 
 
-def find_noise_level(model: Model, effect: Effect) -> StochasticEffect | None:
+def find_noise_level(
+    model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
+) -> StochasticEffect | None:
     """White noise of sensors against that of the vehicle file.
 
     A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
@@ -36,26 +27,27 @@ def find_noise_level(model: Model, effect: Effect) -> StochasticEffect | None:
         model: Flights.
         effect: Seen as a noise floor.
     """
-    seen_as = effect.seen_as
+    seen_as, own = effect.seen_as, settings.noise_level
     assert isinstance(seen_as, NoiseFloor)
     noisy = [s for s in SENSORS if s.signal in seen_as.further]
     stated = {s.columns: s.noise(model.vehicle) for s in noisy}
     further = {s.columns: f"{effect.name}.{seen_as.further[s.signal]}" for s in noisy}
     scale = f"{effect.name}.{seen_as.scale}"
-    ratios = {c: r for c, s in stated.items() if s > 0 and (r := _ratio(model, c, s)) is not None}
+    each = {c: _ratio(model, c, s, settings) for c, s in stated.items() if s > 0}
+    ratios = {c: r for c, r in each.items() if r is not None}
     off = {c: r for c, r in ratios.items() if r != 1.0}
     if not off:
         return None
-    both = len(off) == len(ratios) and max(off.values()) < 1.25 * min(off.values())
+    both = len(off) == len(ratios) and max(off.values()) < own.alike * min(off.values())
     if not both and min(off.values()) < 1:
         return None  # the effect can only add to one sensor alone
     size = float(np.exp(np.mean(np.log(list(off.values())))))
-    log_odds = 0.5 * (np.log(size) / KNOWN_NOISE) ** 2 + PRIOR_ODDS
+    log_odds = 0.5 * (np.log(size) / own.known) ** 2 + prior_log_odds(settings)
     if log_odds <= 0:
         return None
     values = {scale: 1.0} | dict.fromkeys(further.values(), 0.0)
     intervals = {}
-    spread = np.exp(SURE * KNOWN_NOISE / 2)
+    spread = np.exp(SURE * own.known / 2)
     if both:
         values[scale] = size
         intervals[scale] = (size / spread, size * spread)
@@ -77,21 +69,27 @@ def find_noise_level(model: Model, effect: Effect) -> StochasticEffect | None:
     )
 
 
-def _ratio(model: Model, columns: Sequence[str], stated: float) -> float | None:
+def _ratio(
+    model: Model, columns: Sequence[str], stated: float, settings: StochasticSettings
+) -> float | None:
     """Noise over the stated one; 1 where estimates differ about it, None where unknown."""
-    estimates = noise_estimates([pieces_of(f, columns) for f in model.flights])
+    own, window_s = settings.noise_level, settings.line_window_s
+    pieces = [pieces_of(f, columns, window_s) for f in model.flights]
+    estimates = noise_estimates(pieces, settings)
     if estimates is None:
         return None
     ratios = estimates / stated
     low, high = float(ratios.min()), float(ratios.max())
-    if low < NOISE_RANGE[0] or high > NOISE_RANGE[1]:
+    if low < own.ratios[0] or high > own.ratios[1]:
         return None
-    if low <= 1 <= high or ratios[:, -1].max() > FLAT * ratios[:, -1].min():
+    if low <= 1 <= high or ratios[:, -1].max() > own.flat * ratios[:, -1].min():
         return 1.0
     return float(ratios[:, -1].min()) if low > 1 else float(ratios[:, -1].max())
 
 
-def noise_estimates(flights: Sequence[Sequence[Piece]]) -> Array | None:
+def noise_estimates(
+    flights: Sequence[Sequence[Piece]], settings: StochasticSettings = DEFAULT.stochastic
+) -> Array | None:
     """Standard deviation of a reading, by part of the band, and by axis and for all axes together.
 
     White noise of standard deviation s has the one-sided density 2 s^2 / rate. The noise of the
@@ -99,20 +97,22 @@ def noise_estimates(flights: Sequence[Sequence[Piece]]) -> Array | None:
 
     Args:
         flights: Pieces of each.
+        settings: Parts of the band, and window.
 
     Returns:
         Shape (bands, 4); None where the sensor is too slow.
     """
-    by_band: list[list[Array]] = [[] for _ in NOISE_BANDS]
+    own = settings.noise_level
+    by_band: list[list[Array]] = [[] for _ in own.bands]
     bits = []
     for pieces in flights:
         rate = rate_of(pieces)
-        if rate < SLOWEST_HZ:
+        if rate < own.slowest_hz:
             continue
         bits += [_bit(p.values[:, i]) for p in pieces for i in range(3)]
         for piece in pieces:
-            c = cells_of(piece, rate, LINE_WINDOW_S, "blackmanharris")
-            for found, (low, high) in zip(by_band, NOISE_BANDS, strict=True):
+            c = cells_of(piece, rate, settings.line_window_s, "blackmanharris")
+            for found, (low, high) in zip(by_band, own.bands, strict=True):
                 inside = (c.f_hz >= low * rate) & (c.f_hz < high * rate)
                 cells = c.power[:, :, inside].transpose(0, 2, 1).reshape(-1, 3)
                 found.append(0.5 * rate * cells)
@@ -121,7 +121,8 @@ def noise_estimates(flights: Sequence[Sequence[Piece]]) -> Array | None:
     levels = []
     for found in by_band:
         cells = np.concatenate(found)
-        levels.append([*level(cells, 0), float(np.quantile(cells, LOW)) / -np.log1p(-LOW)])
+        low = float(np.quantile(cells, own.low)) / -np.log1p(-own.low)
+        levels.append([*level(cells, 0), low])
     return np.sqrt(np.maximum(np.array(levels) - np.median(bits) ** 2 / 12, 0.0))
 
 

@@ -11,20 +11,14 @@ from ...frames import to_body
 from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
+from ..settings import DEFAULT, SlowForceSettings
 from .spectral import Piece, cells_of, level
 
 Array = NDArray[np.float64]
-SLOW_BAND_HZ = (0.1, 3.0)
 SLOW_HZ = 10.0
 """Rate of the slow part."""
-SLOW_WINDOW_S = 8.0
-"""Resolves 0.25 Hz: tells a swinging load from turbulence. Shorter pieces are left out."""
-FOLD_S, FOLDS = 4.0, 5
-"""Blocks of time that a regression predicts from the others."""
 RIDGES = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
 """Variance of a coefficient's prior in units of noise over one sample, tried in turn."""
-FLOOR_HZ = (5.0, 12.0)
-"""Where the white floor of the 50 Hz channels is read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +43,10 @@ class Slow:
 
 
 def slow_parts(
-    aligned: AlignedFlight, channels: Sequence[ChannelData], winds: Sequence[int]
+    aligned: AlignedFlight,
+    channels: Sequence[ChannelData],
+    winds: Sequence[int],
+    settings: SlowForceSettings = DEFAULT.stochastic.slow_force,
 ) -> list[Slow]:
     """Slow parts of one flight.
 
@@ -57,6 +54,7 @@ def slow_parts(
         twin: The flight on its grid.
         channels: Its channels, with slopes.
         winds: Columns of the slopes that answer to the steady wind: north, east, down.
+        settings: Which part is slow.
     """
     acc = [c for c in channels if c.name in ACC]
     motion = aligned.motion
@@ -64,11 +62,11 @@ def slow_parts(
         return []
     found = []
     every = round(CHANNEL_HZ / SLOW_HZ)
-    sos = butter(2, SLOW_BAND_HZ, "bandpass", fs=CHANNEL_HZ, output="sos")
+    sos = butter(2, settings.band_hz, "bandpass", fs=CHANNEL_HZ, output="sos")
     spin, force = aligned.predicted("spin_", "specific_force_")
     for k in np.unique(acc[0].piece):
         rows = np.flatnonzero(acc[0].piece == k)
-        if len(rows) < (SLOW_WINDOW_S + 1) * CHANNEL_HZ:
+        if len(rows) < (settings.window_s + 1) * CHANNEL_HZ:
             continue
         t = acc[0].t_s[rows]
         residual = np.stack([c.residual[rows] for c in acc], axis=-1)
@@ -84,7 +82,7 @@ def slow_parts(
                 sosfiltfilt(sos, features, axis=0)[::every],
                 slopes[::every][:, :, list(winds)],
                 speed[::every],
-                _floor(t, residual),
+                _floor(t, residual, settings),
             )
         )
     return found
@@ -125,16 +123,20 @@ def _curves(aligned: AlignedFlight, at: NDArray[np.intp], spin: Array, force: Ar
     )
 
 
-def _floor(t_s: Array, residual: Array) -> Array:
+def _floor(t_s: Array, residual: Array, settings: SlowForceSettings) -> Array:
     """White floor of the channels per axis, from where nothing else is, shape (3,)."""
-    c = cells_of(Piece(t_s, residual), CHANNEL_HZ, SLOW_WINDOW_S, "hann")
-    inside = (c.f_hz >= FLOOR_HZ[0]) & (c.f_hz <= FLOOR_HZ[1])
+    c = cells_of(Piece(t_s, residual), CHANNEL_HZ, settings.window_s, "hann")
+    low, high = settings.floor_hz
+    inside = (c.f_hz >= low) & (c.f_hz <= high)
     return level(c.power[:, :, inside], (0, 2))
 
 
-def left_over(pieces: Sequence[Slow]) -> list[Array]:
+def left_over(
+    pieces: Sequence[Slow], settings: SlowForceSettings = DEFAULT.stochastic.slow_force
+) -> list[Array]:
     """What a ridge regression, fitted on other blocks of time, leaves of each piece, (n, 3)."""
-    fold = [(np.floor(p.t_s / FOLD_S).astype(int) + i) % FOLDS for i, p in enumerate(pieces)]
+    blocks = [np.floor(p.t_s / settings.fold_s).astype(int) for p in pieces]
+    fold = [(b + i) % settings.folds for i, b in enumerate(blocks)]
     folds = np.concatenate(fold)
     left = []
     for axis in range(3):
@@ -146,7 +148,7 @@ def left_over(pieces: Sequence[Slow]) -> list[Array]:
         tries = [y]
         for ridge in RIDGES:
             out = np.array(y)
-            for k in range(FOLDS):
+            for k in range(settings.folds):
                 test, train = folds == k, folds != k
                 gram = x[train].T @ x[train] + ridge * train.sum() * 1e-2 * np.eye(x.shape[1])
                 out[test] -= x[test] @ np.linalg.solve(gram, x[train].T @ y[train])

@@ -15,8 +15,6 @@ from ...residuals.channels import GRID_HZ
 from ..model.flight import FlightModel
 
 Array = NDArray[np.float64]
-LINE_WINDOW_S = 0.5
-"""Long enough to tell a line from its neighbours, short enough for a rotor to keep its speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +45,14 @@ class Cells:
     power: Array
 
 
-def pieces_of(flight: FlightModel, columns: Sequence[str]) -> list[Piece]:
-    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out."""
+def pieces_of(flight: FlightModel, columns: Sequence[str], window_s: float) -> list[Piece]:
+    """Readings in the air at the sensor's own rate; repeats of a slower sensor are left out.
+
+    Args:
+        flight: On its grid.
+        columns: Of the sensor.
+        window_s: Of the spectrogram; pieces shorter than four of them are left out.
+    """
     if not flight.flight.has(*columns):
         return []
     t, x = flight.flight.signal(columns)
@@ -65,7 +69,7 @@ def pieces_of(flight: FlightModel, columns: Sequence[str]) -> list[Piece]:
         return []
     gaps = np.flatnonzero(np.diff(t) > 2.5 * np.median(np.diff(t))) + 1
     whole = (Piece(a, b) for a, b in zip(np.split(t, gaps), np.split(x, gaps), strict=True))
-    return [p for p in whole if len(p.t_s) > 16 and p.t_s[-1] - p.t_s[0] >= 4 * LINE_WINDOW_S]
+    return [p for p in whole if len(p.t_s) > 16 and p.t_s[-1] - p.t_s[0] >= 4 * window_s]
 
 
 def rate_of(pieces: Sequence[Piece]) -> float:

@@ -16,17 +16,9 @@ from ...effects import Effect, Repeats
 from ...logs import Flight
 from ...physics.sensors.table import BODY, SENSORS
 from ...vehicle import GRAVITY_M_S2
+from ..settings import DEFAULT, StuckSettings
 
 Array = NDArray[np.float64]
-SHORTEST_S = 0.5
-"""Shorter stand-stills are lost packets, and harm no fit."""
-LONGER = 10.0
-"""Times the longest stand-still that the reading has elsewhere, and its neighbours meanwhile."""
-MOVING_BITS = 3.0
-"""Last bits by which a neighbour varies meanwhile (standard deviation); less hides in one bit."""
-SMOOTH = 0.1
-"""A signal whose second difference is less than this share of its first has no noise to speak of:
-it may come to rest, where one with noise never does."""
 PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
 """Magnitudes that fill columns of what was never measured."""
 
@@ -65,14 +57,18 @@ class _Runs:
         return self.last - self.first
 
 
-def stuck_channels(flight: Flight) -> list[Stuck]:
+def stuck_channels(
+    flight: Flight, settings: StuckSettings = DEFAULT.stochastic.stuck
+) -> list[Stuck]:
     """Every long stand-still of a reading that nothing but a fault explains, in order of time."""
     found = [
         stuck
         for sensor in SENSORS
         for channel in sensor.columns
         if flight.has(channel)
-        for stuck in _of_channel(flight, channel, [c for c in sensor.columns if c != channel])
+        for stuck in _of_channel(
+            flight, channel, [c for c in sensor.columns if c != channel], settings
+        )
     ]
     return sorted(found, key=lambda s: (s.from_s, s.channel))
 
@@ -121,25 +117,27 @@ def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]
     }
 
 
-def _of_channel(flight: Flight, channel: str, others: Sequence[str]) -> list[Stuck]:
+def _of_channel(
+    flight: Flight, channel: str, others: Sequence[str], settings: StuckSettings
+) -> list[Stuck]:
     """Faults of one channel."""
     t, x = _samples(flight, channel)
     runs = _runs(x)
     bit = _last_bit(x)
     if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
         others = [c for s in SENSORS if s.group == BODY for c in s.columns]
-        bit = 0.0 if float(np.std(np.diff(x))) > MOVING_BITS * bit else np.inf
+        bit = 0.0 if float(np.std(np.diff(x))) > settings.moving_bits * bit else np.inf
     neighbours = [_samples(flight, c) for c in others if flight.has(c)]
     found = []
-    for k in np.flatnonzero(t[runs.last] - t[runs.first] >= SHORTEST_S):
+    for k in np.flatnonzero(t[runs.last] - t[runs.first] >= settings.shortest_s):
         first, last = int(runs.first[k]), int(runs.last[k])
         elsewhere = np.delete(runs.steps, k).max(initial=1)
-        if runs.steps[k] < LONGER * elsewhere:
+        if runs.steps[k] < settings.longer * elsewhere:
             continue
-        if _never_measured(x, first, last) or _comes_to_rest(x, first):
+        if _never_measured(x, first, last) or _comes_to_rest(x, first, settings.smooth):
             continue
         inside = [y[(ty >= t[first]) & (ty <= t[last])] for ty, y in neighbours]
-        if not any(_goes_on(y, bit, runs.steps[k]) for y in inside):
+        if not any(_goes_on(y, bit, runs.steps[k], settings) for y in inside):
             continue
         found.append(
             Stuck(
@@ -179,27 +177,29 @@ def _never_measured(x: Array, first: int, last: int) -> bool:
     )
 
 
-def _comes_to_rest(x: Array, first: int) -> bool:
+def _comes_to_rest(x: Array, first: int, smooth: float) -> bool:
     """Whether a reading without noise glides into its rest, or begins there."""
     moving = x[np.flatnonzero(np.diff(x))]
     if len(moving) < 8:
         return first == 0 and len(np.unique(x)) > 1
     steps, bends = np.diff(moving), np.diff(moving, 2)
     size = float(np.sqrt(np.mean(steps**2)))
-    if float(np.median(np.abs(bends))) > SMOOTH * float(np.median(np.abs(steps))):
+    if float(np.median(np.abs(bends))) > smooth * float(np.median(np.abs(steps))):
         return False
-    return first == 0 or abs(x[first] - x[first - 1]) < SMOOTH * size
+    return first == 0 or abs(x[first] - x[first - 1]) < smooth * size
 
 
-def _goes_on(y: Array, bit: float, steps: int) -> bool:
+def _goes_on(y: Array, bit: float, steps: int, settings: StuckSettings) -> bool:
     """Whether a neighbour changes meanwhile as a living sensor does.
 
     Args:
         y: Its readings meanwhile, shape (n,).
         bit: Last bit of the reading that stands still.
         steps: Repetitions of the latter.
+        settings: What counts as going on.
     """
     if len(y) < 8:
         return False
     runs = _runs(y)
-    return bool(LONGER * runs.steps.max() <= steps and np.std(y) > MOVING_BITS * bit)
+    lively = np.std(y) > settings.moving_bits * bit
+    return bool(settings.longer * runs.steps.max() <= steps and lively)

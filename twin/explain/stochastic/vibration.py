@@ -11,26 +11,13 @@ from ...physics.sensors.table import SENSORS, Sensor
 from ...residuals.channels import GRID_HZ
 from ...residuals.measured import Signal
 from ..model.model import Model
-from .finding import PRIOR_ODDS, SURE, StochasticEffect
-from .spectral import LINE_WINDOW_S, Cells, Piece, cells_of, level, pieces_of, rate_of
+from ..settings import DEFAULT, StochasticSettings, VibrationSettings
+from .finding import SURE, StochasticEffect, prior_log_odds
+from .spectral import Cells, Piece, cells_of, level, pieces_of, rate_of
 
 Array = NDArray[np.float64]
-LINE_FROM_HZ = 25.0
-"""Below it the body moves and controllers oscillate."""
-NEIGHBOURS = 0.12
-"""Half width of what counts as neighbourhood of a line, over the sample rate."""
 LOG_MEAN, LOG_SD = -0.5772156649 - np.log(np.log(2.0)), np.pi / np.sqrt(6.0)
 """Of the logarithm of an exponential variate over its median."""
-OVERLAP = 0.6
-"""Independent windows per window at an overlap of a half, Hann: Welch, IEEE Trans. AU-15 (1967)."""
-LINE_BINS = 6
-"""Bins on either side that belong to a line that wanders."""
-MOTION_SHARE = 0.25
-"""A line of which the twin predicts this share of the power is motion."""
-SMALLEST_SHAKE = {"acc": 0.02, "gyro": 0.002}
-"""Rms of a line that is worth a name, m/s2 and rad/s."""
-LINE_SHARE = 0.05
-"""Share of the power above `LINE_FROM_HZ` that it has at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,17 +41,20 @@ class _Shaken:
     predicted: Array
 
 
-def find_vibration(model: Model, effect: Effect) -> StochasticEffect | None:
+def find_vibration(
+    model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
+) -> StochasticEffect | None:
     """Lines above the body's motion, which follow the rotors or stand still.
 
     Args:
         model: Flights.
         effect: Seen as lines.
+        settings: Of the spectra, and what makes a line one.
     """
-    seen_as = effect.seen_as
+    seen_as, own = effect.seen_as, settings.vibration
     assert isinstance(seen_as, Lines)
     felt = (s for s in SENSORS if s.signal in seen_as.amplitudes)
-    sensors = [s for s in (_shaken(model, sensor) for sensor in felt) if s]
+    sensors = [s for s in (_shaken(model, sensor, settings) for sensor in felt) if s]
     hover_hz = next(p for p in effect.parameters if p.name == seen_as.frequency).sized(
         model.vehicle
     )
@@ -73,10 +63,10 @@ def find_vibration(model: Model, effect: Effect) -> StochasticEffect | None:
     rel = np.exp(np.arange(np.log(hover_hz.prior[0]), np.log(hover_hz.prior[1]), 0.005))
     tracks = [(f, True) for f in rel.tolist()]
     top = max(s.rate_hz for s in sensors) / 2
-    tracks += [(f, False) for f in np.arange(LINE_FROM_HZ, 0.97 * top, 1.0).tolist()]
+    tracks += [(f, False) for f in np.arange(own.from_hz, 0.97 * top, 1.0).tolist()]
     best: tuple[float, float, bool, _Shaken] | None = None
     for sensor in sensors:
-        scores = np.array([_score(sensor, f, moves) for f, moves in tracks])
+        scores = np.array([_score(sensor, f, moves, own.overlap) for f, moves in tracks])
         if not np.isfinite(scores).any():
             continue
         k = int(np.nanargmax(scores))
@@ -85,29 +75,31 @@ def find_vibration(model: Model, effect: Effect) -> StochasticEffect | None:
     if best is None:
         return None
     z, frequency, moves, sensor = best
-    log_odds = 0.5 * z * z - np.log(len(tracks)) + PRIOR_ODDS if z > 0 else PRIOR_ODDS
+    prior = prior_log_odds(settings)
+    log_odds = 0.5 * z * z - np.log(len(tracks)) + prior if z > 0 else prior
     if log_odds <= 0:
         return None
-    return _named_vibration(model, effect, sensors, float(log_odds), frequency, moves)
+    return _named_vibration(model, effect, sensors, float(log_odds), frequency, moves, settings)
 
 
-def _shaken(model: Model, sensor: Sensor) -> _Shaken | None:
+def _shaken(model: Model, sensor: Sensor, settings: StochasticSettings) -> _Shaken | None:
     """Spectrograms of one sensor."""
+    own, window_s = settings.vibration, settings.line_window_s
     cells, spins, predicted = [], [], []
-    pieces = [(f, p) for f in model.flights for p in pieces_of(f, sensor.columns)]
+    pieces = [(f, p) for f in model.flights for p in pieces_of(f, sensor.columns, window_s)]
     rate = rate_of([p for _, p in pieces])
-    if rate / 2 < 1.2 * LINE_FROM_HZ:
+    if rate / 2 < 1.2 * own.from_hz:
         return None
     stems = ("spin_", "specific_force_", "angular_acceleration_")
     answers = {id(f): f.aligned.predicted(*stems) for f in model.flights}
     for flight, piece in pieces:
-        c = cells_of(piece, rate, LINE_WINDOW_S, "hann")
+        c = cells_of(piece, rate, window_s, "hann")
         spin, force, alpha = answers[id(flight)]
         grid = flight.aligned.inputs.t_s
         cells.append(c)
-        spins.append(Signal(grid, _smooth(spin)).at(c.t_s))
+        spins.append(Signal(grid, _smooth(spin, window_s)).at(c.t_s))
         motion = np.nan_to_num(alpha if sensor.rate_unit else force)
-        m = cells_of(Piece(grid, motion), GRID_HZ, LINE_WINDOW_S, "hann")
+        m = cells_of(Piece(grid, motion), GRID_HZ, window_s, "hann")
         density = level(m.power, 0)
         if sensor.rate_unit:
             density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
@@ -116,33 +108,33 @@ def _shaken(model: Model, sensor: Sensor) -> _Shaken | None:
         sensor,
         rate,
         tuple(cells),
-        tuple(_logs(c, rate) for c in cells),
+        tuple(_logs(c, rate, own) for c in cells),
         tuple(spins),
         np.mean(predicted, axis=0),
     )
 
 
-def _smooth(spin: Array) -> Array:
-    """Mean over a window."""
-    n = round(LINE_WINDOW_S / 2 * GRID_HZ)
+def _smooth(spin: Array, window_s: float) -> Array:
+    """Mean over half a window."""
+    n = round(window_s / 2 * GRID_HZ)
     kernel = np.ones(n) / n
     return np.stack([np.convolve(s, kernel, mode="same") for s in spin.T], axis=-1)
 
 
-def _logs(cells: Cells, rate_hz: float) -> Array:
+def _logs(cells: Cells, rate_hz: float, settings: VibrationSettings) -> Array:
     """Log level of each cell over the higher of its two neighbourhoods, shape as the power.
 
     Both sides count: a spectrum that falls steeply is no line. Beyond zero and half the rate a
     spectrum is its own mirror image.
     """
     f = cells.f_hz
-    half = max(4, round(NEIGHBOURS * rate_hz / (f[1] - f[0])))
+    half = max(4, round(settings.neighbours * rate_hz / (f[1] - f[0])))
     mirrored = np.pad(cells.power, ((0, 0), (0, 0), (half, half)), mode="reflect")
     middle = np.median(np.lib.stride_tricks.sliding_window_view(mirrored, half, axis=2), axis=3)
     below, above = middle[:, :, : len(f)], middle[:, :, half + 1 :][:, :, : len(f)]
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(cells.power / np.maximum(below, above)) - LOG_MEAN
-    logs[:, :, (f < LINE_FROM_HZ) | (f > 0.485 * rate_hz)] = np.nan
+    logs[:, :, (f < settings.from_hz) | (f > 0.485 * rate_hz)] = np.nan
     return np.asarray(logs, dtype=np.float64)
 
 
@@ -154,7 +146,7 @@ def _bins(sensor: _Shaken, k: int, frequency_hz: float, moves: bool) -> NDArray[
     return np.asarray(np.rint(folded / (c.f_hz[1] - c.f_hz[0])), dtype=np.intp)
 
 
-def _score(sensor: _Shaken, frequency_hz: float, moves: bool) -> float:
+def _score(sensor: _Shaken, frequency_hz: float, moves: bool, overlap: float) -> float:
     """Mean log level along lines of a frequency, in standard deviations of that of noise."""
     sums, counts = np.zeros(3), np.zeros(3)
     for k, logs in enumerate(sensor.logs):
@@ -166,8 +158,8 @@ def _score(sensor: _Shaken, frequency_hz: float, moves: bool) -> float:
         counts += known.any(axis=1).sum(axis=0)
     if counts.min() < 8:
         return float("nan")
-    together = sums[:2].sum() / (LOG_SD * np.sqrt(counts[:2].sum() / OVERLAP))
-    across = sums[2] / (LOG_SD * np.sqrt(counts[2] / OVERLAP))
+    together = sums[:2].sum() / (LOG_SD * np.sqrt(counts[:2].sum() / overlap))
+    across = sums[2] / (LOG_SD * np.sqrt(counts[2] / overlap))
     return float(max(together, across))
 
 
@@ -178,18 +170,20 @@ def _named_vibration(
     log_odds: float,
     frequency_hz: float,
     moves: bool,
+    settings: StochasticSettings,
 ) -> StochasticEffect | None:
     """The line with its sizes, or None where it is too small or predicted as motion."""
-    seen_as = effect.seen_as
+    seen_as, own = effect.seen_as, settings.vibration
     assert isinstance(seen_as, Lines)
+    smallest = {"acc": own.smallest_acc_m_s2, "gyro": own.smallest_gyro_rad_s}
     frequency = f"{effect.name}.{seen_as.frequency}"
     values = {frequency: frequency_hz}
-    doubt = 0.02 * frequency_hz if moves else 0.5 / LINE_WINDOW_S
+    doubt = 0.02 * frequency_hz if moves else 0.5 / settings.line_window_s
     intervals = {frequency: (frequency_hz - doubt, frequency_hz + doubt)}
     channels: list[str] = []
     shares: list[float] = []
     for sensor in sensors:
-        power, share, motion, lift = _line_power(sensor, frequency_hz, moves)
+        power, share, motion, lift = _line_power(sensor, frequency_hz, moves, own.line_bins)
         name = f"{effect.name}.{seen_as.amplitudes[sensor.sensor.signal]}"
         cutoff = sensor.sensor.cutoff_hz(model.vehicle)
         passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
@@ -202,10 +196,9 @@ def _named_vibration(
             float(np.mean(sizes)) + spread,
         )
         mean = power.mean(axis=0)
-        large = (np.sqrt(np.maximum(mean, 0.0)) > SMALLEST_SHAKE[sensor.sensor.signal]) & (
-            share > LINE_SHARE
-        )
-        for axis in np.flatnonzero(large & (motion < MOTION_SHARE)):
+        large = np.sqrt(np.maximum(mean, 0.0)) > smallest[sensor.sensor.signal]
+        large &= share > own.line_share
+        for axis in np.flatnonzero(large & (motion < own.motion_share)):
             channels.append(sensor.sensor.columns[axis])
             shares.append(float(share[axis]))
     if not channels:
@@ -214,12 +207,12 @@ def _named_vibration(
 
 
 def _line_power(
-    sensor: _Shaken, frequency_hz: float, moves: bool
+    sensor: _Shaken, frequency_hz: float, moves: bool, line_bins: int
 ) -> tuple[Array, Array, Array, Array]:
     """Power of the lines over their neighbourhood.
 
     Returns:
-        Power per piece and axis, unit^2, shape (p, 3); share of all above `LINE_FROM_HZ`, and
+        Power per piece and axis, unit^2, shape (p, 3); share of all above `from_hz`, and
         what the twin predicts over it, shape (3,); sum over rotors of spin^4, shape (p,).
     """
     powers, totals, motions, lifts = [], [], [], []
@@ -227,7 +220,7 @@ def _line_power(
         usable = np.isfinite(sensor.logs[k][0, 0])
         at = _bins(sensor, k, frequency_hz, moves)
         mine = np.min(np.abs(np.arange(len(c.f_hz))[None, None] - at[:, :, None]), axis=1)
-        line = (mine <= LINE_BINS) & usable
+        line = (mine <= line_bins) & usable
         floor = np.stack(
             [
                 level(p[:, usable & ~m] if np.any(usable & ~m) else p[:, usable], 1)

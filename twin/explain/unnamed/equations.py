@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from ...physics.sensors.table import BODY, SENSORS, sensor_of
 from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
 from ..inference.fit import Fit, Problem
-from ..inference.likelihood import AR_ORDER, BLOCK_S, Block, Key, Noise, blocks_of, noise_of
+from ..inference.likelihood import Block, Key, Noise, blocks_of, noise_of
+from ..settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 from .quantities import Quantity, quantities
 from .regression import Sparse, fold_of, longest, sparse
 from .terms import Term, over, powers_of, terms
@@ -23,20 +24,9 @@ from .terms import Term, over, powers_of, terms
 Array = NDArray[np.float64]
 DIGITS = 3
 """Significant ones of a coefficient."""
-TONES_HZ = (0.3, 10.0)
-"""Where a shaking is looked for."""
-IN_BAND = 0.95
-"""Share of the power of an equation that its band holds."""
-WORTH = 0.5
-"""An equation that explains less than half of what is there explains nothing."""
 SMALLEST = 0.005
-"""Nor is one worth having that takes less than this share of the size of the channel
+"""Nor is an equation worth having that takes less than this share of the size of the channel
 (`Sensor.size`): what every model lacks in fineness."""
-COVERS = 0.4
-"""A library effect that covers this share of what an equation explains is an imperfect law of the
-right cause: laws of nature are finer than those of a library, and equations more pliable."""
-ENOUGH = 20.0
-"""Log likelihood below which equations say nothing: many products are tried in many channels."""
 FINER = 4
 """Trial frequencies per resolution of the flight."""
 
@@ -91,6 +81,15 @@ class Unnamed:
 
 
 @dataclass(frozen=True, slots=True)
+class _Search:
+    """What is the same for every channel: part of the time of each block, and settings."""
+
+    folds: Mapping[Key, int]
+    settings: UnnamedSettings
+    noise: LikelihoodSettings
+
+
+@dataclass(frozen=True, slots=True)
 class _Channel:
     """One channel of all flights with candidate columns as slopes."""
 
@@ -100,29 +99,32 @@ class _Channel:
     flights: tuple[ChannelData, ...]
 
 
-def find_equations(problem: Problem, fitted: Fit, seed: int = 0) -> Unnamed | None:
+def find_equations(
+    problem: Problem, fitted: Fit, seed: int = 0, settings: UnnamedSettings = DEFAULT.unnamed
+) -> Unnamed | None:
     """Equations for what a hypothesis leaves; None where none is worth having.
 
     Args:
         problem: Flights and noise.
         fitted: The hypothesis; no effects: what the model as it stands leaves.
         seed: Draws which blocks of time are left out together.
+        settings: Terms, their price, and when an equation is worth having.
     """
     left = problem.model.channels([], fitted.values)
-    keys = list(blocks_of(left, problem.noise))
-    folds = fold_of(keys, seed)
+    keys = list(blocks_of(left, problem.noise, problem.settings))
+    search = _Search(fold_of(keys, seed, settings), settings, problem.settings)
     known = _shared([quantities(f) for f in problem.model.flights], left)
-    tones = _tones(left)
+    tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
         if sensor_of(first.name) is None:
             continue  # what the pose implies has its own noise in every regressor
-        made = _channel(problem, [f[i] for f in left], known, tones)
-        found = _found(made, folds)
+        made = _channel(problem, [f[i] for f in left], known, tones, settings)
+        found = _found(made, search)
         if found is None:
             continue
         equation, best, noise = found
-        if not _worth(equation, problem):
+        if not _worth(equation, problem, settings):
             continue
         equations.append(equation)
         noises[first.name] = noise
@@ -136,36 +138,37 @@ def find_equations(problem: Problem, fitted: Fit, seed: int = 0) -> Unnamed | No
     return Unnamed(tuple(equations), np.array([gains[k] for k in keys]), count, noises)
 
 
-def _found(channel: _Channel, folds: Mapping[Key, int]) -> tuple[Equation, Sparse, Noise] | None:
+def _found(channel: _Channel, search: _Search) -> tuple[Equation, Sparse, Noise] | None:
     """Equation of a channel, and the noise that is left then.
 
     At first the noise is taken for white: an autoregression takes a steady shaking, or an offset,
     for a noise of its own.
     """
     unexplained = [c.residual for c in channel.flights]
-    whiten = noise_of(channel.flights, unexplained, 0)
-    most = longest(_blocks(channel, whiten))
+    whiten = noise_of(channel.flights, unexplained, 0, search.noise)
+    most = longest(_blocks(channel, whiten, search.noise), search.settings)
     unexplained = [c.residual - c.slopes @ most for c in channel.flights]
-    noise = noise_of(channel.flights, unexplained, AR_ORDER)
-    best = sparse(_blocks(channel, noise), folds)
-    return None if best is None else (_equation(channel, best, folds), best, noise)
+    noise = noise_of(channel.flights, unexplained, search.noise.order, search.noise)
+    best = sparse(_blocks(channel, noise, search.noise), search.folds, search.settings)
+    return None if best is None else (_equation(channel, best, search), best, noise)
 
 
-def _blocks(channel: _Channel, noise: Noise) -> dict[Key, Block]:
-    return blocks_of([[c] for c in channel.flights], [noise])
+def _blocks(channel: _Channel, noise: Noise, settings: LikelihoodSettings) -> dict[Key, Block]:
+    return blocks_of([[c] for c in channel.flights], [noise], settings)
 
 
-def _equation(channel: _Channel, best: Sparse, folds: Mapping[Key, int]) -> Equation:
+def _equation(channel: _Channel, best: Sparse, search: _Search) -> Equation:
     before, after, said = [], [], []
     for f, c in enumerate(channel.flights):
-        fold = np.array([folds[(f, int(k))] for k in np.floor(c.t_s / BLOCK_S)], dtype=np.intp)
+        blocks = np.floor(c.t_s / search.noise.block_s)
+        fold = np.array([search.folds[(f, int(k))] for k in blocks], dtype=np.intp)
         value = np.einsum("np,np->n", c.slopes, best.by_fold[fold])
         for k in np.unique(c.piece):
             rows = c.piece == k
             before.append(c.residual[rows])
             after.append((c.residual - value)[rows])
             said.append(value[rows])
-    band = _band(said)
+    band = _band(said, search.settings.in_band)
     power = _power(before, band)
     unit = powers_of(channel.unit)
     made = tuple(
@@ -184,12 +187,12 @@ def _equation(channel: _Channel, best: Sparse, folds: Mapping[Key, int]) -> Equa
     )
 
 
-def _band(pieces: Sequence[Array]) -> float:
-    """Frequency below which `IN_BAND` of the power lies, Hz."""
+def _band(pieces: Sequence[Array], share: float) -> float:
+    """Frequency below which a share of the power lies, Hz."""
     hz, power = (np.concatenate(v) for v in zip(*map(_spectrum, pieces), strict=True))
     order = np.argsort(hz, kind="stable")
     below = np.cumsum(power[order])
-    return float(hz[order][min(int(np.searchsorted(below, IN_BAND * below[-1])), len(hz) - 1)])
+    return float(hz[order][min(int(np.searchsorted(below, share * below[-1])), len(hz) - 1)])
 
 
 def _power(pieces: Sequence[Array], below_hz: float) -> float:
@@ -242,12 +245,13 @@ def _channel(
     flights: Sequence[ChannelData],
     known: Sequence[dict[str, Quantity]],
     tones_hz: tuple[float, ...],
+    settings: UnnamedSettings,
 ) -> _Channel:
     """The channel with every candidate, low-passed as the channel is."""
     name = flights[0].name
     made, columns = [], []
     for channel, own, flight in zip(flights, known, problem.model.flights, strict=True):
-        columns = terms(own, name, tones_hz if _of_body(name) else ())
+        columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight._parts if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
     return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
@@ -258,23 +262,23 @@ def _filtered(readings: Measured, columns: Sequence[Term]) -> Array:
     return readings.filtered(values, readings.filters_hz)
 
 
-def _tones(left: Sequence[Sequence[ChannelData]]) -> tuple[float, ...]:
+def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:
     """The frequency that stands out most in force, and that in turning."""
     found = []
     for sensor in (s for s in SENSORS if s.group == BODY):
         rows = [i for i, c in enumerate(left[0]) if c.name in sensor.channels]
         if rows:
-            found.append(_tone([[f[i] for f in left] for i in rows]))
+            found.append(_tone([[f[i] for f in left] for i in rows], settings.tones_hz))
     return tuple(found)
 
 
-def _tone(channels: Sequence[Sequence[ChannelData]]) -> float:
+def _tone(channels: Sequence[Sequence[ChannelData]], between_hz: tuple[float, float]) -> float:
     """Frequency whose sine and cosine, from the start of each flight, take most.
 
     Residuals are differenced, so that a drift does not hide a shaking, and weighed by their rms.
     """
     longest = max(float(np.ptp(c.t_s)) for c in channels[0])
-    low, high = TONES_HZ
+    low, high = between_hz
     trial = np.arange(low, high, 1 / (FINER * longest))
     power = np.zeros(len(trial))
     for flights in channels:
@@ -297,9 +301,9 @@ def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
 # -- decision ---------------------------------------------------------------------------------
 
 
-def _worth(equation: Equation, problem: Problem) -> bool:
+def _worth(equation: Equation, problem: Problem, settings: UnnamedSettings) -> bool:
     """Whether an equation explains enough, of something large enough to speak of."""
-    return equation.share >= WORTH and equation.rms >= smallest(equation.channel, problem)
+    return equation.share >= settings.worth and equation.rms >= smallest(equation.channel, problem)
 
 
 def smallest(channel: str, problem: Problem) -> float:
@@ -315,7 +319,12 @@ def _of_body(channel: str) -> bool:
     return sensor is not None and sensor.group == BODY
 
 
-def explains_better(problem: Problem, named: Sequence[Fit], alone: Unnamed | None) -> bool:
+def explains_better(
+    problem: Problem,
+    named: Sequence[Fit],
+    alone: Unnamed | None,
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> bool:
     """Whether something outside the library is the better account of the flights.
 
     Args:
@@ -323,11 +332,12 @@ def explains_better(problem: Problem, named: Sequence[Fit], alone: Unnamed | Non
         named: Hypotheses of the library that are worth considering; none of them may cover what
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
+        settings: What is enough, and what covers it.
     """
     return (
         alone is not None
-        and alone.gain > ENOUGH
-        and all(covered(problem, f, alone) < COVERS for f in named)
+        and alone.gain > settings.enough
+        and all(covered(problem, f, alone) < settings.covers for f in named)
     )
 
 
@@ -343,7 +353,12 @@ def covered(problem: Problem, named: Fit, alone: Unnamed) -> float:
         if channel.name in alone.noise:
             noise = alone.noise[channel.name]
             power, left = (
-                sum(b.power for b in blocks_of([[f[i]] for f in flights], [noise]).values())
+                sum(
+                    b.power
+                    for b in blocks_of(
+                        [[f[i]] for f in flights], [noise], problem.settings
+                    ).values()
+                )
                 for flights in (before, after)
             )
             taken += 0.5 * (power - left)

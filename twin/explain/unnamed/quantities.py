@@ -22,9 +22,6 @@ Unit = Mapping[str, int]
 PLAIN: Unit = {}
 SPEED: Unit = {"m": 1, "s": -1}
 TURNING: Unit = {"rad": 1, "s": -1}
-OWN_NOISE_S = 0.03
-"""By so much are turning rates late where they stand for a gyroscope channel: the noise of the
-reading, low-passed to both sides, is not in them any more."""
 
 
 @dataclass(frozen=True, slots=True)

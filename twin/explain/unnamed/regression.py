@@ -14,15 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inference.likelihood import Block, Key
+from ..settings import DEFAULT, UnnamedSettings
 
 Array = NDArray[np.float64]
-MOST_TERMS = 4
-FOLDS = 5
-"""Parts of the time that are left out in turn."""
-PER_TERM = 6.0
-"""Log prior odds against one more term: one of a hundred and more, and its coefficient."""
-MOST_OF_IT = 0.97
-"""The shortest equation that gains this share of what the best one gains is taken."""
 RIDGE = 1e-6
 """Share of the power of a column that is added, so that no combination of columns vanishes."""
 
@@ -34,7 +28,7 @@ class Sparse:
     Attributes:
         picked: Columns, in the order of what they explain.
         coefficients: Of these, shape (k,).
-        by_fold: The same fitted without each part of the time, shape (FOLDS, p).
+        by_fold: The same fitted without each part of the time, shape (folds, p).
         gains: Log likelihood per block of time, out of sample.
     """
 
@@ -49,36 +43,46 @@ class Sparse:
         return sum(self.gains.values())
 
 
-def fold_of(keys: Sequence[Key], seed: int) -> dict[Key, int]:
+def fold_of(
+    keys: Sequence[Key], seed: int, settings: UnnamedSettings = DEFAULT.unnamed
+) -> dict[Key, int]:
     """Which part of the time each block belongs to."""
     order = np.random.default_rng(seed).permutation(len(keys))
-    return {keys[i]: int(n) % FOLDS for n, i in enumerate(order)}
+    return {keys[i]: int(n) % settings.folds for n, i in enumerate(order)}
 
 
-def sparse(blocks: Mapping[Key, Block], folds: Mapping[Key, int]) -> Sparse | None:
-    """The best equation of up to `MOST_TERMS` terms; None where none gains anything.
+def sparse(
+    blocks: Mapping[Key, Block],
+    folds: Mapping[Key, int],
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> Sparse | None:
+    """The best equation of up to `most_terms` terms; None where none gains anything.
 
     Args:
         blocks: Whitened sums of a channel over its candidate columns.
         folds: Part of the time of each block.
+        settings: How many terms, and their price.
     """
-    whole = _whole(blocks)
+    whole, most = _whole(blocks), settings.most_terms
     size = _size(whole)
-    parts = [_sum([b for k, b in blocks.items() if folds[k] == f], len(size)) for f in range(FOLDS)]
+    parts = [
+        _sum([b for k, b in blocks.items() if folds[k] == f], len(size))
+        for f in range(settings.folds)
+    ]
     paths = []
     for part in parts:
         rest = Block(whole.gram - part.gram, whole.pull - part.pull, whole.power - part.power)
-        paths.append(_path(rest, size))
+        paths.append(_path(rest, size, most))
     totals = []
-    for n in range(MOST_TERMS + 1):
+    for n in range(most + 1):
         gains = [_gain(part, path[n]) for part, path in zip(parts, paths, strict=True)]
-        totals.append(sum(gains) - PER_TERM * n)
+        totals.append(sum(gains) - settings.per_term * n)
     best = max(totals)
     if best <= 0:
         return None
-    n = next(i for i, total in enumerate(totals) if total >= MOST_OF_IT * best)
+    n = next(i for i, total in enumerate(totals) if total >= settings.most_of_it * best)
     by_fold = np.stack([path[n] for path in paths])
-    final = _path(whole, size)[n]
+    final = _path(whole, size, most)[n]
     picked = np.flatnonzero(final)
     order = picked[np.argsort(-np.abs(final[picked] * size[picked]))]
     return Sparse(
@@ -89,10 +93,10 @@ def sparse(blocks: Mapping[Key, Block], folds: Mapping[Key, int]) -> Sparse | No
     )
 
 
-def longest(blocks: Mapping[Key, Block]) -> Array:
-    """Coefficients of the equation with `MOST_TERMS` terms, fitted to everything, shape (p,)."""
-    whole = _whole(blocks)
-    return _path(whole, _size(whole))[MOST_TERMS]
+def longest(blocks: Mapping[Key, Block], settings: UnnamedSettings = DEFAULT.unnamed) -> Array:
+    """Coefficients of the equation with `most_terms` terms, fitted to everything, shape (p,)."""
+    whole, most = _whole(blocks), settings.most_terms
+    return _path(whole, _size(whole), most)[most]
 
 
 def _size(block: Block) -> Array:
@@ -118,8 +122,8 @@ def _gain(block: Block, coefficients: Array) -> float:
     return float(block.pull @ coefficients - 0.5 * coefficients @ block.gram @ coefficients)
 
 
-def _path(block: Block, size: Array) -> list[Array]:
-    """Coefficients with 0, 1, ... `MOST_TERMS` terms, each of shape (p,).
+def _path(block: Block, size: Array, most: int) -> list[Array]:
+    """Coefficients with 0, 1, ... `most` terms, each of shape (p,).
 
     Regression needs rows: those of a root of the sums have the same sums as all samples.
     """
@@ -133,9 +137,9 @@ def _path(block: Block, size: Array) -> list[Array]:
     root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
     x, y = root[:, :p], root[:, p:]
     with np.errstate(all="ignore"):
-        found = FROLS(max_iter=MOST_TERMS, alpha=0.0, unbias=False).fit(x, y).history_
+        found = FROLS(max_iter=most, alpha=0.0, unbias=False).fit(x, y).history_
     path = []
-    for n in range(MOST_TERMS + 1):
+    for n in range(most + 1):
         picked = np.flatnonzero(found[min(n, len(found) - 1)][0])
         coefficients = np.zeros(p)
         chosen = np.ix_(picked, picked)

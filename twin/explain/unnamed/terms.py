@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...physics.sensors.table import BODY, sensor_of
-from .quantities import OWN_NOISE_S, PLAIN, Quantity, Unit, later
+from ..settings import DEFAULT, UnnamedSettings
+from .quantities import PLAIN, Quantity, Unit, later
 
 Array = NDArray[np.float64]
 RAISED = {2: "²", 3: "³", 4: "⁴"}
@@ -30,18 +31,24 @@ class Term:
     values: Array
 
 
-def terms(known: Mapping[str, Quantity], channel: str, tones_hz: tuple[float, ...]) -> list[Term]:
+def terms(
+    known: Mapping[str, Quantity],
+    channel: str,
+    tones_hz: tuple[float, ...],
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> list[Term]:
     """Everything up to products of two, laws of drag and tones that may explain a channel.
 
     Args:
         known: Quantities of a flight.
         channel: See `flight_model`.
         tones_hz: Frequencies at which something may shake.
+        settings: How late turning rates are where they stand for a gyroscope.
     """
     axis, sensor = channel[-1], sensor_of(channel)
     of_rates = sensor is not None and bool(sensor.rate_unit)
     own = {
-        k: later(v, OWN_NOISE_S) if k.startswith("omega_") and of_rates else v
+        k: later(v, settings.own_noise_s) if k.startswith("omega_") and of_rates else v
         for k, v in known.items()
         if _may_explain(k, channel)
     }

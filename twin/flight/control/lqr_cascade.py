@@ -54,7 +54,9 @@ def controller(vehicle: Vehicle) -> Component:
     inverse = thrust_inverse(vehicle)
     m = ComponentBuilder("controller", f"Position controller of {vehicle.name}, LQR in a cascade")
     s = declare_signals(m)
-    gravity = m.parameter("gravity", GRAVITY_M_S2, "m/s2", "Acceleration of free fall", minimum=0)
+    gravity = m.parameter(
+        "gravity", vehicle.gravity_m_s2, "m/s2", "Acceleration of free fall", minimum=0
+    )
     wanted = _acceleration(m, s, gravity, hover, gains, _limits(hover, inverse.full_n))
     up = [wanted[0], wanted[1], wanted[2] - gravity]
     lift = ca.fmax(dot(up, thrust_axis(s.q_nb)), 0.0)

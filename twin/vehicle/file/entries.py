@@ -279,6 +279,43 @@ def _lag(key: str, entry: _Entry) -> Array:
     return values[[0, -1]]
 
 
+def _table(key: str, entry: _Entry) -> Array:
+    """Rows of argument and value, the argument rising, shape (n, 2)."""
+    values = _si(key, entry.get("value"), entry, FIELDS[key].unit)
+    if values.ndim != 2 or values.shape[1] != 2 or not 2 <= len(values) <= 100:
+        raise ModelError(
+            f"{key} must be 2 to 100 rows of [J, factor]; it has shape {values.shape}."
+        )
+    if np.any(np.diff(values[:, 0]) <= 0):
+        raise ModelError(f"{key}: J must rise from row to row.")
+    return values
+
+
+def _rates(key: str, entry: _Entry) -> Array:
+    """Linear coefficient in 1/s and quadratic one in 1/rad, shape (2,)."""
+    if "coefficients" not in entry:
+        raise ModelError(
+            f"{key} needs coefficients = [a, b] of the missing speed and of the missing square."
+        )
+    c = _si(key, entry["coefficients"], entry, FIELDS[key].unit)
+    if c.shape != (2,) or not np.any(c):
+        raise ModelError(
+            f"{key} = {_short(entry['coefficients'])} must be two numbers [a, b], one above zero."
+        )
+    return c * _per_rad_s(key, entry) ** np.arange(2)
+
+
+def _per_rad_s(key: str, entry: _Entry) -> float:
+    """How many of the unit of the rotor speed, `of`, are 1 rad/s."""
+    of = entry.get("of")
+    if not isinstance(of, str):
+        raise ModelError(f'{key} needs of = "rad/s" (or "rpm"): the unit of the speed.')
+    per_rad_s = _factor(key, "rad/s", of)
+    if per_rad_s is None:
+        raise ModelError(f'{key}: of = "{of}" is not a rotor speed.')
+    return per_rad_s
+
+
 def _polynomial(key: str, entry: _Entry) -> Array:
     """Ascending coefficients: of the speed in rad/s, or of the raw command."""
     unit = FIELDS[key].unit.removeprefix("poly:")
@@ -309,12 +346,7 @@ def _polynomial(key: str, entry: _Entry) -> Array:
                 f"so 'of' has no place here."
             )
         return c
-    if not isinstance(of, str):
-        raise ModelError(f'{key} needs of = "rad/s" (or "rpm"): the unit of the speed.')
-    per_rad_s = _factor(key, "rad/s", of)
-    if per_rad_s is None:
-        raise ModelError(f'{key}: of = "{of}" is not a rotor speed.')
-    return c * per_rad_s ** np.arange(len(c))
+    return c * _per_rad_s(key, entry) ** np.arange(len(c))
 
 
 _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
@@ -325,6 +357,8 @@ _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
     "list": _directions,
     "pair": _pair,
     "lag": _lag,
+    "rates": _rates,
+    "table": _table,
     "polynomial": _polynomial,
 }
 

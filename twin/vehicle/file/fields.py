@@ -1,4 +1,4 @@
-"""Every key of a vehicle file: the one definition behind the reader and `docs/vehicle.md`."""
+"""Every key of a vehicle file: one definition for the reader and `docs/reference`."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ class Field:
         unit: SI unit that the value is converted to; "" for text; "poly:U" for a polynomial
             whose value has unit U.
         shape: How its value is read: "scalar", "vector", "inertia", "n x 3", "list", "pair",
-            "lag" or "polynomial".
+            "lag", "rates", "table" or "polynomial".
         required: Whether a file without it is refused.
         positive: Whether every number must be > 0; `None` when any sign is allowed, `False`
             when >= 0 is enough.
@@ -50,6 +50,20 @@ FIELDS: dict[str, Field] = {
         False,
         False,
         "Quadratic drag [x, y, z] in body axes, 0.5 rho Cd A: force = -drag |v_i| v_i.",
+    ),
+    "body.drag_parasitic": Field(
+        "N*s^2/m^2",
+        "vector",
+        False,
+        False,
+        "Quadratic drag [x, y, z] in body axes by the whole speed: force = -drag |v| v_i.",
+    ),
+    "body.drag_angular": Field(
+        "N*m*s^2/rad^2",
+        "vector",
+        False,
+        False,
+        "Damping [x, y, z] by the square of the body rates: moment = -drag |omega_i| omega_i.",
     ),
     "body.leg_height": Field(
         "m",
@@ -116,12 +130,83 @@ FIELDS: dict[str, Field] = {
         "Time constant of the first-order lag from command to rotor speed (to effective "
         "command when thrust comes from the command): one value, or [up, down].",
     ),
+    "rotors.rate_up": Field(
+        "1/s",
+        "rates",
+        False,
+        False,
+        "In place of lag, coefficients [a, b]: a rotor speeds up with a (u - w) + b (u^2 - w^2), "
+        "w its speed and u that of its command.",
+    ),
+    "rotors.rate_down": Field(
+        "1/s", "rates", False, False, "The same for a rotor that slows down; given with rate_up."
+    ),
     "rotors.spin_inertia": Field(
         "kg*m^2",
         "scalar",
         False,
         False,
         "Inertia of one rotor with its bell about its axis: gyroscopic torque. Needs the speed.",
+    ),
+    "rotors.reaction_inertia": Field(
+        "kg*m^2",
+        "scalar",
+        False,
+        False,
+        "Inertia of one rotor in the reaction to its own acceleration: yaw torque -J dw/dt. Needs "
+        "the speed. Default 0: no reaction.",
+    ),
+    "rotors.diameter": Field(
+        "m", "scalar", False, True, "Diameter of a rotor; with the two tables that follow."
+    ),
+    "rotors.thrust_by_advance": Field(
+        "1",
+        "table",
+        False,
+        None,
+        "Rows [J, thrust over that at rest], J = climb speed of the hub / (turns per second * "
+        "diameter); straight lines between them, the end values beyond. Needs speed and diameter.",
+    ),
+    "rotors.torque_by_advance": Field(
+        "1", "table", False, None, "Rows [J, reaction torque over that at rest], likewise."
+    ),
+    "rotors.drag": Field(
+        "kg/rad",
+        "scalar",
+        False,
+        False,
+        "Drag of one rotor in its plane, at its hub: force = -drag w [V_x, V_y, 0], V the velocity "
+        "of the hub through the air. Needs the speed w.",
+    ),
+    "rotors.inflow": Field(
+        "kg/rad",
+        "scalar",
+        False,
+        False,
+        "Thrust that one rotor loses in a climb: thrust += inflow w V_z. Needs the speed w.",
+    ),
+    "rotors.lift": Field(
+        "N*s^2/m^2",
+        "scalar",
+        False,
+        None,
+        "Thrust that one rotor gains in forward flight: thrust += lift (V_x^2 + V_y^2).",
+    ),
+    "rotors.flapping_moment": Field(
+        "kg*m/rad",
+        "scalar",
+        False,
+        None,
+        "Moment of one rotor whose disc flaps back: moment = flapping_moment w [-V_y, V_x, 0], "
+        "nose up in forward flight where positive. Needs the speed w.",
+    ),
+    "rotors.rolling_moment": Field(
+        "kg*m/rad",
+        "scalar",
+        False,
+        None,
+        "Moment of one rotor against its velocity: moment = -rolling_moment w [V_x, V_y, 0], "
+        "whatever its sense of rotation. Needs the speed w.",
     ),
     "rotors.reference_voltage": Field(
         "V",
@@ -241,6 +326,9 @@ FIELDS: dict[str, Field] = {
     ),
     "site.longitude": Field("rad", "scalar", False, None, "Longitude of the site, east > 0."),
     "site.height": Field("m", "scalar", False, None, "Height over WGS 84. Default 0."),
+    "site.gravity": Field(
+        "m/s^2", "scalar", False, True, "Acceleration of free fall. Default 9.80665 m/s^2."
+    ),
     "site.year": Field("1", "scalar", False, None, "Decimal year of the flights. Default 2025.5."),
     "site.pressure": Field(
         "Pa", "scalar", False, True, "Static pressure at the origin of NED. Default 101325 Pa."

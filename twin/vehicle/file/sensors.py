@@ -10,11 +10,11 @@ from ..geomagnetism import world_field
 from ..sensors import SEA_LEVEL_TEMPERATURE_K, Sensors
 from .entries import Entries
 
-_NUMBERS = {
+SENSOR_NUMBERS = {
     f.metadata["key"]: (f.name, f.metadata["stand_in"]) for f in fields(Sensors) if f.metadata
 }
 """Attribute of `Sensors` by key, and what stands in for it, in words."""
-_POSITION = {
+POSITION = {
     "position.period": "period_s",
     "position.delay": "delay_s",
     "position.antenna": "antenna_m",
@@ -24,8 +24,8 @@ _POSITION = {
     "position.attitude_noise": "attitude_noise_rad",
 }
 """Attribute of `position.PositionErrors` by key."""
-_PLACE = ("site.latitude", "site.longitude")
-_WHEN = ("site.height", "site.year")
+PLACE = ("site.latitude", "site.longitude")
+WHEN = ("site.height", "site.year")
 _HEIGHT_M, _YEAR = 0.0, 2025.5
 _TEMPERATURES_K = (180.0, 340.0)
 
@@ -33,11 +33,11 @@ _TEMPERATURES_K = (180.0, 340.0)
 def sensor_contradictions(entries: Entries) -> Iterator[str]:
     """Mistakes about sensors and site that no entry makes by itself."""
     given, values = entries.given, entries.values
-    missing = [key for key in _PLACE if key not in given]
+    missing = [key for key in PLACE if key not in given]
     if len(missing) == 1:
         yield f"[site] is given without {missing[0].split('.')[1]}; give both or neither."
     if "magnetometer.field" in given:
-        for key in sorted(given & {*_PLACE, *_WHEN}):
+        for key in sorted(given & {*PLACE, *WHEN}):
             yield f"{key} is of no use with magnetometer.field. Leave one of them out."
     latitude = float(values.get("site.latitude", 0.0))
     if abs(latitude) > pi / 2:
@@ -46,7 +46,7 @@ def sensor_contradictions(entries: Entries) -> Iterator[str]:
     low, high = _TEMPERATURES_K
     if not low <= temperature <= high:
         yield f"site.temperature = {temperature:g} K must be from {low:g} to {high:g} K."
-    if not set(_PLACE) - values.keys():
+    if not set(PLACE) - values.keys():
         try:
             _site_field(entries)
         except ModelError as mistake:
@@ -56,12 +56,12 @@ def sensor_contradictions(entries: Entries) -> Iterator[str]:
 def read_sensors(entries: Entries) -> Sensors:
     """The sensors of entries without mistakes."""
     numbers: dict[str, Any] = {}
-    for key, (name, stand_in) in _NUMBERS.items():
+    for key, (name, stand_in) in SENSOR_NUMBERS.items():
         value = entries.optional(key, stand_in)
         if value is not None:
             numbers[name] = value
     position: dict[str, float | tuple[float, ...]] = {}
-    for key, name in _POSITION.items():
+    for key, name in POSITION.items():
         if key in entries.values:
             given = entries.values[key]
             position[name] = float(given) if given.shape == () else tuple(given.tolist())
@@ -69,12 +69,12 @@ def read_sensors(entries: Entries) -> Sensors:
             entries.sources[key] = "default: that of the kind of position sensor"
     if "magnetometer.field" in entries.values:
         numbers["field_n_t"] = tuple(entries.values["magnetometer.field"].tolist())
-    elif _PLACE[0] in entries.values:
+    elif PLACE[0] in entries.values:
         numbers["field_n_t"] = _site_field(entries)
         entries.sources["magnetometer.field"] = "World Magnetic Model at the site"
     else:
         entries.sources["magnetometer.field"] = "default: that of southern Germany"
-        entries.sources |= dict.fromkeys(_PLACE + _WHEN, "default: unknown")
+        entries.sources |= dict.fromkeys(PLACE + WHEN, "default: unknown")
     return Sensors(**numbers, position=position)
 
 

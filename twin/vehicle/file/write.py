@@ -1,7 +1,7 @@
 """A vehicle file with effects added: the text of the original, its comments and its order kept."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -41,6 +41,17 @@ def with_effect_sections(
     sections = _sections(document)
     for name, numbers in effects.items():
         sections[name] = _section(name, vehicle, numbers)
+    return document.as_string()
+
+
+def without_effect_sections(text: str, names: Iterable[str]) -> str:
+    """Text of a vehicle file without these effects; it has them."""
+    document = tomlkit.parse(text)
+    sections = cast(Table, document["effects"])
+    for name in names:
+        sections.remove(name)
+    if not sections:
+        document.remove("effects")
     return document.as_string()
 
 

@@ -1,0 +1,1 @@
+"""What `explain` says about hidden effects when each of its settings is halved and doubled."""

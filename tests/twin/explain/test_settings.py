@@ -1,0 +1,218 @@
+"""Settings: each says what it is, every other number of the search says why it is none, and what
+is given to a search reaches all of it."""
+
+import ast
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twin.explain
+from twin.errors import ModelError
+from twin.explain import settings as package
+from twin.explain.settings import DEFAULT, SearchSettings, Setting
+
+ROOM = Path(next(iter(twin.explain.__path__)))
+EVERY = {s.name: s for s in DEFAULT.every()}
+
+LOCAL = {
+    "a digit or a line that is shown": {
+        "explanation.DIGITS",
+        "unnamed.equations.DIGITS",
+        "estimates.MOST_RIVALS",
+        "localization.MOST",
+        "localization.BANDS_HZ",
+    },
+    "units": {
+        "unnamed.terms.CHANNEL_UNITS",
+        "unnamed.terms.RAISED",
+        "unnamed.quantities.SPEED",
+        "unnamed.quantities.TURNING",
+    },
+    "what channels are, by definition": {
+        "model.channels.GRID_HZ",
+        "model.channels.CHANNEL_HZ",
+        "model.channels.BAND_HZ",
+        "model.channels.POSE_BAND_HZ",
+        "model.channels.SHORTEST_S",
+        "model.channels.EVERY",
+        "design.rehearsal.EVERY",
+        "stochastic.slow_force.SLOW_HZ",
+        "stochastic.stuck.PLACEHOLDERS",
+    },
+    "numbers of effects, and the model of a load": {
+        "model.numbers.IN_LOGS",
+        "model.slung_load_observer.DIRECTION_GAIN_1_S",
+        "model.slung_load_observer.RATE_GAIN_1_S2",
+        "model.slung_load_observer.FAINT_M_S2",
+    },
+    "steps, tries and tolerances of a solver": {
+        "inference.fit.ROUNDS",
+        "inference.fit.SETTLED",
+        "inference.fit.STRAIGHT",
+        "inference.fit.GRID",
+        "inference.fit.SEARCHES",
+        "inference.bounds.EDGE",
+        "inference.search.DRAWS",
+        "holdout.DRAWS",
+        "design.designer.SHAPE_STEP",
+        "model.flight._STEPS",
+        "unnamed.regression.RIDGE",
+        "unnamed.equations.FINER",
+        "stochastic.slow_force.RIDGES",
+        "stochastic.gust.NO_NOISE",
+    },
+    "mathematics": {
+        "inference.robust_covariance.INSIDE",  # 95 % intervals
+        "inference.robust_covariance.FEWEST",
+        "inference.selection.IMPOSSIBLE",
+        "inference.likelihood._FAR",
+        "stochastic.finding.SURE",
+        "stochastic.vibration.LOG_MEAN",
+        "stochastic.vibration.LOG_SD",
+    },
+    "how a suggested flight begins and ends": {
+        "design.manoeuvres._GROUND_S",
+        "design.manoeuvres._TAKEOFF_S",
+    },
+    "what matters of a sensor, which its row in the table of sensors says": {
+        "unnamed.equations.SMALLEST",
+        "unnamed.equations.SMALLEST_BARO_PA",
+        "unnamed.equations.FIELD_T",
+    },
+}
+"""Numbers that decide no verdict, or belong to another definition, by the reason."""
+
+
+def modules() -> Iterator[tuple[str, ast.Module]]:
+    for path in sorted(ROOM.rglob("*.py")):
+        name = ".".join(path.relative_to(ROOM).with_suffix("").parts)
+        yield name, ast.parse(path.read_text("utf-8"))
+
+
+# -- what is written down -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("setting", EVERY.values(), ids=EVERY.keys())
+def test_each_setting_says_what_it_is_and_where_it_comes_from(setting: Setting) -> None:
+    about = setting.about
+    assert about.unit.strip()
+    assert len(about.meaning.split()) >= 3
+    assert about.origin.startswith(("physics: ", "paper: ", "chosen on: ", "made up"))
+    assert "|" not in about.meaning + about.origin  # they stand in a table
+
+
+def numeric(value: ast.expr) -> bool:
+    """Whether an expression holds numbers, or is made of other constants that do."""
+    nodes = list(ast.walk(value))
+    text = any(isinstance(n, ast.Constant) and isinstance(n.value, str) for n in nodes)
+    number = any(isinstance(n, ast.Constant) and isinstance(n.value, int | float) for n in nodes)
+    return number or (any(isinstance(n, ast.Call) for n in nodes) and not text)
+
+
+def test_every_other_number_of_the_search_says_why_it_is_no_setting() -> None:
+    found = set()
+    for module, tree in modules():
+        for node in tree.body:
+            targets = node.targets if isinstance(node, ast.Assign) else []
+            targets = [node.target] if isinstance(node, ast.AnnAssign) else targets
+            names = [n.id for t in targets for n in ast.walk(t) if isinstance(n, ast.Name)]
+            value = getattr(node, "value", None)
+            if names and value is not None and names[0].isupper() and numeric(value):
+                found |= {f"{module}.{n}" for n in names}
+    found.discard("settings.search.DEFAULT")
+    allowed = set().union(*LOCAL.values())
+    assert found - allowed == set()  # make it a setting, or say here why it is none
+
+
+def test_the_two_numbers_that_say_how_exact_a_law_is_agree() -> None:
+    inference = DEFAULT.inference
+    share = math.sqrt(2 / inference.likelihood.exact)
+    assert inference.adequacy.law == pytest.approx(share, rel=0.02)
+
+
+# -- changing them --------------------------------------------------------------------------
+
+
+def test_changed_settings_are_told_and_change_the_hash() -> None:
+    name = "inference.selection.sure"
+    other = DEFAULT.with_values({name: 0.9, "stochastic.one_of": 40.0})
+    assert other.inference.selection.sure == 0.9
+    assert dict(other.changed) == {name: 0.9}
+    assert DEFAULT.changed == {}
+    assert other.hash != DEFAULT.hash == SearchSettings().hash
+    assert other.with_values({name: EVERY[name].value}) == DEFAULT
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("inference.selection.sure", 1.0, "SelectionSettings.sure = 1.0: .* below 1"),
+        ("inference.likelihood.huber", 0.0, "above 0"),
+        ("inference.likelihood.huber", math.nan, "finite"),
+        ("inference.likelihood.huber", (1.0, 2.0), "as many numbers"),
+        ("inference.pool.most", 2.5, "whole number"),
+        ("stochastic.slow_force.band_hz", (3.0, 0.1), "do not fall"),
+        ("selection.sure", 0.9, "no setting 'selection.sure'; is inference.selection.sure meant"),
+        ("inference.selection", 0.9, "no setting 'inference.selection'"),
+    ],
+)
+def test_values_that_make_no_sense_are_refused(name: str, value: float, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        DEFAULT.with_values({name: value})
+
+
+# -- handing them down ----------------------------------------------------------------------
+
+GROUPS = {n for n in package.__all__ if n.endswith("Settings")}
+
+
+def takers() -> dict[str, tuple[str, int]]:
+    """Callable -> name and place of its settings, which it can do without."""
+    found = {}
+    for module, tree in modules():
+        if module.startswith("settings"):
+            continue
+        classes = [n for n in ast.walk(tree) if isinstance(n, ast.ClassDef)]
+        owner = {id(f): c.name for c in classes for f in c.body}
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            every = node.args.args
+            for place, argument in enumerate(every):
+                kind = ast.unparse(argument.annotation) if argument.annotation else ""
+                if kind in GROUPS and place >= len(every) - len(node.args.defaults):
+                    inside = owner.get(id(node))
+                    name = {"__init__": inside, "of": f"{inside}.of"}.get(node.name, node.name)
+                    assert name is not None
+                    found[name, argument.arg] = place - (inside is not None)
+    by_name: dict[str, tuple[str, int]] = {}
+    for (name, argument), place in found.items():
+        by_name.setdefault(name, (argument, place))
+    return by_name
+
+
+def test_no_part_of_the_search_forgets_to_hand_settings_down() -> None:
+    known, calls = takers(), 0
+    assert {"explain", "name_effects", "Problem.of", "Pool", "believed"} <= set(known)
+    for module, tree in modules():
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.Call):
+                continue
+            name = ast.unparse(node.func)
+            name = name if name in known else name.rpartition(".")[2]
+            if name not in known or name == "log_posterior":
+                continue
+            argument, place = known[name]
+            calls += 1
+            given = len(node.args) > place or argument in {k.arg for k in node.keywords}
+            assert given, f"{module}:{node.lineno}: {name} is called without {argument}"
+    assert calls > 30
+
+
+def test_values_in_bands_are_compared_as_they_stand() -> None:
+    bands = np.array(DEFAULT.stochastic.noise_level.bands)
+    assert np.all(bands[:, 0] < bands[:, 1])
+    assert np.all(bands < 0.5)  # of the sample rate: no frequency lies beyond

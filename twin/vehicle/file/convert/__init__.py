@@ -1,0 +1,64 @@
+"""Vehicles of other simulators as vehicle files: TOML with unit and source for every number.
+
+`docs/guide/vehicle_from_simulators.md` says which of their numbers goes where, and by which law.
+"""
+
+import tomllib
+from pathlib import Path
+
+from ....errors import ModelError
+from .drone_models import convert_drone_models, is_drone_models
+from .gazebo import convert_gazebo
+from .jsbsim import convert_jsbsim
+from .pyflyt import convert_pyflyt, is_pyflyt
+from .xml import read_xml
+
+KNOWN = (
+    "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf beside "
+    "it, the aircraft XML of JSBSim"
+)
+
+
+def convert_vehicle(path: str | Path, name: str | None = None) -> str:
+    """Text of a vehicle file for the vehicle that another simulator's file describes.
+
+    Args:
+        path: The file; its format is recognised by what it holds.
+        name: Which aircraft, where the file holds several.
+
+    Raises:
+        ModelError: No such file, a format that is not known, or a vehicle that a vehicle file
+            cannot describe; the text says what to do.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ModelError(f"{file}: no such file.")
+    suffix = file.suffix.lower()
+    if suffix == ".toml":
+        try:
+            tree = tomllib.loads(_text(file))
+        except tomllib.TOMLDecodeError as error:
+            raise ModelError(f"{file.name}: not valid TOML: {error}.") from error
+        if is_drone_models(tree):
+            return convert_drone_models(tree, file, name)
+    elif suffix in (".yaml", ".yml"):
+        text = _text(file)
+        if is_pyflyt(text):
+            return convert_pyflyt(text, file)
+    elif suffix in (".sdf", ".world", ".xml"):
+        root = read_xml(file).tag
+        if root == "sdf":
+            return convert_gazebo(file, name)
+        if root == "fdm_config":
+            return convert_jsbsim(file)
+    raise ModelError(f"{file.name}: not a format that is known here: {KNOWN}.")
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{path.name}: cannot be read as text: {error}.") from error
+
+
+__all__ = ["convert_vehicle"]

@@ -1,0 +1,245 @@
+"""A multirotor of Gazebo (SDF with MulticopterMotorModel plugins) as a vehicle file.
+
+The laws are those of the plugin; which they are is in `docs/guide/vehicle_from_simulators.md`. The
+plugin of Gazebo classic in PX4's repository (`libgazebo_motor_model.so`) has another one: thrust
+falls with forward speed. It is refused.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ....errors import ModelError
+from .draft import Draft
+from .rigid import FLU_TO_FRD, HERE, Pose, put_together, six_elements, turned
+from .sdf import Model, own_pose, part_of, read_models, text_of
+from .xml import Element, floats
+
+_PLUGIN = "MulticopterMotorModel"
+_ROTORS_PLUGIN = "librotors_gazebo_motor_model.so"
+_DEFAULTS = {
+    "maxRotVelocity": 838.0,
+    "momentConstant": 0.016,
+    "motorConstant": 8.54858e-06,
+    "rollingMomentCoefficient": 1.0e-6,
+    "rotorDragCoefficient": 1.0e-4,
+    "rotorVelocitySlowdownSim": 10.0,
+    "timeConstantDown": 1.0 / 40.0,
+    "timeConstantUp": 1.0 / 80.0,
+}
+"""What the plugin takes where an element is left out, by its source."""
+_UPRIGHT = 1e-6
+"""Cosine by which the axis of a rotor may differ from that of the body."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Motor:
+    """One plugin.
+
+    Attributes:
+        index: Place of its command among all.
+        link: Of the rotor.
+        joint: Of the rotor.
+        direction: "cw" or "ccw", seen from above.
+        numbers: By element.
+        left_out: Elements for which the plugin's default stands in.
+    """
+
+    index: int
+    link: str
+    joint: str
+    direction: str
+    numbers: dict[str, float]
+    left_out: tuple[str, ...]
+
+
+def convert_gazebo(path: Path, name: str | None) -> str:
+    """Text of a vehicle file for a multirotor of an SDF file; `name` chooses among several.
+
+    Raises:
+        ModelError: There is no such multirotor in it, its rotors differ or are tilted, or a link
+            has no inertia written out.
+    """
+    models = {m.name: m for m in read_models(path) if any(map(_is_motor, m.plugins))}
+    if name is None and len(models) == 1:
+        (name,) = models
+    if name not in models:
+        if not models:
+            raise ModelError(f"{path.name}: holds no model with plugins {_PLUGIN}.")
+        asked = "say which model" if name is None else f"there is no multirotor {name!r}"
+        raise ModelError(f"{path.name}: {asked}; it holds: {', '.join(models)}.")
+    model = models[name]
+    motors = sorted((_motor(model, p) for p in model.plugins if _is_motor(p)), key=_place)
+    if [m.index for m in motors] != list(range(len(motors))):
+        raise ModelError(
+            f"{path.name}: motorNumber runs {[m.index for m in motors]}, not from 0 without gaps."
+        )
+    for motor in motors[1:]:
+        for key, value in motor.numbers.items():
+            if value != motors[0].numbers[key]:
+                raise ModelError(
+                    f"{path.name}: <{key}> is {motors[0].numbers[key]:g} for {motors[0].link} and "
+                    f"{value:g} for {motor.link}; a vehicle file has rotors of one kind."
+                )
+    return _draft(path, model, motors).text()
+
+
+def _place(motor: _Motor) -> int:
+    return motor.index
+
+
+def _is_motor(plugin: Element) -> bool:
+    name, file = plugin.get("name", ""), plugin.get("filename", "")
+    return bool(name.split("::")[-1] == _PLUGIN or file.endswith(_ROTORS_PLUGIN))
+
+
+def _motor(model: Model, plugin: Element) -> _Motor:
+    file = model.file
+    kind = (plugin.findtext("motorType") or "velocity").strip()
+    if kind != "velocity":
+        raise ModelError(f"{file}: motorType {kind!r}; the plugin itself knows 'velocity' alone.")
+    direction = text_of(file, plugin, "turningDirection")
+    if direction not in ("cw", "ccw"):
+        raise ModelError(f"{file}: turningDirection is {direction!r}, neither 'cw' nor 'ccw'.")
+    given = {
+        key: float(floats(file, f"<{key}>", plugin.findtext(key), 1)[0])
+        for key in _DEFAULTS
+        if plugin.find(key) is not None
+    }
+    tag = "actuator_number" if plugin.find("motorNumber") is None else "motorNumber"
+    return _Motor(
+        index=int(floats(file, f"<{tag}>", plugin.findtext(tag), 1)[0]),
+        link=text_of(file, plugin, "linkName"),
+        joint=text_of(file, plugin, "jointName"),
+        direction=direction,
+        numbers=_DEFAULTS | given,
+        left_out=tuple(sorted(_DEFAULTS.keys() - given)),
+    )
+
+
+def _draft(path: Path, model: Model, motors: list[_Motor]) -> Draft:
+    file, its = model.file, motors[0].numbers
+    base = model.pose(_base(model, motors))
+    poses = {link: model.pose(link).seen_from(base) for link in model.links}
+    body = put_together([part_of(file, n, e, poses[n]) for n, e in model.links.items()])
+    if its["rotorVelocitySlowdownSim"] <= 0 or its["maxRotVelocity"] <= 0:
+        raise ModelError(f"{file}: rotorVelocitySlowdownSim and maxRotVelocity must be positive.")
+    d = Draft(model.name, f"{model.name} of Gazebo, {_PLUGIN}", path.name)
+    _note(d, model, motors)
+
+    def source(key: str) -> str:
+        return f"default of {_PLUGIN}, {key}" if key in motors[0].left_out else f"<{key}>"
+
+    d.number("body.mass", body.mass_kg, "kg", "masses of all links")
+    d.number(
+        "body.inertia",
+        six_elements(turned(body.inertia_kg_m2)),
+        "kg*m^2",
+        "inertias of all links, rotors at angle 0, turned to FRD",
+    )
+    hubs = np.stack([poses[m.link].origin - body.centre_m for m in motors]) * FLU_TO_FRD + 0.0
+    d.number("rotors.position", hubs, "m", "poses of the rotor links, turned to FRD")
+    d.words("rotors.direction", [m.direction for m in motors], "<turningDirection>")
+    d.number(
+        "rotors.thrust_from_speed", its["motorConstant"], "N*s^2/rad^2", source("motorConstant")
+    )
+    d.number("rotors.torque_per_thrust", its["momentConstant"], "m", source("momentConstant"))
+    d.words("rotors.command_range", [0.0, its["maxRotVelocity"]], source("maxRotVelocity"))
+    d.polynomial(
+        "rotors.speed_from_command",
+        np.array([0.0, 1.0]),
+        "rad/s",
+        "the plugin's command is the speed in rad/s",
+    )
+    d.number(
+        "rotors.lag",
+        np.array([its["timeConstantUp"], its["timeConstantDown"]]),
+        "s",
+        f"{source('timeConstantUp')}, {source('timeConstantDown')}",
+    )
+    about = _rotor_inertia(model, motors)
+    slow = its["rotorVelocitySlowdownSim"]
+    for key in ("spin_inertia", "reaction_inertia"):
+        d.number(
+            f"rotors.{key}",
+            about / slow,
+            "kg*m^2",
+            f"<izz> of a rotor, {about:g} kg m^2, which turns {slow:g} times slower than it "
+            f"pushes, {source('rotorVelocitySlowdownSim')}",
+        )
+    d.number("rotors.drag", its["rotorDragCoefficient"], "kg/rad", source("rotorDragCoefficient"))
+    d.number(
+        "rotors.rolling_moment",
+        its["rollingMomentCoefficient"],
+        "kg*m/rad",
+        source("rollingMomentCoefficient"),
+    )
+    sensors = [
+        poses[n].of(own_pose(file, s)).origin
+        for n, e in model.links.items()
+        for s in e.findall("sensor")
+        if s.get("type") == "imu"
+    ]
+    if len(sensors) == 1:
+        place = (sensors[0] - body.centre_m) * FLU_TO_FRD + 0.0
+        d.number("imu.position", place, "m", 'pose of the sensor of type "imu", turned to FRD')
+    return d
+
+
+def _note(d: Draft, model: Model, motors: list[_Motor]) -> None:
+    """What is left out, and what stands in."""
+    d.notes.append(
+        f"Converted from {d.file} of Gazebo, model {model.name}. Left out: collision shapes, so "
+        f"legs too, noise of sensors, plugins other than {_PLUGIN}."
+    )
+    if motors[0].left_out:
+        d.notes.append(
+            f"Not in the file, so the defaults of the plugin: {', '.join(motors[0].left_out)}."
+        )
+    turning = {m.joint for m in motors}
+    moving = [n for n, j in model.joints.items() if n not in turning and j.get("type") != "fixed"]
+    if moving:
+        d.notes.append(f"Joints that move are held at 0: {', '.join(moving)}.")
+
+
+def _base(model: Model, motors: list[_Motor]) -> str:
+    """The link that carries the rotors, whose axes are those of the body."""
+    parents = set()
+    for motor in motors:
+        if motor.link not in model.links or motor.joint not in model.joints:
+            raise ModelError(
+                f"{model.file}: the plugin of {motor.link} needs that link and joint "
+                f"{motor.joint}; the model has links {', '.join(model.links)}."
+            )
+        parents.add(text_of(model.file, model.joints[motor.joint], "parent"))
+    if len(parents) != 1:
+        raise ModelError(f"{model.file}: rotors hang on several links: {', '.join(parents)}.")
+    (base,) = parents
+    for motor in motors:
+        _check_upright(model, motor, model.pose(motor.link).seen_from(model.pose(base)))
+    return base
+
+
+def _check_upright(model: Model, motor: _Motor, rotor: Pose) -> None:
+    """Refuse a rotor whose thrust or axis is not along body z."""
+    axis = model.joints[motor.joint].find("axis/xyz")
+    along = np.array([0.0, 0.0, 1.0])
+    if axis is not None:
+        along = floats(model.file, "<xyz>", axis.text, 3)
+        frame = axis.get("expressed_in", "")
+        seen = model.pose(frame or motor.joint).seen_from(model.pose(motor.link))
+        along = seen.axes @ along / np.linalg.norm(along)
+    if 1 - rotor.axes[2, 2] > _UPRIGHT or 1 - along[2] > _UPRIGHT:
+        raise ModelError(
+            f"{model.file}: rotor {motor.link} is tilted; rotors here push along body z."
+        )
+
+
+def _rotor_inertia(model: Model, motors: list[_Motor]) -> float:
+    """Inertia of one rotor link about its own axis, kg m2, the same for all."""
+    parts = [part_of(model.file, m.link, model.links[m.link], HERE) for m in motors]
+    found = [float(p.inertia_kg_m2[2, 2]) for p in parts]
+    if max(found) - min(found) > 1e-9 * max(found):
+        raise ModelError(f"{model.file}: <izz> differs between rotors: {sorted(found)}.")
+    return max(found)

@@ -1,0 +1,260 @@
+"""A vehicle as the text of a vehicle file: an existing text brought up to it, or a new one.
+
+Numbers that differ from the text are replaced, effects are added or taken out; comments, order and
+everything else of the text stay. The result is read back before it is given out: a vehicle that the
+format cannot hold is refused, never written in part.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+import tomlkit
+from tomlkit import TOMLDocument
+from tomlkit.items import Table
+
+from ...errors import ModelError
+from .. import Rotors, Vehicle
+from .fields import FIELDS
+from .read import parse_vehicle
+from .sensors import PLACE, POSITION, SENSOR_NUMBERS, WHEN
+from .write import Written, with_effect_sections, without_effect_sections
+
+_BESIDE = ("sources", "doubts", "effects", "text")
+"""Attributes of a vehicle that are no numbers of its body, rotors and sensors."""
+_MAPS = tuple(
+    f"rotors.{what}_from_{of}"
+    for what in ("thrust", "torque", "speed")
+    for of in ("speed", "command")
+)
+TIED = {
+    **dict.fromkeys(_MAPS, (*_MAPS, "rotors.command_range", "rotors.torque_per_thrust")),
+    "magnetometer.field": (*PLACE, *WHEN),
+}
+"""What must go from the text when a key is written: the same said in another way."""
+_DEFAULT = "default: "
+"""How the pedigree begins of a number about which a file is silent."""
+_BY_HAND = "set in Python"
+_PASSES = 3
+"""Numbers of a file may be relative to others: drag per kilogram, torque per thrust."""
+
+
+def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") -> str:
+    """Text of a vehicle file that describes this vehicle.
+
+    Args:
+        vehicle: To describe.
+        text: Of a file to start from, the vehicle's own before it was changed; "": none.
+        file: Names the file in errors.
+
+    Returns:
+        The text itself where nothing differs.
+
+    Raises:
+        ModelError: The format cannot hold the vehicle, or the text is no vehicle file.
+    """
+    for _ in range(_PASSES):
+        there = parse_vehicle(text, file) if text else None
+        changed = set(_changed(vehicle, there))
+        if not changed:
+            break
+        text = _with_numbers(vehicle, there, text, changed)
+    text = _with_effects(vehicle, parse_vehicle(text, file), text)
+    left = [*_differing(vehicle, again := parse_vehicle(text, file))]
+    left += ["effects"] if _plain(vehicle.effects) != _plain(again.effects) else []
+    if left:
+        raise ModelError(
+            f"{vehicle.name}: a vehicle file cannot hold its {', '.join(left)}. Write the file by "
+            f"hand; the format is in docs/guide/vehicle.md."
+        )
+    return text
+
+
+# -- what differs ---------------------------------------------------------------------------
+
+
+def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
+    """Keys whose values differ from those of the text; without one, all that are no defaults."""
+    wanted, found = values_by_key(vehicle), {} if there is None else values_by_key(there)
+    for key in wanted.keys() | found.keys():
+        if there is None and vehicle.sources.get(key, "").startswith(_DEFAULT):
+            continue
+        if not _same(wanted.get(key), found.get(key)):
+            yield key
+
+
+def _differing(a: Any, b: Any, within: str = "") -> Iterator[str]:
+    """Attributes in which two vehicles differ, those of `_BESIDE` left out."""
+    for field in (f for f in fields(b) if f.name not in _BESIDE):
+        x, y, name = getattr(a, field.name), getattr(b, field.name), f"{within}{field.name}"
+        if is_dataclass(x) and is_dataclass(y):
+            yield from _differing(x, y, f"{name}.")
+        elif not _same(x, y):
+            yield name
+
+
+def _same(x: Any, y: Any) -> bool:
+    if x is None or y is None:
+        return x is y
+    if isinstance(x, Mapping | str):
+        return bool(x == y)
+    return bool(np.array_equal(x, y))
+
+
+def values_by_key(vehicle: Vehicle) -> dict[str, Any]:
+    """Values in SI units by key, as a file would hold them; polynomials of the command 0..1."""
+    sensors, battery = vehicle.sensors, vehicle.battery
+    values = {
+        "name": vehicle.name,
+        "description": vehicle.description,
+        "body.mass": vehicle.mass_kg,
+        "body.inertia": vehicle.inertia_kg_m2[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)],
+        "body.drag_linear": vehicle.drag_linear_n_s_m,
+        "body.drag_quadratic": vehicle.drag_quadratic_n_s2_m2,
+        "body.drag_parasitic": vehicle.drag_parasitic_n_s2_m2,
+        "body.drag_angular": vehicle.drag_angular_n_m_s2,
+        "body.leg_height": vehicle.leg_height_m,
+        **_rotor_values(vehicle.rotors),
+        "imu.position": vehicle.imu_position_m,
+        "imu.accel_cutoff": vehicle.accel_cutoff_hz,
+        "imu.gyro_cutoff": vehicle.gyro_cutoff_hz,
+        "magnetometer.field": sensors.field_n_t,
+        "site.gravity": vehicle.gravity_m_s2,
+    }
+    values |= {key: getattr(sensors, name) for key, (name, _) in SENSOR_NUMBERS.items()}
+    values |= {key: sensors.position.get(name) for key, name in POSITION.items()}
+    if battery is not None:
+        values |= {
+            "battery.full_voltage": battery.full_voltage_v,
+            "battery.empty_voltage": battery.empty_voltage_v,
+            "battery.capacity": battery.capacity_a_s,
+            "battery.resistance": battery.resistance_ohm,
+            "battery.hover_current": battery.hover_current_a,
+        }
+    return {k: v for k, v in values.items() if v is not None}
+
+
+def _rotor_values(rotors: Rotors) -> dict[str, Any]:
+    """Those of the rotors; None for what they do not do."""
+    of = "speed" if rotors.from_speed else "command"
+    up, down = rotors.run_up or (None, None)
+    air, advance = rotors.air, rotors.advance
+    return {
+        "rotors.position": rotors.position_m,
+        "rotors.direction": rotors.direction,
+        f"rotors.thrust_from_{of}": rotors.thrust_n,
+        f"rotors.torque_from_{of}": rotors.torque_n_m,
+        "rotors.speed_from_command": rotors.speed_rad_s,
+        "rotors.lag": (rotors.lag_up_s, rotors.lag_down_s) if rotors.lag_up_s else None,
+        "rotors.rate_up": None if up is None else (up.linear_1_s, up.quadratic_1_rad),
+        "rotors.rate_down": None if down is None else (down.linear_1_s, down.quadratic_1_rad),
+        "rotors.spin_inertia": rotors.spin_inertia_kg_m2 or None,
+        "rotors.reaction_inertia": rotors.reaction_inertia_kg_m2 or None,
+        "rotors.reference_voltage": rotors.reference_voltage_v,
+        "rotors.voltage_exponent": (
+            None if rotors.voltage_exponent == 1 else rotors.voltage_exponent
+        ),
+        "rotors.drag": air.drag_kg_rad or None,
+        "rotors.inflow": air.inflow_kg_rad or None,
+        "rotors.lift": air.lift_kg_m or None,
+        "rotors.flapping_moment": air.flapping_kg_m_rad or None,
+        "rotors.rolling_moment": air.rolling_kg_m_rad or None,
+        "rotors.diameter": None if advance is None else advance.diameter_m,
+        "rotors.thrust_by_advance": (advance.thrust or None) if advance else None,
+        "rotors.torque_by_advance": (advance.torque or None) if advance else None,
+    }
+
+
+# -- text -----------------------------------------------------------------------------------
+
+
+def _with_numbers(vehicle: Vehicle, there: Vehicle | None, text: str, changed: set[str]) -> str:
+    """The text with these keys written anew, each with a source."""
+    document, wanted = tomlkit.parse(text), values_by_key(vehicle)
+    for name in (n for n in ("name", "description") if n in changed):
+        document[name] = wanted[name]
+    keys = changed.union(*(TIED.get(key, ()) for key in changed))
+    for key in (k for k in FIELDS if k in keys):
+        if key in wanted:
+            _set(document, key, wanted[key], _source(vehicle, there, key))
+        else:
+            _remove(document, key)
+    return document.as_string()
+
+
+def _source(vehicle: Vehicle, there: Vehicle | None, key: str) -> str:
+    """Pedigree of a number; that of the text no longer holds for a number that was changed."""
+    source, before = _pedigree(vehicle, key), "" if there is None else _pedigree(there, key)
+    changed = there is None or not _same(values_by_key(vehicle)[key], values_by_key(there).get(key))
+    if source and (source != before or not changed):
+        return source
+    return f"{_BY_HAND}; before: {before}" if before else _BY_HAND
+
+
+def _pedigree(vehicle: Vehicle, key: str) -> str:
+    """Source of a number, "" where none is known; a torque may have come by its ratio."""
+    ratio = "rotors.torque_per_thrust" if key.startswith("rotors.torque") else ""
+    source = vehicle.sources.get(key) or vehicle.sources.get(ratio, "")
+    return "" if source.startswith(_DEFAULT) else source
+
+
+def _set(document: TOMLDocument, key: str, value: Any, source: str) -> None:
+    """Write one entry, in the place of the old one and with its comment where there is one."""
+    section, name = key.split(".")
+    if section not in document:
+        document[section] = tomlkit.table()
+    table, what, entry = cast(Table, document[section]), FIELDS[key], tomlkit.inline_table()
+    if what.shape in ("polynomial", "rates"):
+        entry["coefficients"] = [float(c) for c in value]
+    elif what.shape == "list":
+        entry["value"] = ["cw" if d > 0 else "ccw" for d in value]
+    else:
+        entry["value"] = np.asarray(value, dtype=np.float64).tolist()
+    if what.unit:
+        entry["unit"] = what.unit.removeprefix("poly:")
+    if key.endswith("_from_speed") or what.shape == "rates":
+        entry["of"] = "rad/s"
+    entry["source"] = source
+    if name in table:
+        entry.trivia.comment_ws = table[name].trivia.comment_ws
+        entry.trivia.comment = table[name].trivia.comment
+    table[name] = entry
+
+
+def _remove(document: TOMLDocument, key: str) -> None:
+    section, name = key.split(".")
+    table = document.get(section, {})
+    table.pop(name, None)
+    if section in document and not table:
+        del document[section]
+
+
+def _with_effects(vehicle: Vehicle, there: Vehicle, text: str) -> str:
+    """The text with the vehicle's effects and no others; those that it holds already stay."""
+    gone = [name for name in there.effects if name not in vehicle.effects]
+    if gone:
+        text = without_effect_sections(text, gone)
+    written = {
+        name: {
+            number: Written(value, vehicle.sources.get(f"effects.{name}.{number}", _BY_HAND))
+            for number, value in numbers.items()
+        }
+        for name, numbers in vehicle.effects.items()
+        if not _holds(there, vehicle, name)
+    }
+    return with_effect_sections(text, vehicle, written) if written else text
+
+
+def _holds(there: Vehicle, vehicle: Vehicle, effect: str) -> bool:
+    """Whether the text has an effect with the same numbers and the same pedigree."""
+    prefix = f"effects.{effect}."
+    same = dict(there.effects.get(effect, {})) == dict(vehicle.effects[effect])
+    return same and all(
+        there.sources.get(prefix + n) == vehicle.sources.get(prefix + n)
+        for n in vehicle.effects[effect]
+    )
+
+
+def _plain(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    return {name: dict(numbers) for name, numbers in effects.items()}

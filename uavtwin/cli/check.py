@@ -1,0 +1,30 @@
+"""`uavtwin check`: any file that the program knows."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Exit, Json
+from .printing import STDOUT, print_json
+
+_STYLES = {"problem": "red", "good for": "green"}
+
+
+def check(
+    files: Annotated[list[Path], typer.Argument(help="Logs, flight tables, FMUs, vehicle files.")],
+    as_json: Json = False,
+) -> None:
+    """Say what a file holds, what is wrong with it and what it is good for."""
+    from ..file_check import check_file
+
+    reports = [check_file(path) for path in files]
+    if as_json:
+        print_json([r.json() for r in reports])
+    else:
+        for report in reports:
+            STDOUT.print(report.file, style="bold", markup=False)
+            for kind, text in report.lines():
+                STDOUT.print(f"  {text}", style=_STYLES.get(kind), markup=False)
+    if any(r.problems for r in reports):
+        raise typer.Exit(Exit.FINDINGS)

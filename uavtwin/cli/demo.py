@@ -1,0 +1,41 @@
+"""`uavtwin demo`: the whole chain on built-in flights."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import Exit, Force, Json, Out, VehicleName
+from .printing import STDERR, STDOUT, print_explanation, print_json, progress
+
+
+def demo(
+    seed: Annotated[
+        int, typer.Option(min=0, help="Draws the hidden effect and the sensor noise.")
+    ] = 1,
+    vehicle: VehicleName = "copter_default",
+    out: Out = Path("demo"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Hide an effect in built-in flights; find, name and add it, and show that the gap shrinks."""
+    from ..demo.chain import demo_json, run_demo, write_demo
+    from ..output import check_folder, results_folder, write_run
+    from ..vehicles import load_vehicle
+
+    check_folder(out, force)
+    model = load_vehicle(vehicle)
+    with progress("flying, comparing, explaining") as step:
+        chain = run_demo(model, seed, step)
+    with results_folder(out, force) as folder, progress("building") as step:
+        written = write_demo(chain, folder, step)
+        write_run(folder, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
+    if as_json:
+        print_json(demo_json(chain))
+    else:
+        STDOUT.print(chain.gap.claim, style="bold", markup=False)
+        print_explanation(chain.found)
+        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    STDERR.print(chain.ending, markup=False)
+    if not chain.right:
+        raise typer.Exit(Exit.FINDINGS)

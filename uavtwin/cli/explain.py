@@ -1,0 +1,83 @@
+"""`uavtwin explain`: find, name, add, show."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.errors import TwinError
+
+from .options import Exit, Force, Json, Out, VehicleName, named_numbers
+from .printing import STDOUT, print_damage, print_explanation, print_json, progress
+
+
+def explain(
+    flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables, to fit on.")],
+    vehicle: VehicleName,
+    holdout: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Flights that take no part in the fit and show the gap before and after. "
+            "Default: blocks of time of the flights, which is weaker."
+        ),
+    ] = None,
+    payload: Annotated[
+        list[str] | None,
+        typer.Option(help="Known mass aboard one of the flights, FLIGHT=KG. May be repeated."),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
+    no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
+    out: Out = Path("explain"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
+    from fmus.platforms import DEFAULT, compilers, select_platforms
+    from twin.logs import read_flight
+
+    from .. import explanation
+    from ..output import check_folder, results_folder, write_run
+    from ..vehicles import load_vehicle
+
+    check_folder(out, force)
+    if not no_fmus:
+        compilers(select_platforms(DEFAULT))  # a missing one is reported before the search
+    model, held = load_vehicle(vehicle), holdout or []
+    for path in held:
+        if path.resolve() in {p.resolve() for p in flights}:
+            raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
+    fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
+    payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
+    with progress("explaining") as step:
+        found = explanation.explain(fit, away, model, payloads=payloads, seed=seed, progress=step)
+    options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus, "payload": payload or []}
+    inputs = [p for p in (*flights, *held, Path(vehicle)) if p.is_file()]
+    with results_folder(out, force) as folder, progress("building") as step:
+        written = explanation.write_explanation(found.details, folder, not no_fmus, step)
+        write_run(folder, "explain", options, inputs, seed)
+    if as_json:
+        print_json(found.json())
+    else:
+        print_explanation(found)
+        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    damaged = print_damage([*fit, *away])
+    if damaged or found.verdict != "nothing":
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, float]:
+    """Known mass aboard by flight, kg, of "FLIGHT=KG" texts.
+
+    Raises:
+        TwinError: A text is not of that form, or there is no such flight.
+    """
+    from ..explanation import check_payloads
+
+    form = f"FLIGHT=KG, e.g. {flights[0]}=0.2"
+    payloads = named_numbers(texts, "--payload", form)
+    for name, mass_kg in payloads.items():
+        if not 0 <= mass_kg < float("inf"):
+            raise TwinError(f"--payload {name}={mass_kg:g}: write {form}.")
+    check_payloads(payloads, flights)
+    return payloads

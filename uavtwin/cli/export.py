@@ -1,0 +1,252 @@
+"""`uavtwin export`: components, the whole twin, a replay, a compensator, as FMUs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from twin.errors import TwinError
+
+from .options import Force, Json, Out, start_values
+from .printing import print_files, print_json, progress
+
+if TYPE_CHECKING:
+    from fmus.compensator import NetworkFile
+    from twin.physics.rotors import Drive
+    from twin.physics.sensors.position import Kind
+
+    from ..exports.parts import Controller
+    from ..exports.products import Exportable, WrittenFile
+    from ..vehicles import Vehicle
+
+COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
+"""What can be exported beside the components."""
+
+
+def export(
+    components: Annotated[
+        list[str],
+        typer.Argument(
+            help="airframe, imu, magnetometer, barometer, position, battery, environment, "
+            "mission, controller, controller_px4, replay, compensator; or corrected-twin: all of "
+            "them fused into one FMU, and as .ssp."
+        ),
+    ],
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
+            "--model, else copter_default."
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="Folder of a trained compensator, for compensator and corrected-twin."),
+    ] = None,
+    fmi: Annotated[str, typer.Option(help="FMI versions: 2, 3 or 2,3.")] = "2",
+    flight: Annotated[Path | None, typer.Option(help="Flight for the replay component.")] = None,
+    linear: Annotated[
+        str, typer.Option(help="Columns of the replay to interpolate linearly; others hold.")
+    ] = "",
+    drive: Annotated[
+        str | None, typer.Option(help="Airframe inputs: command or rotor_speed.")
+    ] = None,
+    mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
+    controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
+    position: Annotated[str, typer.Option(help="Position sensor: gnss or mocap.")] = "gnss",
+    python_slave: Annotated[
+        bool,
+        typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
+    ] = False,
+    platform: Annotated[
+        str,
+        typer.Option(
+            help="linux64, aarch64-linux, win64, darwin64, darwin-arm64, separated by commas, or "
+            "all. Anything but linux64 alone is built by zig, the extra `cross`."
+        ),
+    ] = "linux64",
+    start: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Start value baked into the FMU: NAME=VALUE, in the corrected twin "
+            "PART.NAME=VALUE."
+        ),
+    ] = None,
+    out: Out = Path("fmus_out"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Build components as native FMUs, FMI 2 and 3, and list what was written."""
+    from fmus.compensator import FILE
+
+    from ..output import check_folder, results_folder, write_run
+
+    check_folder(out, force)
+    vehicle = vehicle or default_vehicle(model)
+    choice = Choice(
+        vehicle,
+        fmi,
+        platform,
+        drive,
+        start or [],
+        flight,
+        linear,
+        mission,
+        controller,
+        model,
+        position,
+        python_slave,
+    )
+    plan = export_components(components, choice)
+    options = {
+        "components": components,
+        "vehicle": Path(vehicle).name,
+        "fmi": fmi,
+        "drive": drive,
+        "linear": linear,
+        "mission": mission,
+        "controller": controller,
+        "position": position,
+        "python_slave": python_slave,
+        "platform": platform,
+        "start": start or [],
+    }
+    trained = None if model is None else model / FILE
+    inputs = [p for p in (Path(vehicle), flight, trained) if p is not None and p.is_file()]
+    with results_folder(out, force) as folder, progress("building") as step:
+        written = plan(folder, step)
+        write_run(folder, "export", options, inputs)
+    if as_json:
+        print_json([row.as_json() for row in written])
+    else:
+        print_files(written)
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The options of the verb, as they were given.
+
+    Attributes:
+        vehicle: Vehicle file, or the name of a built-in vehicle.
+        fmi: FMI versions, comma-separated.
+        platform: Platforms, comma-separated, or "all".
+        drive: Inputs of the airframe; None: what the vehicle describes.
+        starts: "NAME=VALUE" texts; "part.name" for the corrected twin.
+        flight: To replay.
+        linear: Columns of the replay to interpolate, comma-separated.
+        mission: Of the components `mission` and `corrected-twin`.
+        controller: Of the corrected twin.
+        model: Folder of a trained compensator, for `compensator` and `corrected-twin`.
+        position: Kind of position sensor.
+        python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
+    """
+
+    vehicle: str = "copter_default"
+    fmi: str = "2"
+    platform: str = "linux64"
+    drive: str | None = None
+    starts: Sequence[str] = ()
+    flight: Path | None = None
+    linear: str = ""
+    mission: str = "hover"
+    controller: str = "lqr"
+    model: Path | None = None
+    position: str = "gnss"
+    python_slave: bool = False
+
+
+def export_components(
+    names: Sequence[str], choice: Choice
+) -> "Callable[[Path, Callable[[float], None]], list[WrittenFile]]":
+    """Read the options, check everything, then return the function that writes into a folder.
+
+    Raises:
+        TwinError: An unknown component, FMI version, drive, platform or start value; a missing
+            flight or compiler.
+    """
+    from twin.component import unknown_name
+
+    from ..exports.parts import COMPONENTS
+    from ..exports.write import export_parts
+    from ..vehicles import load_vehicle
+
+    vehicle, known = load_vehicle(choice.vehicle), (*COMPONENTS, REPLAY, COMPENSATOR, FUSED)
+    for name in names:
+        if name not in known:
+            raise TwinError(unknown_name("export", "component", name, known))
+    versions = _versions(choice.fmi)
+    _check_options(names, choice, versions)
+    network = _network(choice, vehicle)
+    parts = [_part(name, choice, vehicle, network) for name in dict.fromkeys(names)]
+    platforms = [name.strip() for name in choice.platform.split(",")]
+    starts = start_values(choice.starts)
+    return export_parts(parts, versions, platforms, starts, choice.python_slave)
+
+
+def default_vehicle(model: Path | None) -> str:
+    """Vehicle where none is named: the one that a trained model corrects."""
+    beside = None if model is None else model / "vehicle.toml"
+    return str(beside) if beside is not None and beside.is_file() else "copter_default"
+
+
+def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:
+    """Refuse options that do not go together."""
+    if choice.drive not in (None, "command", "rotor_speed"):
+        raise TwinError(f"--drive {choice.drive}: choose command or rotor_speed.")
+    if REPLAY in names and choice.flight is None:
+        raise TwinError("replay needs the flight to replay: --flight LOG.")
+    if choice.python_slave and (list(versions) != [2] or {REPLAY, FUSED} & set(names)):
+        raise TwinError("--python-slave: FMI 2 and single components only; leave the rest native.")
+    if choice.model is None and COMPENSATOR in names:
+        raise TwinError("compensator needs a trained model: --model FOLDER.")
+    if choice.model is not None and not {COMPENSATOR, FUSED} & set(names):
+        raise TwinError("--model goes with compensator and corrected-twin.")
+
+
+def _part(
+    name: str, choice: Choice, vehicle: "Vehicle", network: "NetworkFile | None"
+) -> "Exportable":
+    """What a name stands for."""
+    from twin.logs import read_flight
+
+    from ..exports import parts
+
+    if name == FUSED:
+        controller = cast("Controller", choice.controller)
+        return parts.twin(vehicle, choice.mission, controller, network)
+    if name == REPLAY and choice.flight is not None:
+        linear = [c.strip() for c in choice.linear.split(",") if c.strip()]
+        return parts.replay(read_flight(choice.flight), linear)
+    if name == COMPENSATOR and network is not None:
+        return network
+    return parts.component(
+        name,
+        vehicle,
+        drive=cast("Drive | None", choice.drive),
+        position=cast("Kind", choice.position),
+        mission=choice.mission,
+    )
+
+
+def _network(choice: Choice, vehicle: "Vehicle") -> "NetworkFile | None":
+    """The trained network, held against the vehicle."""
+    from ..exports.parts import check_compensator, compensator
+
+    if choice.model is None:
+        return None
+    network = compensator(choice.model)
+    check_compensator(network, vehicle)
+    return network
+
+
+def _versions(fmi: str) -> list[int]:
+    """FMI versions of the option."""
+    try:
+        versions = sorted({int(v) for v in fmi.split(",")})
+    except ValueError:
+        versions = []
+    if not versions or not set(versions) <= {2, 3}:
+        raise TwinError(f"--fmi {fmi}: choose 2, 3 or 2,3.")
+    return versions

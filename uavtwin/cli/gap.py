@@ -1,0 +1,73 @@
+"""`uavtwin gap`: flights against their twin."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .options import Exit, Force, Json, Out, VehicleName
+from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
+
+if TYPE_CHECKING:
+    from ..gaps import GapResult
+
+
+def gap(
+    logs: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
+    vehicle: VehicleName,
+    out: Out = Path("gap"),
+    horizon: Annotated[
+        float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
+    ] = 0.5,
+    rebuild_commands: Annotated[
+        bool | None,
+        typer.Option(
+            "--rebuild-commands/--logged-commands",
+            help="Rebuild motor commands at full rate from gyro and setpoints. "
+            "Default: where the log needs it.",
+        ),
+    ] = None,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Fly the twin on the commands of real flights and report where the two disagree."""
+    from twin.logs import read_flight
+
+    from .. import gaps
+    from ..output import check_folder, results_folder, write_json, write_run
+    from ..vehicles import load_vehicle
+
+    check_folder(out, force)
+    model = load_vehicle(vehicle)
+    flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in logs]
+    with progress("comparing") as step:
+        found = gaps.gap(flights, model, horizon_s=horizon, progress=step)
+    options = {
+        "vehicle": Path(vehicle).name,
+        "horizon": horizon,
+        "rebuild_commands": rebuild_commands,
+    }
+    inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
+    with results_folder(out, force) as folder:
+        write_json(folder / "gap.json", found.json())
+        found.report(folder / "report.html")
+        write_run(folder, "gap", options, inputs)
+    if as_json:
+        print_json(found.json())
+    else:
+        _print_gap(found, out)
+    damaged = print_damage(flights)
+    if damaged or not any(g.channels for g in found.flights):
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def _print_gap(found: "GapResult", out: Path) -> None:
+    """The gap as a table, and where its files are."""
+    STDOUT.print(found.claim, style="bold", markup=False)
+    print_table(found.table())
+    for g in found.flights:
+        if "commands_match" in g.facts:
+            STDOUT.print(f"{g.flight}: commands {g.facts['commands_match']}", markup=False)
+        for warning in g.warnings:
+            STDERR.print(f"{g.flight}: {warning}", style="yellow", markup=False)
+    STDOUT.print(f"written: {out / 'report.html'}, gap.json, run.json", markup=False)

@@ -1,0 +1,101 @@
+"""`uavtwin simulate`: flights of the twin, and systems of other tools."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from twin.errors import TwinError
+
+from .options import Force, Json, Out, VehicleName, start_values
+from .printing import STDERR, STDOUT, print_json, progress
+
+Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
+_VEHICLE = "copter_default"
+
+
+def simulate(
+    scenario: Annotated[
+        str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
+    ],
+    vehicle: VehicleName = _VEHICLE,
+    wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
+    gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
+    controller: Annotated[str, typer.Option(help="lqr or px4.")] = "lqr",
+    effect: Annotated[
+        list[str] | None, typer.Option(help="Effect to switch on; may be given several times.")
+    ] = None,
+    start: Annotated[list[str] | None, typer.Option(help="Start value PART.NAME=VALUE.")] = None,
+    stop: Annotated[float | None, typer.Option(help="Stop time, s.")] = None,
+    step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
+    interval: Annotated[float | None, typer.Option(help="Time between recorded rows, s.")] = None,
+    algorithm: Annotated[Algorithm, typer.Option(help="How the parts exchange values.")] = "jacobi",
+    fused: Annotated[bool, typer.Option("--fused", help="Run the twin as one FMU.")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="As fast as the clock.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Recording as CSV, not Parquet.")] = False,
+    out: Out = Path("simulation"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Fly a scenario, or run an .ssp, and record every output."""
+    from ..output import check_folder, results_folder, write_json, write_run
+    from ..report.simulation import write_simulation_report
+    from ..run import run_plan
+    from ..simulation import Scenario
+    from ..vehicles import load_vehicle
+
+    check_folder(out, force)
+    own_parts = scenario.endswith(".ssp") and vehicle == _VEHICLE
+    plan = Scenario(
+        scenario,
+        None if own_parts else load_vehicle(vehicle),
+        controller,
+        _three(wind, "--wind"),
+        gusts,
+        seed,
+        tuple(effect or ()),
+        start_values(start),
+        fused,
+    )
+    with progress("simulating") as done:
+        run = run_plan(plan, stop, None, step, interval, algorithm, 1.0 if realtime else None, done)
+    options = {
+        "scenario": plan.name,
+        "vehicle": Path(vehicle).name,
+        "wind": wind,
+        "gusts": gusts,
+        "controller": controller,
+        "effect": effect or [],
+        "start": start or [],
+        "stop": stop,
+        "step": step,
+        "interval": interval,
+        "algorithm": algorithm,
+        "fused": fused,
+    }
+    inputs = [p for p in (Path(scenario), Path(vehicle)) if p.is_file()]
+    with results_folder(out, force) as folder:
+        run.save(folder / ("recording.csv" if csv else "recording.parquet"))
+        write_json(folder / "summary.json", run.json())
+        facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
+        write_simulation_report(
+            run.recording, run.units, run.claim, facts, run.name, folder / "report.html"
+        )
+        write_run(folder, "simulate", options, inputs, seed)
+    if as_json:
+        print_json(run.json())
+        return
+    STDOUT.print(run.claim, style="bold", markup=False)
+    if realtime:
+        STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
+    STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+
+
+def _three(text: str, option: str) -> tuple[float, float, float]:
+    """Three numbers separated by commas."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise TwinError(f"{option} {text}: write three numbers, e.g. 5,0,0.") from None
+    return x, y, z

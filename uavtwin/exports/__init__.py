@@ -1,0 +1,1 @@
+"""Components, the whole twin, replays and compensators as files that FMI tools run."""

@@ -1,0 +1,188 @@
+"""What can be exported: components of a vehicle, the whole twin, a replay, a compensator."""
+
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cosim.whole_twin import COMPENSATOR
+from fmus import FmuModel, replay_model
+from fmus.compensator import NetworkFile, read_network
+from twin.component import Component, unknown_name
+from twin.effects import EFFECTS
+from twin.errors import TwinError
+from twin.flight.assembly import CONTROLLERS, Assembly, flying_twin
+from twin.flight.mission import mission
+from twin.logs import Flight
+from twin.physics.airframe import airframe
+from twin.physics.battery import battery
+from twin.physics.environment import environment
+from twin.physics.rotors import Drive
+from twin.physics.sensors.barometer import barometer
+from twin.physics.sensors.imu import imu
+from twin.physics.sensors.magnetometer import magnetometer
+from twin.physics.sensors.position import PRESETS, Kind, position_sensor
+from twin.representation import short_repr
+from twin.vehicle import Vehicle
+
+from ..flights import checked_flights
+from ..vehicles import checked_vehicle
+
+Controller = Literal["lqr", "px4"]
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What a component may be made with, beside the vehicle.
+
+    Attributes:
+        drive: Inputs of the airframe; None: what the vehicle describes.
+        position: Kind of position sensor.
+        mission: Name of the mission.
+    """
+
+    drive: Drive | None = None
+    position: Kind = "gnss"
+    mission: str = "hover"
+
+
+COMPONENTS: Mapping[str, Callable[[Vehicle, Choices], Component]] = {
+    "airframe": lambda v, c: airframe(v, c.drive, EFFECTS),
+    "imu": lambda v, _: imu(v, EFFECTS),
+    "magnetometer": lambda v, _: magnetometer(v, EFFECTS),
+    "barometer": lambda v, _: barometer(v, EFFECTS),
+    "position": lambda v, c: position_sensor(v, EFFECTS, c.position),
+    "battery": lambda v, _: battery(v),
+    "environment": lambda v, _: environment(v),
+    "mission": lambda v, c: mission(v, c.mission),
+    "controller": lambda v, _: CONTROLLERS["lqr"](v),
+    "controller_px4": lambda v, _: CONTROLLERS["px4"](v),
+}
+"""Every component by its name, each with all its effects built in."""
+
+
+@dataclass(frozen=True, slots=True)
+class Twin:
+    """A vehicle that flies a mission: components, connections, perhaps a compensator.
+
+    Attributes:
+        name: Of the vehicle.
+        assembly: Components and who feeds whom.
+        compensator: Correction of the sensors; None: without.
+    """
+
+    name: str
+    assembly: Assembly
+    compensator: NetworkFile | None = None
+
+    __repr__ = short_repr
+
+
+def twin(
+    vehicle: Vehicle,
+    mission: str = "hover",
+    controller: Controller = "lqr",
+    compensator: NetworkFile | None = None,
+) -> Twin:
+    """The whole twin of a vehicle, all effects built in and those of the vehicle on.
+
+    Args:
+        vehicle: Whose twin.
+        mission: That it flies.
+        controller: That flies it.
+        compensator: Of `uavtwin.compensator`, trained for this vehicle.
+
+    Raises:
+        TwinError: An unknown mission or controller, or a compensator of another vehicle.
+    """
+    model = checked_vehicle(vehicle, "twin")
+    if compensator is not None:
+        check_compensator(compensator, model)
+    return Twin(model.name, flying_twin(model, mission, controller), compensator)
+
+
+def component(
+    name: str,
+    vehicle: Vehicle,
+    *,
+    drive: Drive | None = None,
+    position: Kind = "gnss",
+    mission: str = "hover",
+) -> Component:
+    """One component of a vehicle, with all the effects that act in it.
+
+    Args:
+        name: Of `COMPONENTS`.
+        vehicle: Whose component.
+        drive: Inputs of the airframe; None: what the vehicle describes.
+        position: Kind of position sensor.
+        mission: Of the component `mission`.
+
+    Raises:
+        TwinError: There is no such component, drive, sensor or mission, or the vehicle has no
+            numbers for it.
+    """
+    model = checked_vehicle(vehicle, "component")
+    if name not in COMPONENTS:
+        raise TwinError(unknown_name("component", "component", name, COMPONENTS))
+    if drive not in (None, "command", "rotor_speed"):
+        raise TwinError(unknown_name(name, "drive", drive, ("command", "rotor_speed")))
+    if position not in PRESETS:
+        raise TwinError(unknown_name(name, "position sensor", position, PRESETS))
+    return COMPONENTS[name](model, Choices(drive, position, mission))
+
+
+def replay(flight: Flight, linear: Iterable[str] = ()) -> FmuModel:
+    """A recorded flight as something to export: its columns become outputs.
+
+    Args:
+        flight: To replay.
+        linear: Columns to interpolate linearly; others hold their last value.
+
+    Raises:
+        TwinError: The flight has no such column.
+    """
+    (one,) = checked_flights([flight], "replay")
+    columns = tuple(c for c in one.table if c not in ("time", "phase") and one.has(c))
+    wanted = tuple(linear)
+    for name in wanted:
+        if name not in columns:
+            raise TwinError(unknown_name(f"linear, {one.name}", "column", name, columns))
+    return replay_model(one, columns, wanted)
+
+
+def compensator(folder: str | Path) -> NetworkFile:
+    """A trained compensator from the folder that `train` wrote.
+
+    Raises:
+        FmuError: The folder holds none.
+    """
+    return read_network(Path(folder))
+
+
+def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
+    """Hold a compensator against the vehicle whose twin it is to correct.
+
+    Raises:
+        TwinError: It was trained for another vehicle, or for other numbers of this one.
+    """
+    folder = network.path.parent
+    if len(network.commands) != vehicle.rotors.count:
+        raise TwinError(
+            f"{folder}: the model was trained with {len(network.commands)} motors, "
+            f"{vehicle.name} has {vehicle.rotors.count}. Give the vehicle it was trained for."
+        )
+    if network.vehicle and network.vehicle != vehicle.name:
+        raise TwinError(
+            f"{folder}: the model corrects the twin of {network.vehicle}, not of "
+            f"{vehicle.name}. Give the vehicle {network.vehicle}, or train on flights of "
+            f"{vehicle.name}."
+        )
+    text = checked_vehicle(vehicle, COMPENSATOR).toml()
+    if network.vehicle_sha256 not in ("", hashlib.sha256(text.encode()).hexdigest()):
+        raise TwinError(
+            f"{folder}: the model was trained on other numbers of {vehicle.name} than those "
+            f"given, and would correct what is no longer wrong. Give the vehicle file it was "
+            f"trained with, or train anew."
+        )

@@ -1,0 +1,152 @@
+"""What a file holds, what is wrong with it, what it is good for."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fmus.inspect import inspect_fmu
+from twin.errors import ModelError, TwinError
+from twin.logs import Flight, read_flight
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.physics.airframe import airframe
+from twin.vehicle.file import load_vehicle
+from twin.vehicle.file.fields import FIELDS
+
+from .shown import Shown, TextTable, counted
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class CheckReport(Shown):
+    """What `check` says of one file."""
+
+    file: str
+    facts: dict[str, str]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+    good_for: tuple[str, ...]
+
+    def json(self) -> dict[str, Any]:
+        """The report as plain data."""
+        return {
+            "file": self.file,
+            "facts": self.facts,
+            "problems": list(self.problems),
+            "notes": list(self.notes),
+            "good_for": list(self.good_for),
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """What a person reads, line by line: kind and text."""
+        return [("fact", f"{name:16s} {value}") for name, value in self.facts.items()] + [
+            (kind, f"{kind}: {text}")
+            for kind, texts in (
+                ("problem", self.problems),
+                ("note", self.notes),
+                ("good for", self.good_for),
+            )
+            for text in texts
+        ]
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """Name of the file, then the lines."""
+        yield self.file
+        yield "\n".join(text for _, text in self.lines())
+
+    def brief(self) -> str:
+        """Name of the file, and how many problems it has."""
+        return f"{type(self).__name__}: {self.file}, {counted(self.problems, 'problem')}"
+
+
+def check_file(path: str | Path) -> CheckReport:
+    """Look at one file, whatever it is.
+
+    Raises:
+        TwinError: It cannot be read as anything known.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise TwinError(f"{path}: is a folder; name the files in it.")
+    if not path.is_file():
+        raise TwinError(f"{path}: no such file.")
+    with path.open("rb") as file:
+        start = file.read(4)
+    if start[:2] == b"PK" or path.suffix == ".fmu":
+        return _check_fmu(path)
+    if path.suffix == ".toml":
+        return _check_vehicle(path)
+    return _check_flight(path)
+
+
+def _check_fmu(path: Path) -> CheckReport:
+    report = inspect_fmu(path)
+    uses = []
+    runs_here = report.facts["platforms"] != "none"
+    if runs_here and not report.problems and "co-simulation" in report.facts["format"]:
+        uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
+    return CheckReport(path.name, report.facts, report.problems, (), tuple(uses))
+
+
+def _check_vehicle(path: Path) -> CheckReport:
+    vehicle = load_vehicle(path)
+    facts = {"format": "vehicle file", "name": vehicle.name, "driven by": vehicle.drive}
+    given = {k: s for k, s in vehicle.sources.items() if not s.startswith("default:")}
+    facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
+    notes = tuple(f"{k}: {s}" for k, s in vehicle.sources.items() if s.startswith("default:"))
+    arm = max(float(np.hypot(x, y)) for x, y, _ in vehicle.rotors.position_m)
+    facts["rotors"] = f"{vehicle.rotors.count}, arm {arm:.4g} m"
+    try:
+        body = airframe(vehicle)
+    except ModelError as error:
+        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), notes, ())
+    trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
+    facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
+        " rad/s" if vehicle.drive == "rotor_speed" else ""
+    )
+    uses = "gap, export" if vehicle.drive == "rotor_speed" else "gap, demo, export"
+    return CheckReport(path.name, facts, vehicle.doubts, notes, (uses,))
+
+
+def _check_flight(path: Path) -> CheckReport:
+    flight = read_flight(path)
+    facts = {
+        "holds": ", ".join(c for c in flight.table if c != "time" and flight.has(c)),
+        "rows": f"{len(flight.table)}",
+        **flight.facts,
+    }
+
+    def said(severities: tuple[str, ...]) -> tuple[str, ...]:
+        """Findings of these severities, a line each."""
+        return tuple(
+            f"{f.where}: {f.message}" + (f" ({f.count})" if f.count > 1 else "")
+            for f in flight.findings
+            if f.severity in severities
+        )
+
+    notes = tuple(f"warning: {text}" for text in said(("warning",))) + said(("info",))
+    return CheckReport(path.name, facts, said(("error",)), notes, tuple(_uses(flight)))
+
+
+def _uses(flight: Flight) -> list[str]:
+    """Which residuals the flight allows, and what it lacks for the others."""
+    if not (flight.has("cmd_1") or flight.has("rotor_1")):
+        return ["nothing yet: no motor commands cmd_1..n and no rotor speeds rotor_1..n"]
+    uses = []
+    forced = [name for name, group in (("acc", ACC), ("gyro", GYRO)) if flight.has(*group)]
+    if forced:
+        uses.append(f"gap, teacher-forced: {' and '.join(forced)}")
+    missing = [
+        name
+        for name, found in (
+            ("q", flight.has(*QUAT)),
+            ("vel or pos", flight.has(*VEL) or flight.has(*POS)),
+        )
+        if not found
+    ]
+    if missing:
+        uses.append(f"gap at a short horizon: not possible, no {' and no '.join(missing)}")
+    else:
+        uses.append("gap at a short horizon: attitude, rates, velocity")
+    return uses

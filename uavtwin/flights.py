@@ -1,0 +1,97 @@
+"""Flights from files, by name or by pattern."""
+
+import glob
+import re
+from collections.abc import Iterable
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from twin.errors import LogError, TwinError
+from twin.logs import Flight, read_flight
+
+_SHOWN = 6
+"""Names of a folder that a message lists."""
+
+
+def read_flights(*patterns: str | Path, rebuild_commands: bool | None = None) -> list[Flight]:
+    """Read flight logs and flight tables.
+
+    Args:
+        patterns: Files, or patterns such as `logs/fit_*.ulg` and `logs/**/*.parquet`.
+        rebuild_commands: As for `read_flight`.
+
+    Returns:
+        Flights in the order of the patterns, those of one pattern by name with numbers counted
+        (`fit_2` before `fit_10`); a file that two patterns match comes once.
+
+    Raises:
+        LogError: Nothing matches a pattern, or a file cannot be used.
+    """
+    if not patterns:
+        raise LogError("read_flights: no file and no pattern given, e.g. 'logs/fit_*.ulg'.")
+    paths = [path for pattern in patterns for path in _matching(pattern)]
+    once = {path.resolve(): path for path in reversed(paths)}
+    return [
+        read_flight(path, rebuild_commands=rebuild_commands)
+        for path in dict.fromkeys(once[p.resolve()] for p in paths)
+    ]
+
+
+def _matching(pattern: str | Path) -> list[Path]:
+    """Files of a pattern, or the one file."""
+    text = str(pattern)
+    if not glob.has_magic(text) or Path(text).is_file():
+        if not Path(text).exists():
+            raise LogError(f"{text}: there is no such file. {_instead(Path(text))}")
+        return [Path(text)]
+    found = [Path(p) for p in glob.glob(text, recursive=True)]
+    files = sorted((p for p in found if p.is_file()), key=_counted)
+    if not files:
+        raise LogError(f"{text}: no flight matches this pattern. {_instead(Path(text))}")
+    return files
+
+
+def _counted(path: Path) -> list[tuple[int, str]]:
+    """Sort key in which 2 comes before 10."""
+    parts = re.findall(r"\d+|\D+", str(path))
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in parts]
+
+
+def _instead(path: Path) -> str:
+    """What is there instead of a file or pattern."""
+    folder = path.parent
+    while glob.has_magic(str(folder)):
+        folder = folder.parent
+    if not folder.is_dir():
+        return f"There is no folder {folder}."
+    where = f"The folder {folder.resolve()}"
+    names = sorted(p.name for p in folder.iterdir() if p.is_file() and p.name[0] != ".")
+    if not names:
+        return f"{where} holds no files."
+    near = get_close_matches(path.name, names, n=1)
+    if near:
+        return f"Did you mean {near[0]!r}?"
+    more = f" and {len(names) - _SHOWN} more" * (len(names) > _SHOWN)
+    return f"{where} holds {', '.join(names[:_SHOWN])}{more}."
+
+
+def checked_flights(given: Any, verb: str) -> tuple[Flight, ...]:
+    """One flight or several that were handed to a function.
+
+    Raises:
+        TwinError: Something else was handed.
+    """
+    flights = (given,) if isinstance(given, Flight | str | Path) else given
+    if not isinstance(flights, Iterable):
+        raise TwinError(f"{verb}: a {type(given).__name__} is no flight. {_HOW}")
+    flights = tuple(flights)
+    for flight in flights:
+        if isinstance(flight, str | Path):
+            raise TwinError(f"{verb}: '{flight}' is the name of a file, not a flight. {_HOW}")
+        if not isinstance(flight, Flight):
+            raise TwinError(f"{verb}: a {type(flight).__name__} is no flight. {_HOW}")
+    return flights
+
+
+_HOW = "Read it first: read_flight(FILE), or read_flights(PATTERN) for several."

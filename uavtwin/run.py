@@ -1,0 +1,230 @@
+"""Simulations: fly a scenario or run an `.ssp`, and a result to print, plot and report."""
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.master import Algorithm, Recording
+from cosim.slave.interface import read_interface
+from twin.component import unknown_name
+from twin.errors import TwinError
+from twin.vehicle import Vehicle
+
+from .output import output_file
+from .report.simulation import write_simulation_report
+from .shown import Shown, TextTable, counted
+from .simulation import Scenario, run_scenario, scenario_system, summary
+from .vehicles import checked_vehicle
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Progress = Callable[[float], None]
+_BUILDING = 0.3
+"""Share of the work that building takes, about."""
+_FIGURES = {
+    "tracking_rms_m": ("distance from the setpoint, rms", "m"),
+    "tracking_worst_m": ("distance from the setpoint, worst", "m"),
+    "tilt_worst_rad": ("tilt, worst", "rad"),
+}
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Run(Shown):
+    """A simulation that was run.
+
+    Attributes:
+        name: Of the mission, or of the `.ssp`.
+        recording: Every output over time.
+        units: By column, "" where there is none.
+        facts: What it was run with, for the page.
+    """
+
+    name: str
+    recording: Recording
+    units: Mapping[str, str]
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def claim(self) -> str:
+        """How it went, in one sentence."""
+        duration_s, figures = self.recording.time_s[-1], summary(self.recording)
+        if not figures:
+            return f"{self.name}: {duration_s:g} s simulated"
+        return (
+            f"{self.name}: {duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms from the "
+            f"setpoint, {figures['tracking_worst_m']:.2f} m at worst"
+        )
+
+    def __getitem__(self, column: str) -> NDArray[np.float64]:
+        """One output over `recording.time_s`, by its name "part.variable".
+
+        Raises:
+            TwinError: There is none of this name.
+        """
+        if column not in self.recording.names:
+            raise TwinError(unknown_name(self.name, "output", column, self.recording.names))
+        return self.recording[column]
+
+    def frame(self) -> "pd.DataFrame":
+        """Every output, a column each, over the time in s."""
+        return self.recording.frame().set_index("time")
+
+    def json(self) -> dict[str, Any]:
+        """The content of `summary.json`: figures of a flight, empty where nothing flies."""
+        return summary(self.recording)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        with output_file(Path(path)) as file:
+            write_simulation_report(
+                self.recording, self.units, self.claim, self.facts, self.name, file
+            )
+        return Path(path)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the recording as `.parquet` or `.csv`; returns its path."""
+        with output_file(Path(path)) as file:
+            self.recording.write(file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The claim and its figures."""
+        yield self.claim
+        figures = summary(self.recording)
+        if figures:
+            yield TextTable(
+                ("figure", "value", "unit"),
+                tuple((text, f"{figures[k]:.3g}", unit) for k, (text, unit) in _FIGURES.items()),
+            )
+
+    def brief(self) -> str:
+        """How long, and how many outputs."""
+        outputs = counted(self.recording.names, "output")
+        return f"{type(self).__name__}: {self.name}, {self.recording.time_s[-1]:g} s, {outputs}"
+
+
+def simulate(
+    scenario: str | Path,
+    vehicle: Vehicle | None = None,
+    *,
+    wind: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    gusts: bool = False,
+    seed: int = 0,
+    controller: str = "lqr",
+    effects: Iterable[str] | Mapping[str, Mapping[str, float]] = (),
+    starts: Mapping[str, float] | None = None,
+    duration: float | None = None,
+    step: float | None = None,
+    interval: float | None = None,
+    algorithm: Algorithm = "jacobi",
+    fused: bool = False,
+    realtime: float | None = None,
+    progress: Progress = lambda _: None,
+) -> Run:
+    """Fly a scenario, or run an `.ssp`, and record every output.
+
+    Args:
+        scenario: Name of a mission (`mission_names()`), or an `.ssp` file, which brings its own
+            parts: of what shapes a scenario it takes start values alone.
+        vehicle: That flies; default: `copter_default`.
+        wind: Velocity of the air, NED, m/s.
+        gusts: Whether there is Dryden turbulence.
+        seed: Of every noise.
+        controller: `lqr` or `px4`.
+        effects: To switch on: names, or numbers by effect, `{"rotor_drag": {"k_xy_1_s": 0.4}}`.
+        starts: Start values, "part.variable" -> value.
+        duration: Simulated time, s; default: of the mission, or of the `.ssp`.
+        step: Communication step, s; default: 1 ms, or that of the `.ssp`.
+        interval: Time between recorded rows, s; default: about 10 ms.
+        algorithm: How the parts exchange values, see `cosim.stepping`.
+        fused: Whether the twin runs as one FMU.
+        realtime: Simulated seconds per second of the clock; None: as fast as possible.
+        progress: Called with the share done, 0..1.
+
+    Raises:
+        TwinError: An unknown name, or a value outside its range.
+    """
+    if vehicle is not None:
+        vehicle = checked_vehicle(vehicle, "simulate")
+    if isinstance(effects, str):
+        effects = (effects,)
+    air = tuple(float(v) for v in wind)
+    if len(air) != 3:
+        raise TwinError(f"wind = {wind}: give three numbers, north, east, down, in m/s.")
+    plan = Scenario(
+        scenario,
+        vehicle,
+        controller,
+        (air[0], air[1], air[2]),
+        gusts,
+        seed,
+        effects if isinstance(effects, Mapping) else tuple(effects),
+        dict(starts or {}),
+        fused,
+    )
+    return run_plan(plan, None, duration, step, interval, algorithm, realtime, progress)
+
+
+def run_plan(
+    plan: Scenario,
+    stop_s: float | None = None,
+    duration_s: float | None = None,
+    step_s: float | None = None,
+    interval_s: float | None = None,
+    algorithm: Algorithm = "jacobi",
+    realtime: float | None = None,
+    progress: Progress = lambda _: None,
+) -> Run:
+    """Build what a scenario needs and run it.
+
+    Args:
+        plan: What to simulate.
+        stop_s: Time at which it ends; None: by `duration_s`, or the system's own.
+        duration_s: Time from its start on.
+        step_s: As for `run_scenario`.
+        interval_s: As for `run_scenario`.
+        algorithm: As for `run_scenario`.
+        realtime: As for `run_scenario`.
+        progress: Called with the share done, 0..1.
+
+    Raises:
+        TwinError: As `scenario_system` and `run_scenario`.
+    """
+    with tempfile.TemporaryDirectory(prefix="uavtwin-") as folder:
+        system = scenario_system(plan, Path(folder), lambda done: progress(_BUILDING * done))
+        if stop_s is None and duration_s is not None:
+            stop_s = system.start_time_s + duration_s
+        recording = run_scenario(
+            system,
+            stop_s,
+            step_s,
+            interval_s,
+            algorithm,
+            realtime,
+            lambda done: progress(_BUILDING + (1 - _BUILDING) * done),
+        )
+        interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
+    units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
+    return Run(plan.name, recording, units, _facts(plan))
+
+
+def _facts(plan: Scenario) -> dict[str, Any]:
+    """What differs from a plain scenario, for the page."""
+    facts = {
+        "scenario": plan.name,
+        "vehicle": None if plan.vehicle is None else plan.vehicle.name,
+        "wind": ",".join(f"{v:g}" for v in plan.wind_m_s),
+        "gusts": plan.gusts,
+        "seed": plan.seed,
+        "controller": plan.controller,
+        "effects": ", ".join(plan.effects),
+        "starts": ", ".join(f"{k}={v:g}" for k, v in plan.starts.items()),
+        "fused": plan.fused,
+    }
+    return {k: v for k, v in facts.items() if v not in (None, "", False)}

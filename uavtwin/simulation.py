@@ -1,0 +1,218 @@
+"""A named scenario, or somebody's `.ssp`, stepped by the master."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.master import Algorithm, Master, Recording
+from cosim.ssp import read_ssp
+from cosim.system import System
+from cosim.whole_twin import STEP_S, fused_model, system_of
+from fmus import build
+from twin.component import unknown_name
+from twin.effects import EFFECTS
+from twin.errors import TwinError
+from twin.flight.assembly import Assembly, flying_twin
+from twin.flight.mission import mission_names
+from twin.representation import short_repr
+from twin.vehicle import Vehicle
+
+from .vehicles import load_vehicle
+
+Array = NDArray[np.float64]
+_INTERVAL_S = 0.01
+DEFAULT_VEHICLE = "copter_default"
+"""Built-in vehicle that flies where none is named."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """What to simulate.
+
+    Attributes:
+        target: Name of a mission, or an `.ssp` file.
+        vehicle: That flies; None: `DEFAULT_VEHICLE`, or the `.ssp`'s own.
+        controller: Name of the flight controller.
+        wind_m_s: Velocity of the air, NED.
+        gusts: Whether the wind gusts.
+        seed: Of every noise.
+        effects: Effects to switch on: names, at their start values where `starts` says nothing
+            else; or numbers by effect.
+        starts: Start values, "part.variable" -> value.
+        fused: Whether the whole twin runs as one FMU.
+    """
+
+    target: str | Path
+    vehicle: Vehicle | None = None
+    controller: str = "lqr"
+    wind_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    gusts: bool = False
+    seed: int = 0
+    effects: Iterable[str] | Mapping[str, Mapping[str, float]] = ()
+    starts: Mapping[str, float] = field(default_factory=dict)
+    fused: bool = False
+
+    __repr__ = short_repr
+
+    @property
+    def is_system(self) -> bool:
+        """Whether the target is an `.ssp`, which brings its own parts."""
+        return Path(self.target).suffix == ".ssp"
+
+    @property
+    def name(self) -> str:
+        """Of the mission, or of the file."""
+        return Path(self.target).name
+
+
+def scenario_system(
+    scenario: Scenario, folder: Path, progress: Callable[[float], None] = lambda _: None
+) -> System:
+    """FMUs and connections of a scenario, built into a folder where it is not an `.ssp`.
+
+    What shapes the scenario are start values of the system, so one mission of one vehicle is
+    compiled once.
+
+    Raises:
+        TwinError: An unknown mission, effect or start value; a broken `.ssp`.
+    """
+    if scenario.is_system:
+        given = read_ssp(Path(scenario.target))
+        _check_bare(scenario)
+        return replace(given, starts={**given.starts, **scenario.starts})
+    if scenario.target not in mission_names():
+        known = ", ".join(mission_names())
+        raise TwinError(f"{scenario.target}: neither an .ssp file nor a scenario: {known}.")
+    vehicle = scenario.vehicle or load_vehicle(DEFAULT_VEHICLE)
+    twin = flying_twin(vehicle, str(scenario.target), scenario.controller)
+    starts = _changes(twin, _shaped(twin, scenario))
+    if not scenario.fused:
+        return replace(system_of(twin, folder, progress=progress), starts=starts)
+    model = fused_model(twin, vehicle.name)
+    fmu = build(model, folder / f"{model.name}.fmu")
+    starts = {f"twin.{name}": value for name, value in starts.items()}
+    return System({"twin": fmu}, starts=starts, stop_time_s=twin.duration_s, step_s=STEP_S)
+
+
+def _check_bare(scenario: Scenario) -> None:
+    """Refuse what an `.ssp` cannot be given."""
+    bare = Scenario(scenario.target)
+    shaping = ("vehicle", "controller", "wind_m_s", "gusts", "seed", "effects", "fused")
+    given = [n for n in shaping if getattr(scenario, n) != getattr(bare, n)]
+    if given:
+        raise TwinError(
+            f"{scenario.target}: an .ssp brings its own parts; of what shapes a scenario only "
+            f"start values go with it, not {', '.join(given)}."
+        )
+
+
+def _shaped(twin: Assembly, scenario: Scenario) -> Assembly:
+    """The twin with wind, seed, effects and start values of a scenario."""
+    switches = {}
+    for name in scenario.effects:
+        if name not in EFFECTS:
+            raise TwinError(unknown_name("effects", "effect", name, EFFECTS))
+        block = f"{EFFECTS[name].component}.{name}"
+        switches[f"{block}.enabled"] = 1.0
+        if isinstance(scenario.effects, Mapping):
+            switches |= {f"{block}.{k}": x for k, x in scenario.effects[name].items()}
+    twin = twin.with_wind(scenario.wind_m_s, scenario.gusts).with_seed(scenario.seed)
+    return twin.with_starts({**switches, **scenario.starts})
+
+
+def _changes(before: Assembly, after: Assembly) -> dict[str, float]:
+    """Start values in which two assemblies of the same parts differ, "part.variable" -> value."""
+    return {
+        f"{name}.{new.name}": new.start
+        for name, part in before.parts.items()
+        for old, new in zip(part.variables, after.parts[name].variables, strict=True)
+        if new.start != old.start
+    }
+
+
+def run_scenario(
+    system: System,
+    stop_s: float | None = None,
+    step_s: float | None = None,
+    interval_s: float | None = None,
+    algorithm: Algorithm = "jacobi",
+    realtime: float | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Recording:
+    """Step a system from its start time on.
+
+    Args:
+        system: FMUs and connections.
+        stop_s: Default: the system's own.
+        step_s: Default: the system's own, else 1 ms.
+        interval_s: Time between two rows of the recording; default: whole steps, some 10 ms.
+        algorithm: See `cosim.stepping`.
+        realtime: Simulated seconds per second of the clock; None: as fast as possible.
+        progress: Called with the share done.
+
+    Raises:
+        TwinError: No stop time is known, a time is not positive, or the interval is not a whole
+            number of steps.
+    """
+    step = step_s if step_s is not None else system.step_s or STEP_S
+    stop = system.stop_time_s if stop_s is None else stop_s
+    begin = system.start_time_s
+    if stop is None:
+        raise TwinError("no stop time: the system names none, give one in seconds.")
+    for what, value in (("step", step), ("interval", interval_s or step)):
+        if not (np.isfinite(value) and value > 0):
+            raise TwinError(f"{what} {value:g}: needs a positive number of seconds, e.g. 0.01.")
+    every = max(1, round((_INTERVAL_S if interval_s is None else interval_s) / step))
+    if interval_s is not None and abs(every * step - interval_s) > 1e-9:
+        raise TwinError(f"interval {interval_s:g}: not a whole number of steps of {step:g} s.")
+    last = begin + every * step * np.floor((stop - begin) / (every * step) + 1e-9)
+    if not last > begin:
+        raise TwinError(
+            f"stop {stop:g}: not even one interval of {every * step:g} s after the start at "
+            f"{begin:g} s."
+        )
+    with Master(system) as master:
+        master.initialize(begin)
+        return master.run(
+            float(last),
+            step,
+            algorithm,
+            every,
+            lambda t: progress((t - begin) / (last - begin)),
+            realtime,
+        )
+
+
+def summary(recording: Recording) -> dict[str, Any]:
+    """Figures of a flight: how far from the setpoint, how tilted; empty where nothing flies."""
+    columns = {name.removeprefix("twin."): i for i, name in enumerate(recording.names)}
+
+    def vector(stem: str, letters: str = "xyz") -> Array | None:
+        """Columns of a vector, None where the system has none."""
+        names = [f"{stem}_{a}" for a in letters]
+        if not set(names) <= columns.keys():
+            return None
+        return recording.values[:, [columns[n] for n in names]]
+
+    pos, wanted, q = (
+        vector("airframe.pos"),
+        vector("mission.setpoint_pos"),
+        vector("airframe.q", "wxyz"),
+    )
+    if pos is None or wanted is None or q is None:
+        return {}
+    flying = recording.values[:, columns["mission.phase"]] > 0
+    if not flying.any():
+        return {}
+    miss = np.linalg.norm(pos - wanted, axis=1)[flying]
+    tilt = np.arccos(np.clip(1 - 2 * (q[:, 1] ** 2 + q[:, 2] ** 2), -1, 1))
+    return {
+        "tracking_rms_m": float(np.sqrt(np.mean(miss**2))),
+        "tracking_worst_m": float(miss.max()),
+        "tilt_worst_rad": float(tilt.max()),
+        "end_pos_m": pos[-1].tolist(),
+    }
