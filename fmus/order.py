@@ -4,8 +4,6 @@ from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +50,9 @@ def visits(felt: Mapping[str, Set[str]]) -> list[Visit]:
 
 def _first_loop(outputs: list[str], felt: Mapping[str, Set[str]], done: Set[str]) -> Loop:
     """A strongly connected component that waits for nothing but itself."""
+    from scipy.sparse import csr_array  # half a second to load, and loops are rare
+    from scipy.sparse.csgraph import connected_components
+
     index = {o: i for i, o in enumerate(outputs)}
     edges = [(index[source], index[o]) for o in outputs for source in felt[o] - done]
     ones, (rows, columns) = np.ones(len(edges)), np.transpose(edges)

@@ -20,7 +20,6 @@ the error; ours is measured - simulated, and a standardised network does not min
 dims", which the published code shows to be `learning.data.channels`.
 """
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -215,9 +214,3 @@ def preset_named(name: str) -> Preset:
 def preset_json(preset: Preset) -> dict[str, Any]:
     """As JSON content."""
     return asdict(preset)
-
-
-def preset_from_json(content: Mapping[str, Any]) -> Preset:
-    """The preset that `preset_json` wrote."""
-    units = {k: tuple(content[k]) for k in ("encoder_units", "decoder_units")}
-    return Preset(**{**content, **units})

@@ -16,7 +16,6 @@ from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
 from .output import output_file
-from .report.simulation import write_simulation_report
 from .shown import Shown, TextTable, counted
 from .simulation import Scenario, run_scenario, scenario_system, summary
 from .vehicles import checked_vehicle
@@ -81,6 +80,8 @@ class Run(Shown):
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
+        from .report.simulation import write_simulation_report
+
         with output_file(Path(path)) as file:
             write_simulation_report(
                 self.recording, self.units, self.claim, self.facts, self.name, file
@@ -154,14 +155,14 @@ def simulate(
         vehicle = checked_vehicle(vehicle, "simulate")
     if isinstance(effects, str):
         effects = (effects,)
-    air = tuple(float(v) for v in wind)
-    if len(air) != 3:
+    air = np.asarray(wind, dtype=np.float64)
+    if air.shape != (3,):
         raise TwinError(f"wind = {wind}: give three numbers, north, east, down, in m/s.")
     plan = Scenario(
         scenario,
         vehicle,
         controller,
-        (air[0], air[1], air[2]),
+        (float(air[0]), float(air[1]), float(air[2])),
         gusts,
         seed,
         effects if isinstance(effects, Mapping) else tuple(effects),

@@ -36,9 +36,9 @@ Place = tuple[float, float, float]
 
 
 def legs(*places: Place) -> Waypoints:
-    """Take off, then each place in 2 s."""
+    """Take off, then each place in 2 s, all of them twice: less looks like flapping as well."""
     start: Waypoints = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.0)))
-    return (*start, *(("forward", 2.0, place) for place in places))
+    return (*start, *(("forward", 2.0, place) for place in 2 * places))
 
 
 ACROSS, BACK = (2.0, 1.0, -1.0), (-1.0, 2.0, -1.2)
@@ -361,6 +361,10 @@ WRONG = {
     ),
     "mission": (lambda _: ut.simulate("tuor", _vehicle()), "neither an .ssp file nor a scenario"),
     "wind": (lambda _: ut.simulate("tour", _vehicle(), wind=(1, 2)), "give three numbers"),
+    "one wind": (
+        lambda _: ut.simulate("tour", _vehicle(), wind=5),  # type: ignore[arg-type]
+        "wind = 5: give three numbers",
+    ),
     "effect": (lambda _: ut.simulate("tour", _vehicle(), effects="drag"), "there is no effect"),
     "number": (
         lambda _: ut.simulate("tour", _vehicle(), effects={"rotor_drag": {"k_xy": 1.0}}),

@@ -1,6 +1,6 @@
 """The gap of flights that took no part in a fit, before and after effects are added to a model.
 
-Residuals are those of the search (`flight_model`). The noise floor of a channel is the rms of what
+Residuals are those of the search (`model.flight`). The noise floor of a channel is the rms of what
 is left of it when every effect of the library at once, with numbers fitted to these very flights,
 has taken what it can; where a model leaves less than that fit of all channels together, what it
 leaves.
@@ -34,7 +34,7 @@ class ChannelGap:
     """One channel of all held-out flights.
 
     Attributes:
-        name: See `flight_model`.
+        name: See `model.flight`.
         unit: Of the rms.
         n: Samples.
         before: Rms of the residual with the model as it stood.

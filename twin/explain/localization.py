@@ -25,7 +25,7 @@ class Place:
     """A channel in a phase of flight.
 
     Attributes:
-        channel: See `flight_model`.
+        channel: See `model.flight`.
         phase: Of flight, "" where unknown.
         unit: Of the rms.
         n: Samples.

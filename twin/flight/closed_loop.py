@@ -19,7 +19,7 @@ from ..representation import short_repr
 from ..vehicle import Vehicle
 from .control.hover import drives, thrust_inverse
 from .control.lqr_cascade import controller
-from .mission import PHASES, mission, mission_duration_s, mission_names
+from .mission import PHASES, mission, mission_duration_s
 
 Array = NDArray[np.float64]
 STEP_S = 1e-3
@@ -238,34 +238,6 @@ class _Memory:
         past = [ca.repmat(signals[i], int(k) + 2) for i, k in enumerate(self._back)]
         nothing = np.zeros(self._sampling.channels)
         return [self._sampling.update(x, u, self._p, nothing, signals)], ca.vertcat(*past)
-
-
-def table(rows: Mapping[tuple[str, str, float], Flown]) -> str:
-    """Figures of flights by vehicle, mission and wind speed, one line each."""
-    lines = [
-        "| vehicle | mission | wind m/s | rms m | worst m | tilt deg | saturated s | end m |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for (vehicle, name, wind), flown in rows.items():
-        miss, tilt = flown.miss_m, np.degrees(flown.tilt_rad.max())
-        end = flown.state("pos_x", "pos_y", "pos_z")[-1] - flown.setpoints[-1, :3]
-        lines.append(
-            f"| {vehicle} | {name} | {wind:g} | {np.sqrt(np.mean(miss**2)):.3f} "
-            f"| {miss.max():.3f} | {tilt:.1f} | {flown.saturated_s:.3f} "
-            f"| {np.linalg.norm(end):.3f} |"
-        )
-    return "\n".join(lines)
-
-
-def tracking_table(vehicles: Sequence[Vehicle], wind_m_s: Sequence[float] = (0.0, 5.0)) -> str:
-    """Every mission with every vehicle in still air and in wind from the south-west."""
-    rows = {
-        (v.name, name, w): closed_loop(v, name, (0.6 * w, 0.8 * w, 0.0))
-        for v in vehicles
-        for name in mission_names()
-        for w in wind_m_s
-    }
-    return table(rows)
 
 
 def _every(control: Component) -> int:

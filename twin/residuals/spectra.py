@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 Array = NDArray[np.float64]
 
@@ -67,6 +66,8 @@ def spectrum(t_s: Array, x: Array, segment_s: float = 4.0) -> Spectrum:
         x: Values, shape (n,).
         segment_s: Length of a segment, s: sets the resolution to 1 / segment_s Hz.
     """
+    from scipy import signal  # a second to load, of which reports of simulations need nothing
+
     ok = np.isfinite(x) & np.isfinite(t_s)
     t_s, x = t_s[ok], x[ok]
     if len(t_s) < 16:
@@ -90,6 +91,8 @@ def slow_part(t_s: Array, x: Array, cutoff_hz: float = SLOW_HZ) -> Array:
         Filtered values at `t_s`; `x` itself where the rate is too low to hold anything above
         the cutoff or the record is shorter than 32 samples.
     """
+    from scipy import signal
+
     if len(x) < 32:
         return x
     grid, values, _ = resample(t_s, x)

@@ -19,7 +19,7 @@ from .own.parameters import (
     Array,
     Parameters,
 )
-from .own.vectors import cross, rotation, to_body, turned
+from .own.vectors import rotation, to_body, turned
 
 SLOW_EVERY = 4
 """Samples of the IMU per sample of magnetometer and barometer."""
@@ -108,12 +108,6 @@ def barometer(p: Parameters, trace: Trace, i: int) -> Array:
     static = GROUND_PRESSURE_PA * warmer ** (GRAVITY_M_S2 / (_GAS_J_KG_K * _LAPSE_K_M))
     density = static / (_GAS_J_KG_K * GROUND_TEMPERATURE_K * warmer)
     return np.asarray(static + p.baro_bias + p.baro_dynamic * 0.5 * density * trace.truth[:, 18, i])
-
-
-def at_imu(specific_force: Array, omega: Array, alpha: Array, arm: Array) -> Array:
-    """Specific force at an accelerometer that sits off the centre of mass."""
-    arm = np.broadcast_to(arm[:, None], omega.shape)
-    return specific_force + cross(alpha, arm) + cross(omega, cross(omega, arm))
 
 
 def _every(values: Array, step: int) -> Array:

@@ -20,7 +20,7 @@ from learning.data.sequences import sequences
 from learning.model.compensator import Compensator
 from learning.model.folder import CURVE, MODEL, WEIGHTS, load
 from learning.model.linear_predictor import fit_base, gates, predict_base
-from learning.preset import PRESETS, Preset, preset_from_json, preset_json, preset_named
+from learning.preset import Preset, preset_named
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import train
 from learning.training.windows import validation_rows
@@ -283,12 +283,6 @@ def test_spread_is_calibrated(tmp_path: Path) -> None:
     rows = in_spans(away) & found.inside
     within = np.abs(away.residual - found.correction)[rows] < found.spread[rows]
     assert 0.55 < within.mean() < 0.8
-
-
-@pytest.mark.parametrize("name", PRESETS)
-def test_presets_by_name_and_as_json(name: str) -> None:
-    preset = preset_named(name)
-    assert preset_from_json(json.loads(json.dumps(preset_json(preset)))) == preset
 
 
 def test_wrong_presets_are_refused() -> None:

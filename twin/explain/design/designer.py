@@ -4,7 +4,7 @@ Each of the two is taken for the truth in turn: the twin with its effects flies 
 closed loop. The other one, with its numbers free to move as far as the flights so far allow, then
 predicts the same readings. What is left between the predictions, in the whitened metric of the
 search, is the log likelihood by which the truth will lead on average; noise adds nothing to that,
-so none is drawn. Both predictions are those of `flight_model`, so what the grid costs in accuracy
+so none is drawn. Both predictions are those of `FlightModel`, so what the grid costs in accuracy
 cancels.
 
 Source: discrimination between rival models, Hunter & Reiner, Technometrics 7 (1965); Atkinson &

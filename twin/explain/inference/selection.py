@@ -34,7 +34,7 @@ class Naming:
         probabilities: Of each.
         shares: Largest share of the power of a channel that each explains.
         credible: Of the effects of likely hypotheses, the probability that their cause is of the
-            library at all, see `misfit`.
+            library at all, see `adequacy`.
         problem: What they were fitted against.
         settings: From when on a name is given.
     """
@@ -188,7 +188,7 @@ def _hangs(pool: Pool, fitted: Fit) -> bool:
 
 
 def _credible(pool: Pool, likely: Sequence[Fit]) -> dict[str, float]:
-    """Of each effect, in the most probable hypothesis with it, what `misfit.credible` says."""
+    """Of each effect, in the most probable hypothesis with it, what `adequacy.credible` says."""
     model, settings = pool.problem.model, pool.settings.adequacy
     found: dict[str, float] = {}
     for fitted in likely:

@@ -36,7 +36,7 @@ class Equation:
     """What is missing in one channel.
 
     Attributes:
-        channel: See `flight_model`.
+        channel: See `model.flight`.
         unit: Of the channel.
         terms: Product of quantities, coefficient, unit of the coefficient; the largest first.
         expression: The same for people.

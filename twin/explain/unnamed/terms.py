@@ -41,7 +41,7 @@ def terms(
 
     Args:
         known: Quantities of a flight.
-        channel: See `flight_model`.
+        channel: See `model.flight`.
         tones_hz: Frequencies at which something may shake.
         settings: How late turning rates are where they stand for a gyroscope.
     """
