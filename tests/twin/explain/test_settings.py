@@ -189,8 +189,8 @@ def takers() -> dict[str, tuple[str, int]]:
                     assert name is not None
                     found[name, argument.arg] = place - (inside is not None)
     by_name: dict[str, tuple[str, int]] = {}
-    for (name, argument), place in found.items():
-        by_name.setdefault(name, (argument, place))
+    for (taker, handed), place in found.items():
+        by_name.setdefault(taker, (handed, place))
     return by_name
 
 
