@@ -63,6 +63,7 @@ def refuse(event, arguments):
     if event in ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"):
         raise SystemExit(f"{event}: {arguments}")
 sys.addaudithook(refuse)
+from uavtwin.cli.main import main
 try:
     main()
 finally:
