@@ -8,7 +8,7 @@ import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from cli_rig import run as run_uavtwin
 
 import uavtwin as ut
 from cosim.ssp import read_ssp
@@ -147,11 +148,9 @@ def test_the_exported_twin_has_the_start_value(folder: Path, names: dict[str, An
 def test_python_and_the_command_line_say_the_same(
     folder: Path, names: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from test_cli import run
-
     out = folder / "cli"
     arguments = (folder / "fit_1.parquet", "--vehicle", folder / "mine.toml", "--out", out)
-    code, _, _ = run(capsys, "gap", *arguments)
+    code, _, _ = run_uavtwin(capsys, "gap", *arguments)
     assert code == 0
     assert json.loads((out / "gap.json").read_text()) == names["gap"].json()
     names["gap"].report(folder / "gap.html")
@@ -338,17 +337,17 @@ def _vehicle() -> ut.Vehicle:
     return ut.vehicle("crazyflie")
 
 
-WRONG = {
+WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "crazyfly": (lambda _: ut.vehicle("crazyfly"), "Did you mean 'crazyflie'?"),
     "no such file": (lambda _: ut.load_vehicle("mein.toml"), "neither a vehicle file nor"),
     "pattern": (lambda f: ut.read_flights(f / "fit_*.ulg"), "no flight matches this pattern"),
     "near": (lambda f: ut.read_flights(f / "other.parqet"), "Did you mean 'other.parquet'?"),
     "no folder": (lambda f: ut.read_flights(f / "logs" / "*.ulg"), "There is no folder"),
     "nothing": (lambda _: ut.read_flights(), "no file and no pattern given"),
-    "a name": (lambda _: ut.gap("one.ulg", _vehicle()), "'one.ulg' is the name of a file"),
-    "names": (lambda _: ut.explain(["one.ulg"], [], _vehicle()), "read_flights(PATTERN)"),
-    "a number": (lambda _: ut.gap(3, _vehicle()), "a int is no flight"),
-    "text": (lambda f: ut.gap(_other(f), "crazyflie"), "the text 'crazyflie'. Give a vehicle"),
+    "a name": (lambda _: ut.gap("one.ulg", _vehicle()), "'one.ulg' is the name of a file"),  # type: ignore[arg-type]
+    "names": (lambda _: ut.explain(["one.ulg"], [], _vehicle()), "read_flights(PATTERN)"),  # type: ignore[list-item]
+    "a number": (lambda _: ut.gap(3, _vehicle()), "a int is no flight"),  # type: ignore[arg-type]
+    "text": (lambda f: ut.gap(_other(f), "crazyflie"), "the text 'crazyflie'. Give a vehicle"),  # type: ignore[arg-type]
     "twice": (lambda f: ut.explain(_other(f), _other(f), _vehicle()), "hold out others"),
     "none": (lambda f: ut.explain([], _other(f), _vehicle()), "no flight to fit on"),
     "payload": (
@@ -360,7 +359,7 @@ WRONG = {
         "payload of other = -0.2 kg",
     ),
     "mission": (lambda _: ut.simulate("tuor", _vehicle()), "neither an .ssp file nor a scenario"),
-    "wind": (lambda _: ut.simulate("tour", _vehicle(), wind=(1, 2)), "give three numbers"),
+    "wind": (lambda _: ut.simulate("tour", _vehicle(), wind=(1, 2)), "give three numbers"),  # type: ignore[arg-type]
     "effect": (lambda _: ut.simulate("tour", _vehicle(), effects="drag"), "there is no effect"),
     "number": (
         lambda _: ut.simulate("tour", _vehicle(), effects={"rotor_drag": {"k_xy": 1.0}}),
@@ -374,7 +373,7 @@ WRONG = {
         lambda f: ut.export(ut.twin(_vehicle()), f / "t.fmu", starts={"airframe.mas": 1.0}),
         "Did you mean 'airframe.mass'?",
     ),
-    "what": (lambda f: ut.export(_vehicle(), f / "t.fmu"), "a Vehicle cannot be exported"),
+    "what": (lambda f: ut.export(_vehicle(), f / "t.fmu"), "a Vehicle cannot be exported"),  # type: ignore[arg-type]
     "platform": (
         lambda f: ut.export(ut.twin(_vehicle()), f / "t.fmu", platforms=["win46"]),
         "Did you mean 'win64'?",

@@ -72,7 +72,7 @@ def test_same_flight_component_by_component() -> None:
         u["body"][body.input_names.index(f"wind_{axis}")] = wind
     runs = {k: Run(c, u[k], c.parameter_values()) for k, c in parts.items()}
     for k in range(round(seconds / STEP_S)):
-        values = {}
+        values: dict[str, float] = {}
         for source in ("body", "plan"):
             values |= dict(
                 zip(parts[source].output_names, runs[source].outputs(u[source]), strict=True)
