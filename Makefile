@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: setup cross-tools demo test fast lint bench hidden-effects clean
+.PHONY: setup cross-tools demo test fast lint bench figures hidden-effects docs tutorial pictures tables clean
 
 setup: $(STAMP)
 
@@ -35,10 +35,31 @@ lint: setup
 bench: setup  ## the speed figures of the README
 	$(BIN)/uavtwin bench
 
+figures: setup  ## the same, written into docs/results and the README
+	$(BIN)/python docs/_generate/figures.py --bench
+
+DOCS_STAMP := $(VENV)/.docs-installed
+$(DOCS_STAMP): $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	touch $@
+
+docs: $(DOCS_STAMP)  ## the site, in site/; fails on a broken link
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+tables: setup  ## tables of the documents, from the definitions in code
+	$(BIN)/python docs/_generate/tables.py
+
+tutorial: setup  ## outputs and pictures of the tutorial; needs chromium
+	$(BIN)/python docs/_generate/tutorial.py
+
+pictures: setup  ## drawings, and the picture of the README; needs chromium
+	$(BIN)/python docs/_generate/drawings.py
+	$(BIN)/python docs/_generate/pictures.py
+
 SUBSET ?= 40
 JOBS ?= 2
 hidden-effects: setup  ## does explain name hidden effects? 10 minutes on two cores
 	$(BIN)/python -m benchmarks.hidden_effects --subset $(SUBSET) --magnitude medium --jobs $(JOBS) --out out/hidden_effects
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) out site

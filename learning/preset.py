@@ -200,7 +200,7 @@ shuffled windows of all three flights, 777 batches an epoch, 194,250 in all, and
 these windows, in ranges of -1..1, hover numbered 1 and takeoff 2; `PAPER` takes some 5,000."""
 
 BEST = Preset(name="best")
-"""What measurably beats it: docs/results.md."""
+"""What measurably beats it: docs/results/compensator.md."""
 
 PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})
 

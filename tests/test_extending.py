@@ -80,5 +80,6 @@ def test_a_forgotten_step_is_found(page: Page, forgotten: Step, tree: Tree) -> N
             tree.take(step)
     result = tree.run(*PYTEST, forgotten.test)
     said = " ".join(result.stdout.split())
-    assert result.returncode == 1, f"nobody misses it: {said[-4000:]}"
+    # 1: a test fails, 2: tests cannot even be collected.
+    assert result.returncode in (1, 2), f"nobody misses it: {said[-4000:]}"
     assert forgotten.says in said, said[-4000:]

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twin.logs import Flight
+from twin.residuals.flight_gap import DEFAULT_HORIZON_S, flight_gap
 from twin.residuals.gap import FlightGap, gap_json, rank, summaries
 from twin.vehicle import Vehicle
 
 from .flights import checked_flights
-from .fmu_gap import DEFAULT_HORIZON_S, flight_gap
 from .output import output_file
 from .report.gap import claim, write_gap_report
 from .shown import Shown, TextTable, counted

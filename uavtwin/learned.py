@@ -76,7 +76,7 @@ def train(
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
         preset: `best`: ours; `paper`: the paper's text; `published`: its code; `linear`: no
-            network; others in docs/compensator.md.
+            network; others in docs/guide/compensator.md.
         protocol: `track`: it sees residuals as old as the horizon; `free`: none; `reconstruct`:
             the present one.
         horizon: Of `track`, samples.

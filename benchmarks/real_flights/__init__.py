@@ -1,1 +1,1 @@
-"""What `twin.explain` says about recorded flights: `python docs/real_flights.py`."""
+"""What `twin.explain` says about recorded flights; run by `docs/_generate/real_flights.py`."""

@@ -1,4 +1,6 @@
-"""What `twin.explain` says about recorded flights, as a page: `python docs/real_flights.py`.
+"""What `twin.explain` says about recorded flights, as a page.
+
+`docs/_generate/real_flights.py` calls it.
 
 One rotation is one file in the cache. It is used again as long as flights, vehicle file, converter,
 `twin/` and the measuring itself are the same, so a run that was cut short goes on where it stopped.
@@ -33,7 +35,7 @@ Rotation = tuple[Scenario, str]
 def main(arguments: list[str] | None = None) -> int:
     """Command line; exit code 1 when a rotation failed, 2 without the recordings."""
     parser = argparse.ArgumentParser(
-        prog="docs/real_flights.py", description=(__doc__ or "").splitlines()[0]
+        prog="docs/_generate/real_flights.py", description=(__doc__ or "").splitlines()[0]
     )
     parser.add_argument("--data", type=Path, required=True, help="folder of the recordings")
     parser.add_argument("--out", type=Path, required=True, help="Markdown file to write")

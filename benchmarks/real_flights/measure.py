@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.explain.explanation import Explanation, explain
-from twin.explain.model.channels import CHANNEL_HZ, ChannelData
 from twin.explain.result_json import explain_json
+from twin.residuals.channels import CHANNEL_HZ, ChannelData
 
 from .scenarios import Scenario, read
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from twin.explain.model.channels import CHANNEL_HZ
+from twin.residuals.channels import CHANNEL_HZ
 
 from .agreement import Case, Number, agreement, effects_of, judge, numbers_of
 from .scenarios import Scenario

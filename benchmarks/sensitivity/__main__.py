@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = list(variants(options.only))
     for name in options.only:
         if not any(v.setting.name.startswith(name) for v in chosen):
-            parser.error(f"no setting begins with {name!r}; docs/settings.md lists them")
+            parser.error(f"no setting begins with {name!r}; docs/reference/settings.md lists them")
     wanted = generate.chosen(options)
     generate.generate(options.out, wanted, options.jobs)
     ids = {case.id for case in wanted}
@@ -132,7 +132,7 @@ def _is_answered(file: Path, state: str) -> bool:
 
 def _public(given: Sequence[str]) -> list[str]:
     """Arguments as a reader would type them: folders are his own."""
-    shown, own = [], {"--out": "DIR", "--page": "docs/sensitivity.md"}
+    shown, own = [], {"--out": "DIR", "--page": "docs/results/sensitivity.md"}
     for before, text in zip(["", *given], given, strict=False):
         shown.append(own.get(before, text))
     return shown

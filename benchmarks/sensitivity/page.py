@@ -8,12 +8,13 @@ from twin.explain.settings.group import Value, numbers
 
 from .changes import SMALL, Change
 
-HEAD = """<!-- Written by docs/sensitivity.py; nothing here is written by hand. -->
+HEAD = """<!-- Written by docs/_generate/sensitivity.py; nothing here is written by hand. -->
 # Sensitivity: every setting halved and doubled
 
 What `explain` says about [hidden effects](hidden_effects.md) when one of its
-[settings](settings.md) is halved or doubled and the others stay. A whole number stays whole; a
-share or probability that would reach its bound goes halfway there instead (0.8 is doubled to 0.9).
+[settings](../reference/settings.md) is halved or doubled and the others stay. A whole number stays
+whole; a share or probability that would reach its bound goes halfway there instead (0.8 is doubled
+to 0.9).
 
 ```sh
 {command}

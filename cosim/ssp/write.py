@@ -21,8 +21,8 @@ _TOOL = "uavtwin"
 def write_ssp(system: System, path: Path) -> Path:
     """Write a system with its FMUs and start values.
 
-    libcosim and ecos read the file as it is (`docs/cosimulation.md`). The FMUs go in unchanged, so
-    a tool without SSV uses the start values that they were exported with.
+    libcosim and ecos read the file as it is (`docs/guide/cosimulation.md`). The FMUs go in
+    unchanged, so a tool without SSV uses the start values that they were exported with.
 
     Args:
         system: What to write; its usual times and step become the default experiment.

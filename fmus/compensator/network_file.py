@@ -102,7 +102,7 @@ def read_network(folder: Path) -> NetworkFile:
     if not path.is_file():
         raise FmuError(
             f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote, of a preset "
-            f"that has an ONNX form (docs/compensator.md)."
+            f"that has an ONNX form (docs/guide/compensator.md)."
         )
     with path.open("rb") as file:
         content = file.read(MAX_FILE_BYTES + 1)

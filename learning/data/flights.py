@@ -28,7 +28,7 @@ from twin.physics.sensors.magnetometer import magnetometer
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
-from twin.residuals.short_horizon import window_ends
+from twin.residuals.short_horizon import READ, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import Vehicle
 
@@ -195,8 +195,8 @@ def _restarts(
     every: int,
     progress: Callable[[float], None],
 ) -> Array:
-    """Readings over the last interval of every window, shape (n, every + 1, 9)."""
-    ends = np.full((len(grid), every + 1, 3 * len(RESTARTED)), np.nan)
+    """`READ` over the last interval of every window, shape (n, every + 1, 13)."""
+    ends = np.full((len(grid), every + 1, len(READ)), np.nan)
     if _restartable(aligned) and valid.any():
         ends[valid] = window_ends(aligned, grid[valid] - steps, steps, every, progress)
     if aligned.motion.position is None:
@@ -205,7 +205,7 @@ def _restarts(
 
 
 def _columns_of_ends(group: str) -> slice:
-    first = 3 * RESTARTED.index(group)
+    first = READ.index(CHANNELS[GROUPS[group]][0])
     return slice(first, first + 3)
 
 

@@ -14,7 +14,7 @@ from benchmarks.real_flights.agreement import Number, agreement, judge
 from benchmarks.real_flights.measure import baselines, held
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
-from twin.explain.model.channels import ChannelData
+from twin.residuals.channels import ChannelData
 from twin.vehicle.file import load_vehicle
 
 ROOT = Path(__file__).parents[2]
@@ -282,6 +282,6 @@ def test_without_recordings_the_command_says_what_is_missing(
 
 
 def test_the_page_in_the_repository_names_every_scenario() -> None:
-    text = (ROOT / "docs" / "real_flights.md").read_text("utf-8")
+    text = (ROOT / "docs" / "results" / "real_flights.md").read_text("utf-8")
     assert text.startswith((ROOT / "benchmarks/real_flights/protocol.md").read_text()[:60])
     assert all(f"## {s.title}\n" in text for s in SCENARIOS)

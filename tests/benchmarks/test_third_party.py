@@ -29,7 +29,8 @@ from benchmarks.hidden_effects.plants.kinds import PLANTS
 from benchmarks.hidden_effects.plants.sensing import flight_table
 from twin.residuals.aligned import align_flight
 from twin.logs.flight import Flight
-from twin.residuals.teacher_forced import predicted_readings, teacher_forced_channels
+from twin.residuals.channels import GRID_HZ
+from twin.residuals.imu import imu_channels
 from twin.vehicle.file import parse_vehicle
 
 rms = {}
@@ -38,12 +39,9 @@ for name in PLANTS[sys.argv[1]].aircraft:
     tour = missions.mission("tour", a.nominal.leg, a.pace, np.random.default_rng(5))
     order = Order(a, a.nominal, tour, NOISE["none"], (7,))
     flight = Flight(name, flight_table(order, fly([order], dynamics), 0))
-    twin = align_flight(flight, parse_vehicle(vehicle_toml(a, order.noise), "v.toml"))
-    readings, names = predicted_readings(twin.airframe, twin.imu, twin.states, twin.inputs.u)
-    for c in teacher_forced_channels(
-        flight, twin.motion, twin.inputs.t_s, readings, names, twin.airborne, twin.phases
-    ):
-        rms[f"{name} {c.name}"] = float(np.sqrt(np.mean(c.residual[c.t_s < 4.7] ** 2)))
+    vehicle = parse_vehicle(vehicle_toml(a, order.noise), "v.toml")
+    for c in imu_channels(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ)):
+        rms[f"{name} {c.name}"] = float(np.sqrt(np.mean(c.residual**2)))
 print(json.dumps(rms))
 """
 
@@ -70,14 +68,14 @@ def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
     """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
     rms = residual_rms("drone_models")
     assert max(v for k, v in rms.items() if " acc_" in k) < 0.004  # low noise is 0.02
-    assert max(v for k, v in rms.items() if " angacc_" in k) < 0.004  # low noise is 0.05
+    assert max(v for k, v in rms.items() if " gyro_rate_" in k) < 0.004  # low noise is 0.05
 
 
 def test_twin_matches_a_quiet_flight_of_jsbsim() -> None:
     """Motors of JSBSim follow no first-order lag: a residual stays, but below low noise."""
     rms = residual_rms("jsbsim")
     assert max(v for k, v in rms.items() if " acc_" in k) < 0.01  # low noise is 0.02
-    assert max(v for k, v in rms.items() if " angacc_" in k) < 0.025  # low noise is 0.05
+    assert max(v for k, v in rms.items() if " gyro_rate_" in k) < 0.025  # low noise is 0.05
 
 
 @pytest.mark.skipif(

@@ -70,6 +70,34 @@ def test_the_same_run_gives_the_same_bytes(
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
+def test_gap_needs_no_compiler(table: Path, tmp_path: Path) -> None:
+    """Nothing on the path, no program started, and nothing of the FMU builder loaded."""
+    code = """
+import sys
+def refuse(event, arguments):
+    if event in ("subprocess.Popen", "os.system", "os.exec", "os.posix_spawn"):
+        raise SystemExit(f"{event}: {arguments}")
+sys.addaudithook(refuse)
+from uavtwin.cli.main import main
+try:
+    main()
+finally:
+    assert not {"fmus", "cosim"} & set(sys.modules), sorted(sys.modules)
+"""
+    call = [sys.executable, "-c", code, "gap", str(table), "--vehicle", VEHICLE]
+    environment = {k: v for k, v in os.environ.items() if k not in ("PATH", "CC", "CXX")}
+    done = subprocess.run(
+        [*call, "--out", str(tmp_path / "o")],
+        env={**environment, "PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    channels = json.loads((tmp_path / "o" / "gap.json").read_text())["channels"]
+    assert channels["vel_z"]["horizon_s"] == 0.5
+
+
 def test_gap_prints_strict_json(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -110,19 +138,6 @@ def test_an_interrupted_gap_writes_nothing(
     code, _, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / "o")
     assert code == 130
     assert list(tmp_path.iterdir()) == []
-
-
-def test_demo_needs_a_vehicle_driven_by_commands(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    document = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
-    path = tmp_path / "paper.toml"
-    path.write_text(document.split("```toml\n")[1].split("```")[0])
-    code, _, said = run(capsys, "demo", "--vehicle", path, "--out", tmp_path / "o")
-    assert code == 2
-    assert "paper_quad" in said
-    assert "rotors.speed_from_command" in said
-    assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.slow
@@ -300,7 +315,7 @@ def test_real_logs(
     assert set(gap["channels"]["acc_z"]["by_phase"]) == {"takeoff", "hover", "land"}
     if vehicle == VEHICLE:  # the simulator's own parameters: the twin explains most of what moves
         assert gap["channels"]["acc_z"]["share"] < 0.35
-        assert gap["channels"]["angacc_x"]["share"] < 0.5
+        assert gap["channels"]["gyro_rate_x"]["share"] < 0.5
 
 
 def test_nanobench_through_the_example(
@@ -314,7 +329,7 @@ def test_nanobench_through_the_example(
     assert code == 0
     assert "acc_z" in said
     gap = json.loads((tmp_path / "o" / "gap.json").read_text())
-    assert gap["channels"]["acc_x"]["n"] > 3000
+    assert gap["channels"]["acc_x"]["n"] > 1000
 
 
 @pytest.mark.parametrize("word", ["version", "--version"])

@@ -203,7 +203,7 @@ def test_the_settings_are_recorded(named: Run) -> None:
 
 
 def test_every_key_is_in_the_documentation(named: Run) -> None:
-    text = (Path(__file__).parents[2] / "docs" / "explain.md").read_text("utf-8")
+    text = (Path(__file__).parents[2] / "docs/reference/json.md").read_text("utf-8")
     lines = text.partition("## explain.json")[2].partition("\n## ")[0].splitlines()
     told = {k for line in lines for k in re.findall(r"`(\w+)`", line.split(" | ")[0])}
     assert told == set(named.json)

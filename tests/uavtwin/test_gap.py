@@ -6,16 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_gap import open_fmus, start_values, window_ends_of_fmus
 
 from cosim.master import Master
-from cosim.system import System, connect
-from fmus import build, component_model, replay_model
 from twin.errors import LogError
 from twin.frames import to_body
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight, align_flight
+from twin.residuals.channels import BAND_HZ, low_pass, rate_over_step
+from twin.residuals.flight_gap import end_channels, flight_gap
 from twin.residuals.gap import Channel, FlightGap
-from twin.residuals.measured import RATE_CUTOFF_HZ, Signal, differentiate, zero_phase
+from twin.residuals.short_horizon import READ, whole_windows, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import GRAVITY_M_S2, Vehicle
 from twin.vehicle.file import load_vehicle
@@ -27,7 +28,6 @@ from uavtwin.demo.flights import (
     VEL_NOISE_M_S,
     fly,
 )
-from uavtwin.fmu_gap import flight_gap, start_values
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -49,12 +49,18 @@ def cut(flight: Flight, start_s: float, end_s: float) -> Flight:
     )
 
 
-def channels(gap: FlightGap) -> dict[str, Channel]:
-    return {c.name if c.horizon_s == 0 else f"{c.name}@": c for c in gap.channels}
-
-
 def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
+
+
+LEFT_OF_ACC = ACC_NOISE_M_S2 * rms(
+    low_pass(np.random.default_rng(0).standard_normal(20_000), BAND_HZ)
+)
+"""Noise of the accelerometer within the band of the channels."""
+
+
+def channels(gap: FlightGap) -> dict[str, Channel]:
+    return {c.name if c.horizon_s == 0 else f"{c.name}@": c for c in gap.channels}
 
 
 @pytest.fixture(scope="module")
@@ -80,15 +86,7 @@ def system(
     vehicle = replace(vehicle, imu_position_m=np.array([0.02, -0.01, 0.005]))
     flight = fly(vehicle, vehicle, seed=2)
     twin = align_flight(flight, vehicle)
-    folder: Path = tmp_path_factory.mktemp("fmus")
-    fmus = {
-        "replay": build(replay_model(flight, twin.inputs.columns), folder / "replay.fmu"),
-        "airframe": build(component_model(twin.airframe), folder / "airframe.fmu"),
-        "imu": build(component_model(twin.imu), folder / "imu.fmu"),
-    }
-    wires = connect("replay", "airframe", twin.inputs.columns)
-    wires += connect("airframe", "imu", twin.imu.input_names)
-    with Master(System(fmus, wires, starts={"airframe.ground.enabled": 0.0})) as master:
+    with open_fmus(flight, twin, tmp_path_factory.mktemp("fmus")) as master:
         yield twin, master
 
 
@@ -134,6 +132,38 @@ def test_short_horizon_of_the_fmus_is_that_of_the_equations(
                 assert twin.states[k + steps, i] == pytest.approx(x[i], rel=1e-9), name
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("feisi_x150", {}),
+        ("copter_default", {"accel_cutoff_hz": 40.0, "gyro_cutoff_hz": 30.0}),
+    ],
+)
+def test_windows_in_a_batch_end_where_the_fmus_do(
+    name: str, changes: dict[str, float], tmp_path: Path
+) -> None:
+    """All windows of a flight, 500 steps each; numpy's sine differs from that of C in the last bit.
+
+    Found: 3e-16 of the largest value.
+    """
+    vehicle = replace(load_vehicle(name), **changes)
+    flight = cut(fly(vehicle, vehicle, seed=3), 1.0, 14.0)
+    twin, steps = align_flight(flight, vehicle), 500
+    starts = whole_windows(twin, steps)
+    assert len(starts) > 20
+    batch = window_ends(twin, starts, steps, tail=0)[:, 0]
+    fmus = window_ends_of_fmus(flight, twin, starts.tolist(), steps, tmp_path)
+    worst = np.abs(batch - fmus).max(axis=0) / np.abs(fmus).max(axis=0)
+    assert worst.max() < 1e-13, dict(zip(READ, worst.tolist(), strict=True))
+    ours = [c for c in flight_gap(flight, vehicle).channels if c.horizon_s > 0]
+    for got, want in zip(ours, end_channels(twin, starts + steps, fmus, 0.5), strict=True):
+        assert (got.name, got.unit, got.horizon_s) == (want.name, want.unit, want.horizon_s)
+        np.testing.assert_array_equal(got.t_s, want.t_s)
+        np.testing.assert_array_equal(got.phase, want.phase)
+        np.testing.assert_array_equal(got.measured, want.measured)
+        np.testing.assert_allclose(got.simulated, want.simulated, rtol=1e-12, atol=1e-13)
+
+
 def test_channels_of_the_gap_are_the_python_twin(
     quiet: Flight, quiet_gap: dict[str, Channel]
 ) -> None:
@@ -171,19 +201,19 @@ def test_low_pass_of_the_imu_bridges_what_is_unknown() -> None:
 
 
 def test_nothing_hidden_leaves_the_noise_of_the_sensors(quiet_gap: dict[str, Channel]) -> None:
+    """White before the low-pass; after it, what a low-pass leaves of white noise."""
+    white = np.random.default_rng(0).standard_normal((20_000, 1))
+    rates = GYRO_NOISE_RAD_S * rate_over_step(white)
     for axis in "xyz":
-        residual = quiet_gap[f"acc_{axis}"].residual
+        channel, rate = quiet_gap[f"acc_{axis}"], quiet_gap[f"gyro_rate_{axis}"]
+        assert rms(channel.residual) == pytest.approx(LEFT_OF_ACC, rel=0.08)
+        assert rms(rate.residual) == pytest.approx(rms(low_pass(rates, BAND_HZ)), rel=0.08)
+        residual = channel.wide.residual
         assert rms(residual) == pytest.approx(ACC_NOISE_M_S2, rel=0.05)
         assert abs(residual.mean()) < 4 * ACC_NOISE_M_S2 / np.sqrt(len(residual))
-        white = np.corrcoef(residual[1:], residual[:-1])[0, 1]
-        assert abs(white) < 4 / np.sqrt(len(residual))
-    # Gyro noise through the low-pass and the difference quotient of the method.
-    t = np.arange(5000) / 200.0
-    noise = GYRO_NOISE_RAD_S * np.random.default_rng(0).standard_normal((5000, 1))
-    smooth = Signal(t, zero_phase(Signal(t, noise), RATE_CUTOFF_HZ))
-    expected = rms(differentiate(smooth))
-    for axis in "xyz":
-        assert rms(quiet_gap[f"angacc_{axis}"].residual) == pytest.approx(expected, rel=0.08)
+        correlated = np.corrcoef(residual[1:], residual[:-1])[0, 1]
+        assert abs(correlated) < 4 / np.sqrt(len(residual))
+        assert rms(rate.wide.residual) == pytest.approx(rms(rates), rel=0.05)
 
 
 def test_nothing_hidden_leaves_the_noise_of_the_restarts(quiet_gap: dict[str, Channel]) -> None:
@@ -227,8 +257,8 @@ def test_extra_mass_shows_in_acc_z_alone(quiet_gap: dict[str, Channel]) -> None:
     assert in_hover(found["acc_z"]).mean() == pytest.approx(0.1 * GRAVITY_M_S2, rel=0.02)
     assert in_hover(found["acc_x"]).mean() == pytest.approx(0.0, abs=0.02)
     for axis in "xyz":
-        quiet_rms = rms(quiet_gap[f"angacc_{axis}"].residual)
-        assert rms(found[f"angacc_{axis}"].residual) < 1.05 * quiet_rms
+        quiet_rms = rms(quiet_gap[f"gyro_rate_{axis}"].residual)
+        assert rms(found[f"gyro_rate_{axis}"].residual) < 1.05 * quiet_rms
     # Over the horizon it integrates against the drag of the model.
     rate = FEISI.drag_linear_n_s_m[2] / FEISI.mass_kg
     fall = 0.1 * GRAVITY_M_S2 * -np.expm1(-rate * 0.5) / rate
@@ -263,10 +293,10 @@ def test_extra_drag_shows_along_the_velocity() -> None:
 def test_extra_inertia_scales_the_angular_acceleration() -> None:
     found = gap_of(replace(FEISI, inertia_kg_m2=1.4 * FEISI.inertia_kg_m2))
     for axis in "xy":
-        channel = found[f"angacc_{axis}"]
+        channel = found[f"gyro_rate_{axis}"]
         slope = channel.simulated @ channel.measured / (channel.simulated @ channel.simulated)
         assert slope == pytest.approx(1 / 1.4, rel=0.03)
-    assert rms(found["acc_z"].residual) == pytest.approx(ACC_NOISE_M_S2, rel=0.05)
+    assert rms(found["acc_z"].residual) == pytest.approx(LEFT_OF_ACC, rel=0.08)
 
 
 def test_shifted_centre_of_mass_shows_as_constant_moments() -> None:
@@ -277,8 +307,8 @@ def test_shifted_centre_of_mass_shows_as_constant_moments() -> None:
     weight = FEISI.mass_kg * GRAVITY_M_S2
     roll = shift[1] * weight / FEISI.inertia_kg_m2[0, 0]
     pitch = -shift[0] * weight / FEISI.inertia_kg_m2[1, 1]
-    assert in_hover(found["angacc_x"]).mean() == pytest.approx(roll, rel=0.03)
-    assert in_hover(found["angacc_y"]).mean() == pytest.approx(pitch, rel=0.03)
+    assert in_hover(found["gyro_rate_x"]).mean() == pytest.approx(roll, rel=0.03)
+    assert in_hover(found["gyro_rate_y"]).mean() == pytest.approx(pitch, rel=0.03)
     assert in_hover(found["acc_z"]).mean() == pytest.approx(0.0, abs=0.02)
 
 
@@ -292,22 +322,22 @@ def short(quiet: Flight) -> Flight:
 
 
 def kinds(gap: FlightGap) -> set[str]:
-    return {name.split("_")[0] + ("@" if "@" in name else "") for name in channels(gap)}
+    return {name.rpartition("_")[0] + ("@" if "@" in name else "") for name in channels(gap)}
 
 
-EVERYTHING = {"acc", "angacc", "pos@", "vel@", "att@", "gyro@"}
+EVERYTHING = {"acc", "gyro_rate", "pos@", "vel@", "att@", "gyro@"}
 
 
 @pytest.mark.parametrize(
     ("dropped", "left", "note"),
     [
         ([], EVERYTHING, "on the ground are left out"),
-        (["pose"], {"acc", "angacc"}, "no attitude, no velocity: channels that need them"),
-        (["gyro"], EVERYTHING - {"angacc"}, "body rates derived from attitude"),
+        (["pose"], {"acc", "gyro_rate"}, "no attitude, no velocity: channels that need them"),
+        (["gyro"], EVERYTHING - {"gyro_rate"}, "body rates derived from attitude"),
         (["acc"], EVERYTHING - {"acc"}, ""),
-        (["pose", "acc"], {"angacc"}, "no short-horizon residuals"),
+        (["pose", "acc"], {"gyro_rate"}, "no short-horizon residuals"),
         (["pose", "gyro"], {"acc"}, "no attitude, no velocity, no body rates"),
-        (["acc", "gyro"], EVERYTHING - {"acc", "angacc"}, "body rates derived from attitude"),
+        (["acc", "gyro"], EVERYTHING - {"acc", "gyro_rate"}, "body rates derived from attitude"),
     ],
     ids=lambda v: "-".join(v) if isinstance(v, list) else None,
 )
@@ -326,7 +356,7 @@ def test_velocity_is_derived_from_position(short: Flight) -> None:
     gap = flight_gap(without(short, "vel_x", "vel_y", "vel_z"), FEISI)
     assert kinds(gap) == EVERYTHING
     assert any("velocity derived from position" in w for w in gap.warnings)
-    assert rms(channels(gap)["acc_x"].residual) == pytest.approx(ACC_NOISE_M_S2, rel=0.1)
+    assert rms(channels(gap)["acc_x"].residual) < 1.3 * LEFT_OF_ACC
     assert rms(channels(gap)["vel_x@"].residual) < 0.05
 
 
@@ -334,7 +364,7 @@ def test_a_column_without_samples_counts_as_missing(short: Flight) -> None:
     table = short.table.copy()
     table["q_w"] = np.nan
     gap = flight_gap(replace(short, table=table), FEISI)
-    assert kinds(gap) == {"acc", "angacc"}
+    assert kinds(gap) == {"acc", "gyro_rate"}
 
 
 def test_measured_rotor_speeds_replace_the_commands() -> None:
@@ -348,7 +378,7 @@ def test_measured_rotor_speeds_replace_the_commands() -> None:
     for one in (measured, without(measured, *[f"cmd_{i}" for i in range(1, 5)])):
         gap = flight_gap(one, vehicle)
         assert kinds(gap) == EVERYTHING
-        assert rms(channels(gap)["acc_z"].residual) == pytest.approx(ACC_NOISE_M_S2, rel=0.1)
+        assert rms(channels(gap)["acc_z"].residual) == pytest.approx(LEFT_OF_ACC, rel=0.15)
 
 
 @pytest.mark.parametrize(
@@ -380,7 +410,7 @@ def test_horizon_must_be_whole_milliseconds(short: Flight, horizon: float) -> No
 
 def test_a_horizon_longer_than_the_flight_leaves_the_other_channels(short: Flight) -> None:
     gap = flight_gap(short, FEISI, 20.0)
-    assert kinds(gap) == {"acc", "angacc"}
+    assert kinds(gap) == {"acc", "gyro_rate"}
     assert any("no stretch of 20 s" in w for w in gap.warnings)
 
 
@@ -406,7 +436,7 @@ def test_a_gap_in_the_pose_is_left_out_not_bridged(quiet: Flight) -> None:
     assert not inside.any()
     ends = found["pos_x@"].t_s
     assert not np.any((ends > 9.02) & (ends < 10.45))
-    assert rms(found["acc_x"].residual) == pytest.approx(ACC_NOISE_M_S2, rel=0.05)
+    assert rms(found["acc_x"].residual) == pytest.approx(LEFT_OF_ACC, rel=0.08)
     assert rms(found["pos_x@"].residual) < 0.01
 
 

@@ -1,7 +1,9 @@
 """The effect library: every named physical cause that a model may lack, each defined once."""
 
+from ..vehicle import Vehicle
 from . import air, gust, inertial, mass, propulsion, sensors, timing
-from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit
+from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit, Period
+from .seen import Equation, Lines, NoiseFloor, Observer, RandomForce, Repeats, Seen, Shift
 
 _MODULES = (air, gust, propulsion, mass, inertial, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
@@ -13,6 +15,31 @@ def effects_of(component: ComponentName) -> tuple[Effect, ...]:
     return tuple(e for e in EFFECTS.values() if e.component == component)
 
 
+def acting_late() -> tuple[Effect, ...]:
+    """Effects by which signals act later than a record says."""
+    return tuple(e for e in EFFECTS.values() if isinstance(e.seen_as, Shift) and e.seen_as.acts)
+
+
+def late_actions(vehicle: Vehicle) -> dict[str, float]:
+    """By signal, how much later than a record says it acts in a vehicle, s."""
+    return _shifts(vehicle, acts=True)
+
+
+def ages(vehicle: Vehicle) -> dict[str, float]:
+    """By signal, how much older than a record says is what it shows in a vehicle, s."""
+    return _shifts(vehicle, acts=False)
+
+
+def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for name, numbers in vehicle.effects.items():
+        seen_as = EFFECTS[name].seen_as
+        if isinstance(seen_as, Shift) and seen_as.acts == acts:
+            for number, signals in seen_as.moves.items():
+                found |= {s: found.get(s, 0.0) + numbers.get(number, 0.0) for s in signals}
+    return found
+
+
 __all__ = [
     "EFFECTS",
     "Block",
@@ -20,6 +47,18 @@ __all__ = [
     "ComponentName",
     "Effect",
     "EffectParameter",
+    "Equation",
     "Limit",
+    "Lines",
+    "NoiseFloor",
+    "Observer",
+    "Period",
+    "RandomForce",
+    "Repeats",
+    "Seen",
+    "Shift",
+    "acting_late",
+    "ages",
     "effects_of",
+    "late_actions",
 ]

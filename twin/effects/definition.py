@@ -8,14 +8,16 @@ the quantities are those of the component without the effect, to the last bit.
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import casadi as ca
 
 from ..component import ComponentBuilder
 from ..vehicle import Vehicle
+from .seen import Equation, Seen
 
-ComponentName = Literal["airframe", "imu", "magnetometer", "barometer", "position", "environment"]
+ComponentName = str
+"""Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
 Stage = TypeVar("Stage")
 TRIFLE = 0.01
 """Share of its prior range by which a number moves at least where an effect is one to speak of:
@@ -91,6 +93,14 @@ class Limit:
     meaning: str
 
 
+@dataclass(frozen=True, slots=True)
+class Period:
+    """Time between the sample instants of memory, in a component that has none by itself."""
+
+    seconds: float
+    description: str
+
+
 def _no_limits(_: Vehicle) -> tuple[Limit, ...]:
     return ()
 
@@ -110,6 +120,9 @@ class Effect:
         source: Paper and equation, or the measurement.
         term: `(stage, block) -> stage`, pure.
         limits: What its numbers together can be, for a vehicle.
+        seen_as: How a flight shows it.
+        of_logs: Numbers that it has in a log alone, and in no component.
+        period: How often the airframe is sampled for its memory; None: it has no memory there.
     """
 
     name: str
@@ -121,6 +134,9 @@ class Effect:
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
     limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
+    seen_as: Seen = field(default_factory=Equation)
+    of_logs: tuple[EffectParameter, ...] = ()
+    period: Period | None = None
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""

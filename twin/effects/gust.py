@@ -23,6 +23,7 @@ import numpy as np
 from ..component.portable import decay
 from ..errors import ModelError
 from .definition import Block, Effect, EffectParameter
+from .seen import RandomForce
 
 FOOT_M = 0.3048
 GUST_HEIGHT_M = 6.096
@@ -148,6 +149,9 @@ GUST = Effect(
     ("acc", "vel", "q"),
     "MIL-F-8785C, sec. 3.7",
     _gust,
+    seen_as=RandomForce(
+        ("intensity_u", "intensity_v", "intensity_w"), ("length_u", "length_v", "length_w")
+    ),
 )
 
 EFFECTS = (GUST,)

@@ -1,5 +1,6 @@
 """Effects on mass, its distribution, and what hangs below."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -8,10 +9,10 @@ import numpy as np
 from ..frames import to_body
 from ..vehicle import Vehicle
 from .definition import Block, Effect, EffectParameter, Limit
+from .seen import Array, Equation, Observer
+from .slung_load_observer import ROPE_HZ, Course, hang_load, observe_swing
 from .stages import Body, Wrench
 
-ROPE_HZ = 5.0
-"""Natural frequency of the load on its rope, Hz: stiff beside any pendulum, slow beside 1 ms."""
 ROPE_DAMPING = 0.3
 """Damping ratio of the rope. Made up: it stops ringing within a second."""
 LIGHTEST_LOAD_KG = 1e-6
@@ -88,6 +89,24 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
     share = p["mass_kg"] / mass
     force = to_body(motion.q_nb, [share * tension * c for c in along])
     return replace(w, force=[f + t for f, t in zip(w.force, force, strict=True)])
+
+
+def _follow_load(
+    free_n: Array, felt_n: Array, numbers: Mapping[str, float], step_s: float
+) -> Course:
+    return observe_swing(free_n, felt_n, numbers["length_m"], step_s)
+
+
+def _place_load(
+    states: Array,
+    names: Sequence[str],
+    course: Course,
+    free_n: Array,
+    numbers: Mapping[str, float],
+    vehicle: Vehicle,
+) -> Array:
+    share = numbers["mass_kg"] / vehicle.mass_kg
+    return hang_load(states, names, course, free_n, numbers["length_m"], share)
 
 
 MASS_OFFSET = Effect(
@@ -172,6 +191,7 @@ SLUNG_LOAD = Effect(
     "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
     "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
+    seen_as=Equation(Observer(_follow_load, _place_load)),
 )
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

@@ -6,6 +6,7 @@ import casadi as ca
 
 from ..component.portable import cosine, sine
 from .definition import Block, Effect, EffectParameter
+from .seen import Equation
 from .sensor_stages import BaroReading, EarthField, MagReading
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
@@ -50,6 +51,13 @@ HEADING_OFFSET = Effect(
     ("mag", "q"),
     "definition: the field turned about the vertical",
     _heading_offset,
+    # A compass that is off may have misled the estimate of the attitude, or not.
+    seen_as=Equation(turns_pose="pose_rad"),
+    of_logs=(
+        EffectParameter(
+            "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
+        ),
+    ),
 )
 
 MAG_SOFT_IRON = Effect(

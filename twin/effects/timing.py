@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import casadi as ca
 
-from .definition import Block, Effect, EffectParameter
+from .definition import Block, Effect, EffectParameter, Period
+from .seen import Shift
 from .sensor_stages import Latency
 from .stages import Motors
 
@@ -43,6 +44,7 @@ IMU_DELAY = Effect(
     ("acc", "gyro"),
     "definition; samples between two instants on a straight line",
     _later,
+    seen_as=Shift({"delay_s": ("acc", "gyro")}),
 )
 
 POSITION_DELAY = Effect(
@@ -58,6 +60,13 @@ POSITION_DELAY = Effect(
     ("pos", "acc"),
     "definition; 0.11 s is PX4's assumption for a GNSS receiver (EKF2_GPS_DELAY)",
     _later,
+    seen_as=Shift({"delay_s": ("pos", "vel"), "attitude_s": ("q",)}),
+    # Attitude may come from where position does, or not.
+    of_logs=(
+        EffectParameter(
+            "attitude_s", "s", "age of the attitude", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
+        ),
+    ),
 )
 
 COMMAND_DELAY = Effect(
@@ -73,6 +82,8 @@ COMMAND_DELAY = Effect(
     ("acc", "gyro", "cmd"),
     "definition; at least 1 ms, the sample period, once it is on",
     _commands_later,
+    seen_as=Shift({"delay_s": ("cmd",)}, acts=True),
+    period=Period(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay"),
 )
 
 EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY)

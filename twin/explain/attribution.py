@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .model.channels import GRID_HZ, ChannelData
+from ..residuals.channels import GRID_HZ, ChannelData
 from .model.model import Model
 from .settings import DEFAULT, AttributionSettings
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from ..effects import EFFECTS, RandomForce
 from ..errors import LogError
 from ..flight.stability import Mission, fly_missions
 from ..logs import Flight
@@ -152,6 +153,7 @@ def explain(
     except LogError as error:
         return replace(found, reasons=(str(error),))
     found = _named(found, naming, [s for s in stuck if s.flight in names])
+    found = replace(found, warnings=(*found.warnings, *_not_felt(naming)))
     progress(0.6)
     found = _with_equations(found, seed)
     progress(0.7)
@@ -165,6 +167,17 @@ def explain(
         return found
     flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
     return replace(found, missions=flown)
+
+
+def _not_felt(naming: Naming) -> list[str]:
+    """A line where effects have no place in what drives the model."""
+    unfelt = naming.problem.model.unfelt
+    if not unfelt:
+        return []
+    return [
+        f"not visible where measured rotor speeds drive the model, which leave no command to look "
+        f"at: {', '.join(unfelt)}"
+    ]
 
 
 def _usable(
@@ -200,7 +213,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     """The same with equations, where they say more than any effect of the library."""
     naming = found.naming
     assert naming is not None
-    if any(u.effect == "gust" for u in found.stochastic):
+    if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
     problem, settings = naming.problem, found.settings.unnamed
     alone = find_equations(problem, problem.nothing(), seed, settings)

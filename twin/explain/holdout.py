@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..logs import Flight
+from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
 from .inference.likelihood import Scores, noise_of_all, whiten
-from .model.channels import ChannelData
 from .model.model import Model, candidates, model_of
 from .model.numbers import columns_of
 from .model.payload import Payloads

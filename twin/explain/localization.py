@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import to_body
+from ..residuals.channels import GRID_HZ, ChannelData
 from ..residuals.spectra import spectrum
-from .model.channels import GRID_HZ, ChannelData
 from .model.flight import FlightModel
 from .model.model import Model
 from .settings import DEFAULT, LocalizationSettings

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..logs import Flight
-from ..logs.columns import ACC, GYRO, MAG
+from ..physics.sensors.table import SENSORS
 from .settings import DEFAULT, HoldoutSettings
 
-READINGS = (*ACC, *GYRO, *MAG, "baro_pa")
+READINGS = tuple(c for s in SENSORS for c in s.columns)
 """What is hidden. Pose and commands stay: they are inputs of the twin."""
 Span = tuple[float, float]
 

@@ -9,9 +9,9 @@ from ..errors import LogError
 from ..logs import Flight
 from ..logs.columns import ACC, POS, VEL, motor_columns
 from ..residuals.aligned import AlignedFlight, align_flight
+from ..residuals.channels import GRID_HZ
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .model.channels import GRID_HZ
 from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]

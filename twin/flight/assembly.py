@@ -8,15 +8,13 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from ..component import Component, unknown_name
-from ..effects import EFFECTS
+from ..effects import EFFECTS, RandomForce
 from ..errors import ModelError
 from ..physics.airframe import airframe
 from ..physics.battery import battery
 from ..physics.environment import environment
-from ..physics.sensors.barometer import barometer
-from ..physics.sensors.imu import imu
-from ..physics.sensors.magnetometer import magnetometer
 from ..physics.sensors.position import position_sensor
+from ..physics.sensors.table import components_of_sensors
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .closed_loop import standing
@@ -74,7 +72,9 @@ class Assembly:
         """The same in a steady wind, velocity of the air NED, with gusts or without."""
         names = (f"environment.wind.{a}" for a in "xyz")
         starts = dict(zip(names, wind_m_s, strict=True))
-        return self.with_starts(starts | {"environment.gust.enabled": float(gusts)})
+        blown = (e for e in EFFECTS.values() if isinstance(e.seen_as, RandomForce))
+        switches = {f"{e.component}.{e.name}.enabled": float(gusts) for e in blown}
+        return self.with_starts(starts | switches)
 
 
 def flying_twin(
@@ -105,9 +105,7 @@ def flying_twin(
         "mission": mission(vehicle, scenario),
         "controller": CONTROLLERS[control](vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),
-        "imu": imu(vehicle, effects),
-        "magnetometer": magnetometer(vehicle, effects),
-        "barometer": barometer(vehicle, effects),
+        **{name: make(vehicle, effects) for name, make in components_of_sensors().items()},
         "position": position_sensor(vehicle, effects),
     }
     if vehicle.battery is not None:

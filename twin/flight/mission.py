@@ -12,8 +12,6 @@ polynomials; circle, eight and cruise ramp their speed up and down by the same p
 | `land` | hovers for 2 s, lands | 14 s |
 | `forward` | out at cruise speed, turns round, back, lands | 46 s |
 | `tour` | waypoints with changes of heading, circle, figure eight, lands | 51 s |
-
-Source: minimum-jerk polynomial, Flash & Hogan, J. Neuroscience 5 (1985).
 """
 
 from collections.abc import Callable
@@ -27,6 +25,7 @@ from ..component.portable import cosine, sine
 from ..errors import ModelError
 from ..physics.airframe import AXES
 from ..vehicle import Vehicle
+from .minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
 
 PHASES = {"ground": 0, "takeoff": 1, "hover": 2, "forward": 3, "tour": 4, "land": 5}
 """Codes of the output `phase`."""
@@ -183,7 +182,7 @@ def _forward(size: _Sizes) -> list[_Leg]:
         """Out with +1, back with -1."""
 
         def move(t: ca.SX) -> list[ca.SX]:
-            return [sign * _ramped(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
+            return [sign * ramped_way(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
 
         return _Leg("forward", distance / speed + ramp, move)
 
@@ -206,18 +205,17 @@ def _tour(size: _Sizes) -> list[_Leg]:
         ]
         way = [b - a for a, b in zip(before, here, strict=True)]
         far = ca.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-        # Peaks of a minimum-jerk leg of length L in time T: 15/8 L/T and 10/sqrt(3) L/T^2.
-        fast = ca.sqrt(10 / np.sqrt(3) * far / strongest)
-        legs.append(_straight("tour", way, ca.fmax(ca.fmax(15 / 8 * far / speed, fast), 0.1)))
+        fast = ca.sqrt(HARDEST * far / strongest)
+        legs.append(_straight("tour", way, ca.fmax(ca.fmax(FASTEST * far / speed, fast), 0.1)))
         before = here
     rate = speed / radius
     circle = _Leg(
-        "tour", _TURN / rate + ramp, lambda t: _circle(_ramped(t, _TURN, rate, ramp), radius)
+        "tour", _TURN / rate + ramp, lambda t: _circle(ramped_way(t, _TURN, rate, ramp), radius)
     )
     # The eight is fastest in its middle, sqrt(2) times the radius per radian.
     slow = rate / np.sqrt(2)
     eight = _Leg(
-        "tour", _TURN / slow + ramp, lambda t: _eight(_ramped(t, _TURN, slow, ramp), radius)
+        "tour", _TURN / slow + ramp, lambda t: _eight(ramped_way(t, _TURN, slow, ramp), radius)
     )
     home = [-b for b in before]
     return [*legs, pause, circle, pause, eight, pause, _straight("tour", home, ca.SX(TURN_S))]
@@ -237,7 +235,7 @@ def _hold(phase: str, duration: ca.SX) -> _Leg:
 
 
 def _straight(phase: str, way: list[ca.SX], duration: ca.SX) -> _Leg:
-    return _Leg(phase, duration, lambda t: [_smooth(t / duration) * w for w in way])
+    return _Leg(phase, duration, lambda t: [minimum_jerk(t / duration) * w for w in way])
 
 
 def _circle(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
@@ -248,19 +246,3 @@ def _circle(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
 def _eight(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
     """Lemniscate of Gerono along north, from its middle."""
     return [radius * sine(angle), radius * sine(angle) * cosine(angle), ca.SX(0), ca.SX(0)]
-
-
-def _smooth(s: ca.SX) -> ca.SX:
-    """From 0 to 1 with vanishing speed and acceleration at both ends."""
-    return s * s * s * (10 + s * (-15 + 6 * s))
-
-
-def _ramped(t: ca.SX, total: ca.SX | float, rate: ca.SX, ramp: ca.SX) -> ca.SX:
-    """Way covered when the rate rises, holds and falls smoothly, `total / rate + ramp` in all."""
-    return rate * ramp * (_area(t / ramp) - _area((t - total / rate) / ramp))
-
-
-def _area(s: ca.SX) -> ca.SX:
-    """Integral of the smooth step from -infinity to s."""
-    inside = ca.fmin(ca.fmax(s, 0.0), 1.0)
-    return inside**4 * (2.5 + inside * (-3 + inside)) + ca.fmax(s - 1, 0.0)

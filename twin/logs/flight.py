@@ -1,4 +1,4 @@
-"""A flight in memory: the flight table of `docs/flight_table.md` plus what its reader doubts."""
+"""A flight in memory: the table of `docs/guide/flight_table.md` plus what its reader doubts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from ..component import Component, ComponentBuilder
 from ..effects import Blocks, Effect, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
-from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import ModelError
 from ..frames import carried, cross, quaternion_rate, to_body, to_ned
 from ..vehicle import Vehicle
@@ -64,8 +63,9 @@ def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Com
     )
     blocks = Blocks(m, vehicle, effects)
     inputs = rotor_inputs(m, vehicle, drive)
-    if blocks.include("command_delay"):
-        m.sampled(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay")
+    periods = sorted((e.period for e in effects if e.period), key=lambda p: p.seconds)
+    if periods:
+        m.sampled(periods[0].seconds, periods[0].description)
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     motion = _motion(m, vehicle, blocks, z_ground)
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))

@@ -24,7 +24,9 @@ def battery(vehicle: Vehicle) -> Component:
     """
     data = vehicle.battery
     if data is None:
-        raise ModelError(f"{vehicle.name}: the vehicle file has no [battery]; see docs/vehicle.md.")
+        raise ModelError(
+            f"{vehicle.name}: the vehicle file has no [battery]; see docs/guide/vehicle.md."
+        )
     m = ComponentBuilder("battery", f"Battery of {vehicle.name}")
     current = m.input("ibat_a", "A", "Current drawn", data.hover_current_a)
     full = m.parameter("full_voltage", data.full_voltage_v, "V", "Open-circuit voltage when full")

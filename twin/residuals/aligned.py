@@ -3,10 +3,13 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..component.rows import OverRows
+from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import Flight
 from ..physics.airframe import airframe
@@ -27,7 +30,8 @@ class AlignedFlight:
     """A flight on the grid of its twin.
 
     Attributes:
-        airframe: With the vehicle's effects, but for `command_delay`: it is in the inputs.
+        airframe: With the vehicle's effects, but for those by which commands act late: they are
+            in the inputs.
         imu: With the vehicle's effects, but without noise.
         inputs: Of the airframe, commands as they arrive.
         motion: Measured motion.
@@ -71,8 +75,9 @@ def align_flight(
         LogError: The flight lacks what the vehicle needs, is too short, or never flies.
     """
     body = airframe(vehicle, choose_drive(flight, vehicle), effects)
-    if "command_delay" in vehicle.effects:
-        body = body.with_starts({"command_delay.enabled": 0.0})
+    switches = {v.name for v in body.parameters}
+    late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
+    body = body.with_starts({name: 0.0 for name in late if name in switches})
     time = flight.table["time"].to_numpy(dtype=np.float64)
     if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
         raise LogError(f"{flight.name}: too short: {len(time)} samples.")
@@ -104,7 +109,8 @@ def align_flight(
 
 def _quiet(sensor: Component) -> Component:
     """The sensor without its noise: what it reads on average is compared with the flight."""
-    ends = ("_noise", "_bias_walk", "sensor_noise_level.enabled")
+    louder = (e.name for e in EFFECTS.values() if isinstance(e.seen_as, NoiseFloor))
+    ends = ("_noise", "_bias_walk", *(f"{name}.enabled" for name in louder))
     noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
 
@@ -138,6 +144,19 @@ def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
     )
 
 
+def _rotor_thrust(body: Component, rotors: int, inputs: Inputs) -> Array:
+    """Thrust of all rotors together in still air, N, shape (n,)."""
+    moving = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
+    r, u = ca.SX.sym("r", len(moving)), ca.SX.sym("u", len(body.inputs))
+    p = body.parameter_values()
+    x = ca.SX(body.initial(inputs.u[0], p))
+    x[moving] = r
+    each = [body.output_names.index(f"thrust_{i}") for i in range(1, rotors + 1)]
+    total = ca.sum1(body.outputs(x, u, p)[each])
+    thrust = OverRows(ca.Function("thrust", [r, u], [ca.densify(total)]), 2)
+    return thrust(inputs.rotor_states, inputs.u)[:, 0]
+
+
 def _airborne(
     vehicle: Vehicle,
     body: Component,
@@ -147,15 +166,7 @@ def _airborne(
 ) -> NDArray[np.bool_]:
     """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
     resting place where the record starts at rest and holds a position."""
-    n = vehicle.rotors.count
-    p = body.parameter_values()
-    x = np.tile(
-        np.asarray(body.initial(inputs.u[0], p), dtype=np.float64).ravel(), (len(inputs.t_s), 1)
-    )
-    rotors = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
-    x[:, rotors] = inputs.rotor_states
-    y = body.outputs_along(x, inputs.u)
-    thrust = y[:, [body.output_names.index(f"thrust_{i}") for i in range(1, n + 1)]].sum(axis=1)
+    thrust = _rotor_thrust(body, vehicle.rotors.count, inputs)
     carried = thrust > 0.5 * vehicle.mass_kg * vehicle.gravity_m_s2
     airborne = carried & (phases != "ground")
     starts_in_air = (

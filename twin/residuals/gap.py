@@ -26,7 +26,7 @@ class Channel:
     """One scalar quantity, measured and simulated at the same instants.
 
     Attributes:
-        name: Flight-table column or derived name (`acc_x`, `angacc_z`, `pos_z`, `att_x`).
+        name: Flight-table column or derived name (`acc_x`, `gyro_rate_z`, `pos_z`, `att_x`).
         unit: SI unit, as printed.
         horizon_s: 0 for teacher-forced; else the time since the last restart from the
             measured state, at the end of which the two are compared.
@@ -34,6 +34,8 @@ class Channel:
         measured: Shape (n,).
         simulated: Shape (n,).
         phase: Flight phase of each sample, shape (n,), "" where unknown.
+        unfiltered: The same before the low-pass that both sides have passed, for spectra; None:
+            they have passed none.
     """
 
     name: str
@@ -43,11 +45,17 @@ class Channel:
     measured: Array
     simulated: Array
     phase: NDArray[np.str_]
+    unfiltered: "Channel | None" = None
 
     @property
     def residual(self) -> Array:
         """Measured minus simulated, shape (n,)."""
         return self.measured - self.simulated
+
+    @property
+    def wide(self) -> "Channel":
+        """All frequencies that were sampled."""
+        return self.unfiltered or self
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,7 +341,8 @@ def _bands(gaps: Sequence[FlightGap]) -> dict[tuple[str, str, float], list[dict[
     result = {}
     for key, channels in _kinds(gaps).items():
         spectra = [
-            (len(c.t_s), spectrum(c.t_s, c.measured), spectrum(c.t_s, c.residual)) for c in channels
+            (len(c.t_s), spectrum(c.t_s, c.measured), spectrum(c.t_s, c.residual))
+            for c in (channel.wide for channel in channels)
         ]
         rows = []
         for low, high in pairwise(BAND_EDGES_HZ):

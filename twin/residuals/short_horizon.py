@@ -1,7 +1,7 @@
 """Short windows of flight from measured states on, all of them in one batch.
 
-The same equations, steps and sample instants as the FMUs that `uavtwin gap` runs window by window.
-Commands that are late are so in the inputs, as in all of an `AlignedFlight`.
+The same equations, steps and sample instants as the FMUs of airframe and IMU under a co-simulation
+master. Commands that are late are so in the inputs, as in all of an `AlignedFlight`.
 """
 
 from collections.abc import Callable
@@ -12,14 +12,36 @@ from numpy.typing import NDArray
 
 from ..component import Component, Sampling, substeps
 from ..component.rows import OverRows
+from ..logs.columns import GYRO, POS, QUAT, VEL
 from .aligned import AlignedFlight
 from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
-POSE = tuple(f"{stem}_{a}" for stem in ("pos", "vel") for a in "xyz")
-GYRO = tuple(f"gyro_{a}" for a in "xyz")
+READ = GYRO + POS + VEL + QUAT
+"""What is read at the end of a window, in order."""
 WINDOWS_AT_ONCE = 1024
 """More at once are no faster: their states no longer fit the cache."""
+
+
+def whole_windows(aligned: AlignedFlight, steps: int) -> NDArray[np.intp]:
+    """Grid points at which windows start that follow each other without overlap, shape (w,).
+
+    Each is airborne and measured from start to end.
+
+    Args:
+        aligned: A flight on the grid of its twin.
+        steps: Grid steps per window.
+    """
+    known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
+    unknown_before = np.concatenate([[0], np.cumsum(~known)])
+    starts, k = [], int(np.argmax(known))
+    while k + steps < len(known):
+        if unknown_before[k + steps + 1] == unknown_before[k]:
+            starts.append(k)
+            k += steps
+        else:
+            k += 1
+    return np.array(starts, dtype=np.intp)
 
 
 def window_ends(
@@ -32,17 +54,17 @@ def window_ends(
     """What the twin reads at the end of windows that start at measured states.
 
     Args:
-        twin: A flight on the grid of its twin.
+        aligned: A flight on the grid of its twin.
         starts: Grid points at which the windows start, shape (w,); all states known there.
         steps: Grid steps per window.
         tail: Grid points before the last one that are kept as well.
         progress: Called with the share done, 0..1.
 
     Returns:
-        Readings of the gyroscope, rad/s, position, m, and velocity, m/s, NED, over the last
-        `tail` + 1 grid points, shape (w, tail + 1, 9).
+        `READ`: gyroscope, rad/s, position, m, and velocity, m/s, NED, attitude, over the last
+        `tail` + 1 grid points, shape (w, tail + 1, 13).
     """
-    found = np.empty((len(starts), tail + 1, len(GYRO + POSE)))
+    found = np.empty((len(starts), tail + 1, len(READ)))
     windows = _Windows(aligned)
     for first in range(0, len(starts), WINDOWS_AT_ONCE):
         part = slice(first, first + WINDOWS_AT_ONCE)
@@ -55,20 +77,20 @@ class _Windows:
     """Airframe and IMU of a flight, ready to be started anywhere."""
 
     def __init__(self, aligned: AlignedFlight) -> None:
-        self._twin = aligned
+        self._aligned = aligned
         body, sensor = aligned.airframe, aligned.imu
         self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
         self._imu = _Batch(sensor, sensor.parameter_values())
         self._felt = [body.output_names.index(n) for n in sensor.input_names]
         self._gyro = [sensor.output_names.index(n) for n in GYRO]
-        self._pose = [body.output_names.index(n) for n in POSE]
+        self._pose = [body.output_names.index(n) for n in READ[len(GYRO) :]]
         self._remembers = any(_moves_gyro(s.name) for s in sensor.states)
 
     def ends(self, starts: NDArray[np.intp], steps: int, tail: int) -> Array:
         """See `window_ends`."""
-        body, sensor, u = self._body, self._imu, self._twin.inputs.u
-        kept = np.empty((len(starts), tail + 1, len(GYRO + POSE)))
-        body.start(self._twin.states[starts], u[starts])
+        body, sensor, u = self._body, self._imu, self._aligned.inputs.u
+        kept = np.empty((len(starts), tail + 1, len(READ)))
+        body.start(self._aligned.states[starts], u[starts])
         sensed = self._sensed(u[starts])
         sensor.start(sensor.initial(sensed), sensed)
         for k in range(1, steps + 1):
@@ -89,7 +111,7 @@ class _Windows:
 
 
 class _Batch:
-    """Many runs of one component side by side, without noise; see `aligned.component.Run`.
+    """Many runs of one component side by side, without noise; see `twin.component.Run`.
 
     Attributes:
         x: States, shape (w, n_x).

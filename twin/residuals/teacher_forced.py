@@ -9,20 +9,20 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.sampled import noiseless_outputs
+from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
 from ..logs import Flight
-from ..logs.columns import ACC, is_known, motor_columns
+from ..logs.columns import is_known, motor_columns
 from ..physics.airframe import AXES
 from ..physics.rotors import Drive
 from ..vehicle import Vehicle
-from .gap import Channel
-from .measured import RATE_CUTOFF_HZ, MeasuredMotion, Signal, differentiate, zero_phase
+from .measured import MeasuredMotion, Signal, differentiate
+from .unmeasured import integrate_states
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
@@ -90,26 +90,27 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
     """Inputs of the airframe on a uniform grid: the last sample held.
 
     What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
-    those of the measured rotor speeds. The `command_delay` of
-    the vehicle acts here, so that it is to be off in the airframe: a delay line knows no past where
-    an airframe is started in mid-flight.
+    those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
+    so that they are to be off in the airframe: a delay line knows no past where an airframe is
+    started in mid-flight.
     """
     notes: list[str] = []
-    late_s = vehicle.effects.get("command_delay", {}).get("delay_s")
+    late_s = late_actions(vehicle)
     u = np.tile(airframe.input_values(), (len(t_s), 1))
     columns = []
     for i, name in enumerate(airframe.input_names):
         if not is_known(name):
             speed = name.replace(SPIN_RATE, "rotor_")
             if speed != name and flight.has(speed):
-                u[:, i] = _rate_along(*flight.signal([speed]), t_s)
+                u[:, i] = _rate(Signal(*flight.signal([speed])), t_s)
             continue
         if flight.has(name):
             signal = Signal(*flight.signal([name]))
-            if late_s is None or not name.startswith("cmd_"):
+            delay_s = late_s.get(name.rpartition("_")[0])
+            if delay_s is None:
                 u[:, i] = signal.held(t_s)[:, 0]
             else:
-                u[:, i] = _arriving(signal, t_s, late_s)
+                u[:, i] = _arriving(signal, t_s, delay_s)
             columns.append(name)
         else:
             notes.append(
@@ -118,27 +119,6 @@ def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: 
     return Inputs(
         tuple(columns), t_s, u, _rotor_states(airframe, u, float(t_s[1] - t_s[0])), tuple(notes)
     )
-
-
-def as_driven(flight: Flight, airframe: Component, inputs: Inputs) -> Flight:
-    """What drives the airframe, as a flight: its own table unless commands are late.
-
-    A row for each change, since samples are held.
-    """
-    if "command_delay.enabled" not in (v.name for v in airframe.parameters):
-        return flight
-    columns = list(inputs.columns)
-    u = inputs.u[:, [airframe.input_names.index(c) for c in columns]]
-    kept = np.append(True, np.any(u[1:] != u[:-1], axis=1))
-    kept[-1] = True
-    table = pd.DataFrame(u[kept], columns=columns)
-    table.insert(0, "time", inputs.t_s[kept])
-    return Flight(flight.name, table)
-
-
-def _rate_along(sampled_s: Array, values: Array, t_s: Array) -> Array:
-    """Time derivative of a sampled signal, straight lines between its samples; shape (n,)."""
-    return np.gradient(np.interp(t_s, sampled_s, values[:, 0]), t_s)
 
 
 def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
@@ -152,6 +132,11 @@ def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
         command.held(t_s - back * COMMAND_PERIOD_S)[:, 0] for back in (whole, whole + 1)
     )
     return np.asarray(after + max(periods - whole, 0.0) * (before - after))
+
+
+def _rate(signal: Signal, t_s: Array) -> Array:
+    """Rate of change of a measured speed, 0 where it is unknown; shape (n,)."""
+    return np.nan_to_num(Signal(signal.t_s, differentiate(signal)).at(t_s)[:, 0])
 
 
 def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
@@ -195,9 +180,13 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             x[:, [column[n] for n in names]] = values
     rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
     x[:, rotors] = inputs.rotor_states
-    arrived = {i: s for s, i in column.items() if s.startswith("command_delay.")}
+    arrived = {
+        i: s.partition(".")[2]
+        for s, i in column.items()
+        if s.partition(".")[0] in {e.name for e in acting_late()}
+    }
     for i, name in arrived.items():
-        x[:, i] = inputs.u[:, airframe.input_names.index(name.removeprefix("command_delay."))]
+        x[:, i] = inputs.u[:, airframe.input_names.index(name)]
     hidden = sorted(set(range(x.shape[1])) - {*rotors, *arrived} - {column[n] for n in RIGID})
     if hidden:
         x[:, hidden] = _hidden_states(airframe, hidden, x, inputs)
@@ -212,20 +201,11 @@ def _hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inpu
     known = np.all(np.isfinite(x), axis=1)
     if not known.any():
         return np.full((len(x), len(index)), np.nan)
-    last = np.maximum.accumulate(np.where(known, np.arange(len(x)), -1))
-    path = x[np.where(last < 0, np.argmax(known), last)]
+    first = x[int(np.argmax(known))]
     names = [s.name for s in airframe.states]
-    begin = {f"initial.{n}": float(path[0, names.index(n)]) for n in RIGID}
-    p, u = airframe.parameter_values({"ground.enabled": 0.0, **begin}), inputs.u
-    z, at, v = (
-        ca.SX.sym(n, k) for n, k in (("z", len(index)), ("x", x.shape[1]), ("u", u.shape[1]))
-    )
-    full = ca.SX(at)
-    full[index] = z
-    step = ca.Function("hidden_step", [z, at, v], [airframe.step(full, v, p, inputs.step_s)[index]])
-    start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
-    after = step.mapaccum("hidden_states", len(x))(start, path.T, u.T)
-    return np.vstack([start, np.asarray(after, dtype=np.float64).T[:-1]])
+    begin = {f"initial.{n}": float(first[names.index(n)]) for n in RIGID}
+    p = airframe.parameter_values({"ground.enabled": 0.0, **begin})
+    return integrate_states(airframe, index, x, inputs.u, p, inputs.step_s)
 
 
 def predicted_readings(
@@ -267,63 +247,3 @@ def sensor_readings(imu: Component, sensed: Array) -> Array:
     readings = noiseless_outputs(imu, clean, GRID_S)
     readings[~known] = np.nan
     return readings
-
-
-def teacher_forced_channels(
-    flight: Flight,
-    motion: MeasuredMotion,
-    t_s: Array,
-    readings: Array,
-    names: tuple[str, ...],
-    airborne: NDArray[np.bool_],
-    phases: NDArray[np.str_],
-) -> list[Channel]:
-    """Channels of horizon 0: accelerometer, and angular acceleration from the gyroscope.
-
-    Measured and predicted angular acceleration pass the same zero-phase low-pass at
-    `RATE_CUTOFF_HZ`, the measured one as body rates before they are differentiated.
-
-    Args:
-        flight: Its own samples are the times of the comparison.
-        motion: Measured motion.
-        t_s: Grid of the prediction, shape (n,).
-        readings: Prediction on the grid, shape (n, k).
-        names: Names of the columns of `readings`.
-        airborne: Whether the grid point counts, shape (n,).
-        phases: Phase at the grid points, shape (n,).
-    """
-    channels: list[Channel] = []
-
-    def add(name: str, unit: str, t: Array, measured: Array, predicted: Array) -> None:
-        """Keep the samples in the air at which both sides are known."""
-        near = np.clip(np.searchsorted(t_s, t), 0, len(t_s) - 1)
-        good = airborne[near] & np.isfinite(measured) & np.isfinite(predicted)
-        if good.any():
-            channels.append(
-                Channel(
-                    name, unit, 0.0, t[good], measured[good], predicted[good], phases[near][good]
-                )
-            )
-
-    if flight.has(*ACC):
-        t, acc = flight.signal(ACC)
-        inside = (t >= t_s[0]) & (t <= t_s[-1])
-        for i, name in enumerate(ACC):
-            predicted = _sampled(t_s, readings[:, names.index(name)], t[inside])
-            add(name, "m/s²", t[inside], acc[inside, i], predicted)
-    if motion.rates is not None and motion.rates_measured:
-        inside = (motion.rates.t_s >= t_s[0]) & (motion.rates.t_s <= t_s[-1])
-        t = motion.rates.t_s[inside]
-        measured = differentiate(motion.rates)[inside]
-        for i, axis in enumerate(AXES):
-            grid = readings[:, names.index(f"angular_acceleration_{axis}")]
-            raw = _sampled(t_s, grid, t)
-            bad = ~np.isfinite(raw)
-            smooth = zero_phase(Signal(t, np.where(bad, 0.0, raw)[:, None]), RATE_CUTOFF_HZ)[:, 0]
-            add(f"angacc_{axis}", "rad/s²", t, measured[:, i], np.where(bad, np.nan, smooth))
-    return channels
-
-
-def _sampled(t_grid: Array, values: Array, t_s: Array) -> Array:
-    """Linear interpolation between grid points, NaN next to NaN."""
-    return np.interp(t_s, t_grid, values)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from ..representation import short_repr
 
@@ -11,6 +12,18 @@ SEA_LEVEL_PRESSURE_PA = 101325.0
 """ISA at sea level, ICAO Doc 7488."""
 SEA_LEVEL_TEMPERATURE_K = 288.15
 """ISA at sea level, ICAO Doc 7488."""
+
+
+def _number(key: str, stand_in: str = "", default: float = 0.0) -> Any:
+    """A number that the vehicle file has under a key.
+
+    Args:
+        key: In the file.
+        stand_in: What stands in for it, in words; default: no noise or no walk, as the key says.
+        default: The same as a number.
+    """
+    words = stand_in or f"no {key.rpartition('.')[2].rpartition('_')[2]}"
+    return field(default=default, metadata={"key": key, "stand_in": words})
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,17 +40,21 @@ class Sensors:
             names.
     """
 
-    accel_noise_m_s2: float = 0.0
-    accel_walk_m_s2: float = 0.0
-    gyro_noise_rad_s: float = 0.0
-    gyro_walk_rad_s: float = 0.0
-    mag_noise_t: float = 0.0
-    mag_walk_t: float = 0.0
-    baro_noise_pa: float = 0.0
-    baro_walk_pa: float = 0.0
+    accel_noise_m_s2: float = _number("imu.accel_noise")
+    accel_walk_m_s2: float = _number("imu.accel_walk")
+    gyro_noise_rad_s: float = _number("imu.gyro_noise")
+    gyro_walk_rad_s: float = _number("imu.gyro_walk")
+    mag_noise_t: float = _number("magnetometer.noise")
+    mag_walk_t: float = _number("magnetometer.walk")
+    baro_noise_pa: float = _number("barometer.noise")
+    baro_walk_pa: float = _number("barometer.walk")
     field_n_t: tuple[float, ...] = EARTH_FIELD_N_T
-    pressure_pa: float = SEA_LEVEL_PRESSURE_PA
-    temperature_k: float = SEA_LEVEL_TEMPERATURE_K
+    pressure_pa: float = _number(
+        "site.pressure", f"{SEA_LEVEL_PRESSURE_PA:g} Pa", SEA_LEVEL_PRESSURE_PA
+    )
+    temperature_k: float = _number(
+        "site.temperature", f"{SEA_LEVEL_TEMPERATURE_K:g} K", SEA_LEVEL_TEMPERATURE_K
+    )
     position: Mapping[str, float | tuple[float, ...]] = field(default_factory=dict)
 
     __repr__ = short_repr

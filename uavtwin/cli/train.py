@@ -18,7 +18,7 @@ def train(
         str,
         typer.Option(
             help="best: ours; paper: the paper's text; published: its code; linear: no network; "
-            "mean, last, ...: docs/compensator.md."
+            "mean, last, ...: docs/guide/compensator.md."
         ),
     ] = "best",
     protocol: Annotated[

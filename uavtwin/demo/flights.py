@@ -8,20 +8,24 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from twin.flight import closed_loop
-from twin.flight.control.lqr_cascade import controller
+from twin.effects.air import ROTOR_DRAG
+from twin.effects.mass import COG_OFFSET, INERTIA_ERROR, MASS_OFFSET
+from twin.effects.propulsion import THRUST_SCALE
+from twin.flight.closed_loop import STEP_S
+from twin.flight.minimum_jerk import (
+    minimum_jerk,
+    minimum_jerk_acceleration,
+    minimum_jerk_speed,
+)
+from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
-from twin.physics.airframe import AXES, airframe
-from twin.physics.sensors.imu import imu
-from twin.residuals.teacher_forced import sensor_readings
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEP_S = closed_loop.STEP_S
-IMU_EVERY, POSE_EVERY = 5, 10  # 200 Hz and 100 Hz
+IMU_S, POSE_S = 0.005, 0.01
 ACC_NOISE_M_S2, GYRO_NOISE_RAD_S = 0.05, 0.005  # made up: a quiet MEMS IMU
 POS_NOISE_M, VEL_NOISE_M_S, ATT_NOISE = 0.001, 0.01, 0.0005  # made up: motion capture
 
@@ -73,15 +77,22 @@ def fly(
         name: Of the flight.
         waypoints: Phase, duration and place of each leg.
     """
-    body, sensor = airframe(plant, "command"), imu(plant)
     setpoints, phases = _setpoints(plant, waypoints)
-    states, inputs = closed_loop.fly(
-        body.with_starts(closed_loop.standing(body, plant)), controller(vehicle), setpoints
+    drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
+    recorder = Recorder(
+        streams=(
+            Stream(drives, IMU_S),
+            Stream(ACC, IMU_S, ACC_NOISE_M_S2),
+            Stream(GYRO, IMU_S, GYRO_NOISE_RAD_S),
+            Stream(POS, POSE_S, POS_NOISE_M),
+            Stream(VEL, POSE_S, VEL_NOISE_M_S),
+            Stream(QUAT, POSE_S, ATT_NOISE),
+        ),
+        rate_hz=1 / IMU_S,
+        sampled_hz=1 / STEP_S,
+        seed=seed,
     )
-    truth = body.outputs_along(states, inputs)
-    sensed = truth[:, [body.output_names.index(n) for n in sensor.input_names]]
-    readings = sensor_readings(sensor, sensed)
-    return _record(name, body.output_names, truth, readings, inputs, phases, body.input_names, seed)
+    return simulate_flight(setpoints, phases, vehicle, plant, recorder, name)
 
 
 def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
@@ -91,53 +102,17 @@ def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
     rows, phases = [], []
     for phase, duration, place in waypoints:
         there = rest + np.array(place)
-        s = np.arange(round(duration / STEP_S))[:, None] * STEP_S / duration
-        way = 10 * s**3 - 15 * s**4 + 6 * s**5
-        speed = (30 * s**2 - 60 * s**3 + 30 * s**4) / duration
-        push = (60 * s - 180 * s**2 + 120 * s**3) / duration**2
+        s: Array = (
+            np.arange(round(duration / STEP_S), dtype=np.float64)[:, None] * STEP_S / duration
+        )
+        speed = minimum_jerk_speed(s) / duration
+        push = minimum_jerk_acceleration(s) / duration**2
         yaw, armed = np.zeros_like(s), np.full_like(s, phase != "ground")
         leg = there - here
-        rows.append(np.hstack([here + way * leg, speed * leg, push * leg, yaw, armed]))
+        rows.append(np.hstack([here + minimum_jerk(s) * leg, speed * leg, push * leg, yaw, armed]))
         phases += [phase] * len(s)
         here = there
     return np.vstack(rows), phases
-
-
-def _record(
-    name: str,
-    outputs: tuple[str, ...],
-    truth: Array,
-    readings: Array,
-    inputs: Array,
-    phases: list[str],
-    input_names: tuple[str, ...],
-    seed: int,
-) -> Flight:
-    rng = np.random.default_rng(seed)
-    table = pd.DataFrame({"time": np.arange(len(truth)) * STEP_S})
-    for i, column in enumerate(input_names):
-        if column.startswith("cmd_"):
-            table[column] = inputs[:, i]
-
-    def sample(columns: list[str], values: Array, noise: float, every: int) -> None:
-        """Add noise to the truth, and keep every so many samples."""
-        noisy = values + noise * rng.standard_normal(values.shape)
-        if columns[0] == "q_w":
-            noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
-        noisy[np.arange(len(values)) % every != 0] = np.nan
-        table[columns] = noisy
-
-    sample([f"acc_{a}" for a in AXES], readings[:, :3], ACC_NOISE_M_S2, IMU_EVERY)
-    sample([f"gyro_{a}" for a in AXES], readings[:, 3:6], GYRO_NOISE_RAD_S, IMU_EVERY)
-    for stem, letters, noise in (
-        ("pos", AXES, POS_NOISE_M),
-        ("vel", AXES, VEL_NOISE_M_S),
-        ("q", tuple("wxyz"), ATT_NOISE),
-    ):
-        columns = [f"{stem}_{a}" for a in letters]
-        sample(columns, truth[:, [outputs.index(c) for c in columns]], noise, POSE_EVERY)
-    table["phase"] = phases
-    return Flight(name, table.iloc[::IMU_EVERY].reset_index(drop=True))
 
 
 # -- effects --------------------------------------------------------------------------------
@@ -146,14 +121,14 @@ def _record(
 def _mass_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     share = rng.uniform(0.05, 0.15)
     plant = replace(vehicle, mass_kg=vehicle.mass_kg * (1 + share))
-    return Hidden("mass_offset", f"{share * vehicle.mass_kg * 1e3:.0f} g of extra mass", plant)
+    return Hidden(MASS_OFFSET.name, f"{share * vehicle.mass_kg * 1e3:.0f} g of extra mass", plant)
 
 
 def _rotor_drag(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     k = rng.uniform(0.3, 0.7)
     drag = vehicle.drag_linear_n_s_m + k * vehicle.mass_kg * np.array([1.0, 1.0, 0.0])
     return Hidden(
-        "rotor_drag",
+        ROTOR_DRAG.name,
         f"rotor drag of {k:.2f} 1/s along x and y",
         replace(vehicle, drag_linear_n_s_m=drag),
     )
@@ -164,7 +139,7 @@ def _cog_offset(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     shift = rng.uniform(0.03, 0.08) * arm * np.array([1.0, rng.choice([-1.0, 1.0]), 0.0])
     rotors = replace(vehicle.rotors, position_m=vehicle.rotors.position_m - shift)
     text = f"centre of mass moved by {1e3 * shift[0]:.1f}, {1e3 * shift[1]:.1f} mm forward, right"
-    return Hidden("cog_offset", text, replace(vehicle, rotors=rotors))
+    return Hidden(COG_OFFSET.name, text, replace(vehicle, rotors=rotors))
 
 
 def _thrust_scale(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
@@ -173,7 +148,7 @@ def _thrust_scale(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
         vehicle.rotors, thrust_n=tuple((1 - share) * c for c in vehicle.rotors.thrust_n)
     )
     return Hidden(
-        "thrust_scale",
+        THRUST_SCALE.name,
         f"rotors give {100 * share:.0f} % less thrust",
         replace(vehicle, rotors=rotors),
     )
@@ -183,16 +158,16 @@ def _inertia_error(vehicle: Vehicle, rng: np.random.Generator) -> Hidden:
     share = rng.uniform(0.3, 0.6)
     inertia = vehicle.inertia_kg_m2 * (1 + share)
     return Hidden(
-        "inertia_error",
+        INERTIA_ERROR.name,
         f"{100 * share:.0f} % more inertia",
         replace(vehicle, inertia_kg_m2=inertia),
     )
 
 
 _HIDERS: dict[str, Callable[[Vehicle, np.random.Generator], Hidden]] = {
-    "mass_offset": _mass_offset,
-    "rotor_drag": _rotor_drag,
-    "cog_offset": _cog_offset,
-    "thrust_scale": _thrust_scale,
-    "inertia_error": _inertia_error,
+    MASS_OFFSET.name: _mass_offset,
+    ROTOR_DRAG.name: _rotor_drag,
+    COG_OFFSET.name: _cog_offset,
+    THRUST_SCALE.name: _thrust_scale,
+    INERTIA_ERROR.name: _inertia_error,
 }

@@ -19,10 +19,8 @@ from twin.physics.airframe import airframe
 from twin.physics.battery import battery
 from twin.physics.environment import environment
 from twin.physics.rotors import Drive
-from twin.physics.sensors.barometer import barometer
-from twin.physics.sensors.imu import imu
-from twin.physics.sensors.magnetometer import magnetometer
 from twin.physics.sensors.position import PRESETS, Kind, position_sensor
+from twin.physics.sensors.table import components_of_sensors
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
@@ -47,11 +45,16 @@ class Choices:
     mission: str = "hover"
 
 
+def _with_effects(
+    make: Callable[[Vehicle, Iterable[str]], Component],
+) -> Callable[[Vehicle, Choices], Component]:
+    """A sensor of the table, with all its effects built in."""
+    return lambda vehicle, _: make(vehicle, EFFECTS)
+
+
 COMPONENTS: Mapping[str, Callable[[Vehicle, Choices], Component]] = {
     "airframe": lambda v, c: airframe(v, c.drive, EFFECTS),
-    "imu": lambda v, _: imu(v, EFFECTS),
-    "magnetometer": lambda v, _: magnetometer(v, EFFECTS),
-    "barometer": lambda v, _: barometer(v, EFFECTS),
+    **{name: _with_effects(make) for name, make in components_of_sensors().items()},
     "position": lambda v, c: position_sensor(v, EFFECTS, c.position),
     "battery": lambda v, _: battery(v),
     "environment": lambda v, _: environment(v),

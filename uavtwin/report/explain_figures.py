@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from twin.explain.attribution import Attribution
-from twin.explain.model.channels import ChannelData
+from twin.residuals.channels import ChannelData
 
 from .figures import pretty_unit
 

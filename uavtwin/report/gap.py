@@ -12,6 +12,8 @@ from typing import Any
 
 from markupsafe import Markup
 
+from twin.physics.sensors.table import BODY, SENSORS, Sensor
+from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
     UNKNOWN_PHASE,
     Channel,
@@ -43,6 +45,13 @@ class _Kind:
     axis: Mapping[str, str] = field(default_factory=dict)
 
 
+def _of_sensor(sensor: Sensor) -> _Kind:
+    """Kind of the readings of a sensor beside the IMU."""
+    vector = len(sensor.columns) > 1
+    axes, axis = ("body axes", _BODY) if vector else ("", {})
+    return _Kind(f"{sensor.signal}_", sensor.title, axes, sensor.words, axis)
+
+
 _BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
 _TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
 _EARTH = {"x": "north", "y": "east", "z": "down"}
@@ -50,14 +59,13 @@ _FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pit
 _NED = "x north, y east, z down"
 _KINDS = (
     _Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
-    _Kind("angacc_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
+    _Kind("gyro_rate_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
     _Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
     _Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
     _Kind("pos_", "Position", _NED, "position", _EARTH),
     _Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
     _Kind("q_", "Attitude (quaternion)", "body to NED"),
-    _Kind("mag_", "Magnetic field", "body axes", "magnetic field", _BODY),
-    _Kind("baro_", "Air pressure", "", "air pressure"),
+    *(_of_sensor(s) for s in SENSORS if s.group != BODY),
     _Kind("", "Other channels"),
 )
 
@@ -94,6 +102,7 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
         detail=_detail(places),
         places=places[:6],
         slow_hz=SLOW_HZ,
+        band_hz=BAND_HZ,
         horizons=horizons,
         teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
         pooled=pooled if len(gaps) > 1 else {},
@@ -190,7 +199,7 @@ def _figure(flight: str, kind: _Kind, channels: Sequence[Channel], phases: Phase
         axes=kind.axes,
         mode=_mode(horizon_s),
         note=note,
-        height=int(figure.layout.height),
+        height=figure["layout"]["height"],
         json=embedded(figure),
     )
 

@@ -152,7 +152,7 @@ AIRCRAFT = {
 
 
 def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
-    """The vehicle file that a user of this aircraft believes in; format of docs/vehicle.md."""
+    """The vehicle file that a user of this aircraft believes in (docs/guide/vehicle.md)."""
     p = aircraft.nominal
     lines = [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"', "", "[body]"]
 

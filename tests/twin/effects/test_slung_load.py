@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS
+from twin.effects.slung_load_observer import PLACE, SPEED, hang_load, observe_swing
 from twin.explain.inference.fit import Problem
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
-from twin.explain.model.slung_load_observer import PLACE, SPEED, hang_load, observe_swing
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly

@@ -10,7 +10,7 @@ import pytest
 from twin.effects import EFFECTS
 from twin.explain.design.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
 from twin.explain.design.manoeuvres import hover_height_m, manoeuvres, plan
-from twin.explain.design.rehearsal import simulate_flight
+from twin.explain.design.rehearsal import rehearse
 from twin.explain.inference import selection as search
 from twin.explain.inference.likelihood import Block
 from twin.explain.inference.selection import Naming, name_effects
@@ -65,7 +65,7 @@ def hovering(vehicle: Vehicle, plant: Vehicle) -> Flight:
 def flown(name: str, vehicle: Vehicle, plant: Vehicle, like: Flight) -> Flight:
     """A manoeuvre with the noise of the flights before it."""
     chosen = [m for m in manoeuvres(vehicle) if m.name == name]
-    flight = simulate_flight(plan(vehicle, chosen), vehicle, plant, [like])
+    flight = rehearse(plan(vehicle, chosen), vehicle, plant, [like])
     rng, table = np.random.default_rng(2), flight.table.copy()
     for stem, noise in (
         ("acc", ACC_NOISE_M_S2),
@@ -137,7 +137,7 @@ def test_every_manoeuvre_can_be_flown(name: str) -> None:
     vehicle = load_vehicle(name)
     like = hovering(vehicle, vehicle)
     whole = plan(vehicle, manoeuvres(vehicle))
-    flight = simulate_flight(whole, vehicle, vehicle, [like])
+    flight = rehearse(whole, vehicle, vehicle, [like])
     assert len(flight.table) == pytest.approx(len(whole.phases) / 5, abs=1)  # never lost
     commands = flight.table[[c for c in flight.table if c.startswith("cmd_")]].dropna()
     assert commands[flight.table["phase"] == "tour"].max(axis=None) < 0.95
@@ -150,7 +150,7 @@ def test_a_late_command_is_recorded_early() -> None:
     like = hovering(FEISI, FEISI)
     steps = plan(FEISI, [m for m in manoeuvres(FEISI) if m.name == "vertical_steps"])
     late = with_effects(FEISI, ["command_delay"], {"command_delay.delay_s": 0.05})
-    now, early = (simulate_flight(steps, FEISI, p, [like]).table for p in (FEISI, late))
+    now, early = (rehearse(steps, FEISI, p, [like]).table for p in (FEISI, late))
     rows = round(0.05 * 200)
     np.testing.assert_allclose(early["cmd_1"][:-rows], now["cmd_1"][rows:])
     np.testing.assert_allclose(early["acc_z"], now["acc_z"])
@@ -162,7 +162,7 @@ def test_a_record_has_the_columns_and_rates_of_the_flights_and_ends_where_it_is_
     crossed = 0.005 - FEISI.rotors.position_m * [1, 1, 0]
     torn = replace(FEISI, rotors=replace(FEISI.rotors, position_m=crossed))
     steps = plan(FEISI, manoeuvres(FEISI)[:1])
-    good, lost = (simulate_flight(steps, FEISI, p, [like]).table for p in (FEISI, torn))
+    good, lost = (rehearse(steps, FEISI, p, [like]).table for p in (FEISI, torn))
     assert set(good) == set(like.table)
     assert good["pos_x"].notna().mean() == pytest.approx(0.5, abs=0.01)
     assert len(lost) < len(good) / 2

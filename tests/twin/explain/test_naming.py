@@ -18,7 +18,6 @@ from twin.explain.inference.likelihood import Scores, Whitened, believed
 from twin.explain.inference.pool import Pool, dominated, worth_a_name
 from twin.explain.inference.robust_covariance import half_widths
 from twin.explain.inference.selection import Naming, _spoils, name_effects
-from twin.explain.model.channels import CHANNEL_HZ, ChannelData
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import at_voltage, numbers_of
 from twin.explain.settings import DEFAULT
@@ -26,6 +25,7 @@ from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.barometer import barometer
 from twin.physics.sensors.magnetometer import magnetometer
+from twin.residuals.channels import CHANNEL_HZ, ChannelData
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 

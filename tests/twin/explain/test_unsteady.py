@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from twin.effects import EFFECTS
+from twin.effects.inertial import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
 from twin.explain.model.flight import FlightModel
 from twin.explain.model.model import Model
 from twin.explain.model.numbers import numbers_of
-from twin.explain.model.prediction import Batch, physics
+from twin.explain.model.prediction import Physics
 from twin.explain.stochastic.finding import StochasticEffect
 from twin.explain.stochastic.noise_level import find_noise_level
 from twin.explain.stochastic.search import find_stochastic
@@ -24,6 +25,7 @@ from twin.explain.stochastic.stuck import stuck_channels, stuck_numbers, without
 from twin.explain.stochastic.vibration import find_vibration
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, MAG
+from twin.physics.airframe import airframe
 from twin.vehicle import GRAVITY_M_S2, Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.thrust_map import hover_level
@@ -70,10 +72,11 @@ def hovering(
 
 
 @cache
-def body() -> Batch:
+def body() -> Physics:
     """Prediction, built once for all models."""
-    names = [n.full for n in numbers_of(CANDIDATES, NOISY)]
-    return physics(NOISY, "rotor_speed", [e.name for e in CANDIDATES], names)[1]
+    effects = [e.name for e in CANDIDATES]
+    made = airframe(NOISY, "rotor_speed", effects)
+    return Physics(made, NOISY, effects, numbers_of(CANDIDATES, NOISY))
 
 
 def model(flights: Sequence[Flight], vehicle: Vehicle = NOISY) -> Model:
@@ -117,7 +120,7 @@ def test_noise_of_one_sensor_is_further_noise_of_that_sensor() -> None:
 
 
 def test_a_vehicle_file_without_noise_says_nothing_about_noise() -> None:
-    assert find_noise_level(model([hovering(noise=3.0)], COPTER)) is None
+    assert find_noise_level(model([hovering(noise=3.0)], COPTER), SENSOR_NOISE_LEVEL) is None
 
 
 def filtered(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> None:
@@ -185,8 +188,8 @@ def test_vibration_is_found_with_its_sizes(hz: float) -> None:
 
 
 def test_lines_below_the_noise_and_slow_swings_are_no_vibration() -> None:
-    assert find_vibration(model([hovering(shaking(85.0, 0.002, 1e-4))])) is None
-    assert find_vibration(model([hovering(shaking(8.0, 0.4, 0.05))])) is None
+    assert find_vibration(model([hovering(shaking(85.0, 0.002, 1e-4))]), VIBRATION) is None
+    assert find_vibration(model([hovering(shaking(8.0, 0.4, 0.05))]), VIBRATION) is None
 
 
 # -- gust -----------------------------------------------------------------------------------
@@ -247,7 +250,7 @@ def test_a_stuck_channel_is_found_with_its_time(channel: str, from_s: float) -> 
     assert (stuck.channel, stuck.to_the_end) == (channel, True)
     assert stuck.from_s == pytest.approx(from_s, abs=0.0051)
     if channel in (*ACC, *GYRO):
-        numbers = stuck_numbers([stuck])
+        numbers = stuck_numbers([stuck], STUCK_SENSOR)
         assert numbers["stuck_sensor.channel"] == 1 + (*ACC, *GYRO).index(channel)
         assert numbers["stuck_sensor.time_s"] == stuck.from_s
 
@@ -257,7 +260,7 @@ def test_stuck_readings_are_taken_out_with_their_sensor() -> None:
     (stuck,) = stuck_channels(flight)
     clean = without_stuck(flight, [stuck]).table
     assert not stuck.to_the_end
-    assert stuck_numbers([stuck]) == {}
+    assert stuck_numbers([stuck], STUCK_SENSOR) == {}
     assert clean.loc[clean["time"].between(8.0, 10.99), list(GYRO)].isna().all(axis=None)
     assert clean[list(ACC)].notna().all(axis=None)
     assert clean.loc[clean["time"] < 8.0, list(GYRO)].notna().all(axis=None)

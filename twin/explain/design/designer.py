@@ -21,17 +21,17 @@ from scipy.optimize import lsq_linear
 from ...effects import EFFECTS
 from ...errors import TwinError
 from ...logs import Flight
+from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
 from ..inference.fit import Fit
 from ..inference.likelihood import Block, blocks_of
 from ..inference.selection import Naming
-from ..model.channels import ChannelData
 from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying
 from ..settings import DEFAULT, DesignSettings
 from .manoeuvres import Manoeuvre, manoeuvres, plan
-from .rehearsal import simulate_flight, volts_of
+from .rehearsal import rehearse, volts_of
 
 Array = NDArray[np.float64]
 SHAPE_STEP = 0.03
@@ -126,7 +126,7 @@ def suggestions(
         flown = plan(loaded, chosen, settings, block_s)
         plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
         try:
-            flight = simulate_flight(flown, loaded, plant, flights, voltage)
+            flight = rehearse(flown, loaded, plant, flights, voltage)
             blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
         except TwinError:  # numbers with which nothing flies: nobody can fly it either
             continue
@@ -248,7 +248,8 @@ def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
     listed = manoeuvres(vehicle, charged, settings)
     effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
-    felt = vehicle.rotors.reference_voltage_v is not None or "battery_sag" in effects
+    felt = vehicle.rotors.reference_voltage_v is not None
+    felt = felt or any("vbat" in EFFECTS[e].needs for e in effects)
     if felt and all(f.has("vbat_v") for f in flights):
         return list(listed)
     return [m for m in listed if m.voltage == 1]

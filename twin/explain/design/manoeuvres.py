@@ -2,8 +2,6 @@
 
 Each starts and ends at rest in a hover with the nose north, and excites something that the others
 do not. A flight strings some of them together between takeoff and landing.
-
-Source: minimum-jerk ramps, Flash & Hogan, J. Neuroscience 5 (1985).
 """
 
 import math
@@ -15,6 +13,7 @@ from numpy.typing import NDArray
 
 from ...flight.closed_loop import STEP_S
 from ...flight.control.hover import thrust_inverse
+from ...flight.minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
 from ...flight.mission import SMALL_ARM_M
 from ...vehicle import GRAVITY_M_S2, Vehicle
 from ..settings import DEFAULT, DesignSettings
@@ -224,7 +223,7 @@ def _sideways(k: float, push: float) -> list[Manoeuvre]:
         ),
         _pointwise(
             "forward_legs",
-            f"Fly {way:g} m north at up to {15 / 8 * way / leg_s:.1f} m/s, nose first, and back "
+            f"Fly {way:g} m north at up to {FASTEST * way / leg_s:.1f} m/s, nose first, and back "
             f"tail first; then the same with the nose east, sideways.",
             [*legs, (1.5, 0, 0, 0, 0)],
         ),
@@ -251,7 +250,7 @@ def _path(*points: Point) -> Move:
         where, begin, here = np.zeros((len(t), 4)), 0.0, np.zeros(4)
         for duration, *place in points:
             s = np.clip((t - begin) / duration, 0, 1)[:, None]
-            where += s**3 * (10 + s * (-15 + 6 * s)) * (np.array(place) - here)
+            where += minimum_jerk(s) * (np.array(place) - here)
             begin, here = begin + duration, np.array(place, dtype=np.float64)
         return where
 
@@ -265,23 +264,18 @@ def _rounds(
     ramp_s, total = 2.0, 2 * np.pi
     duration_s = total / rate + ramp_s
 
-    def covered(s: Array) -> Array:
-        """Integral of the smooth step from -infinity to s."""
-        inside = np.clip(s, 0, 1)
-        return np.asarray(inside**4 * (2.5 + inside * (-3 + inside)) + np.maximum(s - 1, 0))
-
     def move(t: Array) -> Array:
         """Where it is."""
-        a = rate * ramp_s * (covered(t / ramp_s) - covered((t - total / rate) / ramp_s))
+        a = ramped_way(t, total, rate, ramp_s)
         return np.column_stack([radius * np.sin(a), radius * east(a), 0 * t, 0 * t])
 
     return Manoeuvre(name, description, duration_s, move)
 
 
 def _time_s(way_m: float, push_m_s2: float, fastest_m_s: float = np.inf) -> float:
-    """Time of a minimum-jerk ramp, whose peaks are 15/8 L/T and 10/sqrt(3) L/T^2."""
-    slow = float(np.sqrt(10 / np.sqrt(3) * way_m / push_m_s2))
-    return round(max(slow, 15 / 8 * way_m / fastest_m_s), 1)
+    """Time of a minimum-jerk ramp that stays below an acceleration and a speed."""
+    slow = float(np.sqrt(HARDEST * way_m / push_m_s2))
+    return round(max(slow, FASTEST * way_m / fastest_m_s), 1)
 
 
 def _rows(duration_s: float) -> int:

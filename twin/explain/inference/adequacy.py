@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..model.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
+from ...physics.sensors.table import BODY, sensor_of
+from ...residuals.channels import BAND_HZ, CHANNEL_HZ, POSE_BAND_HZ, ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, AdequacySettings
 from .fit import Fit
@@ -56,7 +57,8 @@ def coherent(
     flights: Sequence[ChannelData], settings: AdequacySettings = DEFAULT.inference.adequacy
 ) -> tuple[float, float]:
     """Mean power of a channel that is not forgotten, and the deviation of that by mere noise."""
-    band = BAND_HZ if flights[0].name.startswith(("acc", "gyro")) else POSE_BAND_HZ
+    sensor = sensor_of(flights[0].name)
+    band = BAND_HZ if sensor is not None and sensor.group == BODY else POSE_BAND_HZ
     lag = round(settings.memory * CHANNEL_HZ / band)
     total, power, n = 0.0, 0.0, 0
     for c in flights:

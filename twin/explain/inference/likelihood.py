@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.channels import ChannelData
+from ...residuals.channels import ChannelData
 from ..settings import DEFAULT, LikelihoodSettings
 from .bounds import Bounds
 from .robust_covariance import half_widths

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS
+from ...physics.sensors.table import BODY, SENSORS
 from ..model.numbers import columns_of
 from ..settings import DEFAULT, InferenceSettings, LikelihoodSettings, PriorSettings
 from .bounds import Bounds
@@ -14,10 +15,9 @@ from .likelihood import Scores, believed
 from .search import Hypothesis, search
 
 Array = NDArray[np.float64]
-APART = ("magnetometer", "barometer")
-"""Components that share no channel with the others: each has room for as many effects
-of its own."""
-BODY = "body"
+GROUP_OF = {s.component: s.group for s in SENSORS}
+"""Group of each component; the others are of the body. Groups share no channel with each other:
+each has room for as many effects of its own."""
 
 
 def pool_of(
@@ -192,7 +192,7 @@ def _with_one_more(pool: Pool, fitted: Fit) -> dict[tuple[str, ...], float]:
 
 def _larger(pool: Pool, fitted: Fit) -> list[tuple[str, ...]]:
     """Effects of a hypothesis with one more; trifles take no place."""
-    places = {c: pool.settings.pool.most for c in (*APART, BODY)}
+    places = dict.fromkeys((*GROUP_OF.values(), BODY), pool.settings.pool.most)
     for effect in worth_a_name(fitted):
         places[_part(effect)] -= 1
     known = pool.problem.model.effects
@@ -201,8 +201,7 @@ def _larger(pool: Pool, fitted: Fit) -> list[tuple[str, ...]]:
 
 
 def _part(effect: str) -> str:
-    component = EFFECTS[effect].component
-    return component if component in APART else BODY
+    return GROUP_OF.get(EFFECTS[effect].component, BODY)
 
 
 def _about(problem: Problem, fitted: Fit) -> Callable[[Sequence[str]], Array]:

@@ -8,10 +8,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS
+from ...effects import EFFECTS, Shift
 from ...logs import Flight
 from ...vehicle import Vehicle
-from ..model.flight import in_equations
 from ..model.model import candidates, model_of
 from ..model.payload import Payloads
 from ..settings import DEFAULT, InferenceSettings, SelectionSettings
@@ -213,7 +212,8 @@ def _material(pool: Pool, fitted: Fit) -> bool:
     Every log has its delays below a sample: they are allowed, but no names.
     """
     names = worth_a_name(fitted)
-    if any(in_equations(EFFECTS[e]) for e in fitted.effects if e not in names):
+    trifles = (EFFECTS[e] for e in fitted.effects if e not in names)
+    if not all(isinstance(e.seen_as, Shift) for e in trifles):
         return False
     least = pool.settings.selection.smallest_share
     return all(share(fitted, pool.without(fitted, e)) >= least for e in names)

@@ -12,37 +12,28 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import Effect
+from ...effects import EFFECTS, Equation, Observer
 from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight, align_flight
+from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, on_grid, shifted
 from ...residuals.measured import Signal
 from ...residuals.teacher_forced import airframe_inputs, measured_states
 from ...vehicle import Vehicle
-from .channels import GRID_HZ, ChannelData, on_grid, shifted
 from .numbers import Number, with_effects
-from .prediction import Batch
-from .sensors import ATTITUDE_AGE, POSITION_AGE, Part, Seen, imu_parts, other_parts, pose_parts
-from .slung_load_observer import hang_load, observe_swing
+from .prediction import Physics
+from .sensors import PLACE, TURN, Seen, imu_parts, other_parts, pose_parts
 
 Array = NDArray[np.float64]
-TURN = "heading_offset.pose_rad"
-COMMAND_AGE = "command_delay.delay_s"
-LOAD, ROPE = "slung_load.mass_kg", "slung_load.length_m"
-_STEPS = dict.fromkeys((COMMAND_AGE, "motor_lag.tau_s", POSITION_AGE, ATTITUDE_AGE), 0.01)
-"""Numbers whose answers are differences of two predictions, and their steps, s."""
-_INTEGRATED = ("motor_lag.tau_s",)
-"""Numbers that change states which nobody measures; of the load on its rope see `load`."""
-
-
-def in_equations(effect: Effect) -> bool:
-    """Whether the effect stands in the equations of a component, and not in time."""
-    return not effect.name.endswith("_delay")
+AGE_STEP_S = 0.01
+"""By which the age of what a prediction is made from is moved where its answer is a difference."""
+COMMANDS = ("cmd",)
 
 
 class FlightModel:
@@ -52,7 +43,7 @@ class FlightModel:
         self,
         flight: Flight,
         vehicle: Vehicle,
-        body: Batch,
+        physics: Physics,
         effects: Sequence[str],
         numbers: Sequence[Number],
     ) -> None:
@@ -61,23 +52,26 @@ class FlightModel:
         Args:
             flight: As read.
             vehicle: The model as it stands.
-            body: Of `prediction.physics`, made with the same effects and numbers.
+            physics: Airframe and IMU, made with the same effects and numbers.
             effects: Effects in the equations, all switched on.
             numbers: Every number, in the order of the prediction's.
         """
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
-        self._body, self._effects = body, list(effects)
-        moving = sorted({name.partition(".")[0] for name in _INTEGRATED} & set(effects))
-        self.aligned = align_flight(flight, with_effects(vehicle, moving, {}), 1 / GRID_HZ, effects)
+        self._physics, self._effects = physics, list(effects)
+        self._observers = {name: o for name in effects if (o := _observer(name)) is not None}
+        self._stateful = sorted(
+            {n.effect for n in numbers if self._reached(n.full)} - self._observers.keys()
+        )
+        on = with_effects(vehicle, self._stateful, {})
+        self.aligned = align_flight(flight, on, 1 / GRID_HZ, effects)
         self._now = np.array([n.now for n in numbers])
-        self._arrived_s = next((n.now for n in numbers if n.full == COMMAND_AGE), 0.0)
-        self._force_n = self._forces() if "slung_load" in effects else None
-        self._swings: dict[float, tuple[Array, Array]] = {}
-        self.aligned = replace(self.aligned, states=self._with_load(self.aligned.states, {}))
-        seen = Seen(flight, vehicle, self.aligned, self._effects, [n.full for n in numbers])
-        force = body.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
+        self._forces = {name: self._felt_beyond(name) for name in self._observers}
+        self._courses: dict[tuple[str, tuple[float, ...]], Any] = {}
+        self.aligned = replace(self.aligned, states=self._observed(self.aligned.states, self._now))
+        seen = Seen(flight, vehicle, self.aligned, self._effects, self.numbers)
+        force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
         self._parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
-        self._states: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
+        self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
 
@@ -91,7 +85,6 @@ class FlightModel:
             change: "effect.number" -> value, for those that differ from the model as it stands.
         """
         change = dict(change or {})
-        theta = np.array([change.get(n.full, n.now) for n in self.numbers])
         touched = {self.numbers[i].effect for i in columns}
         touched |= {name.partition(".")[0] for name in change}
         body: tuple[Array, Array] | None = None
@@ -101,86 +94,136 @@ class FlightModel:
                 found += self._untouched(k, len(columns))
                 continue
             if part.batch is None:
-                body = body or self._body_answers(columns, theta, change)
-                at, answer = (a[:, part.outputs] for a in body)
-                predicted = at
-                if part.readings.names[0].startswith("gyro_rate"):
-                    predicted, answer = _step_mean(predicted), _step_mean(answer)
-            else:
-                # Numbers change what is clean: a scale below one would damp the noise of the pose.
-                at = part.batch.value(theta, part.at)
-                predicted = self._clean(k, part, change) + (at - self._standing(k, part.at))
-                predicted, at = predicted[:, part.outputs], at[:, part.outputs]
-                answer = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
-            predicted, answer = self._in_time(part, columns, theta, predicted, answer, at)
-            found += part.readings.channels(predicted, answer)
+                body = body or self._body_answers(columns, change)
+            predicted, slopes = self._answers(k, columns, change, body)
+            found += part.readings.channels(predicted, slopes)
         return found
 
     def _untouched(self, k: int, width: int) -> list[ChannelData]:
         """Channels of a part that no number in question reaches."""
         if k not in self._resting:
             part = self._parts[k]
-            if part.batch is None:
-                value = self._body.value(self._now, self.aligned.states, self.aligned.inputs.u)
-            else:
-                value = self._standing(k, part.rows)
-            predicted = value[:, part.outputs]
-            if part.readings.names[0].startswith("gyro_rate"):
-                predicted = _step_mean(predicted)
-            nothing = np.zeros((*predicted.shape, 0))
-            self._resting[k] = part.readings.channels(predicted, nothing)
+            body = self._body_answers([], {}) if part.batch is None else None
+            self._resting[k] = part.readings.channels(*self._answers(k, [], {}, body))
         return [replace(c, slopes=np.zeros((len(c.t_s), width))) for c in self._resting[k]]
 
+    def _answers(
+        self,
+        k: int,
+        columns: Sequence[int],
+        change: Mapping[str, float],
+        body: tuple[Array, Array] | None,
+    ) -> tuple[Array, Array]:
+        """Prediction of a part on the grid, and its slopes.
+
+        Args:
+            k: Which part.
+            columns: Numbers to differentiate by.
+            change: "effect.number" -> value.
+            body: The same of airframe and IMU, where the part is theirs.
+        """
+        part, theta = self._parts[k], self._theta(change)
+        if part.batch is None:
+            assert body is not None
+            at, slopes = (a[:, part.outputs] for a in body)
+            predicted = at
+            if part.rate:
+                predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
+        else:
+            # Numbers change what is clean: a scale below one would damp the noise of the pose.
+            at = part.batch.value(theta, part.at)
+            predicted = self._clean(k, theta) + (at - self._standing(k, part.at))
+            predicted, at = predicted[:, part.outputs], at[:, part.outputs]
+            slopes = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
+        return self._in_time(k, columns, theta, predicted, slopes, at)
+
     def _body_answers(
-        self, columns: Sequence[int], theta: Array, change: Mapping[str, float]
+        self, columns: Sequence[int], change: Mapping[str, float]
     ) -> tuple[Array, Array]:
         """Prediction of airframe and IMU, and its slopes."""
-        states, inputs = self._moved(change)
-        value = self._body.value(theta, states, inputs)
-        slopes = self._body.slopes(columns, theta, states, inputs)
+        theta, (states, inputs) = self._theta(change), self._moved(change)
+        value = self._physics.value(theta, states, inputs)
+        slopes = self._physics.slopes(columns, theta, states, inputs)
         for k, i in enumerate(columns):
-            step = _STEPS.get(self.numbers[i].full)
+            step = self._difference_step(i, change)
             if step is not None:
                 more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
                 ahead[i] += step
-                slopes[:, :, k] = (self._body.value(ahead, *self._moved(more)) - value) / step
+                slopes[:, :, k] = (self._physics.value(ahead, *self._moved(more)) - value) / step
         return value, slopes
+
+    def _theta(self, change: Mapping[str, float]) -> Array:
+        """Every number, changed or as it is."""
+        return np.array([change.get(n.full, n.now) for n in self.numbers])
+
+    def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
+        """Step of a number whose answer is no derivative of the equations at given states."""
+        n = self.numbers[i]
+        if set(n.moves) & {*PLACE, *TURN, *COMMANDS}:
+            return AGE_STEP_S
+        if i in self._physics.of_sensor or self._is_integrated(n.full, {**change, n.full: n.now}):
+            return n.step
+        return None
 
     # -- answers that are no derivatives of equations ----------------------------------------
 
     def _in_time(
         self,
-        part: Part,
+        k: int,
         columns: Sequence[int],
         theta: Array,
         predicted: Array,
         answer: Array,
         at: Array,
     ) -> tuple[Array, Array]:
-        """Delays and a turned heading, which shift or turn what is predicted."""
+        """Ages and a turned heading, which shift or turn what is predicted."""
+        part = self._parts[k]
         rate = np.gradient(at, 1 / GRID_HZ, axis=0)
-        slopes = {name: -sign * rate for name, sign in part.late.items()}
-        if part.turning is not None:
-            swept = np.cross(part.turning, at)
-            turned = self._turned(at)
-            slopes |= {POSITION_AGE: rate + swept, ATTITUDE_AGE: -swept, TURN: turned}
+        turned = None if part.turning is None else self._turned(at)
         for i, n in enumerate(self.numbers):
             if n.full in part.late and theta[i]:
                 predicted = shifted(predicted, part.late[n.full] * theta[i])
-            if n.full == TURN and theta[i] and part.turning is not None:
+            if n.turns_pose and theta[i] and turned is not None:
                 predicted = predicted + theta[i] * turned
-        for k, i in enumerate(columns):
-            if self.numbers[i].full in slopes:
-                answer[:, :, k] = slopes[self.numbers[i].full]
+        for column, i in enumerate(columns):
+            n = self.numbers[i]
+            if n.full in part.late:
+                answer[:, :, column] = -part.late[n.full] * rate
+            elif part.turning is not None and n.turns_pose:
+                answer[:, :, column] = turned
+            elif part.older is not None and set(n.moves) & {*PLACE, *TURN}:
+                answer[:, :, column] = self._by_age(k, i, theta, rate, at)
         return predicted, answer
 
-    def _clean(self, k: int, part: Part, change: Mapping[str, float]) -> Array:
-        """Prediction of the model as it stands, the delays of the pose taken out."""
-        ages = change.get(POSITION_AGE, 0.0), change.get(ATTITUDE_AGE, 0.0)
+    def _by_age(self, k: int, i: int, theta: Array, rate: Array, at: Array) -> Array:
+        """Answer to the age of position or attitude, which both make the prediction."""
+        part, moves = self._parts[k], set(self.numbers[i].moves)
+        if part.turning is None:
+            ahead = theta.copy()
+            ahead[i] += AGE_STEP_S
+            change = self._clean(k, ahead) - self._clean(k, theta)
+            return np.asarray(change[:, part.outputs] / AGE_STEP_S)
+        swept = np.cross(part.turning, at)
+        answer = np.zeros_like(at)
+        if moves & {*PLACE}:
+            answer = rate + swept
+        if moves & {*TURN}:
+            answer = answer - swept
+        return answer
+
+    def _clean(self, k: int, theta: Array) -> Array:
+        """Prediction of the model as it stands, the ages of the pose taken out."""
+        part = self._parts[k]
+        ages = self._age(theta, PLACE), self._age(theta, TURN)
         if part.older is None or not any(ages):
             return self._standing(k, part.rows)
         assert part.batch is not None
         return part.batch.value(self._now, part.older(*ages))
+
+    def _age(self, theta: Array, signals: Sequence[str]) -> float:
+        """By how much some signals of the pose are older than the record says, s."""
+        own = (set(n.moves) & set(signals) and not n.acts for n in self.numbers)
+        return float(sum(v for v, mine in zip(theta, own, strict=True) if mine))
 
     def _standing(self, k: int, rows: Array) -> Array:
         """Prediction of the model as it stands, from one of the two kinds of rows of a part."""
@@ -198,50 +241,76 @@ class FlightModel:
         north, east, _ = to_ned(q, list(force_b.T))
         return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
 
+    # -- states and inputs of the airframe ----------------------------------------------------
+
+    def _reached(self, number: str) -> frozenset[int]:
+        """States of the airframe that nobody measures and that answer to a number."""
+        return self._physics.reached.get(number, frozenset())
+
+    def _is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
+        """Whether a state that answers to a number matters: not of an effect that is at rest, and
+        not followed by an observer."""
+        own = number.partition(".")[0]
+        if own in self._observers:
+            return False
+        acting = {own, *self.vehicle.effects, *(name.partition(".")[0] for name in change)}
+        resting = set(self._effects) - acting | self._observers.keys()
+        names = (self.aligned.airframe.states[i].name for i in self._reached(number))
+        return any(name.partition(".")[0] not in resting for name in names)
+
     def _moved(self, change: Mapping[str, float]) -> tuple[Array, Array]:
-        """States and inputs with the effects that have a memory as `change` has them."""
-        own = {k: v for k, v in change.items() if k in _INTEGRATED}
+        """States and inputs as `change` has them."""
+        theta = self._theta(change)
+        own = {k: v for k, v in change.items() if self._is_integrated(k, change)}
         aligned = self.aligned
         if own:
             key = tuple(sorted(own.items()))
-            if key not in self._states:
-                self._states[key] = self._prepared(own)
-            aligned = self._states[key]
-        states, inputs = self._in_step(aligned.states, change), aligned.inputs.u
-        states = self._with_load(states, change)
-        later = change[COMMAND_AGE] - self._arrived_s if COMMAND_AGE in change else 0.0
+            if key not in self._integrated:
+                self._integrated[key] = self._prepared(own)
+            aligned = self._integrated[key]
+        states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
+        states = self._observed(states, theta)
+        later = sum(
+            theta[i] - n.now
+            for i, n in enumerate(self.numbers)
+            if n.acts and set(n.moves) & {*COMMANDS}
+        )
         return self._late_commands(states, inputs, later) if later else (states, inputs)
 
-    def _in_step(self, states: Array, change: Mapping[str, float]) -> Array:
-        """States with the delays of the pose taken out."""
-        for name, stems in ((POSITION_AGE, ("pos_", "vel_")), (ATTITUDE_AGE, ("q_",))):
-            if age := change.get(name, 0.0):
-                own = [
-                    i
-                    for i, s in enumerate(self.aligned.airframe.states)
-                    if s.name.startswith(stems)
-                ]
+    def _in_step(self, states: Array, theta: Array) -> Array:
+        """States with the ages of the pose taken out."""
+        for signals in (PLACE, TURN):
+            if age := self._age(theta, signals):
+                stems = tuple(f"{s}_" for s in signals)
+                names = [s.name for s in self.aligned.airframe.states]
+                own = [i for i, name in enumerate(names) if name.startswith(stems)]
                 states = states.copy()
                 states[:, own] = shifted(states[:, own], -age)
         return states
 
     def _prepared(self, values: Mapping[str, float]) -> AlignedFlight:
         """The flight on its grid, unmeasured states integrated with effects that move them."""
-        moving = {name.partition(".")[0] for name in _INTEGRATED} & set(self._effects)
-        starts = {n.full: n.now for n in self.numbers if n.effect in moving} | dict(values)
-        body = self.aligned.airframe.with_starts(starts)
+        effects = {name.partition(".")[0] for name in values}
+        known = {v.name for v in self.aligned.airframe.parameters}
+        on = {f"{e}.enabled": 1.0 for e in effects}
+        moving = effects | {*self._stateful}
+        starts = on | {n.full: n.now for n in self.numbers if n.effect in moving} | dict(values)
+        body = self.aligned.airframe.with_starts({k: v for k, v in starts.items() if k in known})
         inputs = airframe_inputs(self.flight, self.vehicle, body, self.aligned.inputs.t_s)
         states = measured_states(body, self.aligned.motion, inputs)
         return replace(self.aligned, airframe=body, inputs=inputs, states=states)
 
-    def _forces(self) -> tuple[Array, Array]:
-        """Specific force without a load on a rope, and what is felt beyond it, NED, (n, 3) each.
+    def _felt_beyond(self, effect: str) -> tuple[Array, Array]:
+        """Specific force without an effect, and what is felt beyond it, NED, (n, 3) each.
 
         Where the former is unknown, or on the ground, the vehicle counts as held.
         """
         aligned = self.aligned
-        bare = np.where([n.full == LOAD for n in self.numbers], 0.0, self._now)
-        force = self._body.value(bare, aligned.states, aligned.inputs.u)[:, :3]
+        bare = self._now.copy()
+        for i, n in enumerate(self.numbers):
+            if n.effect == effect and n.about.neutral is not None:
+                bare[i] = n.about.neutral
+        force = self._physics.value(bare, aligned.states, aligned.inputs.u)[:, :3]
         felt = np.zeros_like(force)
         if self.flight.has(*ACC):
             felt = on_grid(Signal(*self.flight.signal(ACC)), aligned.inputs.t_s) - force
@@ -255,25 +324,28 @@ class FlightModel:
             np.where(there[:, None], felt_n, 0.0),
         )
 
-    def _with_load(self, states: Array, change: Mapping[str, float]) -> Array:
-        """States with the load on its rope where it swings."""
-        if self._force_n is None:
-            return states
-        now = {n.full: n.now for n in self.numbers} | dict(change)
-        length = now[ROPE]
-        if length not in self._swings:
-            self._swings[length] = observe_swing(*self._force_n, length, 1 / GRID_HZ)
+    def _observed(self, states: Array, theta: Array) -> Array:
+        """States with those of effects in place that an observer follows."""
         names = [s.name for s in self.aligned.airframe.states]
-        share = now[LOAD] / self.vehicle.mass_kg
-        return hang_load(states, names, self._swings[length], self._force_n[0], length, share)
+        for effect, observer in self._observers.items():
+            free, felt = self._forces[effect]
+            own = [(n, float(v)) for n, v in zip(self.numbers, theta, strict=True)]
+            numbers = {n.name: v for n, v in own if n.effect == effect}
+            key = effect, tuple(v for n, v in own if n.effect == effect and n.shape)
+            if key not in self._courses:
+                self._courses[key] = observer.follow(free, felt, numbers, 1 / GRID_HZ)
+            course = self._courses[key]
+            states = observer.place(states, names, course, free, numbers, self.vehicle)
+        return states
 
     def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
         """Commands, and the rotors that follow them, later by a while."""
         aligned = self.aligned
+        arrived = tuple(f"{n.effect}." for n in self.numbers if n.acts)
         rotors = [
             i
             for i, s in enumerate(aligned.airframe.states)
-            if s.name.startswith(("rotor_", "effort_", "command_delay."))
+            if s.name.startswith(("rotor_", "effort_", *arrived))
         ]
         drives = [
             i
@@ -286,8 +358,7 @@ class FlightModel:
         return states, inputs
 
 
-def _step_mean(values: Array) -> Array:
-    """Mean over the step of the grid that ends at each row."""
-    mean = np.array(values)
-    mean[1:] = (values[1:] + values[:-1]) / 2
-    return mean
+def _observer(effect: str) -> Observer | None:
+    """What follows the states of an effect, if something does."""
+    seen_as = EFFECTS[effect].seen_as
+    return seen_as.observer if isinstance(seen_as, Equation) else None

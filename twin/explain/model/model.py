@@ -6,21 +6,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Effect
+from ...component import Component
+from ...effects import EFFECTS, Effect, Equation, Shift, acting_late
 from ...errors import LogError
 from ...logs import Flight
-from ...physics.rotors import Drive
+from ...physics.airframe import airframe
+from ...residuals.channels import ChannelData
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
-from .channels import ChannelData
-from .flight import FlightModel, in_equations
+from .flight import FlightModel
 from .numbers import Number, at_voltage, numbers_of, numbers_of_logs, visible
 from .payload import Payloads, carrying
-from .prediction import Batch, physics
+from .prediction import Physics
 
 Array = NDArray[np.float64]
-NOT_A_MEAN = ("stuck_sensor", "sensor_noise_level", "vibration", "gust")
-"""Effects that change no mean: they are found in other ways."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,12 +31,15 @@ class Model:
         effects: Effects that all flights can show.
         numbers: Every number of these.
         flights: One per flight.
+        unfelt: Effects that have no place in the airframe of some flight, and so cannot be told:
+            where measured rotor speeds drive it, nothing between command and rotor.
     """
 
     vehicle: Vehicle
     effects: tuple[str, ...]
     numbers: tuple[Number, ...]
     flights: tuple[FlightModel, ...]
+    unfelt: tuple[str, ...] = ()
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None
@@ -54,8 +56,9 @@ class Model:
 
 
 def candidates(flights: Sequence[Flight]) -> list[Effect]:
-    """Effects that all flights can show as a change of a mean."""
-    return [e for e in EFFECTS.values() if e.name not in NOT_A_MEAN and visible(e, flights)]
+    """Effects that change a mean, of which all flights have the signals."""
+    means = (e for e in EFFECTS.values() if isinstance(e.seen_as, Equation | Shift))
+    return [e for e in means if visible(e, flights)]
 
 
 def model_of(
@@ -77,24 +80,40 @@ def model_of(
     Raises:
         LogError: A flight cannot be compared with this vehicle, or no flight is long enough.
     """
+    masses = [(payloads or {}).get(f.name, 0.0) for f in flights]
+    flown = {m: carrying(vehicle, m) for m in masses}
+    kinds = [(choose_drive(f, flown[m]), m) for f, m in zip(flights, masses, strict=True)]
+    standing = [e.name for e in effects if isinstance(e.seen_as, Equation)]
+    bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
+    wanted = {e.name: e for e in (*effects, *acting_late())}.values()
+    unfelt = [e.name for e in wanted if not all(_has_place(b, e) for b in bodies.values())]
+    if unfelt:
+        effects = [e for e in effects if e.name not in unfelt]
+        standing = [name for name in standing if name not in unfelt]
+        bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
     own = (at_voltage(n, flights, vehicle) for n in numbers_of(effects, vehicle))
-    numbers = (*numbers_of_logs(effects), *own)
-    names = [n.full for n in numbers]
-    standing = [e.name for e in effects if in_equations(e)]
-    bodies: dict[tuple[Drive, float], Batch] = {}
+    numbers = (*numbers_of_logs(effects, vehicle), *own)
+    predicted = {k: Physics(b, flown[k[1]], standing, numbers) for k, b in bodies.items()}
     made = []
-    for i, flight in enumerate(flights):
-        payload_kg = (payloads or {}).get(flight.name, 0.0)
-        flown = carrying(vehicle, payload_kg)
-        kind = choose_drive(flight, flown), payload_kg
-        if kind not in bodies:
-            _, bodies[kind] = physics(flown, kind[0], standing, names)
-        made.append(FlightModel(flight, flown, bodies[kind], standing, numbers))
+    for i, (flight, kind) in enumerate(zip(flights, kinds, strict=True)):
+        made.append(FlightModel(flight, flown[kind[1]], predicted[kind], standing, numbers))
         progress((i + 1) / len(flights))
-    model = Model(vehicle, tuple(e.name for e in effects), numbers, tuple(made))
+    names = tuple(e.name for e in effects)
+    model = Model(vehicle, names, numbers, tuple(made), tuple(unfelt))
     if not model.channels([])[0]:
         raise LogError(
             f"{flights[0].name}: no reading is known for long enough in the air; the search needs "
             f"accelerometer or gyroscope, with motor commands, for some seconds of flight."
         )
     return model
+
+
+def _has_place(body: Component, effect: Effect) -> bool:
+    """Whether an airframe has what the effect acts on; an effect of a sensor always has it."""
+    seen_as = effect.seen_as
+    if isinstance(seen_as, Shift) and seen_as.acts:
+        moved = [f"{s}_" for signals in seen_as.moves.values() for s in signals]
+        return any(name.startswith(tuple(moved)) for name in body.input_names)
+    if effect.component != body.name or not isinstance(seen_as, Equation):
+        return True
+    return any(v.name == f"{effect.name}.enabled" for v in body.parameters)

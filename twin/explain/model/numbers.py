@@ -6,25 +6,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Effect, EffectParameter
-from ...effects.timing import POSE_SAMPLING_S
+from ...effects import EFFECTS, Effect, EffectParameter, Equation, Shift
 from ...logs import Flight
+from ...logs.columns import POS, QUAT, VEL
+from ...physics.sensors.table import SENSORS
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]
-STEMS = {
-    "acc": "acc_x",
-    "gyro": "gyro_x",
-    "mag": "mag_x",
-    "pos": "pos_x",
-    "vel": "vel_x",
-    "q": "q_w",
-    "baro": "baro_pa",
-    "vbat": "vbat_v",
-    "ibat": "ibat_a",
-    "cmd": "cmd_1",
+STEPS = 30.0
+"""Steps of differences over the prior range of a number."""
+SIGNALS: dict[str, tuple[str, ...]] = {
+    **{s.signal: s.columns for s in SENSORS},
+    "pos": POS,
+    "vel": VEL,
+    "q": QUAT,
+    "vbat": ("vbat_v",),
+    "ibat": ("ibat_a",),
+    "cmd": ("cmd_1",),
 }
-"""Flight-table column that stands for a signal named in `Effect.needs`."""
+"""Flight-table columns of a signal named in `Effect.needs`; of motors, the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +55,30 @@ class Number:
         return self.about.neutral is None
 
     @property
+    def moves(self) -> tuple[str, ...]:
+        """Signals that it shifts in time."""
+        seen_as = EFFECTS[self.effect].seen_as
+        return seen_as.moves.get(self.name, ()) if isinstance(seen_as, Shift) else ()
+
+    @property
+    def acts(self) -> bool:
+        """Whether these act late; else what they show is old."""
+        seen_as = EFFECTS[self.effect].seen_as
+        return isinstance(seen_as, Shift) and seen_as.acts
+
+    @property
+    def turns_pose(self) -> bool:
+        """Whether it turns the logged attitude about the vertical."""
+        seen_as = EFFECTS[self.effect].seen_as
+        return isinstance(seen_as, Equation) and seen_as.turns_pose == self.name
+
+    @property
+    def step(self) -> float:
+        """By which it is moved where its answer is a difference."""
+        low, high = self.about.prior
+        return (high - low) / STEPS
+
+    @property
     def sd(self) -> float:
         """Standard deviation of the prior: a quarter of its range."""
         low, high = self.about.prior
@@ -73,25 +97,10 @@ def numbers_of(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
     return sorted(found, key=lambda n: n.shape)
 
 
-IN_LOGS = {
-    "heading_offset": EffectParameter(
-        "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)
-    ),
-    "position_delay": EffectParameter(
-        "attitude_s", "s", "age of the attitude", 0.1, (0, 0.5), trifle=POSE_SAMPLING_S
-    ),
-}
-"""Numbers that effects have in a log alone, and in no component: a compass that is off may have
-misled the estimate of the attitude or not; attitude may come from where position does, or not."""
-
-
-def numbers_of_logs(effects: Iterable[Effect]) -> list[Number]:
-    """Numbers that effects have in a log alone."""
-    return [
-        Number(e.name, IN_LOGS[e.name].name, IN_LOGS[e.name], 0.0)
-        for e in effects
-        if e.name in IN_LOGS
-    ]
+def numbers_of_logs(effects: Iterable[Effect], vehicle: Vehicle) -> list[Number]:
+    """Numbers that effects have in a log alone, at rest in every model."""
+    sized = ((e, p.sized(vehicle)) for e in effects for p in e.of_logs)
+    return [Number(e.name, p.name, p, p.neutral or 0.0) for e, p in sized]
 
 
 def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> Number:
@@ -109,7 +118,7 @@ def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> N
 
 def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
     """Whether every flight has the signals without which the effect cannot be seen."""
-    return all(flight.has(STEMS[need]) for flight in flights for need in effect.needs)
+    return all(flight.has(SIGNALS[need][0]) for flight in flights for need in effect.needs)
 
 
 def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:

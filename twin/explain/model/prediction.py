@@ -1,13 +1,13 @@
 """What components predict for measured motion, and how the prediction answers to effects.
 
-An effect without a memory of its own changes equations: its regressors are the exact derivatives
-of the prediction with respect to its numbers, from the CasADi expressions of the components, all
-in one batch. The components are built once, with every effect switched on; an effect at its
-neutral value is as good as off.
+An effect changes equations: its regressors are the exact derivatives of the prediction with respect
+to its numbers, from the CasADi expressions of the components, all in one batch. The components are
+built once, with every effect switched on; an effect at its neutral value is as good as off. Where
+states that nobody measures answer to a number, they are integrated again with a little more of it,
+and the difference of two predictions takes the place of the derivative.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 
 from ...component import Component
 from ...component.rows import OverRows
-from ...physics.airframe import airframe
-from ...physics.rotors import Drive
-from ...physics.sensors.imu import imu
+from ...effects import acting_late
+from ...residuals.imu import gyro_rate, prompt_imu
+from ...residuals.teacher_forced import RIGID
 from ...vehicle import Vehicle
+from .numbers import Number
+from .states import EffectStates, states_reached
 
 Array = NDArray[np.float64]
 
@@ -52,57 +54,116 @@ class Batch:
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
 
-def physics(
-    vehicle: Vehicle, drive: Drive, effects: Sequence[str], names: Sequence[str]
-) -> tuple[Component, Batch]:
+class Physics:
     """Airframe and IMU: `(states, inputs, numbers) -> acc_x..z, rate of gyro_x..z`.
 
-    The low-pass of the IMU is left out: it is linear, and goes over prediction and slopes alike.
+    Low-pass and delay of the IMU are left out: they go over prediction and slopes alike, in time.
 
-    Args:
-        vehicle: The model as it stands.
-        drive: What drives its rotors.
-        effects: Effects to switch on, each without a memory.
-        names: Of the numbers, "effect.number"; those of other components are not felt.
-
-    Returns:
-        The airframe, whose states and inputs the rows are, and the function.
+    Attributes:
+        airframe: Whose states and inputs the rows are.
+        reached: By number, the states of the airframe that nobody measures and that answer to it.
+        of_sensor: Positions of the numbers that states of effects in the IMU answer to.
     """
-    body = airframe(vehicle, drive, effects)
-    sensor = imu(replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None), effects)
-    theta = ca.SX.sym("theta", len(names))
-    x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
-    y = body.outputs(x, u, _parameters(body, effects, names, theta, {"ground.enabled": 0.0}))
-    outputs = {name: y[i] for i, name in enumerate(body.output_names)}
-    felt = ca.vertcat(*[outputs[n] for n in sensor.input_names])
-    sensed = ca.SX.sym("sensed", len(sensor.inputs))
-    shown = _shown(sensor, sensed, _parameters(sensor, effects, names, theta, {}))
-    # The reading of the gyroscope follows the body rate, which changes by the acceleration.
-    change = ca.SX.zeros(sensed.shape)
-    for a in "xyz":
-        alpha = sensed[sensor.input_names.index(f"angular_acceleration_{a}")]
-        change[sensor.input_names.index(f"omega_{a}")] = alpha
-    readings = ca.vertcat(shown[:3], ca.jtimes(shown[3:], sensed, change))
-    return body, Batch([x, u], theta, ca.substitute(readings, sensed, felt))
+
+    def __init__(
+        self, body: Component, vehicle: Vehicle, effects: Sequence[str], numbers: Sequence[Number]
+    ) -> None:
+        """Take the equations.
+
+        Args:
+            body: Airframe of the vehicle, built with the effects.
+            vehicle: The model as it stands.
+            effects: Effects to switch on.
+            numbers: All of them; those of other components are not felt.
+        """
+        self.airframe = body
+        given = {e.name for e in acting_late()}  # what arrives late is in the inputs
+        hidden = [
+            i
+            for i, s in enumerate(body.states)
+            if s.name not in RIGID and s.name.partition(".")[0] not in given
+        ]
+        self.reached = states_reached(body, hidden)
+        sensor = prompt_imu(vehicle, effects)
+        self._states = EffectStates(sensor, effects, numbers)
+        self.of_sensor = self._states.numbers
+        names = [n.full for n in numbers]
+        theta = ca.SX.sym("theta", len(names))
+        x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
+        y = body.outputs(x, u, _parameters(body, effects, names, theta, {"ground.enabled": 0.0}))
+        outputs = {name: y[i] for i, name in enumerate(body.output_names)}
+        felt = ca.vertcat(*[outputs[n] for n in sensor.input_names])
+        sensed = ca.SX.sym("sensed", len(sensor.inputs))
+        z = ca.SX.sym("z", len(self._states.index))
+        p = _parameters(sensor, effects, names, theta, {})
+        shown = _shown(self._states, sensed, z, p)
+        rate = gyro_rate(sensor, sensed, shown)
+        self._felt: Batch | None = None
+        if self._states.index:
+            self._felt = Batch([x, u], theta, felt)
+            place = ca.SX(sensor.initial(sensed, p))
+            flow = sensor.derivatives(self._states.filled(place, z), sensed, p)[self._states.index]
+            rate += ca.jtimes(shown[3:], z, flow)
+        readings = ca.vertcat(shown[:3], rate)
+        rows = [x, u, z] if self._states.index else [x, u]
+        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, felt))
+
+    def value(self, theta: Array, states: Array, inputs: Array) -> Array:
+        """Predicted readings, shape (n, 6), of all rows of a flight."""
+        return self._batch.value(theta, states, inputs, *self._along(theta, states, inputs))
+
+    def slopes(self, columns: Sequence[int], theta: Array, states: Array, inputs: Array) -> Array:
+        """Derivatives of the equations by some numbers, states given, (n, 6, len(columns))."""
+        along = self._along(theta, states, inputs)
+        return self._batch.slopes(columns, theta, states, inputs, *along)
+
+    def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
+        """States of effects in the IMU."""
+        if self._felt is None:
+            return ()
+        return self._states.along(self._felt.value(theta, states, inputs), theta)
 
 
-def sensing(sensor: Component, effects: Sequence[str], names: Sequence[str]) -> Batch:
-    """A sensor alone, noise left out: `(inputs, numbers) -> outputs`.
+class SensorBatch:
+    """A sensor alone, noise left out: `(inputs, numbers) -> outputs`."""
 
-    Args:
-        sensor: Built with the effects.
-        effects: Effects to switch on, each without a memory.
-        names: Of the numbers, "effect.number"; those of other components are not felt.
-    """
-    theta = ca.SX.sym("theta", len(names))
-    sensed = ca.SX.sym("sensed", len(sensor.inputs))
-    shown = _shown(sensor, sensed, _parameters(sensor, effects, names, theta, {}))
-    return Batch([sensed], theta, shown)
+    def __init__(
+        self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
+    ) -> None:
+        """Take the equations.
+
+        Args:
+            sensor: Built with the effects.
+            effects: Effects to switch on.
+            numbers: All of them; those of other components are not felt.
+        """
+        self._states, self._numbers = EffectStates(sensor, effects, numbers), list(numbers)
+        names = [n.full for n in numbers]
+        theta = ca.SX.sym("theta", len(names))
+        sensed = ca.SX.sym("sensed", len(sensor.inputs))
+        z = ca.SX.sym("z", len(self._states.index))
+        shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, theta, {}))
+        self._batch = Batch([sensed, z] if self._states.index else [sensed], theta, shown)
+
+    def value(self, theta: Array, rows: Array) -> Array:
+        """Predicted readings, shape (n, c), of all rows of a flight, shape (n, n_u)."""
+        return self._batch.value(theta, rows, *self._states.along(rows, theta))
+
+    def slopes(self, columns: Sequence[int], theta: Array, rows: Array) -> Array:
+        """Derivatives of the readings by some numbers, shape (n, c, len(columns))."""
+        slopes = self._batch.slopes(columns, theta, rows, *self._states.along(rows, theta))
+        for k, i in enumerate(columns):
+            if i in self._states.numbers:
+                ahead, step = np.array(theta), self._numbers[i].step
+                ahead[i] += step
+                slopes[:, :, k] = (self.value(ahead, rows) - self.value(theta, rows)) / step
+        return slopes
 
 
-def _shown(sensor: Component, sensed: ca.SX, p: ca.SX) -> ca.SX:
-    """Readings without noise: its memory is at its start."""
-    return sensor.outputs(sensor.initial(sensed, p), sensed, p)
+def _shown(states: EffectStates, sensed: ca.SX, z: ca.SX, p: ca.SX) -> ca.SX:
+    """Readings without noise: memory is at its start, but for the states of effects."""
+    sensor = states.sensor
+    return sensor.outputs(states.filled(sensor.initial(sensed, p), z), sensed, p)
 
 
 def _parameters(

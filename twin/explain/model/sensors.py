@@ -1,30 +1,35 @@
 """Sensors of a flight: what each read, and what predicts it from rows on the grid."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import cast
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...effects import EFFECTS, ComponentName
+from ...effects import EFFECTS
 from ...frames import to_body
 from ...logs import Flight
-from ...logs.columns import ACC, GYRO
-from ...physics.sensors.barometer import barometer
-from ...physics.sensors.imu import imu
-from ...physics.sensors.magnetometer import magnetometer
+from ...physics.sensors.table import BODY, SENSORS, Sensor
 from ...residuals.aligned import AlignedFlight
+from ...residuals.channels import (
+    POSE_BAND_HZ,
+    Measured,
+    measured,
+    on_grid,
+    shifted,
+)
+from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
 from ...residuals.measured import Signal, rates_of
 from ...vehicle import Vehicle
-from .channels import BAND_HZ, GRID_HZ, POSE_BAND_HZ, Measured, measured, on_grid, shifted
-from .prediction import Batch, sensing
+from .numbers import Number
+from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
-MAG = ("mag_x", "mag_y", "mag_z")
-IMU_AGE = "imu_delay.delay_s"
-POSITION_AGE, ATTITUDE_AGE = "position_delay.delay_s", "position_delay.attitude_s"
+PLACE, TURN = ("pos", "vel"), ("q",)
+"""Signals of the pose, which may come from two clocks."""
+OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,16 +39,16 @@ class Seen:
     Attributes:
         flight: As read.
         vehicle: The model as it stands.
-        twin: On the grid.
+        aligned: On the grid.
         effects: Effects in the equations, all switched on.
-        names: Of every number, "effect.number", in the order of the prediction's.
+        numbers: Every number, in the order of the prediction's.
     """
 
     flight: Flight
     vehicle: Vehicle
     aligned: AlignedFlight
     effects: Sequence[str]
-    names: Sequence[str]
+    numbers: Sequence[Number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,46 +61,39 @@ class Part:
         rows: Its inputs, shape (n, n_u).
         at: Inputs at which its slopes are taken, shape (n, n_u).
         outputs: Which of its outputs.
-        late: Sign with which delays, "effect.number", shift the prediction.
+        late: Sign with which ages, "effect.number", shift the prediction.
         effects: Effects that reach the prediction.
+        rate: Whether the readings are rates of change, of what the sensor reads.
         turning: Body rates, shape (n, 3), where position and attitude both make the prediction.
         older: Rows with position and attitude from so many seconds later, where they do.
     """
 
     readings: Measured
-    batch: Batch | None
+    batch: SensorBatch | None
     rows: Array
     at: Array
     outputs: slice
     late: Mapping[str, float]
     effects: frozenset[str]
+    rate: bool = False
     turning: Array | None = None
     older: Callable[[float, float], Array] | None = None
 
 
 def imu_parts(seen: Seen) -> list[Part]:
     """Accelerometer, and rate of change of the gyroscope."""
-    parts: list[tuple[tuple[str, ...], str, Array, Signal, float | None, slice]] = []
-    t, flight, v = seen.aligned.inputs.t_s, seen.flight, seen.vehicle
-    if flight.has(*ACC):
-        signal = Signal(*flight.signal(ACC))
-        parts.append((ACC, "m/s²", on_grid(signal, t), signal, v.accel_cutoff_hz, slice(0, 3)))
-    if flight.has(*GYRO):
-        signal = Signal(*flight.signal(GYRO))
-        gyro = on_grid(signal, t)
-        rate = np.diff(gyro, axis=0, prepend=gyro[:1]) * GRID_HZ
-        names = tuple(f"gyro_rate_{a}" for a in "xyz")
-        parts.append((names, "rad/s²", rate, signal, v.gyro_cutoff_hz, slice(3, 6)))
+    flight, nothing = seen.flight, np.zeros((0, 0))
     found = []
-    known = seen.aligned.airborne & np.all(np.isfinite(seen.aligned.states), axis=1)
-    for names, unit, values, signal, cutoff, outputs in parts:
-        band = min(BAND_HZ, 0.35 * signal.rate_hz)
-        readings = measured(names, unit, t, values, known, band, cutoff)
+    for k, sensor in enumerate(OF_IMU):
+        if not flight.has(*sensor.columns):
+            continue
+        readings = imu_readings(sensor, flight, seen.vehicle, seen.aligned)
         if readings is not None:
-            nothing = np.zeros((0, 0))
-            reach = _reaching("airframe", "imu") | {"position_delay"}
-            late = {IMU_AGE: 1.0}
-            found.append(Part(readings, None, nothing, nothing, outputs, late, reach))
+            late = _late(seen, (sensor.signal,), ())
+            reach = _reaching("airframe", sensor.component) | _moving(seen, (*PLACE, *TURN, "cmd"))
+            outputs, rate = slice(3 * k, 3 * k + 3), bool(sensor.rate_unit)
+            reach |= {name.partition(".")[0] for name in late}
+            found.append(Part(readings, None, nothing, nothing, outputs, late, reach, rate))
     return found
 
 
@@ -106,26 +104,27 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     a regressor would shrink what is found with it, or feign it where the residual has it too.
     """
     t, motion, flight = seen.aligned.inputs.t_s, seen.aligned.motion, seen.flight
-    if motion.attitude is None or not flight.has(*GYRO):
+    accelerometer, gyroscope = OF_IMU
+    if motion.attitude is None or not flight.has(*gyroscope.columns):
         return []
     v = seen.vehicle
-    gyro = on_grid(Signal(*flight.signal(GYRO)), t)
-    sensor = imu(replace(v, accel_cutoff_hz=None, gyro_cutoff_hz=None), seen.effects)
-    batch = sensing(sensor, seen.effects, seen.names)
+    gyro = on_grid(Signal(*flight.signal(gyroscope.columns)), t)
+    sensor = prompt_imu(v, seen.effects)
+    batch = SensorBatch(sensor, seen.effects, seen.numbers)
     implied = _named("omega", rates_of(motion.attitude).at(t))
     read = _named("omega", gyro)
     band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
-    groups = []
+    groups: list[tuple[Sensor, Array, slice]] = []
     pull = None
-    if motion.velocity is not None and flight.has(*ACC):
-        acc = on_grid(Signal(*flight.signal(ACC)), t)
+    if motion.velocity is not None and flight.has(*accelerometer.columns):
+        acc = on_grid(Signal(*flight.signal(accelerometer.columns)), t)
         pull = np.gradient(motion.velocity.at(t), t, axis=0)
         pull[:, 2] -= v.gravity_m_s2
         alpha = _named("angular_acceleration", np.gradient(gyro, t, axis=0))
         implied |= alpha | _named("specific_force", _pulled(motion.attitude.at(t), pull))
         read |= alpha | _named("specific_force", force)
-        groups.append((ACC, "m/s²", acc, v.accel_cutoff_hz, slice(0, 3)))
-    groups.append((GYRO, "rad/s", gyro, v.gyro_cutoff_hz, slice(3, 6)))
+        groups.append((accelerometer, acc, slice(0, 3)))
+    groups.append((gyroscope, gyro, slice(3, 6)))
 
     def older(position_s: float, attitude_s: float) -> Array:
         """Rows with position and attitude from so many seconds later."""
@@ -138,59 +137,99 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
     known &= np.all(np.isfinite(at), axis=1)
     found = []
-    for columns, unit, values, cutoff, outputs in groups:
-        names = tuple(f"pose_{c}" for c in columns)
-        readings = measured(names, unit, t, values, known, band, cutoff)
+    for kind, values, outputs in groups:
+        names, cutoff = tuple(f"pose_{c}" for c in kind.columns), kind.cutoff_hz(v)
+        readings = measured(names, kind.unit, t, values, known, band, cutoff)
         if readings is None:
             continue
-        reach = _reaching("imu") | {"position_delay", "heading_offset"}
-        if columns == ACC:
-            late = {IMU_AGE: 1.0}
-            part = Part(readings, batch, rows, at, outputs, late, reach, gyro, older)
+        reach = _reaching(kind.component) | _moving(seen, (*PLACE, *TURN, kind.signal))
+        reach |= {n.effect for n in seen.numbers if n.turns_pose}
+        if kind is accelerometer:
+            late = _late(seen, (kind.signal,), ())
+            part = Part(readings, batch, rows, at, outputs, late, reach, turning=gyro, older=older)
         else:
-            late = {IMU_AGE: 1.0, ATTITUDE_AGE: -1.0}
+            late = _late(seen, (kind.signal,), TURN)
             part = Part(readings, batch, rows, at, outputs, late, reach)
         found.append(part)
     return found
 
 
 def other_parts(seen: Seen) -> list[Part]:
-    """Magnetometer and barometer."""
-    t, motion, flight = seen.aligned.inputs.t_s, seen.aligned.motion, seen.flight
-    sensors: list[tuple[Component, tuple[str, ...], str, dict[str, Array]]] = []
-    if motion.attitude is not None and flight.has(*MAG):
-        q = motion.attitude.at(t)
-        inputs = {f"q_{a}": q[:, i] for i, a in enumerate("wxyz")}
-        if flight.has("ibat_a"):
-            inputs["ibat_a"] = Signal(*flight.signal(["ibat_a"])).held(t)[:, 0]
-        sensors.append((magnetometer(seen.vehicle, seen.effects), MAG, "T", inputs))
-    if motion.position is not None and flight.has("baro_pa"):
-        inputs = {"pos_z": motion.position.at(t)[:, 2]}
-        if motion.velocity is not None:
-            inputs |= _named("vel", motion.velocity.at(t))
-        sensors.append((barometer(seen.vehicle, seen.effects), ("baro_pa",), "Pa", inputs))
+    """Sensors that the pose alone tells."""
+    t, flight = seen.aligned.inputs.t_s, seen.flight
+    pose = _pose(seen.aligned)
     found = []
-    for sensor, names, unit, inputs in sensors:
+    for kind in OF_POSE:
+        if not flight.has(*kind.columns) or not set(kind.needs) <= pose.keys():
+            continue
+        sensor = kind.make(seen.vehicle, seen.effects)
+        inputs = {k: v for signal in pose.values() for k, v in signal.items()}
+        for name in sensor.input_names:
+            if name not in inputs and flight.has(name):
+                inputs[name] = Signal(*flight.signal([name])).held(t)[:, 0]
         rows = _rows(sensor, inputs, len(t))
-        signal = Signal(*flight.signal(list(names)))
+        signal = Signal(*flight.signal(kind.columns))
         known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
         band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
-        readings = measured(names, unit, t, signal.at(t), known, band, None)
-        if readings is not None:
-            batch = sensing(sensor, seen.effects, seen.names)
-            reach = _reaching(cast(ComponentName, sensor.name)) | {"position_delay"}
-            late = {POSITION_AGE if names == ("baro_pa",) else ATTITUDE_AGE: -1.0}
-            found.append(Part(readings, batch, rows, rows, slice(None), late, reach))
+        cutoff = kind.cutoff_hz(seen.vehicle)
+        readings = measured(kind.channels, kind.unit, t, signal.at(t), known, band, cutoff)
+        if readings is None:
+            continue
+        felt = [s for s, values in pose.items() if values.keys() & set(sensor.input_names)]
+        two_clocks = bool(set(felt) & set(PLACE)) and bool(set(felt) & set(TURN))
+        first = sensor.output_names.index(kind.columns[0])
+        found.append(
+            Part(
+                readings,
+                SensorBatch(sensor, seen.effects, seen.numbers),
+                rows,
+                rows,
+                slice(first, first + len(kind.columns)),
+                _late(seen, (kind.signal,), () if two_clocks else felt),
+                _reaching(kind.component) | _moving(seen, (kind.signal, *felt)),
+                older=partial(_older, sensor, rows) if two_clocks else None,
+            )
+        )
     return found
 
 
-def _reaching(*components: ComponentName) -> frozenset[str]:
+def _pose(aligned: AlignedFlight) -> dict[str, dict[str, Array]]:
+    """Measured motion by signal, as inputs of sensors on the grid."""
+    t, motion = aligned.inputs.t_s, aligned.motion
+    found = {}
+    if motion.position is not None:
+        found["pos"] = _named("pos", motion.position.at(t))
+    if motion.velocity is not None:
+        found["vel"] = _named("vel", motion.velocity.at(t))
+    if motion.attitude is not None:
+        found["q"] = _named("q", motion.attitude.at(t), "wxyz")
+    return found
+
+
+def _late(seen: Seen, shown: Collection[str], told_from: Collection[str]) -> dict[str, float]:
+    """Sign with which each age shifts a prediction: later where what is shown is old, earlier where
+    what it is told from is."""
+    late = {}
+    for n in seen.numbers:
+        if set(n.moves) & set(shown):
+            late[n.full] = 1.0
+        elif set(n.moves) & set(told_from):
+            late[n.full] = -1.0
+    return late
+
+
+def _moving(seen: Seen, signals: Collection[str]) -> frozenset[str]:
+    """Effects that shift some signals."""
+    return frozenset(n.effect for n in seen.numbers if set(n.moves) & set(signals))
+
+
+def _reaching(*components: str) -> frozenset[str]:
     """Effects that act on some components."""
     return frozenset(e.name for e in EFFECTS.values() if e.component in components)
 
 
-def _named(stem: str, values: Array) -> dict[str, Array]:
-    return {f"{stem}_{a}": values[:, i] for i, a in enumerate("xyz")}
+def _named(stem: str, values: Array, axes: str = "xyz") -> dict[str, Array]:
+    return {f"{stem}_{a}": values[:, i] for i, a in enumerate(axes)}
 
 
 def _rows(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
@@ -199,6 +238,17 @@ def _rows(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
     for i, name in enumerate(sensor.input_names):
         if name in inputs:
             rows[:, i] = inputs[name]
+    return rows
+
+
+def _older(sensor: Component, rows: Array, position_s: float, attitude_s: float) -> Array:
+    """Inputs of a sensor with position and attitude from so many seconds later."""
+    rows = rows.copy()
+    for signals, age_s in ((PLACE, position_s), (TURN, attitude_s)):
+        stems = tuple(f"{s}_" for s in signals)
+        own = [i for i, n in enumerate(sensor.input_names) if n.startswith(stems)]
+        if age_s and own:
+            rows[:, own] = shifted(rows[:, own], -age_s)
     return rows
 
 

@@ -1,8 +1,8 @@
 """The numbers of a search that decide what it says, in one frozen object, `SearchSettings`.
 
-Every number has a unit, a meaning and an origin; `docs/settings.md` lists them. The object is made
-once and handed down: a function takes the group of its own room and no more. This is the lowest
-room of `twin.explain`: it imports none of the others, so every other may import it.
+Every number has a unit, a meaning and an origin; `docs/reference/settings.md` lists them. The
+object is made once and handed down: a function takes the group of its own room and no more. This is
+the lowest room of `twin.explain`: it imports none of the others, so every other may import it.
 """
 
 from .design import DesignSettings

@@ -99,7 +99,11 @@ class Group:
         for name in values:
             if name not in known:
                 near = [n for n in sorted(known) if n.endswith(f".{name.rpartition('.')[2]}")]
-                hint = f"; is {' or '.join(near)} meant?" if near else ": see docs/settings.md."
+                hint = (
+                    f"; is {' or '.join(near)} meant?"
+                    if near
+                    else ": see docs/reference/settings.md."
+                )
                 raise ModelError(f"there is no setting {name!r}{hint}")
         return self._with(values)
 

@@ -163,7 +163,7 @@ class AdequacySettings(Group):
         "share",
         "deviation of a law of the right name from nature's, of what it explains",
         "made up: the same as `inference.likelihood.exact`, sqrt(2 / 100); right names leave 0.14 "
-        "or less in 25 of 26 cases (docs/hidden_effects.md)",
+        "or less in 25 of 26 cases (docs/results/hidden_effects.md)",
         1.0,
     )
     outside: float = setting(

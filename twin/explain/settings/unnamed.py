@@ -57,6 +57,6 @@ class UnnamedSettings(Group):
         "of what an equation explains; an effect that covers it is an imperfect law of the right "
         "cause: laws of nature are finer than those of a library, and equations more pliable",
         "chosen on: large hidden effects, where with 0.7 a gust and an induced inflow, which "
-        "covers 0.45, got equations (docs/hidden_effects.md)",
+        "covers 0.45, got equations (docs/results/hidden_effects.md)",
         1.0,
     )

@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects import EFFECTS, Effect, RandomForce
+from ...effects.stages import Air
 from ..model.model import Model
 from ..model.numbers import columns_of
 from ..settings import DEFAULT, StochasticSettings
@@ -18,28 +20,37 @@ NO_NOISE = 1e-8
 
 
 def find_gust(
-    model: Model, values: Mapping[str, float], settings: StochasticSettings = DEFAULT.stochastic
+    model: Model,
+    values: Mapping[str, float],
+    effect: Effect,
+    settings: StochasticSettings = DEFAULT.stochastic,
 ) -> StochasticEffect | None:
     """A slow random force that no curve over the motion and no effect explains.
 
     Args:
         model: Flights.
         values: Numbers of the effects that have been named.
+        effect: Seen as a random force.
         settings: Of the slow force, and what makes it a gust.
     """
     columns = columns_of(model.numbers, model.effects)
     flights = model.channels(columns, values)
-    winds = [k for k, i in enumerate(columns) if model.numbers[i].effect == "steady_wind"]
+    winds = [k for k, i in enumerate(columns) if _blows(model.numbers[i].effect)]
     pieces = [
         piece
         for flight, channels in zip(model.flights, flights, strict=True)
         for piece in slow_parts(flight.aligned, channels, winds, settings.slow_force)
     ]
-    return gust_in(pieces, settings) if pieces else None
+    return gust_in(pieces, effect, settings) if pieces else None
+
+
+def _blows(effect: str) -> bool:
+    """Whether an effect moves the air: its numbers are those of a wind, north, east and down."""
+    return EFFECTS[effect].stage is Air
 
 
 def gust_in(
-    pieces: Sequence[Slow], settings: StochasticSettings = DEFAULT.stochastic
+    pieces: Sequence[Slow], effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
     """Judge the slow parts of all flights."""
     own = settings.gust
@@ -56,10 +67,10 @@ def gust_in(
         or facts["lasting"] < own.lasting
     ):
         return None
-    values, intervals = _gust_numbers(pieces, left, settings)
+    values, intervals = _gust_numbers(pieces, left, effect, settings)
     channels = ("acc_x", "acc_y")
     return StochasticEffect(
-        "gust", float(log_odds), values, intervals, channels, facts["unexplained"]
+        effect.name, float(log_odds), values, intervals, channels, facts["unexplained"]
     )
 
 
@@ -100,7 +111,10 @@ def gust_facts(
 
 
 def _gust_numbers(
-    pieces: Sequence[Slow], left: Sequence[Array], settings: StochasticSettings
+    pieces: Sequence[Slow],
+    left: Sequence[Array],
+    effect: Effect,
+    settings: StochasticSettings,
 ) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Intensities and lengths from the force that is left and the model's answer to wind."""
     own = settings.gust
@@ -124,11 +138,14 @@ def _gust_numbers(
     length = max(float(np.mean(through)), 1.0) * time_s
     doubt = 1.5 if known else 3.0
     values, intervals = {}, {}
-    for way, size in (("u", sigma[:2].mean()), ("v", sigma[:2].mean()), ("w", sigma[2])):
-        values[f"gust.intensity_{way}"] = float(size)
-        intervals[f"gust.intensity_{way}"] = (float(size) / doubt, float(size) * doubt)
-        values[f"gust.length_{way}"] = length
-        intervals[f"gust.length_{way}"] = (length / 3, length * 3)
+    seen_as = effect.seen_as
+    assert isinstance(seen_as, RandomForce)
+    sizes = (sigma[:2].mean(), sigma[:2].mean(), sigma[2])
+    for strength, reach, size in zip(seen_as.intensity, seen_as.length, sizes, strict=True):
+        values[f"{effect.name}.{strength}"] = float(size)
+        intervals[f"{effect.name}.{strength}"] = (float(size) / doubt, float(size) * doubt)
+        values[f"{effect.name}.{reach}"] = length
+        intervals[f"{effect.name}.{reach}"] = (length / 3, length * 3)
     return values, intervals
 
 

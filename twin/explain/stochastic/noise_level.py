@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...logs.columns import ACC, GYRO
+from ...effects import Effect, NoiseFloor
+from ...physics.sensors.table import SENSORS
 from ..model.model import Model
 from ..settings import DEFAULT, StochasticSettings
 from .finding import SURE, StochasticEffect, prior_log_odds
@@ -15,15 +16,23 @@ Array = NDArray[np.float64]
 
 
 def find_noise_level(
-    model: Model, settings: StochasticSettings = DEFAULT.stochastic
+    model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """White noise of accelerometer and gyroscope against that of the vehicle file.
+    """White noise of sensors against that of the vehicle file.
 
     A noise level is the standard deviation of one reading, at the rate of the log: what a sensor
     averages before, the file has to know.
+
+    Args:
+        model: Flights.
+        effect: Seen as a noise floor.
     """
-    sensors, own = model.vehicle.sensors, settings.noise_level
-    stated = {ACC: sensors.accel_noise_m_s2, GYRO: sensors.gyro_noise_rad_s}
+    seen_as, own = effect.seen_as, settings.noise_level
+    assert isinstance(seen_as, NoiseFloor)
+    noisy = [s for s in SENSORS if s.signal in seen_as.further]
+    stated = {s.columns: s.noise(model.vehicle) for s in noisy}
+    further = {s.columns: f"{effect.name}.{seen_as.further[s.signal]}" for s in noisy}
+    scale = f"{effect.name}.{seen_as.scale}"
     each = {c: _ratio(model, c, s, settings) for c, s in stated.items() if s > 0}
     ratios = {c: r for c, r in each.items() if r is not None}
     off = {c: r for c, r in ratios.items() if r != 1.0}
@@ -36,25 +45,22 @@ def find_noise_level(
     log_odds = 0.5 * (np.log(size) / own.known) ** 2 + prior_log_odds(settings)
     if log_odds <= 0:
         return None
-    values = {
-        f"sensor_noise_level.{n}": v
-        for n, v in (("scale", 1.0), ("accel_m_s2", 0.0), ("gyro_rad_s", 0.0))
-    }
+    values = {scale: 1.0} | dict.fromkeys(further.values(), 0.0)
     intervals = {}
     spread = np.exp(SURE * own.known / 2)
     if both:
-        values["sensor_noise_level.scale"] = size
-        intervals["sensor_noise_level.scale"] = (size / spread, size * spread)
+        values[scale] = size
+        intervals[scale] = (size / spread, size * spread)
     else:
         for columns, ratio in off.items():
-            name = f"sensor_noise_level.{'accel_m_s2' if columns == ACC else 'gyro_rad_s'}"
+            name = further[columns]
             low, values[name], high = (
                 stated[columns] * float(np.sqrt(max(r * r - 1, 0.0)))
                 for r in (ratio / spread, ratio, ratio * spread)
             )
             intervals[name] = (low, high)
     return StochasticEffect(
-        "sensor_noise_level",
+        effect.name,
         float(log_odds),
         values,
         intervals,

@@ -1,11 +1,11 @@
 """Effects that change no mean, found by repeats and by spectra.
 
-| effect | seen in | told from others by |
+| seen as | seen in | told from others by |
 |---|---|---|
-| stuck_sensor | a reading that repeats exactly | the other axes go on meanwhile |
-| sensor_noise_level | flat part of the spectrum, all axes | same level in every part of the band |
-| vibration | lines that follow the rotors, or stand | level over the neighbouring frequencies |
-| gust | slow part of the accelerometer residual | no curve explains it, falls with frequency |
+| Repeats | a reading that repeats exactly | the other axes go on meanwhile |
+| NoiseFloor | flat part of the spectrum, all axes | same level in every part of the band |
+| Lines | lines that follow the rotors, or stand | level over the neighbouring frequencies |
+| RandomForce | slow part of the accelerometer | no curve explains it, it falls with frequency |
 
 Every claim rests on a ratio and on how far such ratios go astray without the effect: noise given
 in a vehicle file, smoothness of a spectrum, motion that no model has quite right.
@@ -13,6 +13,7 @@ in a vehicle file, smoothness of a spectrum, motion that no model has quite righ
 
 from collections.abc import Mapping, Sequence
 
+from ...effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
 from ..model.model import Model
 from ..settings import DEFAULT, StochasticSettings
 from .finding import StochasticEffect, prior_log_odds
@@ -32,20 +33,28 @@ def find_stochastic(
         values: Numbers of the effects that have been named, "effect.number" -> value.
         settings: Of each kind.
     """
-    found = [
-        find_noise_level(model, settings),
-        find_vibration(model, settings),
-        find_gust(model, values, settings),
-    ]
+    found = []
+    for effect in EFFECTS.values():
+        match effect.seen_as:
+            case NoiseFloor():
+                found.append(find_noise_level(model, effect, settings))
+            case Lines():
+                found.append(find_vibration(model, effect, settings))
+            case RandomForce():
+                found.append(find_gust(model, values, effect, settings))
     return sorted((u for u in found if u is not None), key=lambda u: -u.log_odds)
 
 
 def find_stuck(
     stuck: Sequence[Stuck], settings: StochasticSettings = DEFAULT.stochastic
 ) -> list[StochasticEffect]:
-    """The effect of readings that stand still; none where all go on."""
+    """The effects of readings that stand still; none where all go on."""
     if not stuck:
         return []
     channels = tuple(dict.fromkeys(s.channel for s in stuck))
     odds = -prior_log_odds(settings)
-    return [StochasticEffect("stuck_sensor", odds, stuck_numbers(stuck), {}, channels, 1.0)]
+    return [
+        StochasticEffect(e.name, odds, stuck_numbers(stuck, e), {}, channels, 1.0)
+        for e in EFFECTS.values()
+        if isinstance(e.seen_as, Repeats)
+    ]

@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfiltfilt
 from ...frames import to_body
 from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight
-from ..model.channels import CHANNEL_HZ, GRID_HZ, ChannelData
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..settings import DEFAULT, SlowForceSettings
 from .spectral import Piece, cells_of, level
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import spectrogram
 
-from ..model.channels import GRID_HZ
+from ...residuals.channels import GRID_HZ
 from ..model.flight import FlightModel
 
 Array = NDArray[np.float64]

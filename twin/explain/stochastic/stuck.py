@@ -12,14 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects.inertial import IMU_CHANNELS
+from ...effects import Effect, Repeats
 from ...logs import Flight
-from ...logs.columns import ACC, GYRO, MAG
+from ...physics.sensors.table import BODY, SENSORS
 from ...vehicle import GRAVITY_M_S2
 from ..settings import DEFAULT, StuckSettings
 
 Array = NDArray[np.float64]
-SENSORS = (ACC, GYRO, MAG, ("baro_pa",))
 PLACEHOLDERS = (0.0, GRAVITY_M_S2, 9.81, 9.8)
 """Magnitudes that fill columns of what was never measured."""
 
@@ -64,10 +63,12 @@ def stuck_channels(
     """Every long stand-still of a reading that nothing but a fault explains, in order of time."""
     found = [
         stuck
-        for columns in SENSORS
-        for channel in columns
+        for sensor in SENSORS
+        for channel in sensor.columns
         if flight.has(channel)
-        for stuck in _of_channel(flight, channel, [c for c in columns if c != channel], settings)
+        for stuck in _of_channel(
+            flight, channel, [c for c in sensor.columns if c != channel], settings
+        )
     ]
     return sorted(found, key=lambda s: (s.from_s, s.channel))
 
@@ -88,28 +89,31 @@ def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
     table = flight.table.copy()
     time = table["time"].to_numpy(dtype=np.float64)
     for s in own:
-        sensor = next(columns for columns in SENSORS if s.channel in columns)
+        sensor = next(r.columns for r in SENSORS if s.channel in r.columns)
         rows = (time >= s.from_s) & (time <= s.to_s)
         table.loc[rows, [c for c in sensor if c in table]] = np.nan
     return Flight(flight.name, table, flight.findings, flight.facts, flight.source)
 
 
-def stuck_numbers(stuck: Sequence[Stuck]) -> Mapping[str, float]:
-    """Numbers of the effect `stuck_sensor`, "effect.number" -> value; empty without a stuck IMU.
+def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]:
+    """Numbers of an effect, "effect.number" -> value; empty where none of its channels is stuck.
 
     The effect has one channel, stuck to the end: the one stuck so for longest.
 
     Args:
         stuck: Of all flights.
+        effect: Seen as repeats.
     """
-    of_imu = [s for s in stuck if s.channel in IMU_CHANNELS and s.to_the_end]
-    if not of_imu:
+    seen_as = effect.seen_as
+    assert isinstance(seen_as, Repeats)
+    own = [s for s in stuck if s.channel in seen_as.channels and s.to_the_end]
+    if not own:
         return {}
-    worst = max(of_imu, key=lambda s: s.to_s - s.from_s).channel
-    times = [s.from_s for s in of_imu if s.channel == worst]
+    worst = max(own, key=lambda s: s.to_s - s.from_s).channel
+    times = [s.from_s for s in own if s.channel == worst]
     return {
-        "stuck_sensor.channel": 1.0 + IMU_CHANNELS.index(worst),
-        "stuck_sensor.time_s": float(np.median(times)),
+        f"{effect.name}.{seen_as.channel}": 1.0 + seen_as.channels.index(worst),
+        f"{effect.name}.{seen_as.since}": float(np.median(times)),
     }
 
 
@@ -121,7 +125,7 @@ def _of_channel(
     runs = _runs(x)
     bit = _last_bit(x)
     if not others:  # nothing of its kind beside it: the IMU has to go on, and noise to move it
-        others = (*ACC, *GYRO)
+        others = [c for s in SENSORS if s.group == BODY for c in s.columns]
         bit = 0.0 if float(np.std(np.diff(x))) > settings.moving_bits * bit else np.inf
     neighbours = [_samples(flight, c) for c in others if flight.has(c)]
     found = []

@@ -2,15 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects.inertial import VIBRATION
-from ...logs.columns import ACC, GYRO
+from ...effects import Effect, Lines
+from ...physics.sensors.table import SENSORS, Sensor
+from ...residuals.channels import GRID_HZ
 from ...residuals.measured import Signal
-from ..model.channels import GRID_HZ
 from ..model.model import Model
 from ..settings import DEFAULT, StochasticSettings, VibrationSettings
 from .finding import SURE, StochasticEffect, prior_log_odds
@@ -26,7 +25,7 @@ class _Shaken:
     """One sensor in all flights.
 
     Attributes:
-        kind: Sensor.
+        sensor: Its row.
         rate_hz: Samples per second.
         cells: Of every piece.
         logs: Log level of each cell over its neighbourhood, mean 0 in noise, like the power.
@@ -34,7 +33,7 @@ class _Shaken:
         predicted: Density that the twin predicts, shape (3, n_f); NaN where it cannot say.
     """
 
-    kind: Literal["acc", "gyro"]
+    sensor: Sensor
     rate_hz: float
     cells: tuple[Cells, ...]
     logs: tuple[Array, ...]
@@ -43,16 +42,20 @@ class _Shaken:
 
 
 def find_vibration(
-    model: Model, settings: StochasticSettings = DEFAULT.stochastic
+    model: Model, effect: Effect, settings: StochasticSettings = DEFAULT.stochastic
 ) -> StochasticEffect | None:
-    """Lines above the body's motion, which follow the rotors or stand still."""
-    of_imu: tuple[tuple[Literal["acc", "gyro"], Sequence[str]], ...] = (
-        ("acc", ACC),
-        ("gyro", GYRO),
-    )
-    sensors = [s for kind, columns in of_imu if (s := _shaken(model, kind, columns, settings))]
-    own = settings.vibration
-    hover_hz = next(p for p in VIBRATION.parameters if p.name == "frequency_hz").sized(
+    """Lines above the body's motion, which follow the rotors or stand still.
+
+    Args:
+        model: Flights.
+        effect: Seen as lines.
+        settings: Of the spectra, and what makes a line one.
+    """
+    seen_as, own = effect.seen_as, settings.vibration
+    assert isinstance(seen_as, Lines)
+    felt = (s for s in SENSORS if s.signal in seen_as.amplitudes)
+    sensors = [s for s in (_shaken(model, sensor, settings) for sensor in felt) if s]
+    hover_hz = next(p for p in effect.parameters if p.name == seen_as.frequency).sized(
         model.vehicle
     )
     if not sensors:
@@ -76,19 +79,14 @@ def find_vibration(
     log_odds = 0.5 * z * z - np.log(len(tracks)) + prior if z > 0 else prior
     if log_odds <= 0:
         return None
-    return _named_vibration(model, sensors, float(log_odds), frequency, moves, settings)
+    return _named_vibration(model, effect, sensors, float(log_odds), frequency, moves, settings)
 
 
-def _shaken(
-    model: Model,
-    kind: Literal["acc", "gyro"],
-    columns: Sequence[str],
-    settings: StochasticSettings,
-) -> _Shaken | None:
+def _shaken(model: Model, sensor: Sensor, settings: StochasticSettings) -> _Shaken | None:
     """Spectrograms of one sensor."""
     own, window_s = settings.vibration, settings.line_window_s
     cells, spins, predicted = [], [], []
-    pieces = [(f, p) for f in model.flights for p in pieces_of(f, columns, window_s)]
+    pieces = [(f, p) for f in model.flights for p in pieces_of(f, sensor.columns, window_s)]
     rate = rate_of([p for _, p in pieces])
     if rate / 2 < 1.2 * own.from_hz:
         return None
@@ -100,14 +98,14 @@ def _shaken(
         grid = flight.aligned.inputs.t_s
         cells.append(c)
         spins.append(Signal(grid, _smooth(spin, window_s)).at(c.t_s))
-        motion = np.nan_to_num(force if kind == "acc" else alpha)
+        motion = np.nan_to_num(alpha if sensor.rate_unit else force)
         m = cells_of(Piece(grid, motion), GRID_HZ, window_s, "hann")
         density = level(m.power, 0)
-        if kind == "gyro":
+        if sensor.rate_unit:
             density = density / np.maximum(2 * np.pi * m.f_hz, 1.0) ** 2
         predicted.append([np.interp(c.f_hz, m.f_hz, v, right=0.0) for v in density])
     return _Shaken(
-        kind,
+        sensor,
         rate,
         tuple(cells),
         tuple(_logs(c, rate, own) for c in cells),
@@ -167,6 +165,7 @@ def _score(sensor: _Shaken, frequency_hz: float, moves: bool, overlap: float) ->
 
 def _named_vibration(
     model: Model,
+    effect: Effect,
     sensors: Sequence[_Shaken],
     log_odds: float,
     frequency_hz: float,
@@ -174,36 +173,37 @@ def _named_vibration(
     settings: StochasticSettings,
 ) -> StochasticEffect | None:
     """The line with its sizes, or None where it is too small or predicted as motion."""
-    own = settings.vibration
+    seen_as, own = effect.seen_as, settings.vibration
+    assert isinstance(seen_as, Lines)
     smallest = {"acc": own.smallest_acc_m_s2, "gyro": own.smallest_gyro_rad_s}
-    values = {"vibration.frequency_hz": frequency_hz}
+    frequency = f"{effect.name}.{seen_as.frequency}"
+    values = {frequency: frequency_hz}
     doubt = 0.02 * frequency_hz if moves else 0.5 / settings.line_window_s
-    intervals = {"vibration.frequency_hz": (frequency_hz - doubt, frequency_hz + doubt)}
+    intervals = {frequency: (frequency_hz - doubt, frequency_hz + doubt)}
     channels: list[str] = []
     shares: list[float] = []
-    cutoffs = {"acc": model.vehicle.accel_cutoff_hz, "gyro": model.vehicle.gyro_cutoff_hz}
-    names = {"acc": "vibration.accel_m_s2", "gyro": "vibration.gyro_rad_s"}
     for sensor in sensors:
         power, share, motion, lift = _line_power(sensor, frequency_hz, moves, own.line_bins)
-        cutoff = cutoffs[sensor.kind]
+        name = f"{effect.name}.{seen_as.amplitudes[sensor.sensor.signal]}"
+        cutoff = sensor.sensor.cutoff_hz(model.vehicle)
         passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
         plane = power[:, :2].mean(axis=1)  # (pieces,)
         sizes = np.sqrt(2 * np.maximum(plane, 0.0) / lift) / passed
-        values[names[sensor.kind]] = float(np.mean(sizes))
+        values[name] = float(np.mean(sizes))
         spread = SURE * max(float(np.std(sizes)), 0.1 * float(np.mean(sizes)))
-        intervals[names[sensor.kind]] = (
+        intervals[name] = (
             max(0.0, float(np.mean(sizes)) - spread),
             float(np.mean(sizes)) + spread,
         )
         mean = power.mean(axis=0)
-        large = np.sqrt(np.maximum(mean, 0.0)) > smallest[sensor.kind]
+        large = np.sqrt(np.maximum(mean, 0.0)) > smallest[sensor.sensor.signal]
         large &= share > own.line_share
         for axis in np.flatnonzero(large & (motion < own.motion_share)):
-            channels.append(f"{sensor.kind}_{'xyz'[axis]}")
+            channels.append(sensor.sensor.columns[axis])
             shares.append(float(share[axis]))
     if not channels:
         return None
-    return StochasticEffect("vibration", log_odds, values, intervals, tuple(channels), max(shares))
+    return StochasticEffect(effect.name, log_odds, values, intervals, tuple(channels), max(shares))
 
 
 def _line_power(

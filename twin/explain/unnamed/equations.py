@@ -12,27 +12,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...vehicle import GRAVITY_M_S2
+from ...physics.sensors.table import BODY, SENSORS, sensor_of
+from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
 from ..inference.fit import Fit, Problem
 from ..inference.likelihood import Block, Key, Noise, blocks_of, noise_of
-from ..model.channels import CHANNEL_HZ, ChannelData, Measured
 from ..settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 from .quantities import Quantity, quantities
 from .regression import Sparse, fold_of, longest, sparse
-from .terms import CHANNEL_UNITS, Term, over, terms
+from .terms import Term, over, powers_of, terms
 
 Array = NDArray[np.float64]
-STEMS = ("acc_", "gyro_rate_", "mag_", "baro_")
-"""Channels that get an equation; what the pose implies has its own noise in every regressor."""
 DIGITS = 3
 """Significant ones of a coefficient."""
 SMALLEST = 0.005
-"""An equation is not worth having that takes less than this share of the weight, or of the moment
-of the weight at the arm, or of the field: what every model lacks in fineness."""
-SMALLEST_BARO_PA = 1.0
-"""The same for the barometer: 8 cm of height."""
-FIELD_T = 5e-5
-"""Of the earth, roughly."""
+"""Nor is an equation worth having that takes less than this share of the size of the channel
+(`Sensor.size`): what every model lacks in fineness."""
 FINER = 4
 """Trial frequencies per resolution of the flight."""
 
@@ -123,8 +117,8 @@ def find_equations(
     tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
-        if not first.name.startswith(STEMS):
-            continue
+        if sensor_of(first.name) is None:
+            continue  # what the pose implies has its own noise in every regressor
         made = _channel(problem, [f[i] for f in left], known, tones, settings)
         found = _found(made, search)
         if found is None:
@@ -176,7 +170,7 @@ def _equation(channel: _Channel, best: Sparse, search: _Search) -> Equation:
             said.append(value[rows])
     band = _band(said, search.settings.in_band)
     power = _power(before, band)
-    unit = CHANNEL_UNITS[channel.unit]
+    unit = powers_of(channel.unit)
     made = tuple(
         (channel.columns[i].text, float(f"{c:.{DIGITS}g}"), over(unit, channel.columns[i].unit))
         for i, c in zip(best.picked, best.coefficients, strict=True)
@@ -257,8 +251,7 @@ def _channel(
     name = flights[0].name
     made, columns = [], []
     for channel, own, flight in zip(flights, known, problem.model.flights, strict=True):
-        shaken = tones_hz if name.startswith(("acc_", "gyro_")) else ()
-        columns = terms(own, name, shaken, settings)
+        columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight._parts if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
     return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
@@ -272,8 +265,8 @@ def _filtered(readings: Measured, columns: Sequence[Term]) -> Array:
 def _tones(left: Sequence[Sequence[ChannelData]], settings: UnnamedSettings) -> tuple[float, ...]:
     """The frequency that stands out most in force, and that in turning."""
     found = []
-    for stem in ("acc_", "gyro_rate_"):
-        rows = [i for i, c in enumerate(left[0]) if c.name.startswith(stem)]
+    for sensor in (s for s in SENSORS if s.group == BODY):
+        rows = [i for i, c in enumerate(left[0]) if c.name in sensor.channels]
         if rows:
             found.append(_tone([[f[i] for f in left] for i in rows], settings.tones_hz))
     return tuple(found)
@@ -315,14 +308,15 @@ def _worth(equation: Equation, problem: Problem, settings: UnnamedSettings) -> b
 
 def smallest(channel: str, problem: Problem) -> float:
     """What is too little to speak of, rms in the unit of a channel."""
-    vehicle = problem.model.vehicle
-    if channel.startswith("acc_"):
-        return SMALLEST * GRAVITY_M_S2
-    if channel.startswith("gyro_rate_"):
-        moment = vehicle.mass_kg * GRAVITY_M_S2 * vehicle.arm_m
-        i = "xyz".index(channel[-1])
-        return SMALLEST * moment / float(vehicle.inertia_kg_m2[i, i])
-    return SMALLEST * FIELD_T if channel.startswith("mag_") else SMALLEST_BARO_PA
+    sensor = sensor_of(channel)
+    assert sensor is not None, channel
+    return SMALLEST * sensor.size(problem.model.vehicle)[sensor.channels.index(channel)]
+
+
+def _of_body(channel: str) -> bool:
+    """Whether a channel feels what acts on the body."""
+    sensor = sensor_of(channel)
+    return sensor is not None and sensor.group == BODY
 
 
 def explains_better(

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...frames import to_body
+from ...residuals.channels import GRID_HZ
 from ...vehicle import GRAVITY_M_S2
 from ...vehicle.thrust_map import hover_level
-from ..model.channels import GRID_HZ
 from ..model.flight import FlightModel
 
 Array = NDArray[np.float64]

@@ -8,17 +8,11 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
+from ...physics.sensors.table import BODY, sensor_of
 from ..settings import DEFAULT, UnnamedSettings
 from .quantities import PLAIN, Quantity, Unit, later
 
 Array = NDArray[np.float64]
-CHANNEL_UNITS: Mapping[str, Unit] = {
-    "m/s²": {"m": 1, "s": -2},
-    "rad/s²": {"rad": 1, "s": -2},
-    "rad/s": {"rad": 1, "s": -1},
-    "T": {"T": 1},
-    "Pa": {"Pa": 1},
-}
 RAISED = {2: "²", 3: "³", 4: "⁴"}
 
 
@@ -51,13 +45,12 @@ def terms(
         tones_hz: Frequencies at which something may shake.
         settings: How late turning rates are where they stand for a gyroscope.
     """
-    axis = channel[-1]
+    axis, sensor = channel[-1], sensor_of(channel)
+    of_rates = sensor is not None and bool(sensor.rate_unit)
     own = {
-        k: later(v, settings.own_noise_s)
-        if k.startswith("omega_") and channel.startswith("gyro_")
-        else v
+        k: later(v, settings.own_noise_s) if k.startswith("omega_") and of_rates else v
         for k, v in known.items()
-        if _may_explain(k, v, channel)
+        if _may_explain(k, channel)
     }
     n = len(next(iter(known.values())).values)
     found = [Term("1", PLAIN, np.ones(n))]
@@ -79,13 +72,14 @@ def terms(
     return found
 
 
-def _may_explain(symbol: str, quantity: Quantity, channel: str) -> bool:
-    """Directions stand for a force that is fixed in space, along the axis of the channel alone."""
-    if symbol.partition("_")[0] in ("north", "east", "down"):
-        return channel.startswith("mag_") or (
-            channel.startswith("acc_") and symbol[-1] == channel[-1]
-        )
-    return True
+def _may_explain(symbol: str, channel: str) -> bool:
+    """Directions stand for what is fixed in space: a field; a force along its own axis."""
+    if symbol.partition("_")[0] not in ("north", "east", "down"):
+        return True
+    sensor = sensor_of(channel)
+    if sensor is None or sensor.fixed_in_space:
+        return sensor is not None
+    return sensor.group == BODY and not sensor.rate_unit and symbol[-1] == channel[-1]
 
 
 def _product(powers: Mapping[str, int], known: Mapping[str, Quantity]) -> Term:
@@ -102,6 +96,18 @@ def _times(a: Unit, b: Unit) -> Unit:
     both = Counter(dict(a))
     both.update(dict(b))
     return {k: v for k, v in both.items() if v}
+
+
+def powers_of(unit: str) -> Unit:
+    """Powers of a unit such as "rad/s²"."""
+    raised = {mark: power for power, mark in RAISED.items()}
+    above, _, below = unit.partition("/")
+    found: dict[str, int] = {}
+    for symbols, sign in ((above, 1), (below, -1)):
+        for symbol in symbols.split():
+            power = raised.get(symbol[-1], 1)
+            found[symbol if power == 1 else symbol[:-1]] = sign * power
+    return found
 
 
 def over(channel: Unit, term: Unit) -> str:

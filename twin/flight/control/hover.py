@@ -12,6 +12,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from ...component import Component
+from ...effects import acting_late
 from ...errors import ModelError
 from ...physics.airframe import AXES, airframe
 from ...vehicle import Vehicle
@@ -52,10 +53,11 @@ def drives(component: Component) -> list[str]:
 def punctual(vehicle: Vehicle) -> Vehicle:
     """The vehicle with motors that get their commands at once.
 
-    The equations of motion of an airframe with `command_delay` never see a command: it arrives at
-    sample instants.
+    The equations of motion of an airframe with a delay never see a command: it arrives at sample
+    instants.
     """
-    others = {k: v for k, v in vehicle.effects.items() if k != "command_delay"}
+    late = {e.name for e in acting_late()}
+    others = {k: v for k, v in vehicle.effects.items() if k not in late}
     return vehicle.with_effects(others)
 
 

@@ -9,6 +9,7 @@ lib/mixer/MultirotorMixer (BSD licence; written anew from the description of wha
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,8 +219,10 @@ def blocked_by(cmd: Array, mixer: Mixer) -> tuple[NDArray[np.bool_], NDArray[np.
         return none, none
     axes = np.array([mixer.airmode == 0, mixer.airmode == 0, True])
     low = np.vstack([np.zeros((1, cmd.shape[1])), cmd[:-1] < _CLIPPED_LOW])
-    grow = (low @ (mixer.scale[:, :3] < 0.0)) > 0
-    shrink = (low @ (mixer.scale[:, :3] > 0.0)) > 0
+    grow, shrink = (
+        (low @ side.astype(np.float64)) > 0
+        for side in (mixer.scale[:, :3] < 0.0, mixer.scale[:, :3] > 0.0)
+    )
     return grow & axes, shrink & axes
 
 
@@ -228,8 +231,9 @@ def _gain(out: Array, way: Array, low: float, high: float) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = np.where(out < low, low - out, np.where(out > high, high - out, 0.0))
         k = np.where(np.abs(way) < 1e-7, 0.0, excess / way)
-    worst = np.minimum(k.min(axis=1), 0.0) + np.maximum(k.max(axis=1), 0.0)
-    return np.asarray(worst[:, None])
+    none: Array = np.zeros(len(k))
+    down, up = (reduce(worse, k.T, none) for worse in (np.minimum, np.maximum))
+    return np.asarray((down + up)[:, None])
 
 
 def _desaturate(

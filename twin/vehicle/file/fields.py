@@ -1,4 +1,4 @@
-"""Every key of a vehicle file: the one definition behind the reader and `docs/vehicle.md`."""
+"""Every key of a vehicle file: one definition for the reader and `docs/reference`."""
 
 from dataclasses import dataclass
 

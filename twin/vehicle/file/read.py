@@ -1,6 +1,6 @@
 """Vehicle files: TOML to `Vehicle`; a refusal names the file and every key and value at fault.
 
-`docs/vehicle.md` describes the format for people; `FIELDS` is its one definition.
+`docs/guide/vehicle.md` describes the format for people; `FIELDS` is its one definition.
 """
 
 import tomllib
@@ -54,7 +54,7 @@ def vehicle_text(name_or_path: str | Path) -> tuple[str, str]:
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ModelError(
             f"{name}: neither a vehicle file nor a built-in vehicle.{hint} "
-            f"Built in: {', '.join(builtin_vehicles())}; the format is in docs/vehicle.md."
+            f"Built in: {', '.join(builtin_vehicles())}; the format is in docs/guide/vehicle.md."
         )
     try:
         return path.read_text("utf-8"), path.name

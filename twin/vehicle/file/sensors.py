@@ -1,25 +1,17 @@
 """Sensors and site of a vehicle file."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 from math import pi
 from typing import Any
 
 from ...errors import ModelError
 from ..geomagnetism import world_field
-from ..sensors import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K, Sensors
+from ..sensors import SEA_LEVEL_TEMPERATURE_K, Sensors
 from .entries import Entries
 
 SENSOR_NUMBERS = {
-    "imu.accel_noise": ("accel_noise_m_s2", "no noise"),
-    "imu.accel_walk": ("accel_walk_m_s2", "no walk"),
-    "imu.gyro_noise": ("gyro_noise_rad_s", "no noise"),
-    "imu.gyro_walk": ("gyro_walk_rad_s", "no walk"),
-    "magnetometer.noise": ("mag_noise_t", "no noise"),
-    "magnetometer.walk": ("mag_walk_t", "no walk"),
-    "barometer.noise": ("baro_noise_pa", "no noise"),
-    "barometer.walk": ("baro_walk_pa", "no walk"),
-    "site.pressure": ("pressure_pa", f"{SEA_LEVEL_PRESSURE_PA:g} Pa"),
-    "site.temperature": ("temperature_k", f"{SEA_LEVEL_TEMPERATURE_K:g} K"),
+    f.metadata["key"]: (f.name, f.metadata["stand_in"]) for f in fields(Sensors) if f.metadata
 }
 """Attribute of `Sensors` by key, and what stands in for it, in words."""
 POSITION = {

@@ -66,7 +66,7 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
     if left:
         raise ModelError(
             f"{vehicle.name}: a vehicle file cannot hold its {', '.join(left)}. Write the file by "
-            f"hand; the format is in docs/vehicle.md."
+            f"hand; the format is in docs/guide/vehicle.md."
         )
     return text
 

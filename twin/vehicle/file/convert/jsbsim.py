@@ -1,7 +1,7 @@
 """A multirotor of JSBSim (aircraft XML with propellers) as a vehicle file.
 
 The laws are those of its FGPropeller and of its aerodynamic functions; which they are is in
-`docs/vehicle_from_simulators.md`. Its electric motors have no law in continuous time, so the
+`docs/guide/vehicle_from_simulators.md`. Its electric motors have no law in continuous time, so the
 vehicle is one known by rotor speed.
 """
 
@@ -55,6 +55,7 @@ def convert_jsbsim(path: Path) -> str:
     Raises:
         ModelError: Something in it has no place in a vehicle file.
     """
+    path = path.resolve()  # engines are in folders beside that of the aircraft
     parts = _parts(path)
     body = _body(path.name, parts["mass_balance"])
     engines = parts["propulsion"].findall("engine")
@@ -198,9 +199,8 @@ def _check_upright(file: str, thruster: Element) -> None:
     orient = thruster.find("orient")
     angles = np.zeros(3)
     if orient is not None:
-        unit = orient.get("unit", "RAD")
         tags = ("roll", "pitch", "yaw")
-        angles = _TO_SI[unit] * np.array(
+        angles = _factor(file, orient.get("unit", "RAD")) * np.array(
             [float(floats(file, f"<{t}>", orient.findtext(t, "0"), 1)[0]) for t in tags]
         )
     if np.abs(angles - [0.0, np.pi / 2, 0.0]).max() > 1e-6:

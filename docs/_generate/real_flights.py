@@ -1,0 +1,19 @@
+"""Write what `explain` says about recorded flights as a page: ten minutes on two cores.
+
+    python docs/_generate/real_flights.py --data ../shared/data \\
+        --out docs/results/real_flights.md --jobs 2
+
+A run that was cut short goes on where it stopped; `--help` tells of the other options.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(
+    0, str(Path(__file__).parents[2])
+)  # benchmarks are no part of the installed package
+
+from benchmarks.real_flights.__main__ import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,18 @@
+"""Write sensitivity.md, what settings of `explain` decide; `--help` tells of the options.
+
+    python docs/_generate/sensitivity.py --out DIR --page docs/results/sensitivity.md --jobs 2
+
+All settings over four cases: about two hours on two cores. A run that was cut short goes on.
+"""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(
+    0, str(Path(__file__).parents[2])
+)  # benchmarks are no part of the installed package
+
+from benchmarks.sensitivity.__main__ import main
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,271 @@
+"""Write the tables of the documentation from the definitions in code.
+
+    python docs/_generate/tables.py [--check]
+
+Each document holds a pair of markers; what stands between them is replaced. `--check` changes
+nothing and exits 1 if a table is out of date.
+"""
+
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
+from typer.main import get_command
+
+from learning.model.registry import FAMILIES
+from twin.component import Component, Variable
+from twin.effects import EFFECTS, EffectParameter
+from twin.explain.settings import DEFAULT, Setting
+from twin.explain.settings.group import numbers
+from twin.flight.assembly import CONTROLLERS, flying_twin
+from twin.logs.columns import COLUMNS
+from twin.logs.formats import FORMATS
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from twin.vehicle.file.fields import FIELDS
+from uavtwin.cli.main import app
+
+DOCS = Path(__file__).parents[1]
+BEGIN = "<!-- table: do not edit, run docs/_generate/tables.py -->"
+END = "<!-- end of table -->"
+EXAMPLE = "crazyflie"
+"""Vehicle whose start values are shown: it has a battery, so every component exists."""
+
+
+def rows(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
+    """A Markdown table."""
+    cells = [[text.replace("|", "\\|") for text in line] for line in (head, *lines)]
+    content = [f"| {' | '.join(line)} |" for line in cells]
+    return [content[0], "|" + "---|" * len(head), *content[1:]]
+
+
+def flight_table() -> str:
+    """Columns of the flight table."""
+    lines = [(f"`{c.name}`", c.unit or "-", c.description) for c in COLUMNS]
+    return "\n".join(rows(("column", "unit", "meaning"), lines))
+
+
+def log_formats() -> str:
+    """Formats of flight logs."""
+    lines = [
+        (
+            f.name,
+            ", ".join(f"`{s}`" for s in f.suffixes),
+            str(f.signature),
+            ", ".join(f.packages),
+            f.holds,
+        )
+        for f in FORMATS
+    ]
+    return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def compensator() -> str:
+    """Families of compensators and their presets."""
+    lines = [
+        (
+            f"`{f.name}`",
+            f.meaning,
+            ", ".join(f"`{p}`" for p in f.presets),
+            "yes" if f.onnx else "no",
+        )
+        for f in FAMILIES
+    ]
+    return "\n".join(rows(("family", "is", "`--preset`", "ONNX, FMU"), lines))
+
+
+def vehicle() -> str:
+    """Keys of the vehicle file, a table per section."""
+    sections: dict[str, list[Sequence[str]]] = {}
+    for key, field in FIELDS.items():
+        section, _, name = key.partition(".")
+        unit = field.unit.removeprefix("poly:") or "-"
+        sign = {True: "; > 0", False: "; >= 0", None: ""}[field.positive]
+        needed = "yes" if field.required else "no"
+        line = (f"`{name}`", f"{unit}{sign}", needed, field.meaning)
+        sections.setdefault(section, []).append(line)
+    head = ("key", "unit", "needed", "meaning")
+    return "\n\n".join(
+        "\n".join([f"## [{name}]", "", *rows(head, lines)]) for name, lines in sections.items()
+    )
+
+
+# -- FMUs -----------------------------------------------------------------------------------
+
+
+def fmus() -> str:
+    """Variables of every component, a table each."""
+    model = load_vehicle(EXAMPLE)
+    parts = {**flying_twin(model, "tour").parts, "controller_px4": CONTROLLERS["px4"](model)}
+    return "\n\n".join(_component(name, part) for name, part in parts.items())
+
+
+def _component(name: str, component: Component) -> str:
+    """Variables of one component; effects by name only, numbered variables in one line."""
+    owners = [v.name.split(".")[0] for v in component.parameters]
+    effects = [f"`{e}`" for e in EFFECTS if e in owners]
+    groups: dict[str, list[Variable]] = {}
+    for v in component.variables:
+        if v.name.split(".")[0] not in EFFECTS:
+            groups.setdefault(re.sub(r"_\d+\b", "_{i}", v.name), []).append(v)
+    lines = [_group(pattern, group) for pattern, group in groups.items()]
+    return "\n".join(
+        [
+            f"## {name}",
+            "",
+            f"{component.description}.",
+            *([f"Effects ([numbers](effects.md)): {', '.join(effects)}."] if effects else []),
+            "",
+            *rows(("variable", "kind", "unit", "start", "meaning"), lines),
+        ]
+    )
+
+
+def _group(pattern: str, group: list[Variable]) -> Sequence[str]:
+    """One line for a variable, or for those that differ in a number."""
+    first, meaning = group[0], group[0].description
+    if len(group) > 1:
+        pattern = pattern.format(i=f"{{1..{len(group)}}}")
+        meaning = re.sub(r"(rotor|motor|waypoint) 1\b", r"\1 i", meaning, flags=re.IGNORECASE)
+    starts = list(dict.fromkeys(_start(v) for v in group))
+    return f"`{pattern}`", first.causality, first.unit, ", ".join(starts), meaning
+
+
+def _start(v: Variable) -> str:
+    if v.causality == "output":
+        return "-"
+    return ("true" if v.start else "false") if v.boolean else f"{v.start:.4g}"
+
+
+# -- effects --------------------------------------------------------------------------------
+
+
+def effects() -> str:
+    """The effect library: an overview, then the parameters."""
+    model = load_vehicle("copter_default")
+    overview = [
+        (f"`{e.name}`", e.component, e.meaning, ", ".join(f"`{n}`" for n in e.needs), e.source)
+        for e in EFFECTS.values()
+    ]
+    numbers = [_number(e.name, p, model) for e in EFFECTS.values() for p in e.parameters]
+    return "\n".join(
+        [
+            "## Effects",
+            "",
+            *rows(("effect", "in", "meaning", "needs", "source"), overview),
+            "",
+            "## Parameters",
+            "",
+            *rows(("parameter", "unit", "start", "prior", "meaning"), numbers),
+        ]
+    )
+
+
+def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence[str]:
+    p = parameter.sized(model)
+    name = f"`{effect}.{p.name}{'_1..n' if p.per_rotor else ''}`"
+    mark = "\\*" if parameter.scale is not None else ""
+    low, high = p.prior
+    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
+
+
+# -- settings -------------------------------------------------------------------------------
+
+
+def settings() -> str:
+    """Numbers that decide what `explain` says, a table per group."""
+    groups: dict[str, list[Setting]] = {}
+    for s in DEFAULT.every():
+        groups.setdefault(s.name.rpartition(".")[0], []).append(s)
+    head = ("setting", "value", "unit", "meaning", "origin")
+    return "\n\n".join(
+        "\n".join([f"## {group}", "", *rows(head, map(_setting, own))])
+        for group, own in groups.items()
+    )
+
+
+def _setting(s: Setting) -> Sequence[str]:
+    value = ", ".join(f"{x:.4g}" for x in numbers(s.value))
+    return f"`{s.name.rpartition('.')[2]}`", value, s.about.unit, s.about.meaning, s.about.origin
+
+
+# -- command line ---------------------------------------------------------------------------
+
+
+def command_line() -> str:
+    """Every verb with its arguments and options."""
+    group = get_command(app)
+    assert isinstance(group, TyperGroup)
+    verbs = {n: c for n, c in group.commands.items() if isinstance(c, TyperCommand)}
+    return "\n\n".join(_verb(name, command) for name, command in verbs.items())
+
+
+def _verb(name: str, command: TyperCommand) -> str:
+    """One verb: how to call it, what it does, a table of its options."""
+    parameters = [p for p in command.params if isinstance(p, TyperArgument | TyperOption)]
+    arguments = [p for p in parameters if isinstance(p, TyperArgument)]
+    call = " ".join(["uavtwin", name, *(_argument(p) for p in arguments)])
+    lines = [_option(p) for p in parameters if not p.hidden]
+    meaning = (command.help or "").strip()
+    return "\n".join(
+        [
+            f"## {name}",
+            "",
+            f"`{call}`",
+            "",
+            meaning,
+            "",
+            *rows(("argument or option", "default", "meaning"), lines),
+        ]
+    )
+
+
+def _argument(argument: TyperArgument) -> str:
+    return str(argument.name).upper() + ("..." if argument.nargs == -1 else "")
+
+
+def _option(parameter: TyperArgument | TyperOption) -> Sequence[str]:
+    """One line of the table: names, default, help text."""
+    if isinstance(parameter, TyperArgument):
+        names = f"`{_argument(parameter)}`"
+    else:
+        names = ", ".join(f"`{n}`" for n in (*parameter.opts, *parameter.secondary_opts))
+    given = parameter.default
+    plain = given is None or given is False or given == "" or callable(given)
+    default = "needed" if parameter.required else ("-" if plain else f"`{given}`")
+    return names, default, parameter.help or "-"
+
+
+DOCUMENTS = {
+    "guide/flight_table.md": flight_table,
+    "reference/vehicle_fields.md": vehicle,
+    "reference/fmu_variables.md": fmus,
+    "reference/effects.md": effects,
+    "reference/settings.md": settings,
+    "reference/cli.md": command_line,
+    "guide/log_formats.md": log_formats,
+    "guide/compensator.md": compensator,
+}
+
+
+def main(check: bool) -> int:
+    """Bring all tables up to date; how many were not."""
+    stale = 0
+    for name, table in DOCUMENTS.items():
+        path = DOCS / name
+        text = path.read_text("utf-8")
+        head, rest = text.split(BEGIN)
+        _, tail = rest.split(END)
+        wanted = f"{head}{BEGIN}\n{table()}\n{END}{tail}"
+        if wanted != text:
+            stale += 1
+            print(f"{name} is out of date")
+            if not check:
+                path.write_text(wanted, "utf-8")
+    return stale
+
+
+if __name__ == "__main__":
+    sys.exit(1 if main("--check" in sys.argv) and "--check" in sys.argv else 0)

@@ -1,0 +1,72 @@
+"""Who searches, compares, flies and reports knows effects by how they are seen, not by name."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from twin.effects import _MODULES, EFFECTS, Effect, Repeats, Shift
+from twin.effects.seen import Lines, NoiseFloor, RandomForce
+
+ROOT = Path(__file__).parents[3]
+FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
+FILES = sorted(p for folder in FOLDERS for p in (ROOT / folder).rglob("*.py"))
+NAMED = re.compile(rf"(.*[.\W])?({'|'.join(EFFECTS)})(\..*)?")
+
+
+def test_every_effect_of_a_module_is_in_its_list() -> None:
+    made = [
+        effect
+        for module in _MODULES
+        for effect in vars(module).values()
+        if isinstance(effect, Effect)
+    ]
+    missing = sorted(e.name for e in made if e.name not in EFFECTS)
+    assert not missing, f"in no list EFFECTS of twin/effects: {missing}"
+
+
+def literals(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """Strings of a module that are no docstring, with their lines."""
+    bodies = (n.body for n in ast.walk(tree) if isinstance(getattr(n, "body", None), list))
+    prose = {id(s.value) for body in bodies for s in body if isinstance(s, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            yield node.lineno, node.value
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_no_effect_is_known_by_name(path: Path) -> None:
+    found = [
+        f"line {line}: {text}"
+        for line, text in literals(ast.parse(path.read_text(encoding="utf-8")))
+        if " " not in text and NAMED.fullmatch(text)
+    ]
+    assert not found, "let the effect say how it is seen (twin/effects/seen.py)"
+
+
+def test_the_pattern_finds_names() -> None:
+    source = '"""rotor_drag"""\nx = "rotor_drag"\ny = f"gust.{x}"\nz = "environment.gust.enabled"'
+    found = [text for _, text in literals(ast.parse(source)) if NAMED.fullmatch(text)]
+    assert {*found} == {"rotor_drag", "gust.", "environment.gust.enabled"}
+
+
+@pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
+def test_what_an_effect_says_of_itself_names_its_own_numbers(effect) -> None:
+    own = {p.name for p in (*effect.parameters, *effect.of_logs)}
+    match effect.seen_as:
+        case Shift(moves=moves):
+            named = {*moves}
+        case NoiseFloor(scale=scale, further=further):
+            named = {scale, *further.values()}
+        case Lines(frequency=frequency, amplitudes=amplitudes):
+            named = {frequency, *amplitudes.values()}
+        case RandomForce(intensity=intensity, length=length):
+            named = {*intensity, *length}
+        case Repeats(channel=channel, since=since):
+            named = {channel, since}
+        case equation:
+            named = {equation.turns_pose} - {None}
+    assert named <= own
+    assert {p.name for p in effect.of_logs} <= named

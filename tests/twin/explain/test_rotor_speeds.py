@@ -1,0 +1,118 @@
+"""Flights that hold rotor speeds, motor commands or both: what drives the model decides what a
+search can show."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twin.effects import EFFECTS
+from twin.explain.explanation import explain
+from twin.explain.inference.fit import Problem
+from twin.explain.model.model import candidates, model_of
+from twin.flight import closed_loop
+from twin.logs import Flight
+from twin.logs.columns import motor_columns
+from twin.physics.airframe import airframe
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo import flights as demo
+
+VEHICLE = load_vehicle("copter_default")
+WAYPOINTS: demo.Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -2.0)),
+    ("tour", 2.0, (3.0, 0.0, -2.0)),
+    ("tour", 2.0, (3.0, 3.0, -3.0)),
+    ("tour", 2.0, (0.0, 0.0, -2.0)),
+)
+COMMANDS, SPEEDS = motor_columns("cmd", 4), motor_columns("rotor", 4)
+OF_COMMANDS = {"motor_lag", "command_delay"}
+
+
+def flown(plant: Vehicle) -> Flight:
+    """A flight with commands and rotor speeds."""
+    flight = demo.fly(VEHICLE, plant, 3, waypoints=WAYPOINTS)
+    body = airframe(plant, "command")
+    setpoints, _ = demo._setpoints(plant, WAYPOINTS)
+    states, inputs = closed_loop.fly(
+        body.with_starts(closed_loop.standing(body, plant)), demo.controller(VEHICLE), setpoints
+    )
+    truth = body.outputs_along(states, inputs)[:: demo.IMU_EVERY]
+    speeds = truth[:, [body.output_names.index(c) for c in SPEEDS]]
+    table = flight.table.assign(**dict(zip(SPEEDS, speeds.T, strict=True)))
+    return replace(flight, table=table)
+
+
+def without(flight: Flight, columns: Sequence[str]) -> Flight:
+    return replace(flight, table=flight.table.drop(columns=list(columns)))
+
+
+@pytest.fixture(scope="module")
+def lagging() -> Flight:
+    return flown(VEHICLE.with_effects({"motor_lag": {"tau_s": 0.05}}))
+
+
+@pytest.fixture(scope="module")
+def dragged() -> Flight:
+    return flown(VEHICLE.with_effects({"rotor_drag": {"k_xy_1_s": 0.5, "k_z_1_s": 0.0}}))
+
+
+KINDS = {"rotor speeds": COMMANDS, "commands": SPEEDS, "both": ()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_effect_is_named_whatever_drives_the_model(kind: str, dragged: Flight) -> None:
+    flight = without(dragged, KINDS[kind])
+    found = explain([flight], [], VEHICLE, missions=[])
+    assert found.verdict == "named", (found.reasons, found.warnings)
+    assert found.effects == ("rotor_drag",)
+    assert found.values["rotor_drag.k_xy_1_s"] == pytest.approx(0.5, rel=0.15)
+    hidden = [w for w in found.warnings if "not visible" in w]
+    if kind == "commands":
+        assert not hidden
+    else:
+        assert len(hidden) == 1 and all(e in hidden[0] for e in OF_COMMANDS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_between_command_and_rotor_is_visible_where_rotor_speeds_drive(
+    kind: str, dragged: Flight
+) -> None:
+    flight = without(dragged, KINDS[kind])
+    model = model_of([flight], VEHICLE, candidates([flight]))
+    assert OF_COMMANDS.isdisjoint(model.effects) == (kind != "commands")
+    assert {*model.unfelt} == (set() if kind == "commands" else OF_COMMANDS)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_lag_is_told_from_commands_alone(kind: str, lagging: Flight) -> None:
+    flight = without(lagging, KINDS[kind])
+    problem = Problem.of(model_of([flight], VEHICLE, candidates([flight])))
+    if kind == "commands":
+        fitted = problem.fit(["motor_lag"])
+        assert fitted.gain > 50
+        assert fitted.values["motor_lag.tau_s"] == pytest.approx(0.05, rel=0.15)
+    else:  # measured speeds have the lag in them already: there is nothing to explain
+        assert problem.fit(["rotor_drag"]).gain < 10
+
+
+def test_flights_of_two_kinds_show_what_both_can_show(dragged: Flight) -> None:
+    flights = [without(dragged, SPEEDS), replace(without(dragged, COMMANDS), name="other")]
+    model = model_of(flights, VEHICLE, candidates(flights))
+    assert {*model.unfelt} == OF_COMMANDS
+    assert OF_COMMANDS.isdisjoint(model.effects)
+    assert "rotor_drag" in model.effects
+
+
+def test_the_torque_of_rotors_that_speed_up_is_seen_in_measured_speeds() -> None:
+    truth = {"momentum_n_m_s": EFFECTS["rotor_inertia_torque"].starts(VEHICLE)["momentum_n_m_s"]}
+    flight = without(flown(VEHICLE.with_effects({"rotor_inertia_torque": truth})), COMMANDS)
+    problem = Problem.of(model_of([flight], VEHICLE, [EFFECTS["rotor_inertia_torque"]]))
+    found = problem.fit(["rotor_inertia_torque"])
+    name = "rotor_inertia_torque.momentum_n_m_s"
+    assert found.gain > 50
+    assert found.values[name] == pytest.approx(truth["momentum_n_m_s"], rel=0.2)
+    assert np.all(np.isfinite(found.half_widths))

@@ -1,0 +1,190 @@
+"""A plant flown by its controller along setpoints, and recorded as a flight table."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..component import Component
+from ..component.sampled import noiseless_outputs
+from ..effects import EFFECTS, Shift
+from ..logs import Flight
+from ..logs.columns import QUAT
+from ..physics.airframe import airframe
+from ..physics.sensors.table import components_of_sensors
+from ..vehicle import Vehicle
+from .closed_loop import STEP_S, fly, standing
+from .control.lqr_cascade import controller
+from .stability import FARTHEST_ARMS, FARTHEST_M, STEEPEST_RAD
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Columns of a record that are sampled together.
+
+    Attributes:
+        columns: Of the flight table.
+        period_s: Time between two samples, rounded to a whole number of rows of the record.
+        noise: Standard deviation of white noise on each sample, in the unit of the columns; a
+            quaternion stays one of unit length.
+    """
+
+    columns: tuple[str, ...]
+    period_s: float
+    noise: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Recorder:
+    """What a simulated flight is recorded with.
+
+    Attributes:
+        streams: What is recorded, as far as the twin has it.
+        rate_hz: Rows of the table per second.
+        sampled_hz: How often the sensors are sampled; a multiple of `rate_hz`.
+        seed: Of the noise.
+        early_commands: Whether commands that act late are recorded early, and reach a flight that
+            is otherwise the same; else they are recorded when given, and the plant has them late.
+        until_lost: Whether the record ends where the vehicle tumbles or strays from its setpoints.
+    """
+
+    streams: tuple[Stream, ...]
+    rate_hz: float
+    sampled_hz: float
+    seed: int = 0
+    early_commands: bool = False
+    until_lost: bool = False
+
+
+def simulate_flight(
+    setpoints: Array,
+    phases: Sequence[str],
+    vehicle: Vehicle,
+    plant: Vehicle,
+    recorder: Recorder,
+    name: str = "simulated",
+    voltage_v: float | None = None,
+) -> Flight:
+    """Fly setpoints in closed loop from standing on the ground, and record the sensors.
+
+    The controller reads the true motion: a pose that is old in the plant is so in the record alone.
+
+    Args:
+        setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
+        phases: Of each row.
+        vehicle: What the controller is designed for.
+        plant: What really flies, with its effects.
+        recorder: What is recorded.
+        name: Of the flight.
+        voltage_v: Of the battery, constant; default: that of the plant.
+
+    Raises:
+        ModelError: No controller can be designed, or the plant has no hover trim.
+    """
+    volts = plant.voltage_v if voltage_v is None else voltage_v
+    flown = _punctual(plant, recorder)
+    body = airframe(flown)
+    body = body.with_starts(standing(body, flown))
+    held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
+    states, inputs = fly(body, controller(_punctual(vehicle, recorder)), setpoints, held)
+    end = _lost(setpoints, phases, body, states, plant) if recorder.until_lost else len(states)
+    kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
+    known = _truth(body, states[kept], inputs[kept])
+    known["vbat_v"] = np.full(len(states[kept]), volts)
+    _sense(known, flown, recorder)
+    t_s = np.arange(len(states[kept])) / recorder.sampled_hz
+    for column, later_s in _late_columns(plant, recorder, list(known)):
+        known[column] = np.interp(t_s - later_s, t_s, known[column])
+    return Flight(name, _table(known, phases[kept], recorder))
+
+
+def _truth(body: Component, states: Array, inputs: Array) -> dict[str, Array]:
+    """Outputs and inputs of an airframe by name, shape (n,) each."""
+    known = dict(zip(body.output_names, body.outputs_along(states, inputs).T, strict=True))
+    return known | dict(zip(body.input_names, inputs.T, strict=True))
+
+
+def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
+    """Add the readings of the sensors that are recorded, without noise."""
+    wanted = {c for stream in recorder.streams for c in stream.columns}
+    n = len(known["vbat_v"])
+    for make in components_of_sensors().values():
+        sensor = make(flown, ())
+        if not wanted & set(sensor.output_names):
+            continue
+        sensed = np.tile(sensor.input_values(), (n, 1))
+        for i, name in enumerate(sensor.input_names):
+            sensed[:, i] = known.get(name, sensed[:, i])
+        readings = noiseless_outputs(sensor, sensed, 1 / recorder.sampled_hz)
+        known |= dict(zip(sensor.output_names, readings.T, strict=True))
+
+
+def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -> pd.DataFrame:
+    """The flight table: samples of each stream, noise added, NaN between them."""
+    rng, n = np.random.default_rng(recorder.seed), len(phases)
+    every = round(recorder.sampled_hz / recorder.rate_hz)
+    columns = {"time": np.arange(n) / recorder.sampled_hz}
+    for stream in recorder.streams:
+        if not set(stream.columns) <= known.keys():
+            continue
+        values = np.column_stack([known[c] for c in stream.columns])
+        if stream.noise:
+            values += stream.noise * rng.standard_normal(values.shape)
+            if stream.columns == QUAT:
+                values /= np.linalg.norm(values, axis=1, keepdims=True)
+        period = every * max(1, round(stream.period_s * recorder.rate_hz))
+        values[np.arange(n) % period != 0] = np.nan
+        columns |= dict(zip(stream.columns, values.T, strict=True))
+    table = pd.DataFrame({c: v[::every] for c, v in columns.items()})
+    table["phase"] = list(phases[::every])
+    return table
+
+
+def _punctual(vehicle: Vehicle, recorder: Recorder) -> Vehicle:
+    """The same without the delays that a record shows and a flight does not."""
+    kept = {k: v for k, v in vehicle.effects.items() if _of_record(k, recorder) is None}
+    return vehicle.with_effects(kept)
+
+
+def _of_record(effect: str, recorder: Recorder) -> Shift | None:
+    """What an effect shifts in a record; a sensor that is late is so in its component."""
+    seen_as = EFFECTS[effect].seen_as
+    if not isinstance(seen_as, Shift) or EFFECTS[effect].component in components_of_sensors():
+        return None
+    return None if seen_as.acts and not recorder.early_commands else seen_as
+
+
+def _late_columns(
+    plant: Vehicle, recorder: Recorder, known: Iterable[str]
+) -> Iterator[tuple[str, float]]:
+    """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
+
+    A number that the effect has in logs alone is taken for its first one.
+    """
+    for effect, numbers in plant.effects.items():
+        shift = _of_record(effect, recorder)
+        if shift is None:
+            continue
+        first = numbers[next(iter(shift.moves))]
+        for number, signals in shift.moves.items():
+            delay_s = numbers.get(number, first)
+            for column in known:
+                if column.rpartition("_")[0] in signals:
+                    yield column, -delay_s if shift.acts else delay_s
+
+
+def _lost(
+    setpoints: Array, phases: Sequence[str], body: Component, states: Array, plant: Vehicle
+) -> int:
+    """Number of rows until the vehicle tumbles or strays from its setpoints."""
+    column = [s.name for s in body.states].index
+    off = states[:, [column(f"pos_{a}") for a in "xyz"]] - setpoints[:, :3]
+    tilt = 2 * np.arcsin(np.hypot(states[:, column("q_x")], states[:, column("q_y")]).clip(0, 1))
+    far = max(FARTHEST_M, FARTHEST_ARMS * plant.arm_m)
+    near = (np.linalg.norm(off, axis=1) < far) & (tilt < STEEPEST_RAD)
+    near |= np.array([phase == "ground" for phase in phases])
+    return len(near) if near.all() else int(np.argmin(near))

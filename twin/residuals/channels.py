@@ -1,0 +1,224 @@
+"""Residual channels of a flight: what was measured and what is predicted, filtered alike.
+
+Readings are put on a grid of `GRID_HZ`, in the air; measured and predicted pass the same causal
+low-pass and are thinned out to `CHANNEL_HZ`. Causal, so that no reading is explained by what came
+after it: with a controller in the loop, a filter that looks ahead would read the controller
+backwards. As a linear model a channel is residual = slopes @ change of numbers + noise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, lfilter_zi
+
+from .measured import Signal, zero_phase
+
+Array = NDArray[np.float64]
+GRID_HZ = 200.0
+"""Rate of the grid on which components are evaluated."""
+CHANNEL_HZ = 50.0
+"""Rate of the channels."""
+BAND_HZ = 18.0
+"""Low-pass of measured and predicted: the body moves below it, rotors vibrate above it."""
+POSE_BAND_HZ = 6.0
+"""Low-pass of what is derived from position and attitude by differences."""
+SHORTEST_S = 1.5
+"""Shorter pieces of flight are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelData:
+    """One channel of one flight.
+
+    Attributes:
+        name: Of the channel.
+        unit: Of the residual.
+        t_s: Shape (n,).
+        measured: Shape (n,).
+        residual: Measured minus predicted, shape (n,).
+        slopes: Derivative of the prediction by each number, shape (n, k).
+        piece: Number of the uninterrupted piece of flight each sample belongs to, shape (n,).
+    """
+
+    name: str
+    unit: str
+    t_s: Array
+    measured: Array
+    residual: Array
+    slopes: Array
+    piece: NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Readings of one sensor on the grid of a flight, filtered and thinned out.
+
+    Attributes:
+        names: Of its channels.
+        unit: Of all of them.
+        filters_hz: Low-passes that a prediction has to pass, one after the other.
+        rows: Per uninterrupted piece, the grid points it covers.
+        settle: Grid points at the start of a piece that the filters take.
+        values: At the rows that are kept, all pieces together, shape (n, c).
+        t_s: Times of these rows, shape (n,).
+        piece: Number of the piece, shape (n,).
+    """
+
+    names: tuple[str, ...]
+    unit: str
+    filters_hz: tuple[float, ...]
+    rows: tuple[NDArray[np.intp], ...]
+    settle: int
+    values: Array
+    t_s: Array
+    piece: NDArray[np.intp]
+
+    def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
+        """Rows that are kept of values on the grid, low-passed piece by piece."""
+        return self._over_pieces(values, filters_hz, EVERY)
+
+    def unfiltered(self, values: Array) -> Array:
+        """All rows of values on the grid from where the filters have settled, not thinned out."""
+        return self._over_pieces(values, (), 1)
+
+    def sensed(self, predicted: Array) -> Array:
+        """The same of a prediction, which passes the low-pass of the sensor alone."""
+        return self._over_pieces(predicted, self.filters_hz[:-1], 1)
+
+    def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
+        kept = []
+        for rows in self.rows:
+            part = values[rows]
+            for cutoff in filters_hz:
+                part = low_pass(part, cutoff)
+            kept.append(part[self.settle :: every])
+        return np.concatenate(kept)
+
+    def channels(self, predicted: Array, slopes: Array) -> list[ChannelData]:
+        """Channels against a prediction on the grid.
+
+        Args:
+            predicted: Shape (n_grid, c).
+            slopes: Shape (n_grid, c, k).
+        """
+        both = np.concatenate([predicted[:, :, None], slopes], axis=2)
+        both = self.filtered(both, self.filters_hz)
+        return [
+            ChannelData(
+                name,
+                self.unit,
+                self.t_s,
+                self.values[:, i],
+                self.values[:, i] - both[:, i, 0],
+                both[:, i, 1:],
+                self.piece,
+            )
+            for i, name in enumerate(self.names)
+        ]
+
+
+EVERY = round(GRID_HZ / CHANNEL_HZ)
+
+
+def measured(
+    names: Sequence[str],
+    unit: str,
+    t_s: Array,
+    values: Array,
+    known: NDArray[np.bool_],
+    band_hz: float,
+    sensor_hz: float | None,
+) -> Measured | None:
+    """Filter readings on the grid; None where no piece of them is long enough.
+
+    Args:
+        names: Of the channels.
+        unit: Of the readings.
+        t_s: Grid, shape (n,).
+        values: Shape (n, c), NaN where unknown.
+        known: Grid points that count, shape (n,).
+        band_hz: Low-pass of readings and prediction.
+        sensor_hz: Low-pass that the readings have behind them and a prediction has not.
+    """
+    pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
+    if not pieces:
+        return None
+    settle = round(2 / band_hz * GRID_HZ)
+    filters = (band_hz,) if sensor_hz is None else (sensor_hz, band_hz)
+    group = Measured(
+        names=tuple(names),
+        unit=unit,
+        filters_hz=filters,
+        rows=tuple(pieces),
+        settle=settle,
+        values=values,
+        t_s=t_s,
+        piece=np.zeros(0, dtype=np.intp),
+    )
+    kept = [rows[settle::EVERY] for rows in pieces]
+    number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(kept)]
+    return replace(
+        group,
+        values=group.filtered(values, (band_hz,)),
+        t_s=t_s[np.concatenate(kept)],
+        piece=np.concatenate(number),
+    )
+
+
+def low_pass(values: Array, cutoff_hz: float) -> Array:
+    """Causal second-order Butterworth low-pass along axis 0, settled on the first value."""
+    if cutoff_hz >= 0.45 * GRID_HZ:
+        return values
+    b, a, settled = _butterworth(cutoff_hz)
+    start = settled.reshape((-1,) + (1,) * (values.ndim - 1)) * values[:1]
+    return np.asarray(lfilter(b, a, values, axis=0, zi=start)[0], dtype=np.float64)
+
+
+@cache
+def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
+    """Second order on the grid: coefficients, and the state that is settled on one."""
+    b, a = butter(2, cutoff_hz / (GRID_HZ / 2))
+    return b, a, lfilter_zi(b, a)
+
+
+def rate_over_step(values: Array) -> Array:
+    """Rate of change over the step of the grid that ends at each row, shape as the values."""
+    return np.diff(values, axis=0, prepend=values[:1]) * GRID_HZ
+
+
+def mean_over_step(values: Array) -> Array:
+    """Mean over the same step: what `rate_over_step` is of a signal with these rates."""
+    mean = np.array(values)
+    mean[1:] = (values[1:] + values[:-1]) / 2
+    return mean
+
+
+def on_grid(signal: Signal, t_s: Array) -> Array:
+    """A measured signal at the grid, with an anti-alias filter where it is much faster."""
+    if signal.rate_hz > 1.5 * GRID_HZ:
+        signal = replace(signal, values=zero_phase(signal, 0.4 * GRID_HZ))
+    return signal.at(t_s)
+
+
+def shifted(values: Array, later_s: float) -> Array:
+    """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
+    grid, moved = np.arange(len(values)), np.array(values)
+    for column, v in zip(moved.T, values.T, strict=True):
+        known = np.isfinite(v)
+        if known.any():
+            column[:] = np.interp(grid - later_s * GRID_HZ, grid[known], v[known])
+    return moved
+
+
+def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """Grid points of every uninterrupted piece that is long enough, without its ends: what is
+    differentiated on the grid is not known there."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
+    return [
+        np.arange(first + 2, end - 2)
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+        if end - first >= SHORTEST_S * GRID_HZ
+    ]
