@@ -41,8 +41,12 @@ def test_measured_figures_take_the_place_of_stored_ones(monkeypatch: pytest.Monk
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_generate"))
     import figures
 
-    twice = [{"what": "a", "value": 1.0}, {"what": "b", "value": None}, {"what": "a", "value": 2.5}]
-    stored = [
+    twice: list[figures.Figure] = [
+        {"what": "a", "value": 1.0},
+        {"what": "b", "value": None},
+        {"what": "a", "value": 2.5},
+    ]
+    stored: list[figures.Figure] = [
         {"what": "both", "value": "old", "bench": ["a", "a (2)"], "form": "{0:.0f} to {1:.1f} us"},
         {"what": "skipped", "value": "old", "bench": ["a", "b"], "form": "{0}{1}"},
         {"what": "by hand", "value": "old"},

@@ -146,13 +146,13 @@ def test_cases_are_written_once_alike_and_without_their_truth(
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
     for case in chosen:
         assert generate.is_complete(tmp_path / "a", case)
-        folder = generate.flights_folder(tmp_path / "a", case)
-        told = b"".join(p.read_bytes() for p in folder.iterdir()) + str(folder).encode()
+        flights = generate.flights_folder(tmp_path / "a", case)
+        told = b"".join(p.read_bytes() for p in flights.iterdir()) + str(flights).encode()
         assert not any(word.encode() in told for word in (*EFFECTS, case.magnitude, case.key))
-        assert generate.truth_file(tmp_path / "a", case).parent not in folder.parents
+        assert generate.truth_file(tmp_path / "a", case).parent not in flights.parents
         truth = json.loads(generate.truth_file(tmp_path / "a", case).read_text())
         assert [e["name"] for e in truth["effects"]] == [*case.effects]
-        assert not read_flight(folder / "fit_1.parquet").findings
+        assert not read_flight(flights / "fit_1.parquet").findings
 
 
 def test_cases_are_distinct_opaque_and_drawn_by_their_seed() -> None:

@@ -10,7 +10,13 @@ from numpy.polynomial.polynomial import polyval
 from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, Aircraft, vehicle_toml
 from benchmarks.hidden_effects.plants.noise import NOISE
 from benchmarks.hidden_effects.plants.own import flight, physics
-from benchmarks.hidden_effects.plants.own.parameters import GRAVITY_M_S2, Array, Batch, Parameters
+from benchmarks.hidden_effects.plants.own.parameters import (
+    GRAVITY_M_S2,
+    STEP_S,
+    Array,
+    Batch,
+    Parameters,
+)
 from benchmarks.hidden_effects.plants.own.physics import Layout, motion
 from benchmarks.hidden_effects.plants.own.rotor import climb_slope, thrust_ratio
 from benchmarks.hidden_effects.plants.own.vectors import rotation, to_ned
@@ -41,8 +47,8 @@ def throw(p: Parameters, seconds: float) -> tuple[Array, Layout]:
     x[layout.charge] = 1.0
     nothing, still = np.zeros((len(p.hubs), 1)), np.zeros((3, 1))
     course, before = [x[:, 0]], None
-    for k in range(round(seconds / flight.STEP_S)):
-        at = motion(batch, layout, x, nothing, still, k * flight.STEP_S)
+    for k in range(round(seconds / STEP_S)):
+        at = motion(batch, layout, x, nothing, still, k * STEP_S)
         x, before = flight.advance(batch, layout, x, at, at.rate if before is None else before)
         course.append(x[:, 0])
     return np.array(course), layout
@@ -71,7 +77,7 @@ def test_body_with_load_keeps_energy_and_momentum(monkeypatch: pytest.MonkeyPatc
     energy = 0.5 * p.mass * (vel**2).sum(1) + 0.5 * LOAD_KG * (load_vel**2).sum(1)
     energy -= GRAVITY_M_S2 * (p.mass * pos[:, 2] + LOAD_KG * load_pos[:, 2])
     momentum = p.mass * vel + LOAD_KG * load_vel
-    gained = (p.mass + LOAD_KG) * GRAVITY_M_S2 * flight.STEP_S * np.arange(len(x))
+    gained = (p.mass + LOAD_KG) * GRAVITY_M_S2 * STEP_S * np.arange(len(x))
     momentum[:, 2] -= gained
     assert np.ptp(energy) < 1e-4 * p.mass * GRAVITY_M_S2
     assert np.abs(momentum - momentum[0]).max() < 1e-4

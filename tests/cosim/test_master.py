@@ -6,6 +6,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -124,7 +125,7 @@ def test_algorithms_agree_on_what_has_no_input(system: System) -> None:
 
 
 def test_gauss_seidel_order_does_not_depend_on_the_order_of_fmus(system: System) -> None:
-    turned = replace(system, fmus=dict(reversed(system.fmus.items())))
+    turned = replace(system, fmus=dict(reversed([*system.fmus.items()])))
     with Master(turned, [f"imu.{n}" for n in SENSOR.output_names]) as master:
         master.initialize()
         values = master.run(50 * H, H, "gauss_seidel").values
@@ -265,7 +266,7 @@ def test_chosen_columns_in_the_order_asked(system: System) -> None:
 
 # -- refusals -------------------------------------------------------------------------------
 
-WRONG: dict[str, tuple[Mapping[str, object], str]] = {
+WRONG: dict[str, tuple[Mapping[str, Any], str]] = {
     "unknown slave": (
         {"connections": (Connection("airfame.pos_x", "imu.omega_x"),)},
         r"'airfame\.pos_x': there is no slave 'airfame'; the system has airframe, imu\. Did you "

@@ -84,7 +84,7 @@ def compensator(
     model.spread_factor.uniform_(0.5, 1.5)
     model.anomaly_scale.uniform_(2.0, 8.0)
     for parameter in model.parameters():
-        parameter += 0.1 * torch.randn_like(parameter)
+        parameter.add_(0.1 * torch.randn_like(parameter))
     return model.eval()
 
 
@@ -95,7 +95,8 @@ def flight(model: Compensator, samples: int, seed: int = 0) -> ResidualFlight:
 
     def wander(columns: int) -> Array:
         """Smooth noise of spread 1, shape (samples, columns)."""
-        return 3.1 * lfilter([0.1], [1.0, -0.9], rng.normal(size=(samples, columns)), axis=0)
+        noise = rng.normal(size=(samples, columns))
+        return np.asarray(3.1 * lfilter([0.1], [1.0, -0.9], noise, axis=0))
 
     scaling = model.scaling()
     features = scaling.feature_mean + scaling.feature_scale * wander(n_features)

@@ -217,9 +217,9 @@ def _imports(module: str, files: Mapping[str, Path]) -> Iterator[Import]:
                 else:
                     yield Import(module, base, alias.name, node.lineno, inside)
         elif isinstance(node, ast.Call) and _calls_import(node):
-            (name, *_) = node.args
-            if isinstance(name, ast.Constant) and isinstance(name.value, str):
-                yield Import(module, name.value, "", node.lineno, inside)
+            (named, *_) = node.args
+            if isinstance(named, ast.Constant) and isinstance(named.value, str):
+                yield Import(module, named.value, "", node.lineno, inside)
 
 
 def _statements(node: ast.AST, inside: bool) -> Iterator[tuple[ast.AST, bool]]:

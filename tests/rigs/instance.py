@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 class Instance:
     """An FMU behind FMPy; what it says through the logger is in `messages`."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, instantiated: bool = True) -> None:
         description = fmpy.read_model_description(str(folder))
         self.fmi = 2 if description.fmiVersion.startswith("2") else 3
         self.reference = {v.name: v.valueReference for v in description.modelVariables}
@@ -42,7 +42,8 @@ class Instance:
         )
         self._callbacks.allocateMemory = defaultCallbacks.allocateMemory
         self._callbacks.freeMemory = defaultCallbacks.freeMemory
-        self.instantiate()
+        if instantiated:
+            self.instantiate()
 
     def instantiate(self) -> None:
         """Make the instance; the library is loaded."""

@@ -23,7 +23,7 @@ def motion(component: Component, steps: int, seed: int = 0) -> Array:
     t = np.arange(steps)[:, None, None] * 1e-3
     frequency = rng.uniform(0.2, 4.0, (1, len(component.inputs), 3))
     phase = rng.uniform(0, 2 * np.pi, frequency.shape)
-    u = np.sin(2 * np.pi * frequency * t + phase).sum(axis=2)
+    u: Array = np.sin(2 * np.pi * frequency * t + phase).sum(axis=2)
     attitude = [i for i, n in enumerate(component.input_names) if n.startswith("q_")]
     if attitude:
         u[:, attitude] += [2.0, 0.0, 0.0, 0.0]

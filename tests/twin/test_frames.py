@@ -90,7 +90,9 @@ def test_quaternion_rate_is_the_derivative_of_the_rotation(q: Array, omega: Arra
     slope = np.roll(half.as_quat(), 1) * np.sign(np.dot(np.roll(half.as_quat(), 1), q))
     slope -= np.roll(back.as_quat(), 1) * np.sign(np.dot(np.roll(back.as_quat(), 1), q))
     rate = np.array(quaternion_rate(list(q), list(omega)))
-    np.testing.assert_allclose(rate, slope / (2 * dt), atol=1e-8 * (1 + np.linalg.norm(omega)))
+    np.testing.assert_allclose(
+        rate, slope / (2 * dt), atol=1e-8 * (1 + float(np.linalg.norm(omega)))
+    )
     assert abs(rate @ q) < 1e-12 * (1 + np.linalg.norm(omega))  # the norm stays
 
 

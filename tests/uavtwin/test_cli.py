@@ -10,28 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from cli_rig import run
 
 from twin.logs import write_flight
 from twin.vehicle.file import load_vehicle
-from uavtwin.cli.main import main
 from uavtwin.demo.flights import fly
 
 VEHICLE = "copter_default"
-
-
-def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
-    """Exit code, stdout and stderr of one call of `uavtwin`."""
-    argv, sys.argv = sys.argv, ["uavtwin", *map(str, arguments)]
-    try:
-        main()
-        code = 0
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    finally:
-        sys.argv = argv
-    captured = capsys.readouterr()
-    assert "Traceback" not in captured.err
-    return code, captured.out, captured.err
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ from twin.explain.design.designer import Suggestion
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
+from twin.explain.settings.group import Value
 from twin.explain.unnamed.equations import Equation
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
@@ -193,7 +194,10 @@ def test_the_settings_are_recorded(named: Run) -> None:
     assert named.json["settings"] == {"hash": DEFAULT.hash, "changed": {}}
     assert named.found is not None
     bands = ((0.2, 0.4), (0.4, 0.8), (0.8, 1.5), (1.5, 3.0))
-    changed = {"inference.selection.sure": 0.9, "stochastic.gust.slope_bands_hz": bands}
+    changed: dict[str, Value] = {
+        "inference.selection.sure": 0.9,
+        "stochastic.gust.slope_bands_hz": bands,
+    }
     other = explain_json(replace(named.found, settings=DEFAULT.with_values(changed)))
     assert other["settings"]["changed"] == {
         "inference.selection.sure": 0.9,

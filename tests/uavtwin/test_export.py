@@ -9,13 +9,13 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+from cli_rig import run
 from fmpy.validation import validate_fmu
 from fmu_manipulation_toolbox.checker import get_checkers
 from fmu_manipulation_toolbox.cli.utils import ErrorCounter
 from fmu_manipulation_toolbox.operations import FMU
+from importer_rig import STEP_S, STEPS, in_process_of
 from numpy.typing import NDArray
-from test_cli import run
-from test_importers import STEP_S, STEPS, in_process_of
 
 from cosim.master import Master
 from cosim.slave.interface import read_interface

@@ -8,7 +8,7 @@ import pkgutil
 import re
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from cli_rig import run as run_uavtwin
 
 import uavtwin as ut
 from cosim.ssp import read_ssp
@@ -36,13 +37,17 @@ Place = tuple[float, float, float]
 
 
 def legs(*places: Place) -> Waypoints:
-    """Take off, then each place in 2 s, all of them twice: less looks like flapping as well."""
+    """Take off, then each place in 2 s."""
     start: Waypoints = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -1.0)))
-    return (*start, *(("forward", 2.0, place) for place in 2 * places))
+    return (*start, *(("forward", 2.0, place) for place in places))
 
 
-ACROSS, BACK = (2.0, 1.0, -1.0), (-1.0, 2.0, -1.2)
-FLIGHTS = {"fit_1": legs(ACROSS, BACK), "fit_2": legs(BACK, ACROSS), "other": legs(BACK, BACK)}
+ACROSS, BACK, AWAY = (2.0, 1.0, -1.0), (-1.0, 2.0, -1.2), (3.0, -1.0, -1.0)
+FLIGHTS = {
+    "fit_1": legs(ACROSS, BACK, AWAY),
+    "fit_2": legs(BACK, ACROSS, AWAY, BACK),
+    "other": legs(BACK, AWAY, ACROSS),
+}
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +96,8 @@ def test_the_snippet_says_what_was_found(names: dict[str, Any]) -> None:
     printed = names["printed"]
     assert re.search(r"^Twin and flight disagree most in acc_[xy]", printed, re.MULTILINE)
     assert re.search(r"^acc_x +m/s² +0 +\d+", printed, re.MULTILINE)
-    assert re.search(r"^The model lacks rotor drag: 0\.(49|50)", printed, re.MULTILINE)
-    assert re.search(r"^rotor drag +.* %.*k_xy_1_s +0\.(49|50)", printed, re.MULTILINE)
+    assert re.search(r"^The model lacks rotor drag: 0\.(48|49|50)", printed, re.MULTILINE)
+    assert re.search(r"^rotor drag +.* %.*k_xy_1_s +0\.(48|49|50)", printed, re.MULTILINE)
     assert "noise floor" in printed
 
 
@@ -147,11 +152,9 @@ def test_the_exported_twin_has_the_start_value(folder: Path, names: dict[str, An
 def test_python_and_the_command_line_say_the_same(
     folder: Path, names: dict[str, Any], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from test_cli import run
-
     out = folder / "cli"
     arguments = (folder / "fit_1.parquet", "--vehicle", folder / "mine.toml", "--out", out)
-    code, _, _ = run(capsys, "gap", *arguments)
+    code, _, _ = run_uavtwin(capsys, "gap", *arguments)
     assert code == 0
     assert json.loads((out / "gap.json").read_text()) == names["gap"].json()
     names["gap"].report(folder / "gap.html")
@@ -258,9 +261,6 @@ def test_parts_are_exported_one_by_one(folder: Path, tmp_path: Path) -> None:
 
 # -- as a value -----------------------------------------------------------------------------
 
-INNER = ("twin.explain.", "twin.residuals.")
-"""Insides that results hold and do not show."""
-
 
 def _values(value: Any, seen: set[int], depth: int = 0) -> Iterator[Any]:
     """Every dataclass that can be reached from a value."""
@@ -281,7 +281,7 @@ def _values(value: Any, seen: set[int], depth: int = 0) -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def values(folder: Path, gap: ut.GapResult, run: ut.Run) -> list[Any]:
-    """A result of every function that is quick, and what they hold."""
+    """A result of every function, and what they hold."""
     vehicle, flight = (
         ut.load_vehicle(folder / "mine.toml"),
         ut.read_flight(folder / "other.parquet"),
@@ -290,30 +290,33 @@ def values(folder: Path, gap: ut.GapResult, run: ut.Run) -> list[Any]:
     flights = [flight, replace(flight, facts={f"fact {i}": "x" * 300 for i in range(20)})]
     checked = ut.check(folder / "mine.toml")
     models = [component_model(part) for part in twin.assembly.parts.values()]
-    unusable = replace(flight, table=flight.table.assign(acc_z=-flight.table["acc_z"]))
-    found = ut.explain(unusable, [], vehicle)
+    found = ut.explain(flight, [], vehicle, missions=("takeoff",))
     roots = (gap, run, vehicle, twin, flights, checked, models, ut.replay(flight), found)
     return list(_values(roots, set()))
 
 
+@pytest.mark.slow
 def test_every_value_is_shown_in_a_few_lines(values: list[Any]) -> None:
     shown = {type(v): repr(v) for v in sorted(values, key=lambda v: len(repr(v)))}
-    long = {
-        t.__name__: len(text)
-        for t, text in shown.items()
-        if len(text) > 300 and not t.__module__.startswith(INNER)
-    }
+    long = {t.__name__: len(text) for t, text in shown.items() if len(text) > 300}
     assert not long
     names = {t.__name__ for t in shown}
     assert names >= {
         "Assembly",
+        "Channel",
         "CheckReport",
+        "Comparison",
         "Component",
         "ExplainResult",
+        "Explanation",
+        "Fit",
         "Flight",
+        "FlightGap",
         "FmuModel",
         "GapResult",
+        "Naming",
         "Part",
+        "Problem",
         "Recording",
         "Rotors",
         "Run",
@@ -338,17 +341,17 @@ def _vehicle() -> ut.Vehicle:
     return ut.vehicle("crazyflie")
 
 
-WRONG = {
+WRONG: dict[str, tuple[Callable[[Path], object], str]] = {
     "crazyfly": (lambda _: ut.vehicle("crazyfly"), "Did you mean 'crazyflie'?"),
     "no such file": (lambda _: ut.load_vehicle("mein.toml"), "neither a vehicle file nor"),
     "pattern": (lambda f: ut.read_flights(f / "fit_*.ulg"), "no flight matches this pattern"),
     "near": (lambda f: ut.read_flights(f / "other.parqet"), "Did you mean 'other.parquet'?"),
     "no folder": (lambda f: ut.read_flights(f / "logs" / "*.ulg"), "There is no folder"),
     "nothing": (lambda _: ut.read_flights(), "no file and no pattern given"),
-    "a name": (lambda _: ut.gap("one.ulg", _vehicle()), "'one.ulg' is the name of a file"),
-    "names": (lambda _: ut.explain(["one.ulg"], [], _vehicle()), "read_flights(PATTERN)"),
-    "a number": (lambda _: ut.gap(3, _vehicle()), "a int is no flight"),
-    "text": (lambda f: ut.gap(_other(f), "crazyflie"), "the text 'crazyflie'. Give a vehicle"),
+    "a name": (lambda _: ut.gap("one.ulg", _vehicle()), "'one.ulg' is the name of a file"),  # type: ignore[arg-type]
+    "names": (lambda _: ut.explain(["one.ulg"], [], _vehicle()), "read_flights(PATTERN)"),  # type: ignore[list-item]
+    "a number": (lambda _: ut.gap(3, _vehicle()), "a int is no flight"),  # type: ignore[arg-type]
+    "text": (lambda f: ut.gap(_other(f), "crazyflie"), "the text 'crazyflie'. Give a vehicle"),  # type: ignore[arg-type]
     "twice": (lambda f: ut.explain(_other(f), _other(f), _vehicle()), "hold out others"),
     "none": (lambda f: ut.explain([], _other(f), _vehicle()), "no flight to fit on"),
     "payload": (
@@ -360,7 +363,7 @@ WRONG = {
         "payload of other = -0.2 kg",
     ),
     "mission": (lambda _: ut.simulate("tuor", _vehicle()), "neither an .ssp file nor a scenario"),
-    "wind": (lambda _: ut.simulate("tour", _vehicle(), wind=(1, 2)), "give three numbers"),
+    "wind": (lambda _: ut.simulate("tour", _vehicle(), wind=(1, 2)), "give three numbers"),  # type: ignore[arg-type]
     "one wind": (
         lambda _: ut.simulate("tour", _vehicle(), wind=5),  # type: ignore[arg-type]
         "wind = 5: give three numbers",
@@ -378,7 +381,7 @@ WRONG = {
         lambda f: ut.export(ut.twin(_vehicle()), f / "t.fmu", starts={"airframe.mas": 1.0}),
         "Did you mean 'airframe.mass'?",
     ),
-    "what": (lambda f: ut.export(_vehicle(), f / "t.fmu"), "a Vehicle cannot be exported"),
+    "what": (lambda f: ut.export(_vehicle(), f / "t.fmu"), "a Vehicle cannot be exported"),  # type: ignore[arg-type]
     "platform": (
         lambda f: ut.export(ut.twin(_vehicle()), f / "t.fmu", platforms=["win46"]),
         "Did you mean 'win64'?",

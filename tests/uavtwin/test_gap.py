@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -140,7 +141,7 @@ def test_short_horizon_of_the_fmus_is_that_of_the_equations(
     ],
 )
 def test_windows_in_a_batch_end_where_the_fmus_do(
-    name: str, changes: dict[str, float], tmp_path: Path
+    name: str, changes: dict[str, Any], tmp_path: Path
 ) -> None:
     """All windows of a flight, 500 steps each; numpy's sine differs from that of C in the last bit.
 

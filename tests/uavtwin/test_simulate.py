@@ -4,11 +4,12 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from test_cli import run
+from cli_rig import run
 
 from cosim.ssp import write_ssp
 from cosim.system import System
@@ -216,7 +217,7 @@ def test_wrong_use(simulate: Call, tmp_path: Path, arguments: tuple[str, ...]) -
         ({"interval_s": 0.0015}, "not a whole number of steps of 0.001 s"),
     ],
 )
-def test_wrong_times(windy: System, times: dict[str, float], text: str) -> None:
+def test_wrong_times(windy: System, times: dict[str, Any], text: str) -> None:
     with pytest.raises(TwinError) as refused:
         run_scenario(windy, **times)
     assert text in str(refused.value)

@@ -140,10 +140,10 @@ def test_a_damaged_stream_is_refused(good: Members, tmp_path: Path) -> None:
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for info, content in good:
             archive.writestr(info, content)
-    content = bytearray(path.read_bytes())
-    for i in range(len(content) // 2, len(content) // 2 + 200):
-        content[i] ^= 0x5A
-    path.write_bytes(bytes(content))
+    damaged = bytearray(path.read_bytes())
+    for i in range(len(damaged) // 2, len(damaged) // 2 + 200):
+        damaged[i] ^= 0x5A
+    path.write_bytes(bytes(damaged))
     folder = tmp_path / "out"
     folder.mkdir()
     with pytest.raises(FmuError, match=r"damaged\.fmu"):

@@ -80,7 +80,7 @@ def test_every_variable_has_description_and_defined_unit(
 @pytest.mark.parametrize("kind", sorted({kind for kind, _ in ALL}))
 def test_si_exponents_are_the_dimension_of_the_unit(fmu_file: FmuFile, kind: str) -> None:
     """Pint reads the unit's name, FMI tools its exponents: both must mean the same."""
-    registry = pint.UnitRegistry()
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry()
     for fmi in (2, 3):
         with zipfile.ZipFile(fmu_file(kind, fmi)) as archive:
             root = etree.fromstring(archive.read("modelDescription.xml"))

@@ -12,7 +12,7 @@ from kinds import commands, component, fused_connections, fused_parts, model, re
 
 from cosim.master import Master
 from cosim.system import Connection, System
-from fmus import build, component_model, fuse
+from fmus import FmuModel, build, component_model, fuse
 from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 
@@ -134,7 +134,7 @@ def test_odd_steps_leave_no_rounding_errors(tmp_path: Path) -> None:
     m.output("y", "1", "Lagged", y)
     h = 1 / 3000
     assert 29 * h / 29 != h
-    parts = {"lag": m.build(), "flight": commands()}
+    parts: dict[str, FmuModel | Component] = {"lag": m.build(), "flight": commands()}
     path = build(fuse("f", "Fused", parts, [("flight.cmd_1", "lag.cmd_1")], h), tmp_path / "f.fmu")
     with Master(System({"f": path})) as master:
         master.initialize()

@@ -147,8 +147,8 @@ def test_torch_is_onnxruntime_is_c(new: New, folder_of: Folder, name: str) -> No
     for kind, right in (("correction", ours.correction), ("spread", ours.spread)):
         assert np.max(np.abs(said[kind] - theirs[kind])) < TOLERANCE, kind
         assert np.max(np.abs(said[kind] - right)) < TOLERANCE, kind
-    for right in (theirs["anomaly"][:, 0], ours.anomaly):
-        np.testing.assert_allclose(said["anomaly"][:, 0], right, TOLERANCE, TOLERANCE)
+    for anomaly in (theirs["anomaly"][:, 0], ours.anomaly):
+        np.testing.assert_allclose(said["anomaly"][:, 0], anomaly, TOLERANCE, TOLERANCE)
     np.testing.assert_array_equal(said["corrected"], rows["virtual"] + said["correction"])
 
 
@@ -473,18 +473,17 @@ def test_damaged_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
 
 def test_foreign_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
     graph = onnx.load(folder_of("track") / FILE)
-    for i, said in enumerate(
-        (
-            {"rate_hz": 0},
-            {"rate_hz": "fast"},
-            {"channels": ["gyro_x"]},
-            {"commands": ["cmd_1"]},
-            {"units": ["furlong"] * 15},
-            {"groups": ["gyro"]},
-            {"uncorrected_rms": None},
-            {"phases": []},
-        )
-    ):
+    metadata: tuple[dict[str, Any], ...] = (
+        {"rate_hz": 0},
+        {"rate_hz": "fast"},
+        {"channels": ["gyro_x"]},
+        {"commands": ["cmd_1"]},
+        {"units": ["furlong"] * 15},
+        {"groups": ["gyro"]},
+        {"uncorrected_rms": None},
+        {"phases": []},
+    )
+    for i, said in enumerate(metadata):
         folder = changed(graph, tmp_path / f"{i}", **said)
         with pytest.raises(FmuError, match="metadata do not fit"):
             read_network(folder)

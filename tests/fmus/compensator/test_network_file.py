@@ -136,7 +136,8 @@ def test_the_writers_refuse_as_well(trained: Path, tmp_path: Path) -> None:
     """Whoever comes past the reader meets the same wall at the C and at the XML."""
     network, marker = read_network(trained), tmp_path / "owned"
     for said in (evil_command(marker), evil_group(marker), evil_channel(marker)):
-        crafted = replace(network, **{k: tuple(v) for k, v in said.items()})
+        changes: dict[str, Any] = {k: tuple(v) for k, v in said.items()}
+        crafted = replace(network, **changes)
         model = interface_model(crafted)
         with pytest.raises(FmuError, match="is no name"):
             generated_sources(model, "token")
@@ -294,7 +295,8 @@ def test_an_entry_that_is_there_twice(fresh: Callable[[], onnx.ModelProto], tmp_
 
 def weights(model: onnx.ModelProto) -> onnx.TensorProto:
     """The largest ones."""
-    return max(model.graph.initializer, key=lambda t: len(t.raw_data))
+    found: onnx.TensorProto = max(model.graph.initializer, key=lambda t: len(t.raw_data))
+    return found
 
 
 def with_weight(value: float) -> Change:

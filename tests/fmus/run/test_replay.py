@@ -144,9 +144,9 @@ def test_before_after_and_in_a_gap(folders: dict[int, Path], fmi: int) -> None:
 
 def refusal(folder: Path, fmi: int) -> str:
     """The message with which an FMU declines to be instantiated."""
-    instance = Instance.__new__(Instance)
+    instance = Instance(folder, instantiated=False)
     with pytest.raises(Exception, match="Failed to instantiate"):
-        instance.__init__(folder)
+        instance.instantiate()
     instance.fmu.freeLibrary()
     (message,) = instance.messages
     return message

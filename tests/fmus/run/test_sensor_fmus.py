@@ -131,4 +131,4 @@ def test_descriptions_are_valid(name: str, fmi: int, archive: Callable[[str, int
 def test_all_sensor_effects_are_among_those_tested() -> None:
     tested = {p.removesuffix(".enabled") for name in MAKERS for p in settings(name)}
     for part in ("imu", "magnetometer", "barometer", "position"):
-        assert {e.name for e in effects_of(part)} <= tested  # type: ignore[arg-type]
+        assert {e.name for e in effects_of(part)} <= tested

@@ -43,7 +43,7 @@ def noise(seed: int, n: int) -> Array:
 
 def process(seed: int, n: int = 4000) -> Array:
     """AR(2) of known coefficients in every channel, about a mean of 3."""
-    return 3 + lfilter([1.0], [1.0, -AR[0], -AR[1]], noise(seed, n), axis=0)
+    return np.asarray(3 + lfilter([1.0], [1.0, -AR[0], -AR[1]], noise(seed, n), axis=0))
 
 
 def left(

@@ -56,8 +56,8 @@ def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
         state = torch.zeros(1, model.state_size)
         for t in range(a, b):
             rows = (flight.virtual, flight.commands, flight.phase[:, None], measured, flight.fresh)
-            row = [torch.from_numpy(r[t].astype(np.float32)[None]) for r in rows]
-            found = model.step(*row, state)
+            one, cmd, phase, seen, new = (torch.from_numpy(r[t : t + 1]).float() for r in rows)
+            found = model.step(one, cmd, phase, seen, new, state)
             correction[t], spread[t] = found[0].numpy(), found[1].numpy()
             anomaly[t], inside[t], state = found[2].item(), found[3].item() > 0.5, found[4]
     return Corrected(correction, spread, anomaly, inside)

@@ -36,6 +36,7 @@ def test_read_as_written(folder: Path, tmp_path: Path) -> None:
     for name in (WEIGHTS, MODEL):
         assert (folder / name).read_bytes() == (tmp_path / name).read_bytes()
     again = load(tmp_path)
+    assert isinstance(again, Compensator)
     assert again.info == model.info and not again.training
     one, other = model.run(FLIGHT), again.run(FLIGHT)
     for name in ("correction", "spread", "anomaly", "inside"):

@@ -44,7 +44,7 @@ def test_swapped_stop_gradient_moves_the_weight(target: str) -> None:
         torch.manual_seed(1)
         quantiser = Quantiser(preset)
         z = torch.randn(30, 4, requires_grad=True)
-        quantiser_loss(latent(quantiser, z), quantiser.codes, preset).backward()
+        torch.autograd.backward(quantiser_loss(latent(quantiser, z), quantiser.codes, preset))
         assert z.grad is not None and quantiser.codes.grad is not None
         pulls[swapped] = float(z.grad.norm()), float(quantiser.codes.grad.norm())
     assert pulls[True][0] == pytest.approx(10 * pulls[False][0], rel=1e-4)

@@ -20,7 +20,7 @@ from learning.data.sequences import sequences
 from learning.model.compensator import Compensator
 from learning.model.folder import CURVE, MODEL, WEIGHTS, load
 from learning.model.linear_predictor import fit_base, gates, predict_base
-from learning.preset import Preset, preset_named
+from learning.preset import Preset, Protocol, preset_named
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.train import train
 from learning.training.windows import validation_rows
@@ -54,10 +54,10 @@ def left(model: Compensator, flight: ResidualFlight) -> np.ndarray:
 @pytest.mark.parametrize(("protocol", "horizon"), [("reconstruct", 0), ("track", 2), ("free", 0)])
 @pytest.mark.parametrize("optimiser", ["adam", "adamw"])
 def test_killed_and_resumed_is_uninterrupted(
-    protocol: str, horizon: int, optimiser: str, tmp_path: Path
+    protocol: Protocol, horizon: int, optimiser: str, tmp_path: Path
 ) -> None:
     preset = tiny(optimiser=optimiser)
-    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "whole")  # type: ignore[arg-type]
+    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "whole")
     for epochs in (1, 3):
         with pytest.raises(KilledError):
             train(
@@ -66,12 +66,12 @@ def test_killed_and_resumed_is_uninterrupted(
                 protocol,
                 horizon,
                 3,
-                tmp_path / "cut",  # type: ignore[arg-type]
+                tmp_path / "cut",
                 progress=kill_after(epochs, preset),
                 checkpoint_s=0,
             )
         assert (tmp_path / "cut" / CHECKPOINT).is_file()
-    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut")  # type: ignore[arg-type]
+    train(FLIGHTS, preset, protocol, horizon, 3, tmp_path / "cut")
     for name in FILES:
         whole, cut = (tmp_path / folder / name for folder in ("whole", "cut"))
         assert whole.read_bytes() == cut.read_bytes(), name
@@ -246,15 +246,14 @@ def test_held_back_for_validation() -> None:
     flights = [made_up(s) for s in range(6)]
     lonely = int(np.flatnonzero([v.any() for v in validation_rows(flights, 0.2, seed=0)])[0])
     whole = validation_rows(flights, 0.2, seed=0)
-    for number, (flight, rows) in enumerate(zip(flights, whole, strict=True)):
-        assert np.array_equal(rows, in_spans(flight) & (number == lonely))
+    for number, (flight, held) in enumerate(zip(flights, whole, strict=True)):
+        assert np.array_equal(held, in_spans(flight) & (number == lonely))
     flights[lonely].phase[150:] = 4  # a phase that no other flight has: not to be lost to training
-    rows = validation_rows(flights, 0.2, seed=0)
-    assert (
-        0.15 < rows[lonely][in_spans(flights[lonely]) & (flights[lonely].phase == 4)].mean() < 0.25
-    )
-    assert not rows[lonely][:150].any()
-    assert sum(v.all(where=in_spans(f)) for f, v in zip(flights, rows, strict=True)) == 1
+    apart = validation_rows(flights, 0.2, seed=0)
+    of_its_own = in_spans(flights[lonely]) & (flights[lonely].phase == 4)
+    assert 0.15 < apart[lonely][of_its_own].mean() < 0.25
+    assert not apart[lonely][:150].any()
+    assert sum(v.all(where=in_spans(f)) for f, v in zip(flights, apart, strict=True)) == 1
 
 
 def test_flights_of_two_kinds_are_refused(tmp_path: Path) -> None:

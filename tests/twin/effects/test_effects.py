@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig import BUILTIN, Rig, plain, q, vec, with_rotors
 
-from twin.effects import EFFECTS, effects_of
+from twin.effects import EFFECTS, Effect, effects_of
 from twin.errors import ModelError
 from twin.physics.airframe import airframe
 from twin.vehicle import Vehicle
@@ -36,7 +36,7 @@ def change(
 ) -> dict[str, float]:
     """What the effect adds to the rates, at the same state and inputs."""
     with_it, without = having(vehicle, effect, **numbers), lacking(vehicle)
-    u = without.inputs(**vec("wind", [0, 0, 0]))
+    u = without.inputs(vec("wind", [0, 0, 0]))
     base = without.rates(without.state(state), u)
     rates = with_it.rates(
         with_it.state(state),
@@ -68,7 +68,7 @@ def test_an_airframe_with_all_effects_off_is_the_one_without_to_the_last_bit(
 
 
 @pytest.mark.parametrize("effect", AIRFRAME, ids=IDS)
-def test_an_effect_at_its_neutral_value_changes_nothing(effect) -> None:
+def test_an_effect_at_its_neutral_value_changes_nothing(effect: Effect) -> None:
     vehicle = plain()
     neutral = {
         n: p.neutral
@@ -81,7 +81,7 @@ def test_an_effect_at_its_neutral_value_changes_nothing(effect) -> None:
 
 
 @pytest.mark.parametrize("effect", AIRFRAME, ids=IDS)
-def test_an_effect_at_its_start_value_is_felt_and_stays_finite(effect) -> None:
+def test_an_effect_at_its_start_value_is_felt_and_stays_finite(effect: Effect) -> None:
     vehicle = plain(drag_linear_n_s_m=np.array([0.1, 0.1, 0.0]))
     rig = having(vehicle, effect.name)
     bare = lacking(vehicle)
@@ -107,7 +107,12 @@ def test_prior_ranges_hold_the_start_value_and_the_neutral_one() -> None:
 def test_a_vehicle_as_it_stands_keeps_the_limits_of_every_effect() -> None:
     for vehicle in map(load_vehicle, BUILTIN):
         for effect in EFFECTS.values():
-            neutral = {n: p.neutral for p in effect.parameters for n in p.names(vehicle)}
+            neutral = {
+                n: p.neutral
+                for p in effect.parameters
+                for n in p.names(vehicle)
+                if p.neutral is not None
+            }
             for limit in effect.limits(vehicle):
                 assert sum(w * neutral[k] for k, w in limit.weights.items()) >= 0, effect.name
 

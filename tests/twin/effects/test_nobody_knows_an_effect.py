@@ -29,8 +29,7 @@ def test_every_effect_of_a_module_is_in_its_list() -> None:
 
 def literals(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Strings of a module that are no docstring, with their lines."""
-    bodies = (n.body for n in ast.walk(tree) if isinstance(getattr(n, "body", None), list))
-    prose = {id(s.value) for body in bodies for s in body if isinstance(s, ast.Expr)}
+    prose = {id(s.value) for s in ast.walk(tree) if isinstance(s, ast.Expr)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
             yield node.lineno, node.value
@@ -53,7 +52,7 @@ def test_the_pattern_finds_names() -> None:
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
-def test_what_an_effect_says_of_itself_names_its_own_numbers(effect) -> None:
+def test_what_an_effect_says_of_itself_names_its_own_numbers(effect: Effect) -> None:
     own = {p.name for p in (*effect.parameters, *effect.of_logs)}
     match effect.seen_as:
         case Shift(moves=moves):
@@ -67,6 +66,6 @@ def test_what_an_effect_says_of_itself_names_its_own_numbers(effect) -> None:
         case Repeats(channel=channel, since=since):
             named = {channel, since}
         case equation:
-            named = {equation.turns_pose} - {None}
+            named = {n for n in [equation.turns_pose] if n is not None}
     assert named <= own
     assert {p.name for p in effect.of_logs} <= named

@@ -28,7 +28,7 @@ MAKERS: dict[str, Callable[..., Component]] = {
     "barometer": barometer,
     "position": position_sensor,
 }
-NAMED = [e for component in MAKERS for e in effects_of(component)]  # type: ignore[arg-type]
+NAMED = [e for component in MAKERS for e in effects_of(component)]
 NOISE = {
     "imu": {"acc_noise": 0.1, "gyro_bias_walk": 0.01, "acc_bias_walk": 0.02, "gyro_noise": 0.01},
     "magnetometer": {"mag_noise": 1e-7, "mag_bias_walk": 1e-8},
@@ -116,7 +116,7 @@ def test_misalignment_is_a_rotation() -> None:
     exact = angles / size * 2 * np.arctan(size / 2)
     np.testing.assert_allclose(acc, Rotation.from_rotvec(exact).inv().apply(F), rtol=1e-12)
     near = Rotation.from_rotvec(angles).inv().apply(F)
-    np.testing.assert_allclose(acc, near, atol=np.linalg.norm(F) * size**3 / 12)
+    np.testing.assert_allclose(acc, near, atol=float(np.linalg.norm(F) * size**3 / 12))
 
 
 def test_lever_arm_adds_to_that_of_the_vehicle() -> None:

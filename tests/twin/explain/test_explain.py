@@ -121,10 +121,16 @@ def test_time_blocks_share_no_reading_and_lose_none(flight: Flight) -> None:
 # -- usable ---------------------------------------------------------------------------------
 
 Change = Callable[[pd.DataFrame], Any]
+
+
+def negated(column: str) -> Change:
+    return lambda t: -t[column]
+
+
 SPOILT: dict[str, tuple[dict[str, Change], str]] = {
-    "conjugated": ({f"q_{a}": lambda t, a=a: -t[f"q_{a}"] for a in "xyz"}, "do not turn together"),
-    "upward": ({"acc_z": lambda t: -t["acc_z"]}, "check the axes"),
-    "altitude": ({"pos_z": lambda t: -t["pos_z"]}, "vel_z is not the rate"),
+    "conjugated": ({f"q_{a}": negated(f"q_{a}") for a in "xyz"}, "do not turn together"),
+    "upward": ({"acc_z": negated("acc_z")}, "check the axes"),
+    "altitude": ({"pos_z": negated("pos_z")}, "vel_z is not the rate"),
     "east-north": (
         {"vel_x": lambda t: t["vel_y"], "vel_y": lambda t: -t["vel_x"]},
         "not the rate of change",

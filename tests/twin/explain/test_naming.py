@@ -306,7 +306,7 @@ def test_a_name_is_believed_less_the_more_it_leaves() -> None:
 
 
 def test_a_delay_below_a_sample_is_no_name() -> None:
-    numbers = numbers_of([EFFECTS["imu_delay"], EFFECTS["mass_offset"]], COPTER)
+    numbers = tuple(numbers_of([EFFECTS["imu_delay"], EFFECTS["mass_offset"]], COPTER))
     values = {"imu_delay.delay_s": 0.002, "mass_offset.mass_kg": 0.1}
     late, heavy = (
         hypothesis(("imu_delay",), [9.0], [1.0]),

@@ -11,10 +11,10 @@ from twin.effects import EFFECTS
 from twin.explain.explanation import explain
 from twin.explain.inference.fit import Problem
 from twin.explain.model.model import candidates, model_of
-from twin.flight import closed_loop
+from twin.flight.closed_loop import STEP_S
+from twin.flight.simulate_flight import Recorder, Stream, simulate_flight
 from twin.logs import Flight
 from twin.logs.columns import motor_columns
-from twin.physics.airframe import airframe
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo import flights as demo
@@ -34,15 +34,10 @@ OF_COMMANDS = {"motor_lag", "command_delay"}
 def flown(plant: Vehicle) -> Flight:
     """A flight with commands and rotor speeds."""
     flight = demo.fly(VEHICLE, plant, 3, waypoints=WAYPOINTS)
-    body = airframe(plant, "command")
-    setpoints, _ = demo._setpoints(plant, WAYPOINTS)
-    states, inputs = closed_loop.fly(
-        body.with_starts(closed_loop.standing(body, plant)), demo.controller(VEHICLE), setpoints
-    )
-    truth = body.outputs_along(states, inputs)[:: demo.IMU_EVERY]
-    speeds = truth[:, [body.output_names.index(c) for c in SPEEDS]]
-    table = flight.table.assign(**dict(zip(SPEEDS, speeds.T, strict=True)))
-    return replace(flight, table=table)
+    setpoints, phases = demo._setpoints(plant, WAYPOINTS)
+    tachometers = Recorder((Stream(SPEEDS, demo.IMU_S),), 1 / demo.IMU_S, 1 / STEP_S)
+    turning = simulate_flight(setpoints, phases, VEHICLE, plant, tachometers)
+    return replace(flight, table=flight.table.join(turning.table[[*SPEEDS]]))
 
 
 def without(flight: Flight, columns: Sequence[str]) -> Flight:

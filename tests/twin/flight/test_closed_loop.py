@@ -8,7 +8,7 @@ import pytest
 from rig import BUILTIN
 
 from twin.component import Run
-from twin.flight.closed_loop import SETPOINTS, STEP_S, Flown, closed_loop, standing, table
+from twin.flight.closed_loop import SETPOINTS, STEP_S, Flown, closed_loop, standing
 from twin.flight.control.lqr_cascade import controller
 from twin.flight.mission import mission, mission_names
 from twin.physics.airframe import AXES, airframe
@@ -42,7 +42,6 @@ def flown(name: str, plan: str, windy: bool) -> Flown:
 @pytest.mark.parametrize("name", BUILTIN)
 def test_flies_every_mission(name: str, plan: str, windy: bool) -> None:
     flight = flown(name, plan, windy)
-    print(table({(name, plan, 5.0 * windy): flight}).splitlines()[-1])
     miss = flight.miss_m
     assert np.sqrt(np.mean(miss**2)) < (0.15 if windy else 0.06)
     assert miss.max() < (0.4 if windy else 0.15)
@@ -72,7 +71,7 @@ def test_same_flight_component_by_component() -> None:
         u["body"][body.input_names.index(f"wind_{axis}")] = wind
     runs = {k: Run(c, u[k], c.parameter_values()) for k, c in parts.items()}
     for k in range(round(seconds / STEP_S)):
-        values = {}
+        values: dict[str, float] = {}
         for source in ("body", "plan"):
             values |= dict(
                 zip(parts[source].output_names, runs[source].outputs(u[source]), strict=True)

@@ -82,8 +82,9 @@ def test_raw_times_pass_through_every_window_end() -> None:
 
 def test_integral_of_a_constant_error_and_its_anchor() -> None:
     """i * (1 - (e / 400 deg/s)^2) * e * t, restarted at the logged value, then at its limit."""
-    t = 0.001 * np.arange(1, 3001)
-    gains = RateGains(*(np.full(3, x) for x in (0.1, 0.2, 0.0, 0.0)), np.full(3, 0.3))
+    t = np.arange(0.001, 3.0005, 0.001)
+    p, i, none, limit = (np.full(3, x) for x in (0.1, 0.2, 0.0, 0.3))
+    gains = RateGains(p, i, none, none, limit)
     error = np.full((len(t), 3), 0.5)
     free = (np.zeros((len(t), 3), bool), np.zeros((len(t), 3), bool))
     run = np.ones(len(t), bool)

@@ -245,7 +245,7 @@ def test_a_gyrostat_conserves_momentum_with_its_rotors() -> None:
     rig = in_air(v, "rotor_speed", **{"thrust.c2": 0.0, "torque.c2": 0.0})
     speeds = np.array([300.0, 320.0, 700.0, 680.0])
     spin = v.rotors.spin_inertia_kg_m2 * float(v.rotors.direction @ speeds)
-    states = rig.fly(rig.state(**vec("omega", [1.0, 2.0, -3.0])), rig.commands(speeds), 10.0)
+    states = rig.fly(rig.state(vec("omega", [1.0, 2.0, -3.0])), rig.commands(speeds), 10.0)
     momentum_b = rig.vector(states, "omega") @ v.inertia_kg_m2 + np.array([0.0, 0.0, spin])
     momentum_n = np.einsum("kij,kj->ki", matrices(rig, states), momentum_b)
     drift = np.linalg.norm(momentum_n - momentum_n[0], axis=1) / np.linalg.norm(momentum_n[0])
@@ -308,7 +308,7 @@ def test_outputs_are_consistent_with_derivatives(free: Rig) -> None:
     """Specific force rotated plus gravity is the acceleration, at a state with everything on."""
     x = free.state({**q(from_euler(0.5, -0.4, 2.0)), **vec("vel", [3, 2, 1]), "omega_z": 2.0})
     rates, y = free.rates(x, free.inputs()), free.outputs(x, free.inputs())
-    R_nb = np.array(rotation_matrix(list(free.vector(x, "q"))))
+    R_nb: Array = np.array(rotation_matrix(list(free.vector(x, "q"))))
     force = R_nb @ [y[f"specific_force_{a}"] for a in "xyz"] + [0, 0, GRAVITY_M_S2]
     np.testing.assert_allclose([rates[f"vel_{a}"] for a in "xyz"], force, atol=1e-12)
     for a in "xyz":
@@ -399,7 +399,8 @@ def test_a_parameter_acts_as_the_number_in_the_vehicle_file() -> None:
         plain(mass_kg=1.5, inertia_kg_m2=J, drag_linear_n_s_m=np.array([0.3, 0, 0])),
         thrust_n=(0.0, 9.0),
     )
-    one = in_air(base, **{"mass": 1.5, "inertia.xx": 0.03, "thrust.c1": 9.0, "drag.linear_x": 0.3})
+    numbers = {"mass": 1.5, "inertia.xx": 0.03, "thrust.c1": 9.0, "drag.linear_x": 0.3}
+    one = in_air(base, None, **numbers)
     two = in_air(changed)
     efforts = {f"effort_{i}": 0.3 + 0.1 * i for i in range(1, 5)}
     state = {**vec("vel", [1, 2, 3]), **vec("omega", [1, -2, 3]), **efforts}

@@ -31,6 +31,7 @@ def test_lag_of_the_rotor_speed_is_in_the_speed_not_in_the_thrust() -> None:
     vehicle = load_vehicle("copter_default")
     rig = in_air(vehicle)
     low, high = 400.0, 800.0
+    assert vehicle.rotors.speed_rad_s is not None
     command = (high - vehicle.rotors.speed_rad_s[0]) / vehicle.rotors.speed_rad_s[1]
     x = rig.state({f"rotor_{i}": low for i in range(1, 5)})
     half_time = vehicle.rotors.lag_up_s * np.log(2)
@@ -89,6 +90,7 @@ def test_measured_rotor_speed_drives_as_the_command_does_at_steady_state() -> No
     vehicle = load_vehicle("copter_default")
     by_command, by_speed = in_air(vehicle, "command"), in_air(vehicle, "rotor_speed")
     commands = np.array([0.5, 0.55, 0.6, 0.52])
+    assert vehicle.rotors.speed_rad_s is not None
     speeds = polyval(commands, vehicle.rotors.speed_rad_s)
     motion = {"vel_x": 2.0, "omega_x": 1.0, "omega_z": -2.0}
     states = {f"rotor_{i + 1}": s for i, s in enumerate(speeds)}

@@ -288,8 +288,8 @@ def test_an_aircraft_of_drone_models_flies_as_it_does_there(
     from drone_models.first_principles import dynamics
 
     its: dict[str, Any] = load_params("first_principles", name)
-    used = ("mass", "L", "prop_inertia", "gravity_vec", "J", "J_inv", "rpm2thrust", "rpm2torque")
-    used += ("mixing_matrix", "drag_matrix", "rotor_dyn_coef")
+    used = ["mass", "L", "prop_inertia", "gravity_vec", "J", "J_inv", "rpm2thrust", "rpm2torque"]
+    used += ["mixing_matrix", "drag_matrix", "rotor_dyn_coef"]
     its = {k: np.asarray(its[k], dtype=np.float64) for k in used}
     vehicle = converted(drone_models_file(), name)
     assert vehicle.doubts == ()
@@ -332,6 +332,7 @@ def _rpm_of(vehicle: Vehicle, command: float) -> float:
 @needs_drone_models
 def test_limits_of_thrust_of_drone_models_are_limits_of_the_command() -> None:
     vehicle = converted(drone_models_file(), "cf21B_500")
+    assert vehicle.rotors.speed_rad_s is not None
     for command, thrust in ((0.0, 0.02136263065537499), (1.0, 0.2)):
         speed = np.polynomial.Polynomial(vehicle.rotors.speed_rad_s)(command)
         found = np.polynomial.Polynomial(vehicle.rotors.thrust_n)(speed)
@@ -442,6 +443,7 @@ def test_every_number_of_pyflyt_arrives(tmp_path: Path) -> None:
     np.testing.assert_array_equal(v.rotors.direction, [-1, -1, 1, 1])
     top_rpm = np.sqrt(2.0 / (4 * 3.16e-10))
     command = 0.7
+    assert v.rotors.speed_rad_s is not None
     speed = np.polynomial.Polynomial(v.rotors.speed_rad_s)(command)
     assert speed == pytest.approx(command * top_rpm * 2 * np.pi / 60, rel=1e-12)
     thrust, torque = (

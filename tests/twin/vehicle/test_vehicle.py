@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.polynomial.polynomial import polyval
+from numpy.typing import ArrayLike
 from rig import BUILTIN, Rig
 
 from twin.errors import ModelError
@@ -142,9 +143,9 @@ def test_values_are_converted_to_si() -> None:
         ),
     ],
 )
-def test_units(key: str, line: str, attribute: str, si: object) -> None:
+def test_units(key: str, line: str, attribute: str, si: ArrayLike) -> None:
     vehicle = parse_vehicle(entry(FULL, key, line), "v.toml")
-    np.testing.assert_allclose(getattr(vehicle, attribute), si, rtol=1e-9)
+    np.testing.assert_allclose(getattr(vehicle, attribute), np.asarray(si), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -193,12 +194,11 @@ def test_speed_from_command_is_of_the_raw_command_too() -> None:
     )
     vehicle = parse_vehicle(text, "v.toml")
     assert vehicle.drive == "command"
-    np.testing.assert_allclose(vehicle.rotors.speed_rad_s, [0.0, 2000.0], atol=1e-9)
+    assert vehicle.rotors.speed_rad_s == pytest.approx((0.0, 2000.0), abs=1e-9)
     rpm = text.replace("[-2000, 2]", f"{[-2000 * 30 / np.pi, 2 * 30 / np.pi]}")
     rpm = rpm.replace('unit = "rad/s"', 'unit = "rpm"')
-    np.testing.assert_allclose(
-        parse_vehicle(rpm, "v.toml").rotors.speed_rad_s, [0.0, 2000.0], atol=1e-9
-    )
+    again = parse_vehicle(rpm, "v.toml").rotors.speed_rad_s
+    assert again == pytest.approx((0.0, 2000.0), abs=1e-9)
 
 
 def test_products_of_inertia_are_matrix_elements() -> None:
@@ -533,7 +533,7 @@ def test_loads_of_the_air_on_rotors_are_converted_to_si() -> None:
     assert v.rotors.reaction_inertia_kg_m2 == pytest.approx(2e-5)
     assert advance is not None
     assert advance.diameter_m == pytest.approx(0.254)
-    np.testing.assert_allclose(advance.thrust, [[0, 1], [0.5, 0]])
+    np.testing.assert_allclose(np.array(advance.thrust), np.array([[0, 1], [0.5, 0]]))
     assert advance.torque == ()
     assert run_up is not None
     up, down = run_up
