@@ -263,8 +263,8 @@ def test_equations_of_another_casadi() -> None:
 
 # -- one process ------------------------------------------------------------------------------
 
-# pythonfmu's libraries read freed memory when a process that held several of them unloads them at its
-# end, and sometimes abort it there: after the last output the processes below leave without that.
+# pythonfmu's libraries read freed memory when a process that held several of them unloads them at
+# its end, and sometimes abort it there: after the last output these processes leave without that.
 ROWS = """
 import os, sys
 from pathlib import Path
