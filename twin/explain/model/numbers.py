@@ -25,6 +25,9 @@ SIGNALS: dict[str, tuple[str, ...]] = {
     "cmd": ("cmd_1",),
 }
 """Flight-table columns of a signal named in `Effect.needs`; of motors, the first."""
+PLACE, TURN = ("pos", "vel"), ("q",)
+"""Signals of the pose, which may come from two clocks."""
+COMMANDS = ("cmd",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,3 +137,14 @@ def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, 
         own = {n.name: n.now for n in numbers_of([EFFECTS[name]], vehicle)}
         settings[name] = {k: values.get(f"{name}.{k}", v) for k, v in own.items()}
     return vehicle.with_effects(settings)
+
+
+def values_of(numbers: Sequence[Number], change: Mapping[str, float]) -> Array:
+    """Every number, changed ("effect.number" -> value) or as it is; shape (len(numbers),)."""
+    return np.array([change.get(n.full, n.now) for n in numbers])
+
+
+def age_of(numbers: Sequence[Number], theta: Array, signals: Sequence[str]) -> float:
+    """By how much some signals are older than the record says, s, at the values `theta`."""
+    own = (set(n.moves) & set(signals) and not n.acts for n in numbers)
+    return float(sum(v for v, mine in zip(theta, own, strict=True) if mine))

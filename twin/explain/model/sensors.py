@@ -24,12 +24,10 @@ from ...residuals.channels import (
 from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
 from ...residuals.measured import Signal, rates_of
 from ...vehicle import Vehicle
-from .numbers import Number
+from .numbers import COMMANDS, PLACE, TURN, Number
 from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
-PLACE, TURN = ("pos", "vel"), ("q",)
-"""Signals of the pose, which may come from two clocks."""
 OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 
@@ -95,7 +93,9 @@ def imu_parts(seen: Seen) -> list[Part]:
         readings = imu_readings(sensor, flight, seen.vehicle, seen.aligned)
         if readings is not None:
             late = _late(seen, (sensor.signal,), ())
-            reach = _reaching("airframe", sensor.component) | _moving(seen, (*PLACE, *TURN, "cmd"))
+            reach = _reaching("airframe", sensor.component) | _moving(
+                seen, (*PLACE, *TURN, *COMMANDS)
+            )
             outputs, rate = slice(3 * k, 3 * k + 3), bool(sensor.rate_unit)
             reach |= {name.partition(".")[0] for name in late}
             found.append(Part(readings, None, nothing, nothing, outputs, late, reach, rate))

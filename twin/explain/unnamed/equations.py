@@ -252,7 +252,7 @@ def _channel(
     made, columns = [], []
     for channel, own, flight in zip(flights, known, problem.model.flights, strict=True):
         columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
-        readings = next(p.readings for p in flight._parts if name in p.readings.names)
+        readings = next(p.readings for p in flight.parts if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
     return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
 

@@ -1,0 +1,186 @@
+"""States and inputs of the airframe along a flight, as the effects' numbers have them.
+
+What is measured is given; beside it an effect may have
+
+| states | which here |
+|---|---|
+| of its own, or that it moves and nobody measures | are integrated again along the flight |
+| that an observer follows from what is felt | are placed by the observer |
+| that are late, as commands may be | are shifted, and so is the pose by its age |
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS, Equation, Observer
+from ...frames import to_ned
+from ...logs import Flight
+from ...logs.columns import ACC
+from ...residuals.aligned import AlignedFlight, align_flight
+from ...residuals.channels import GRID_HZ, on_grid, shifted
+from ...residuals.measured import Signal
+from ...residuals.teacher_forced import airframe_inputs, measured_states
+from ...vehicle import Vehicle
+from .numbers import COMMANDS, PLACE, TURN, Number, age_of, values_of, with_effects
+from .prediction import Physics
+
+Array = NDArray[np.float64]
+
+
+class Trajectory:
+    """The airframe along one flight.
+
+    Attributes:
+        aligned: The flight on its grid, with the model as it stands.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        vehicle: Vehicle,
+        physics: Physics,
+        effects: Sequence[str],
+        numbers: Sequence[Number],
+    ) -> None:
+        """Put the flight on the grid. Arguments as of `FlightModel`."""
+        self._flight, self._vehicle, self._physics = flight, vehicle, physics
+        self._effects, self._numbers = list(effects), list(numbers)
+        self._observers = {name: o for name in effects if (o := _observer(name)) is not None}
+        self._stateful = sorted(
+            {n.effect for n in numbers if self._reached(n.full)} - self._observers.keys()
+        )
+        on = with_effects(vehicle, self._stateful, {})
+        self.aligned = align_flight(flight, on, 1 / GRID_HZ, effects)
+        now = values_of(numbers, {})
+        self._forces = {name: self._felt_beyond(name, now) for name in self._observers}
+        self._courses: dict[tuple[str, tuple[float, ...]], Any] = {}
+        self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
+        self.aligned = replace(self.aligned, states=self._observed(self.aligned.states, now))
+
+    def at(self, change: Mapping[str, float]) -> tuple[Array, Array]:
+        """States, shape (n, n_x), and inputs, shape (n, n_u), with some numbers changed.
+
+        Args:
+            change: "effect.number" -> value, for those that differ from the model as it stands.
+        """
+        theta = values_of(self._numbers, change)
+        own = {k: v for k, v in change.items() if self.is_integrated(k, change)}
+        aligned = self.aligned
+        if own:
+            key = tuple(sorted(own.items()))
+            if key not in self._integrated:
+                self._integrated[key] = self._integrated_with(own)
+            aligned = self._integrated[key]
+        states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
+        states = self._observed(states, theta)
+        later = sum(
+            theta[i] - n.now
+            for i, n in enumerate(self._numbers)
+            if n.acts and set(n.moves) & {*COMMANDS}
+        )
+        return self._late_commands(states, inputs, later) if later else (states, inputs)
+
+    def is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
+        """Whether a state that answers to a number matters: not of an effect that is at rest, and
+        not followed by an observer."""
+        own = number.partition(".")[0]
+        if own in self._observers:
+            return False
+        acting = {own, *self._vehicle.effects, *(name.partition(".")[0] for name in change)}
+        resting = set(self._effects) - acting | self._observers.keys()
+        names = (self.aligned.airframe.states[i].name for i in self._reached(number))
+        return any(name.partition(".")[0] not in resting for name in names)
+
+    def _reached(self, number: str) -> frozenset[int]:
+        """States of the airframe that nobody measures and that answer to a number."""
+        return self._physics.reached.get(number, frozenset())
+
+    def _in_step(self, states: Array, theta: Array) -> Array:
+        """States with the ages of the pose taken out."""
+        for signals in (PLACE, TURN):
+            if age := age_of(self._numbers, theta, signals):
+                stems = tuple(f"{s}_" for s in signals)
+                names = [s.name for s in self.aligned.airframe.states]
+                own = [i for i, name in enumerate(names) if name.startswith(stems)]
+                states = states.copy()
+                states[:, own] = shifted(states[:, own], -age)
+        return states
+
+    def _integrated_with(self, values: Mapping[str, float]) -> AlignedFlight:
+        """The flight on its grid, unmeasured states integrated with effects that move them."""
+        effects = {name.partition(".")[0] for name in values}
+        known = {v.name for v in self.aligned.airframe.parameters}
+        on = {f"{e}.enabled": 1.0 for e in effects}
+        moving = effects | {*self._stateful}
+        starts = on | {n.full: n.now for n in self._numbers if n.effect in moving} | dict(values)
+        body = self.aligned.airframe.with_starts({k: v for k, v in starts.items() if k in known})
+        inputs = airframe_inputs(self._flight, self._vehicle, body, self.aligned.inputs.t_s)
+        states = measured_states(body, self.aligned.motion, inputs)
+        return replace(self.aligned, airframe=body, inputs=inputs, states=states)
+
+    def _felt_beyond(self, effect: str, now: Array) -> tuple[Array, Array]:
+        """Specific force without an effect, and what is felt beyond it, NED, (n, 3) each.
+
+        Where the former is unknown, or on the ground, the vehicle counts as held.
+        """
+        aligned = self.aligned
+        bare = now.copy()
+        for i, n in enumerate(self._numbers):
+            if n.effect == effect and n.about.neutral is not None:
+                bare[i] = n.about.neutral
+        force = self._physics.value(bare, aligned.states, aligned.inputs.u)[:, :3]
+        felt = np.zeros_like(force)
+        if self._flight.has(*ACC):
+            felt = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - force
+        assert aligned.motion.attitude is not None
+        q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)
+        force_n, felt_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, felt))
+        known = aligned.airborne & np.all(np.isfinite(force_n), axis=1)
+        there = known & np.all(np.isfinite(felt_n), axis=1)
+        return (
+            np.where(known[:, None], force_n, [0.0, 0.0, -self._vehicle.gravity_m_s2]),
+            np.where(there[:, None], felt_n, 0.0),
+        )
+
+    def _observed(self, states: Array, theta: Array) -> Array:
+        """States with those of effects in place that an observer follows."""
+        names = [s.name for s in self.aligned.airframe.states]
+        for effect, observer in self._observers.items():
+            free, felt = self._forces[effect]
+            own = [(n, float(v)) for n, v in zip(self._numbers, theta, strict=True)]
+            numbers = {n.name: v for n, v in own if n.effect == effect}
+            key = effect, tuple(v for n, v in own if n.effect == effect and n.shape)
+            if key not in self._courses:
+                self._courses[key] = observer.follow(free, felt, numbers, 1 / GRID_HZ)
+            course = self._courses[key]
+            states = observer.place(states, names, course, free, numbers, self._vehicle)
+        return states
+
+    def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
+        """Commands, and the rotors that follow them, later by a while."""
+        aligned = self.aligned
+        arrived = tuple(f"{n.effect}." for n in self._numbers if n.acts)
+        rotors = [
+            i
+            for i, s in enumerate(aligned.airframe.states)
+            if s.name.startswith(("rotor_", "effort_", *arrived))
+        ]
+        drives = [
+            i
+            for i, n in enumerate(aligned.airframe.input_names)
+            if n.startswith(("cmd_", "rotor_"))
+        ]
+        states, inputs = states.copy(), inputs.copy()
+        states[:, rotors] = shifted(states[:, rotors], delay_s)
+        inputs[:, drives] = shifted(inputs[:, drives], delay_s)
+        return states, inputs
+
+
+def _observer(effect: str) -> Observer | None:
+    """What follows the states of an effect, if something does."""
+    seen_as = EFFECTS[effect].seen_as
+    return seen_as.observer if isinstance(seen_as, Equation) else None
