@@ -56,7 +56,7 @@ def test_the_same_run_gives_the_same_bytes(
 
 
 def test_gap_needs_no_compiler(table: Path, tmp_path: Path) -> None:
-    """Nothing on the path, no program started, and nothing of the FMU builder loaded."""
+    """Nothing on the path, no program started, and nothing loaded that builds FMUs or converts units."""
     code = """
 import sys
 def refuse(event, arguments):
@@ -67,7 +67,7 @@ from uavtwin.cli.main import main
 try:
     main()
 finally:
-    assert not {"fmus", "cosim"} & set(sys.modules), sorted(sys.modules)
+    assert not {"fmus", "cosim", "pint"} & set(sys.modules), sorted(sys.modules)
 """
     call = [sys.executable, "-c", code, "gap", str(table), "--vehicle", VEHICLE]
     environment = {k: v for k, v in os.environ.items() if k not in ("PATH", "CC", "CXX")}
