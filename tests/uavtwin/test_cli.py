@@ -56,7 +56,7 @@ def test_the_same_run_gives_the_same_bytes(
 
 
 def test_gap_needs_no_compiler(table: Path, tmp_path: Path) -> None:
-    """Nothing on the path, no program started, and nothing loaded that builds FMUs or converts units."""
+    """Nothing on the path, no program started, neither FMU builder nor units library loaded."""
     code = """
 import sys
 def refuse(event, arguments):
