@@ -74,6 +74,7 @@ def residual_rms(orders: dict[str, Order], trace: Trace, name: str) -> dict[str,
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["quad_450 none", "quad_150 none"])
 def test_twin_matches_a_quiet_flight(flown: tuple[dict[str, Order], Trace], name: str) -> None:
     rms = residual_rms(*flown, name)
@@ -121,6 +122,7 @@ def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
     np.testing.assert_allclose(trace.pose[steps // 10 :, :3, late], there, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_flight_is_the_same_in_other_company(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(missions, "DURATION_S", 1.6)
     names = ["vibration", "induced_inflow", "thrust_curve", "battery_sag", "slung_load"]

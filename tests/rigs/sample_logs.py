@@ -1,11 +1,76 @@
-"""A small valid file of every log format: two seconds at rest, made from nothing."""
+"""A small valid file of every log format: two seconds at rest, made from nothing; ULogs of any
+content, so that tests need no recorded flight."""
 
 import io
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pandas as pd
-from ulog_writer import ulog
+from numpy.typing import ArrayLike, NDArray
+
+# -- ULog -----------------------------------------------------------------------------------
+
+_TYPES = {"u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "i4": "int32_t", "u8": "uint64_t"}
+_TYPES |= {"f4": "float", "b1": "bool"}
+
+
+def _message(kind: bytes, payload: bytes) -> bytes:
+    return struct.pack("<HB", len(payload), kind[0]) + payload
+
+
+def _field(name: str, values: NDArray[np.generic]) -> tuple[str, int]:
+    kind = _TYPES[values.dtype.str[1:]]
+    width = values.shape[1] if values.ndim == 2 else 0
+    return (f"{kind}[{width}] {name}" if width else f"{kind} {name}"), width
+
+
+def ulog(
+    topics: Mapping[str, Mapping[str, ArrayLike]],
+    params: Mapping[str, float] | None = None,
+    start_us: int = 1_000_000,
+    release: tuple[int, int, int] = (1, 14, 0),
+) -> bytes:
+    """Bytes of a ULog.
+
+    Args:
+        topics: Per topic its fields; `t` is the time stamp in s after the start; two-dimensional
+            fields become arrays. `name:1` is instance 1 of `name`.
+        params: Parameters; int or float decides the type.
+        start_us: Time of the start of the log, us.
+        release: Firmware version.
+    """
+    out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start_us)]
+    out.append(_message(b"B", bytes(40)))
+    key = b"uint32_t ver_sw_release"
+    number = release[0] << 24 | release[1] << 16 | release[2] << 8 | 255
+    out.append(_message(b"I", bytes([len(key)]) + key + struct.pack("<I", number)))
+    for name, value in (params or {}).items():
+        kind = "int32_t" if isinstance(value, int) else "float"
+        key = f"{kind} {name}".encode()
+        code = "<i" if isinstance(value, int) else "<f"
+        out.append(_message(b"P", bytes([len(key)]) + key + struct.pack(code, value)))
+    rows: list[tuple[int, bytes]] = []
+    added = []
+    for index, (name, fields) in enumerate(topics.items()):
+        base, _, instance = name.partition(":")
+        arrays = {k: np.asarray(v) for k, v in fields.items()}
+        stamps = np.round(arrays.pop("t") * 1e6).astype(np.int64) + start_us
+        arrays = {"timestamp": stamps.astype(np.uint64), **arrays}
+        text = ";".join(_field(k, v)[0] for k, v in arrays.items())
+        if not instance:
+            out.append(_message(b"F", f"{base}:{text};".encode()))
+        head = struct.pack("<BH", int(instance or 0), index)
+        added.append(_message(b"A", head + base.encode()))
+        columns = [v.astype(v.dtype.newbyteorder("<")) for v in arrays.values()]
+        for k, stamp in enumerate(stamps):
+            data = b"".join(c[k].tobytes() for c in columns)
+            rows.append((int(stamp), _message(b"D", struct.pack("<H", index) + data)))
+    rows.sort(key=lambda r: r[0])
+    return b"".join([*out, *added, *(r[1] for r in rows)])
+
+
+# -- every format ---------------------------------------------------------------------------
 
 T_S = 0.004 + 0.004 * np.arange(500)
 

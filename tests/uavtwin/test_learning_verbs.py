@@ -89,6 +89,7 @@ def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     assert run["options"]["epochs"] == 2 and len(run["inputs"]) == 2
 
 
+@pytest.mark.slow
 def test_evaluation_scores_the_model_beside_baselines(
     model: Path, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,6 +116,7 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert "explained twin" in page and "corrected twin" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "claim"), [("linear", "linear prediction"), ("mean", "base")])
 def test_a_family_in_closed_form_goes_through_the_same_verbs(
     preset: str,
@@ -168,6 +170,7 @@ def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Pat
         _run("evaluate", tmp_path / "full", logs["three"], "--out", tmp_path / "e")
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:

@@ -146,6 +146,7 @@ def test_every_manoeuvre_can_be_flown(name: str) -> None:
 # -- rehearsal ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_late_command_is_recorded_early() -> None:
     like = hovering(FEISI, FEISI)
     steps = plan(FEISI, [m for m in manoeuvres(FEISI) if m.name == "vertical_steps"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from ulog_writer import ulog
+from sample_logs import ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
