@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from .gaps import GapResult, gap
     from .learned import evaluate, train
     from .run import Run, simulate
-    from .vehicles import Vehicle, load_vehicle, vehicle
+    from .vehicles import Vehicle, convert_vehicle, load_vehicle, vehicle
 
     __version__: str
 
@@ -49,6 +49,7 @@ __all__ = [
     "check",
     "compensator",
     "component",
+    "convert_vehicle",
     "evaluate",
     "explain",
     "export",
@@ -79,6 +80,7 @@ _HOME = {
     "check": "uavtwin.file_check:check_file",
     "compensator": "uavtwin.exports.parts",
     "component": "uavtwin.exports.parts",
+    "convert_vehicle": "uavtwin.vehicles",
     "evaluate": "uavtwin.learned",
     "explain": "uavtwin.explanation",
     "export": "uavtwin.exports.write",

@@ -1,6 +1,6 @@
 """What a file holds, what is wrong with it, what it is good for."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ class CheckReport(Shown):
     file: str
     facts: dict[str, str]
     problems: tuple[str, ...]
+    warnings: tuple[str, ...]
     notes: tuple[str, ...]
     good_for: tuple[str, ...]
 
@@ -34,6 +35,7 @@ class CheckReport(Shown):
             "file": self.file,
             "facts": self.facts,
             "problems": list(self.problems),
+            "warnings": list(self.warnings),
             "notes": list(self.notes),
             "good_for": list(self.good_for),
         }
@@ -44,6 +46,7 @@ class CheckReport(Shown):
             (kind, f"{kind}: {text}")
             for kind, texts in (
                 ("problem", self.problems),
+                ("warning", self.warnings),
                 ("note", self.notes),
                 ("good for", self.good_for),
             )
@@ -86,7 +89,7 @@ def _check_fmu(path: Path) -> CheckReport:
     runs_here = report.facts["platforms"] != "none"
     if runs_here and not report.problems and "co-simulation" in report.facts["format"]:
         uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
-    return CheckReport(path.name, report.facts, report.problems, (), tuple(uses))
+    return CheckReport(path.name, report.facts, report.problems, (), (), tuple(uses))
 
 
 def _check_vehicle(path: Path) -> CheckReport:
@@ -94,19 +97,29 @@ def _check_vehicle(path: Path) -> CheckReport:
     facts = {"format": "vehicle file", "name": vehicle.name, "driven by": vehicle.drive}
     given = {k: s for k, s in vehicle.sources.items() if not s.startswith("default:")}
     facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
-    notes = tuple(f"{k}: {s}" for k, s in vehicle.sources.items() if s.startswith("default:"))
+    notes = tuple(_defaults(vehicle.sources))
     arm = max(float(np.hypot(x, y)) for x, y, _ in vehicle.rotors.position_m)
     facts["rotors"] = f"{vehicle.rotors.count}, arm {arm:.4g} m"
     try:
         body = airframe(vehicle)
     except ModelError as error:
-        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), notes, ())
+        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), (), notes, ())
     trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
     facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
         " rad/s" if vehicle.drive == "rotor_speed" else ""
     )
-    uses = "gap, export" if vehicle.drive == "rotor_speed" else "gap, demo, export"
-    return CheckReport(path.name, facts, vehicle.doubts, notes, (uses,))
+    uses = "gap, explain, train, demo, simulate, export"
+    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,))
+
+
+def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
+    """What stands in for keys that a vehicle file leaves out, a line for keys of one default."""
+    keys: dict[str, list[str]] = {}
+    for key, source in sources.items():
+        if source.startswith("default:"):
+            keys.setdefault(source, []).append(key)
+    for source, those in keys.items():
+        yield f"{', '.join(those)}: {source}"
 
 
 def _check_flight(path: Path) -> CheckReport:
@@ -117,22 +130,24 @@ def _check_flight(path: Path) -> CheckReport:
         **flight.facts,
     }
 
-    def said(severities: tuple[str, ...]) -> tuple[str, ...]:
-        """Findings of these severities, a line each."""
+    def said(severity: str) -> tuple[str, ...]:
+        """Findings of one severity, a line each."""
         return tuple(
-            f"{f.where}: {f.message}" + (f" ({f.count})" if f.count > 1 else "")
+            f"{f.where}: {f.message}" + (f" (n = {f.count})" if f.count > 1 else "")
             for f in flight.findings
-            if f.severity in severities
+            if f.severity == severity
         )
 
-    notes = tuple(f"warning: {text}" for text in said(("warning",))) + said(("info",))
-    return CheckReport(path.name, facts, said(("error",)), notes, tuple(_uses(flight)))
+    return CheckReport(
+        path.name, facts, said("error"), said("warning"), said("info"), tuple(_uses(flight))
+    )
 
 
 def _uses(flight: Flight) -> list[str]:
     """Which residuals the flight allows, and what it lacks for the others."""
-    if not (flight.has("cmd_1") or flight.has("rotor_1")):
-        return ["nothing yet: no motor commands cmd_1..n and no rotor speeds rotor_1..n"]
+    drives = [[c for c in flight.table if c.startswith(kind)] for kind in ("cmd_", "rotor_")]
+    if not any(columns and flight.has(*columns) for columns in drives):
+        return ["nothing yet: neither commands cmd_1..n nor speeds rotor_1..n of all motors"]
     uses = []
     forced = [name for name, group in (("acc", ACC), ("gyro", GYRO)) if flight.has(*group)]
     if forced:

@@ -34,6 +34,18 @@ def check_folder(out: Path, force: bool) -> None:
         raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
 
 
+def check_file(path: Path, force: bool) -> None:
+    """Refuse an output file before the work is done.
+
+    Raises:
+        TwinError: It is a folder, or it is there and `force` is not given.
+    """
+    if path.is_dir():
+        raise TwinError(f"{path}: is a folder; name a file.")
+    if path.exists() and not force:
+        raise TwinError(f"{path}: exists. Choose another --out or add --force.")
+
+
 @contextmanager
 def results_folder(out: Path, force: bool) -> Iterator[Path]:
     """A temporary folder whose content is moved to `out` at the end; nothing is, if that fails.

@@ -7,7 +7,7 @@ from typing import Any, Self
 from twin import vehicle as numbers
 from twin.component import unknown_name
 from twin.errors import ModelError, TwinError
-from twin.vehicle.file import builtin_vehicles, parse_vehicle, vehicle_text
+from twin.vehicle.file import builtin_vehicles, convert, parse_vehicle, vehicle_text
 from twin.vehicle.file.update import update_text
 
 from .output import output_file
@@ -75,6 +75,24 @@ def vehicle(name: str) -> Vehicle:
     if name not in known:
         raise ModelError(unknown_name("vehicle", "built-in vehicle", name, known))
     return load_vehicle(name)
+
+
+def convert_vehicle(path: str | Path, name: str | None = None) -> Vehicle:
+    """The vehicle that a file of another simulator describes: Gazebo, drone-models, PyFlyt, JSBSim.
+
+    `docs/guide/vehicle_from_simulators.md` says which of their numbers goes where. `text` begins
+    with what was left out.
+
+    Args:
+        path: The file; its format is recognised by what it holds.
+        name: Which aircraft, where the file holds several.
+
+    Raises:
+        ModelError: No such file, a format that is not known, or a vehicle that a vehicle file
+            cannot describe; the text says what to do.
+    """
+    text = convert.convert_vehicle(path, name)
+    return Vehicle.of(parse_vehicle(text, Path(path).name), text)
 
 
 def checked_vehicle(given: Any, verb: str) -> Vehicle:

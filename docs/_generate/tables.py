@@ -8,7 +8,7 @@ nothing and exits 1 if a table is out of date.
 
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
@@ -198,8 +198,16 @@ def command_line() -> str:
     """Every verb with its arguments and options."""
     group = get_command(app)
     assert isinstance(group, TyperGroup)
-    verbs = {n: c for n, c in group.commands.items() if isinstance(c, TyperCommand)}
-    return "\n\n".join(_verb(name, command) for name, command in verbs.items())
+    return "\n\n".join(_verb(name, command) for name, command in _verbs(group))
+
+
+def _verbs(group: TyperGroup, before: str = "") -> Iterator[tuple[str, TyperCommand]]:
+    """Verbs, and those of groups such as `vehicle convert`."""
+    for name, command in group.commands.items():
+        if isinstance(command, TyperGroup):
+            yield from _verbs(command, f"{before}{name} ")
+        elif isinstance(command, TyperCommand):
+            yield f"{before}{name}", command
 
 
 def _verb(name: str, command: TyperCommand) -> str:

@@ -323,6 +323,24 @@ def test_nanobench_through_the_example(
     assert gap["channels"]["acc_x"]["n"] > 1000
 
 
+def test_check_tells_a_motor_without_samples(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    broken = pd.read_parquet(table).assign(cmd_2=np.nan)
+    broken.to_csv(tmp_path / "broken.csv", index=False)
+    _, said, _ = run(capsys, "check", tmp_path / "broken.csv")
+    assert "warning: cmd_2: has no sample at all" in said
+    assert "good for: nothing yet: neither commands" in said
+
+
+def test_check_tells_of_the_files_before_one_that_cannot_be_read(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    code, said, error = run(capsys, "check", table, tmp_path / "nothing.ulg")
+    assert (code, "good for: gap" in said) == (2, True)
+    assert "nothing.ulg: no such file" in error
+
+
 @pytest.mark.parametrize("word", ["version", "--version"])
 def test_the_installed_command_runs(word: str) -> None:
     command = Path(sys.executable).with_name("uavtwin")

@@ -146,7 +146,7 @@ def test_low_passes_of_the_imu_are_in_the_record(flight: Flight) -> None:
 
 def test_a_vehicle_driven_by_rotor_speeds_records_them() -> None:
     """That of the page on vehicle files, whose rotors have no map from a command."""
-    page = (Path(__file__).parents[2] / "docs" / "vehicle.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "vehicle.md").read_text()
     vehicle = parse_vehicle(page.split("```toml\n")[1].split("```")[0], "paper.toml")
     assert vehicle.drive == "rotor_speed"
     flight = fly(vehicle, vehicle, seed=1)

@@ -15,7 +15,7 @@ before. `Run` is the reference of how all this is put together.
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
 from typing import Literal
@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
-from ..representation import short_repr
 from .noise import normal
 
 Array = NDArray[np.float64]
@@ -81,12 +80,10 @@ class Shortcut:
             component is not sampled.
     """
 
-    holds: ca.Function
-    step: ca.Function
-    outputs: ca.Function
-    update: ca.Function | None
-
-    __repr__ = short_repr
+    holds: ca.Function = field(repr=False)
+    step: ca.Function = field(repr=False)
+    outputs: ca.Function = field(repr=False)
+    update: ca.Function | None = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +117,12 @@ class Sampling:
     period: str
     seed: str | None
     channels: int
-    sizes: ca.Function
+    sizes: ca.Function = field(repr=False)
     stream: int
-    lines: tuple[DelayLine, ...]
-    signals: ca.Function
-    delays: ca.Function
-    update: ca.Function
-
-    __repr__ = short_repr
+    lines: tuple[DelayLine, ...] = field(repr=False)
+    signals: ca.Function = field(repr=False)
+    delays: ca.Function = field(repr=False)
+    update: ca.Function = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -160,7 +155,15 @@ class Component:
     shortcuts: tuple[Shortcut, ...] = ()
     sampling: Sampling | None = None
 
-    __repr__ = short_repr
+    def __repr__(self) -> str:
+        sizes = {
+            "parameters": self.parameters,
+            "inputs": self.inputs,
+            "outputs": self.output_variables,
+            "states": self.states,
+        }
+        counts = ", ".join(f"{len(rows)} {what}" for what, rows in sizes.items())
+        return f"Component({self.name!r}, {counts})"
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..representation import short_repr
 from ..residuals.channels import GRID_HZ, ChannelData
 from .model.model import Model
 from .settings import DEFAULT, AttributionSettings
@@ -28,6 +29,8 @@ class Attribution:
     channels: tuple[str, ...]
     phases: tuple[str, ...]
     without: Sequence[Sequence[ChannelData]]
+
+    __repr__ = short_repr
 
 
 def attribute_effect(

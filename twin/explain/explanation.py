@@ -7,6 +7,7 @@ from ..effects import EFFECTS, RandomForce
 from ..errors import LogError
 from ..flight.stability import Mission, fly_missions
 from ..logs import Flight
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
@@ -87,6 +88,8 @@ class Explanation:
     unnamed: tuple[Equation, ...] = ()
     next_manoeuvre: Suggestion | None = None
     settings: SearchSettings = DEFAULT
+
+    __repr__ = short_repr
 
     @property
     def effects(self) -> tuple[str, ...]:

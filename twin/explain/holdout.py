@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..logs import Flight
+from ..representation import short_repr
 from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
 from .inference.likelihood import Scores, noise_of_all, whiten
@@ -83,6 +84,8 @@ class Comparison:
     model: Model
     before: Flights
     after: Flights
+
+    __repr__ = short_repr
 
     @property
     def floors(self) -> dict[str, float]:

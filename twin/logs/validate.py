@@ -62,7 +62,9 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
         )
     missing = [c for c in QUAT if c not in columns]
     if 0 < len(missing) < len(QUAT):
-        raise LogError(f"{name}: the attitude lacks {', '.join(missing)}; q_w, q_x, q_y, q_z.")
+        raise LogError(
+            f"{name}: the attitude lacks {', '.join(missing)}. Give q_w, q_x, q_y and q_z, or none."
+        )
     for group in (ACC, GYRO, MAG, POS, VEL):
         missing = [c for c in group if c not in columns]
         if 0 < len(missing) < len(group):

@@ -14,6 +14,7 @@ from ..errors import LogError
 from ..logs import Flight
 from ..physics.airframe import airframe
 from ..physics.sensors.imu import imu
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .measured import MeasuredMotion, measured_motion
 from .teacher_forced import GRID_S, Inputs, airframe_inputs, choose_drive, measured_states
@@ -49,6 +50,8 @@ class AlignedFlight:
     phases: NDArray[np.str_]
     airborne: NDArray[np.bool_]
     notes: tuple[str, ...]
+
+    __repr__ = short_repr
 
     def predicted(self, *stems: str) -> tuple[Array, ...]:
         """Outputs of the airframe at every grid point, for each stem those that begin with it.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, lfilter_zi
 
+from ..representation import short_repr
 from .measured import Signal, zero_phase
 
 Array = NDArray[np.float64]
@@ -51,6 +52,8 @@ class ChannelData:
     slopes: Array
     piece: NDArray[np.intp]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class Measured:
@@ -75,6 +78,8 @@ class Measured:
     values: Array
     t_s: Array
     piece: NDArray[np.intp]
+
+    __repr__ = short_repr
 
     def filtered(self, values: Array, filters_hz: Sequence[float]) -> Array:
         """Rows that are kept of values on the grid, low-passed piece by piece."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from ..representation import short_repr
 from .spectra import SLOW_HZ, slow_part, spectrum
 
 Array = NDArray[np.float64]
@@ -47,6 +48,8 @@ class Channel:
     phase: NDArray[np.str_]
     unfiltered: "Channel | None" = None
 
+    __repr__ = short_repr
+
     @property
     def residual(self) -> Array:
         """Measured minus simulated, shape (n,)."""
@@ -77,6 +80,8 @@ class FlightGap:
     phases: tuple[tuple[str, float, float], ...]
     warnings: tuple[str, ...]
     facts: dict[str, str]
+
+    __repr__ = short_repr
 
     @property
     def duration_s(self) -> float:

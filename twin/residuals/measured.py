@@ -15,6 +15,7 @@ from ..errors import LogError
 from ..frames import rotation_vector
 from ..logs import Flight
 from ..logs.columns import GYRO, POS, QUAT, VEL
+from ..representation import short_repr
 
 Array = NDArray[np.float64]
 RATE_CUTOFF_HZ = 30.0
@@ -34,6 +35,8 @@ class Signal:
 
     t_s: Array
     values: Array
+
+    __repr__ = short_repr
 
     @property
     def rate_hz(self) -> float:
@@ -75,6 +78,8 @@ class MeasuredMotion:
     rates: Signal | None
     rates_measured: bool
     notes: tuple[str, ...]
+
+    __repr__ = short_repr
 
 
 def measured_motion(flight: Flight) -> MeasuredMotion:

@@ -20,6 +20,7 @@ from ..logs import Flight
 from ..logs.columns import is_known, motor_columns
 from ..physics.airframe import AXES
 from ..physics.rotors import Drive
+from ..representation import short_repr
 from ..vehicle import Vehicle
 from .measured import MeasuredMotion, Signal, differentiate
 from .unmeasured import integrate_states
@@ -53,6 +54,8 @@ class Inputs:
     u: Array
     rotor_states: Array
     notes: tuple[str, ...]
+
+    __repr__ = short_repr
 
     @property
     def step_s(self) -> float:

@@ -8,7 +8,7 @@ import typer
 from .options import Exit, Json
 from .printing import STDOUT, print_json
 
-_STYLES = {"problem": "red", "good for": "green"}
+_STYLES = {"problem": "red", "warning": "yellow", "good for": "green"}
 
 
 def check(
@@ -18,13 +18,17 @@ def check(
     """Say what a file holds, what is wrong with it and what it is good for."""
     from ..file_check import check_file
 
-    reports = [check_file(path) for path in files]
+    problems = 0
     if as_json:
+        reports = [check_file(path) for path in files]
+        problems = sum(len(r.problems) for r in reports)
         print_json([r.json() for r in reports])
     else:
-        for report in reports:
+        for path in files:
+            report = check_file(path)  # one that cannot be read stops here, the others are told
+            problems += len(report.problems)
             STDOUT.print(report.file, style="bold", markup=False)
             for kind, text in report.lines():
                 STDOUT.print(f"  {text}", style=_STYLES.get(kind), markup=False)
-    if any(r.problems for r in reports):
+    if problems:
         raise typer.Exit(Exit.FINDINGS)

@@ -23,6 +23,7 @@ from .options import Exit
 from .printing import STDERR
 from .simulate import simulate
 from .train import train
+from .vehicle import vehicle
 from .version import print_version, version
 
 VERBS = (check, gap, explain, demo, export, simulate, train, evaluate, bench, version)
@@ -35,6 +36,7 @@ app = typer.Typer(
 )
 for verb in VERBS:
     app.command()(verb)
+app.add_typer(vehicle, name="vehicle")
 
 
 @app.callback()

@@ -51,7 +51,7 @@ def start_values(texts: Sequence[str] | None) -> dict[str, float]:
 
 
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite what the folder holds.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
 VehicleName = Annotated[
     str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a built-in vehicle.")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from ...representation import short_repr
 from ..model.model import Model
 from ..model.numbers import Number, columns_of
 from ..settings import DEFAULT, LikelihoodSettings
@@ -58,6 +59,8 @@ class Fit:
     raw: Array
     edges: tuple[tuple[str, str], ...] = ()
 
+    __repr__ = short_repr
+
     @property
     def gain(self) -> float:
         """Over all blocks."""
@@ -91,6 +94,8 @@ class Problem:
     rest: Whitened
     raw: Array
     settings: LikelihoodSettings = DEFAULT.inference.likelihood
+
+    __repr__ = short_repr
 
     @classmethod
     def of(

@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ..settings import DEFAULT, LikelihoodSettings
 from .bounds import Bounds
@@ -58,6 +59,8 @@ class Noise:
     inverse: Array
     size: float
     weights: tuple[Array, ...]
+
+    __repr__ = short_repr
 
 
 def noise_of(
@@ -136,6 +139,8 @@ class Whitened:
     block: NDArray[np.intp]
     keys: tuple[Key, ...]
     n_channels: int
+
+    __repr__ = short_repr
 
     def per_cell(self, values: Array) -> Array:
         """Sums over each channel in each block, shape (blocks, channels, ...)."""

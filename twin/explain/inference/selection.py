@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Shift
 from ...logs import Flight
+from ...representation import short_repr
 from ...vehicle import Vehicle
 from ..model.model import candidates, model_of
 from ..model.payload import Payloads
@@ -45,6 +46,8 @@ class Naming:
     credible: Mapping[str, float]
     problem: Problem
     settings: SelectionSettings = DEFAULT.inference.selection
+
+    __repr__ = short_repr
 
     @property
     def best(self) -> Fit:

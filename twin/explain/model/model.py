@@ -11,6 +11,7 @@ from ...effects import EFFECTS, Effect, Equation, Shift, acting_late
 from ...errors import LogError
 from ...logs import Flight
 from ...physics.airframe import airframe
+from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
@@ -40,6 +41,8 @@ class Model:
     numbers: tuple[Number, ...]
     flights: tuple[FlightModel, ...]
     unfelt: tuple[str, ...] = ()
+
+    __repr__ = short_repr
 
     def channels(
         self, columns: Sequence[int], change: Mapping[str, float] | None = None

@@ -12,6 +12,7 @@ from ...effects import EFFECTS
 from ...frames import to_body
 from ...logs import Flight
 from ...physics.sensors.table import BODY, SENSORS, Sensor
+from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
 from ...residuals.channels import (
     POSE_BAND_HZ,
@@ -50,6 +51,8 @@ class Seen:
     effects: Sequence[str]
     numbers: Sequence[Number]
 
+    __repr__ = short_repr
+
 
 @dataclass(frozen=True, slots=True)
 class Part:
@@ -78,6 +81,8 @@ class Part:
     rate: bool = False
     turning: Array | None = None
     older: Callable[[float, float], Array] | None = None
+
+    __repr__ = short_repr
 
 
 def imu_parts(seen: Seen) -> list[Part]:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from ...representation import short_repr
 from .group import Group, setting
 
 
@@ -187,3 +188,5 @@ class InferenceSettings(Group):
     pool: PoolSettings = field(default_factory=PoolSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     adequacy: AdequacySettings = field(default_factory=AdequacySettings)
+
+    __repr__ = short_repr

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from ...representation import short_repr
 from .design import DesignSettings
 from .group import Group, Value
 from .inference import InferenceSettings
@@ -36,6 +37,8 @@ class SearchSettings(Group):
     attribution: AttributionSettings = field(default_factory=AttributionSettings)
     localization: LocalizationSettings = field(default_factory=LocalizationSettings)
     design: DesignSettings = field(default_factory=DesignSettings)
+
+    __repr__ = short_repr
 
     @property
     def changed(self) -> Mapping[str, Value]:

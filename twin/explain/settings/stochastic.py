@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from ...representation import short_repr
 from .group import Group, setting
 
 
@@ -221,3 +222,5 @@ class StochasticSettings(Group):
     vibration: VibrationSettings = field(default_factory=VibrationSettings)
     slow_force: SlowForceSettings = field(default_factory=SlowForceSettings)
     gust: GustSettings = field(default_factory=GustSettings)
+
+    __repr__ = short_repr

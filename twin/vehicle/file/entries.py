@@ -9,19 +9,22 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pint
 
 from ...errors import ModelError
 from .. import Array
 from .fields import FIELDS
 
+if TYPE_CHECKING:
+    import pint
+
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
 _TEXTS = ("name", "description")
 _PARTS = {"value", "coefficients", "unit", "source", "of"}
-_PER_MASS = ("body.drag_linear",)  # may be given per kilogram of the vehicle
+_PER_MASS = {"body.drag_linear": "1/s"}
+"""Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
 _Entry = dict[str, Any]
 
 
@@ -84,7 +87,7 @@ def read_entries(tree: dict[str, Any]) -> Entries:
             _check_form(key, entry, what.unit.removeprefix("poly:"))
             entries.sources[key] = entry["source"]
             value = _SHAPES[what.shape](key, entry)
-            if key in _PER_MASS and _is_per_mass(key, entry):
+            if _is_per_mass(key, entry):
                 value = value * entries.values.get("body.mass", 1.0)
             _check_sign(key, value, what.positive)
             entries.values[key] = value
@@ -170,22 +173,28 @@ def _si(key: str, raw: Any, entry: _Entry, unit: str) -> Array:
     given = entry.get("unit")
     if not isinstance(given, str):
         raise ModelError(f'{key} has no unit. Add unit = "{unit}" or another one.')
-    factor = _factor(key, given, unit)
-    if factor is None and key in _PER_MASS:
-        factor = _factor(key, given, f"({unit})/kg")
+    factor = _factor(key, given, _PER_MASS[key] if _is_per_mass(key, entry) else unit)
     if factor is None:
         raise ModelError(f'{key} has unit "{given}", which is not a unit of the kind "{unit}".')
     return values * factor
 
 
 def _is_per_mass(key: str, entry: _Entry) -> bool:
-    return _factor(key, entry["unit"], FIELDS[key].unit) is None
+    """Whether the unit is that of the value over a mass. Raises ModelError where it is none."""
+    if key not in _PER_MASS or entry["unit"] == FIELDS[key].unit:
+        return False
+    return _factor(key, entry["unit"], _PER_MASS[key]) is not None
 
 
 def _factor(key: str, given: str, wanted: str) -> float | None:
-    """Factor from one unit to another, None if they are not of one kind."""
+    """Factor from one unit to another, None if they are not of one kind.
+
+    pint, half a second to load, is asked only where the unit is not the wanted one by its text.
+    """
     if given == wanted:
         return 1.0
+    import pint
+
     try:
         zero, one = (_registry().Quantity(n, given).to(wanted).magnitude for n in (0.0, 1.0))
         return float(one) if zero == 0 else None  # degrees Celsius take more than a factor
@@ -364,7 +373,9 @@ _SHAPES: dict[str, Callable[[str, _Entry], Array]] = {
 
 
 @lru_cache(maxsize=1)
-def _registry() -> pint.UnitRegistry[Any]:
+def _registry() -> "pint.UnitRegistry[Any]":
+    import pint
+
     return pint.UnitRegistry()
 
 
