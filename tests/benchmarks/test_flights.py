@@ -82,6 +82,7 @@ def test_twin_matches_a_quiet_flight(flown: tuple[dict[str, Order], Trace], name
     assert max(rms[f"gyro_rate_{a}"] for a in "xyz") < 0.004  # of 3; low noise is 0.05
 
 
+@pytest.mark.slow
 def test_residual_of_a_noisy_quiet_flight_is_its_noise(
     flown: tuple[dict[str, Order], Trace],
 ) -> None:

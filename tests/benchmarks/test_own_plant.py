@@ -34,7 +34,7 @@ def powerless(**numbers: object) -> Parameters:
 
 
 def throw(p: Parameters, seconds: float, step_s: float = STEP_S) -> tuple[Array, Layout]:
-    """States of a body thrown up high while it tumbles, shape (k, size), every step of the plant."""
+    """States of a body thrown up high while it tumbles, one per step, shape (k, size)."""
     batch, layout = Batch([p]), Layout(len(p.hubs))
     x = np.zeros((layout.size, 1))
     x[layout.pos][2] = -100.0

@@ -108,6 +108,7 @@ def test_teacher_forced_batch_is_what_the_fmus_say_at_a_restart(
             assert abs(row[f"{slave}.{name}"][0] - readings[k, i]) <= 1e-12 * scale, (name, k)
 
 
+@pytest.mark.slow
 def test_short_horizon_of_the_fmus_is_that_of_the_equations(
     system: tuple[AlignedFlight, Master],
 ) -> None:
@@ -424,6 +425,7 @@ def test_a_horizon_longer_than_the_flight_leaves_the_other_channels(short: Fligh
     assert any("no stretch of 20 s" in w for w in gap.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_s", [1.6, 2.2, 2.5, 2.515])
 def test_a_flight_cut_anywhere_gives_finite_channels_or_one_error(
     quiet: Flight, end_s: float

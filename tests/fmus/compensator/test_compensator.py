@@ -165,6 +165,7 @@ def test_other_forms_give_the_same(new: New) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None and not os.environ.get("CI"),
     reason="no ziglang: pip install uavtwin[cross]",
@@ -218,6 +219,7 @@ def test_a_long_step_takes_every_sample(new: New) -> None:
     np.testing.assert_array_equal(fine.outputs(), coarse.outputs())
 
 
+@pytest.mark.slow
 def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
     rows = rows_of(flight(model("free"), 30))
     rows["virtual"][10:20, 4] = float(model("free").high[4]) + 1

@@ -122,6 +122,7 @@ def test_python_and_fmu_agree_to_the_bit(component: Component, folder: Path, ste
     np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_rollback_is_exact(component: Component, folder: Path) -> None:
     """Of the FMU by its state, of the Python run by a copy."""
     rng = np.random.default_rng(3)

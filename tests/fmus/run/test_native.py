@@ -170,6 +170,7 @@ def test_no_memory_error_and_no_undefined_behaviour(
     assert checked.stdout == host(compile_host(bin_folder, fmi), folder, fmi, kind).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_damaged_record_under_sanitizers(
     fmu_file: FmuPath, fmu_folder: FmuPath, bin_folder: Path, tmp_path: Path, fmi: int

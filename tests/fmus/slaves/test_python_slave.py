@@ -150,6 +150,7 @@ def test_a_tunable_parameter_changes_on_the_way(folder: Callable[[str], Path]) -
 # -- saved states -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEVERAL)
 def test_rollback_is_exact(name: str, folder: Callable[[str], Path]) -> None:
     """Saved at random instants, run on, restored, run again, and in an instance never started."""

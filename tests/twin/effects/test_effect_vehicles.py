@@ -121,6 +121,7 @@ def test_a_command_arrives_in_a_flight_when_it_does_in_a_simulation() -> None:
         assert np.ptp(raw[:700, 0]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 0.0123, 0.02])
 def test_a_closed_loop_delays_commands_as_a_run_does(delay_s: float) -> None:
     vehicle = having("copter_default", "command_delay", delay_s=delay_s)

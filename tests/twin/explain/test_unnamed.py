@@ -68,6 +68,7 @@ def quiet() -> Flight:
     return fly(COPTER, COPTER, seed=2, name="quiet", waypoints=LEGS)
 
 
+@pytest.mark.slow
 def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> None:
     drag = planted(quiet, lambda _, v: CUBIC_S_M2 * (v * v).sum(axis=0) * v[0])
     problem = ground_of(drag)
@@ -85,6 +86,7 @@ def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> Non
     assert explains_better(problem, [problem.nothing(), problem.fit(["accel_bias"])], found)
 
 
+@pytest.mark.slow
 def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
     problem = ground_of(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
     found = find_equations(problem, problem.nothing())

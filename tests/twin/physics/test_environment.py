@@ -85,6 +85,7 @@ def test_spectra_are_dryden(long_record: Array) -> None:
             assert abs(ratio - 1) < 4 / np.sqrt(draws) + 0.02, (i, low, high, ratio)
 
 
+@pytest.mark.slow
 def test_correlation_time_is_length_over_speed(long_record: Array) -> None:
     along, lag = long_record[:, 0], 20
     correlation = np.mean(along[:-lag] * along[lag:]) / np.mean(along**2)
