@@ -93,6 +93,7 @@ def test_residual_of_a_noisy_quiet_flight_is_its_noise(
         assert rms[f"acc_{axis}"] == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_hidden_effect_shows_and_the_aircraft_still_flies(
     flown: tuple[dict[str, Order], Trace], name: str
@@ -107,12 +108,14 @@ def test_hidden_effect_shows_and_the_aircraft_still_flies(
     assert np.all(np.isfinite(flight_table(orders[name], trace, i)["acc_z"]))
 
 
+@pytest.mark.slow
 def test_quiet_flight_has_no_gap(flown: tuple[dict[str, Order], Trace]) -> None:
     orders, trace = flown
     gap = true_gap(AIRCRAFT["quad_450"], orders["quad_450 none"].plant, trace, 0)
     assert max(np.abs(v).max() for v in gap.values()) < 1e-9
 
 
+@pytest.mark.slow
 def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
     orders, trace = flown
     names = list(orders)

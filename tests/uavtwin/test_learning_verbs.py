@@ -69,6 +69,7 @@ def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder
 
 
+@pytest.mark.slow
 def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     names = {p.name for p in model.iterdir()}
     assert names >= {
@@ -145,6 +146,7 @@ def test_a_family_in_closed_form_goes_through_the_same_verbs(
     assert "Anomaly score" not in (tmp_path / "e" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_flight_of_the_training_is_refused(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:
