@@ -221,6 +221,7 @@ SAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
 def test_examples_run(script: str) -> None:
     result = subprocess.run(
@@ -264,6 +265,7 @@ def test_the_fmu_document_works(tmp_path: Path) -> None:
     assert (tmp_path / "twin" / "flight.csv").read_text().startswith('"time"')
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["log10", "log15", "log16"])
 def test_motor_delay_example_on_its_data(data_dir: Path, tmp_path: Path, log: str) -> None:
     source = data_dir / "crazyflie_motor_delay" / f"{log}.parquet"

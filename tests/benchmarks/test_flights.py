@@ -74,6 +74,7 @@ def residual_rms(orders: dict[str, Order], trace: Trace, name: str) -> dict[str,
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["quad_450 none", "quad_150 none"])
 def test_twin_matches_a_quiet_flight(flown: tuple[dict[str, Order], Trace], name: str) -> None:
     rms = residual_rms(*flown, name)
@@ -81,6 +82,7 @@ def test_twin_matches_a_quiet_flight(flown: tuple[dict[str, Order], Trace], name
     assert max(rms[f"gyro_rate_{a}"] for a in "xyz") < 0.004  # of 3; low noise is 0.05
 
 
+@pytest.mark.slow
 def test_residual_of_a_noisy_quiet_flight_is_its_noise(
     flown: tuple[dict[str, Order], Trace],
 ) -> None:
@@ -91,6 +93,7 @@ def test_residual_of_a_noisy_quiet_flight_is_its_noise(
         assert rms[f"acc_{axis}"] == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", EFFECTS)
 def test_hidden_effect_shows_and_the_aircraft_still_flies(
     flown: tuple[dict[str, Order], Trace], name: str
@@ -105,12 +108,14 @@ def test_hidden_effect_shows_and_the_aircraft_still_flies(
     assert np.all(np.isfinite(flight_table(orders[name], trace, i)["acc_z"]))
 
 
+@pytest.mark.slow
 def test_quiet_flight_has_no_gap(flown: tuple[dict[str, Order], Trace]) -> None:
     orders, trace = flown
     gap = true_gap(AIRCRAFT["quad_450"], orders["quad_450 none"].plant, trace, 0)
     assert max(np.abs(v).max() for v in gap.values()) < 1e-9
 
 
+@pytest.mark.slow
 def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
     orders, trace = flown
     names = list(orders)
@@ -121,6 +126,7 @@ def test_delays_are_exact(flown: tuple[dict[str, Order], Trace]) -> None:
     np.testing.assert_allclose(trace.pose[steps // 10 :, :3, late], there, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_flight_is_the_same_in_other_company(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(missions, "DURATION_S", 1.6)
     names = ["vibration", "induced_inflow", "thrust_curve", "battery_sag", "slung_load"]

@@ -33,8 +33,8 @@ def powerless(**numbers: object) -> Parameters:
     return replace(p, **none, **numbers)  # type: ignore[arg-type]
 
 
-def throw(p: Parameters, seconds: float) -> tuple[Array, Layout]:
-    """States of a body thrown up high while it tumbles, shape (k, size)."""
+def throw(p: Parameters, seconds: float, step_s: float = STEP_S) -> tuple[Array, Layout]:
+    """States of a body thrown up high while it tumbles, one per step, shape (k, size)."""
     batch, layout = Batch([p]), Layout(len(p.hubs))
     x = np.zeros((layout.size, 1))
     x[layout.pos][2] = -100.0
@@ -47,8 +47,8 @@ def throw(p: Parameters, seconds: float) -> tuple[Array, Layout]:
     x[layout.charge] = 1.0
     nothing, still = np.zeros((len(p.hubs), 1)), np.zeros((3, 1))
     course, before = [x[:, 0]], None
-    for k in range(round(seconds / STEP_S)):
-        at = motion(batch, layout, x, nothing, still, k * STEP_S)
+    for k in range(round(seconds / step_s)):
+        at = motion(batch, layout, x, nothing, still, k * step_s)
         x, before = flight.advance(batch, layout, x, at, at.rate if before is None else before)
         course.append(x[:, 0])
     return np.array(course), layout
@@ -87,7 +87,7 @@ def test_steps_are_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = []
     for step in (2e-3, 1e-3, 5e-4, 2.5e-4):
         monkeypatch.setattr(flight, "STEP_S", step)
-        x, at = throw(powerless(drag_quadratic=np.array([0.1, 0.2, 0.3])), 0.5)
+        x, at = throw(powerless(drag_quadratic=np.array([0.1, 0.2, 0.3])), 0.5, step)
         ends.append(x[-1, : at.rope.start])
     errors = [np.linalg.norm(a - b) for a, b in pairwise(ends)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))

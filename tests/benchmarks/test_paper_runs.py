@@ -43,6 +43,7 @@ def test_less_data_is_the_start_of_each_phase(tables: Path) -> None:
     assert half.fresh[:429].all() and not half.fresh[429:858].any()
 
 
+@pytest.mark.slow
 def test_a_training_is_done_once(
     tables: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -64,6 +64,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Monk
     assert {i for i in first if changed[i] == again[i]} == set()
 
 
+@pytest.mark.slow
 def test_command_line_tells_of_failures(tmp_path: Path) -> None:
     out = folders(tmp_path, "raise_1")
     assert main([str(out)]) == 1

@@ -78,6 +78,7 @@ def test_what_is_there_is_not_flown_again(out: Path, capsys: pytest.CaptureFixtu
     assert path.stat().st_mtime_ns == before
 
 
+@pytest.mark.slow
 def test_command_line_gives_the_same_bytes_whatever_flies_beside(
     out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,6 +101,7 @@ def test_sizes_differ_by_seed_and_flights_by_name() -> None:
     assert len({i.name for i in individuals(seeds=3)}) == 3 * len(HIDDEN_SETS)
 
 
+@pytest.mark.slow
 def test_residuals_show_what_is_hidden_and_are_kept(
     out: Path, made: ResidualFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:

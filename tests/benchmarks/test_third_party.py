@@ -64,6 +64,7 @@ def residual_rms(plant: str) -> dict[str, float]:
     return rms
 
 
+@pytest.mark.slow
 def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
     """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
     rms = residual_rms("drone_models")
@@ -71,6 +72,7 @@ def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
     assert max(v for k, v in rms.items() if " gyro_rate_" in k) < 0.004  # low noise is 0.05
 
 
+@pytest.mark.slow
 def test_twin_matches_a_quiet_flight_of_jsbsim() -> None:
     """Motors of JSBSim follow no first-order lag: a residual stays, but below low noise."""
     rms = residual_rms("jsbsim")

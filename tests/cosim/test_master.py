@@ -429,6 +429,7 @@ def test_failed_loads_leave_nothing(fmu: Callable[..., Path], tmp_path: Path, te
     assert not list(temp.iterdir())
 
 
+@pytest.mark.slow
 def test_closing_frees_folders_libraries_and_files(system: System, temp: Path) -> None:
     def instantiate(times: int) -> None:
         for _ in range(times):

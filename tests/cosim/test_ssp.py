@@ -170,6 +170,7 @@ def test_read_back(system: System, ssp: Path) -> None:
     assert write_ssp(back, ssp.with_name("again.ssp")).is_file()
 
 
+@pytest.mark.slow
 def test_files_live_as_long_as_the_system(
     ssp: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,5 @@
-"""Log files made from nothing: any ULog, and two seconds at rest in every log format."""
+"""A small valid file of every log format: two seconds at rest, made from nothing; ULogs of any
+content, so that tests need no recorded flight."""
 
 import io
 import struct
@@ -8,7 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-T_S = 0.004 + 0.004 * np.arange(500)
+# -- ULog -----------------------------------------------------------------------------------
+
 _TYPES = {"u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "i4": "int32_t", "u8": "uint64_t"}
 _TYPES |= {"f4": "float", "b1": "bool"}
 
@@ -66,6 +68,11 @@ def ulog(
             rows.append((int(stamp), _message(b"D", struct.pack("<H", index) + data)))
     rows.sort(key=lambda r: r[0])
     return b"".join([*out, *added, *(r[1] for r in rows)])
+
+
+# -- every format ---------------------------------------------------------------------------
+
+T_S = 0.004 + 0.004 * np.arange(500)
 
 
 def flight_table() -> pd.DataFrame:

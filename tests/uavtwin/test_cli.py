@@ -46,6 +46,7 @@ def test_gap_writes_its_three_files(
     assert len(record["inputs"][0]["sha256"]) == 64
 
 
+@pytest.mark.slow
 def test_the_same_run_gives_the_same_bytes(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -55,6 +56,7 @@ def test_the_same_run_gives_the_same_bytes(
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 
+@pytest.mark.slow
 def test_gap_needs_no_compiler(table: Path, tmp_path: Path) -> None:
     """Nothing on the path, no program started, neither FMU builder nor units library loaded."""
     code = """
@@ -83,6 +85,7 @@ finally:
     assert channels["vel_z"]["horizon_s"] == 0.5
 
 
+@pytest.mark.slow
 def test_gap_prints_strict_json(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -163,6 +166,7 @@ def test_demo_names_the_effect_it_hid(
     assert code == 0
 
 
+@pytest.mark.slow
 def test_export_lists_what_it_wrote(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arguments = ("airframe", "imu", "battery", "--vehicle", "crazyflie", "--fmi", "2,3", "--json")
     code, said, _ = run(capsys, "export", *arguments, "--out", tmp_path / "f")
@@ -278,6 +282,7 @@ def test_a_cut_log_is_a_counted_finding(
     assert (tmp_path / "o" / "report.html").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("log", "vehicle"),
     [
@@ -303,6 +308,7 @@ def test_real_logs(
         assert gap["channels"]["gyro_rate_x"]["share"] < 0.5
 
 
+@pytest.mark.slow
 def test_nanobench_through_the_example(
     capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path
 ) -> None:

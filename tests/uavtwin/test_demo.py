@@ -37,6 +37,7 @@ def places(flight: Flight, plant: Vehicle) -> dict[int, np.ndarray]:
     return {i: pos[np.searchsorted(t, end - 0.02)] - rest for i, end in enumerate(ends)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["copter_default", "crazyflie", "feisi_x150"])
 def test_plant_equal_to_the_twin_follows_the_waypoints(name: str) -> None:
     vehicle = load_vehicle(name)
@@ -77,6 +78,7 @@ def test_flight_table_holds_what_it_says(flight: Flight) -> None:
     assert still["q_x"].std() == pytest.approx(ATT_NOISE, rel=0.4)
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_flight_and_another_seed_other_noise(flight: Flight) -> None:
     one, same, other = flight, *(fly(FEISI, FEISI, seed=s) for s in (0, 8))
     assert one.table.equals(same.table)
@@ -113,6 +115,7 @@ def test_the_text_of_a_hidden_effect_is_its_size() -> None:
     assert f"{shift[0]:.1f}, {shift[1]:.1f} mm forward, right" in by_effect["cog_offset"].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_the_controller_flies_a_plant_it_does_not_know(effect: str) -> None:
     hidden = next(h for h in (hide(FEISI, seed) for seed in range(60)) if h.effect == effect)
@@ -125,6 +128,7 @@ def test_the_controller_flies_a_plant_it_does_not_know(effect: str) -> None:
     assert np.any((commands <= 0) | (commands >= 1), axis=1).sum() * IMU_S < 0.2
 
 
+@pytest.mark.slow
 def test_low_passes_of_the_imu_are_in_the_record(flight: Flight) -> None:
     """Filtered readings follow the unfiltered ones, later by sqrt(2) / w, with the same noise."""
     filtered = replace(FEISI, accel_cutoff_hz=20.0, gyro_cutoff_hz=20.0)

@@ -67,6 +67,7 @@ def test_lists_what_it_wrote(exported: tuple[Path, list[WrittenFile]]) -> None:
         assert row.file.startswith(f"fmi{row.fmi}/")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "fmi"), CASES)
 def test_checkers_find_no_problem(
     exported: tuple[Path, list[WrittenFile]], name: str, fmi: int
@@ -113,6 +114,7 @@ def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert description.description == "Mission land for crazyflie"
 
 
+@pytest.mark.slow
 def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Baked into the fused FMU and into the FMUs of the `.ssp`; descriptions alone are read."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")

@@ -209,6 +209,7 @@ def run() -> ut.Run:
     )
 
 
+@pytest.mark.slow
 def test_a_run_is_shaped_by_objects(run: ut.Run) -> None:
     """Leaning against the wind as the drag asks for."""
     lean = 2 * np.arcsin(run["airframe.q_y"][-1])
@@ -232,6 +233,7 @@ def test_a_run_is_saved_and_reported(run: ut.Run, tmp_path: Path) -> None:
     assert not (tmp_path / "run.xlsx").exists()
 
 
+@pytest.mark.slow
 def test_a_system_is_exported_and_run(tmp_path: Path) -> None:
     """The `.ssp` is the scenario: the same numbers to the last bit."""
     vehicle = ut.vehicle("crazyflie")
@@ -499,6 +501,7 @@ def test_nothing_heavy_is_imported_before_it_is_used(code: str) -> None:
     assert not _loaded(code) & set(HEAVY)
 
 
+@pytest.mark.slow
 def test_a_machine_without_torch_can_name_all_and_is_told_what_to_install(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -524,15 +527,13 @@ ut.gapp
 
 @pytest.mark.slow
 def test_a_type_checker_sees_it_all(tmp_path: Path) -> None:
+    """With the settings and what is left of `make lint`, so that uavtwin is not read anew."""
     (tmp_path / "user.py").write_text(USER)
-    root = Path(str(ut.__file__)).parents[1]
-    options = ("--config-file=", "--follow-imports=silent", "--ignore-missing-imports")
     result = subprocess.run(
-        [sys.executable, "-m", "mypy", *options, f"--cache-dir={tmp_path}", tmp_path / "user.py"],
+        [sys.executable, "-m", "mypy", tmp_path / "user.py"],
         capture_output=True,
         text=True,
-        cwd=root,
-        env={**os.environ, "MYPYPATH": str(root)},
+        cwd=Path(str(ut.__file__)).parents[1],
     )
     told = [line for line in result.stdout.splitlines() if line.startswith(str(tmp_path))]
     for words, line in zip(

@@ -91,6 +91,7 @@ def system(
         yield twin, master
 
 
+@pytest.mark.slow
 def test_teacher_forced_batch_is_what_the_fmus_say_at_a_restart(
     system: tuple[AlignedFlight, Master],
 ) -> None:
@@ -107,6 +108,7 @@ def test_teacher_forced_batch_is_what_the_fmus_say_at_a_restart(
             assert abs(row[f"{slave}.{name}"][0] - readings[k, i]) <= 1e-12 * scale, (name, k)
 
 
+@pytest.mark.slow
 def test_short_horizon_of_the_fmus_is_that_of_the_equations(
     system: tuple[AlignedFlight, Master],
 ) -> None:
@@ -133,6 +135,7 @@ def test_short_horizon_of_the_fmus_is_that_of_the_equations(
                 assert twin.states[k + steps, i] == pytest.approx(x[i], rel=1e-9), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
@@ -165,6 +168,7 @@ def test_windows_in_a_batch_end_where_the_fmus_do(
         np.testing.assert_allclose(got.simulated, want.simulated, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_channels_of_the_gap_are_the_python_twin(
     quiet: Flight, quiet_gap: dict[str, Channel]
 ) -> None:
@@ -185,6 +189,7 @@ def test_channels_of_the_gap_are_the_python_twin(
             assert quiet_gap[f"{name}@"].measured[row] == measured
 
 
+@pytest.mark.slow
 def test_low_pass_of_the_imu_bridges_what_is_unknown() -> None:
     vehicle = replace(FEISI, accel_cutoff_hz=20.0)
     twin_imu = align_flight(fly(vehicle, vehicle, seed=0), vehicle).imu
@@ -266,6 +271,7 @@ def test_extra_mass_shows_in_acc_z_alone(quiet_gap: dict[str, Channel]) -> None:
     assert in_hover(found["vel_z@"]).mean() == pytest.approx(fall, rel=0.03)
 
 
+@pytest.mark.slow
 def test_missing_thrust_shows_in_acc_z_with_its_size() -> None:
     """Hover: measured -g, simulated -g / (1 - s)."""
     rotors = replace(FEISI.rotors, thrust_n=tuple(0.9 * c for c in FEISI.rotors.thrust_n))
@@ -274,6 +280,7 @@ def test_missing_thrust_shows_in_acc_z_with_its_size() -> None:
     assert in_hover(found["acc_z"]).mean() == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.slow
 def test_extra_drag_shows_along_the_velocity() -> None:
     """Residual of the specific force against body velocity: slope -k, in x and y, not in z."""
     k = 0.5
@@ -291,6 +298,7 @@ def test_extra_drag_shows_along_the_velocity() -> None:
         assert slope == pytest.approx(-k if axis != "z" else 0.0, abs=0.03), axis
 
 
+@pytest.mark.slow
 def test_extra_inertia_scales_the_angular_acceleration() -> None:
     found = gap_of(replace(FEISI, inertia_kg_m2=1.4 * FEISI.inertia_kg_m2))
     for axis in "xy":
@@ -300,6 +308,7 @@ def test_extra_inertia_scales_the_angular_acceleration() -> None:
     assert rms(found["acc_z"].residual) == pytest.approx(LEFT_OF_ACC, rel=0.08)
 
 
+@pytest.mark.slow
 def test_shifted_centre_of_mass_shows_as_constant_moments() -> None:
     """The twin sees uneven thrust and predicts a moment that is not there."""
     shift = np.array([0.003, -0.002, 0.0])
@@ -368,6 +377,7 @@ def test_a_column_without_samples_counts_as_missing(short: Flight) -> None:
     assert kinds(gap) == {"acc", "gyro_rate"}
 
 
+@pytest.mark.slow
 def test_measured_rotor_speeds_replace_the_commands() -> None:
     vehicle = load_vehicle("copter_default")
     flight = cut(fly(vehicle, vehicle, seed=0), 0.0, 7.0)
@@ -415,6 +425,7 @@ def test_a_horizon_longer_than_the_flight_leaves_the_other_channels(short: Fligh
     assert any("no stretch of 20 s" in w for w in gap.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end_s", [1.6, 2.2, 2.5, 2.515])
 def test_a_flight_cut_anywhere_gives_finite_channels_or_one_error(
     quiet: Flight, end_s: float
@@ -452,6 +463,7 @@ def flipped(flight: Flight, columns: Sequence[str]) -> Flight:
     return replace(flight, table=flight.table.assign(**{c: -flight.table[c] for c in columns}))
 
 
+@pytest.mark.slow
 def test_a_conjugated_quaternion_is_noticed(quiet: Flight) -> None:
     """Attitude that turns the other way round than the gyroscope: said, not passed over."""
     told = flight_gap(flipped(quiet, ("q_x", "q_y", "q_z")), FEISI).warnings
@@ -459,6 +471,7 @@ def test_a_conjugated_quaternion_is_noticed(quiet: Flight) -> None:
     assert not any("turn together" in w for w in flight_gap(quiet, FEISI).warnings)
 
 
+@pytest.mark.slow
 def test_altitude_instead_of_down_is_named() -> None:
     flight = fly(FEISI, FEISI, seed=1)
     with pytest.raises(LogError, match="is it an altitude"):

@@ -69,6 +69,7 @@ def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
     return folder
 
 
+@pytest.mark.slow
 def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     names = {p.name for p in model.iterdir()}
     assert names >= {
@@ -89,6 +90,7 @@ def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     assert run["options"]["epochs"] == 2 and len(run["inputs"]) == 2
 
 
+@pytest.mark.slow
 def test_evaluation_scores_the_model_beside_baselines(
     model: Path, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,6 +117,7 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert "explained twin" in page and "corrected twin" in page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("preset", "claim"), [("linear", "linear prediction"), ("mean", "base")])
 def test_a_family_in_closed_form_goes_through_the_same_verbs(
     preset: str,
@@ -143,6 +146,7 @@ def test_a_family_in_closed_form_goes_through_the_same_verbs(
     assert "Anomaly score" not in (tmp_path / "e" / "report.html").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_flight_of_the_training_is_refused(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -168,6 +172,7 @@ def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Pat
         _run("evaluate", tmp_path / "full", logs["three"], "--out", tmp_path / "e")
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:

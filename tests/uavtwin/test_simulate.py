@@ -40,6 +40,7 @@ def windy(tmp_path_factory: pytest.TempPathFactory) -> System:
     return scenario_system(WINDY, tmp_path_factory.mktemp("windy"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", mission_names())
 def test_every_scenario_flies(simulate: Call, tmp_path: Path, name: str) -> None:
     code, said, _ = simulate(name, "--vehicle", VEHICLE, "--out", tmp_path / "o")
@@ -61,6 +62,7 @@ def test_every_scenario_flies(simulate: Call, tmp_path: Path, name: str) -> None
     np.testing.assert_allclose(np.diff(table["time"]), 0.01, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_wind_and_effects_act(windy: System) -> None:
     """Wind is felt through the drag that the effect adds, and only then."""
     lean = {}
@@ -111,6 +113,7 @@ def test_fused_is_the_parts_to_the_last_bit(windy: System, tmp_path: Path) -> No
     assert summary(fused) == summary(parts)
 
 
+@pytest.mark.slow
 def test_an_ssp_is_the_scenario_that_it_was_made_of(
     windy: System, simulate: Call, tmp_path: Path
 ) -> None:

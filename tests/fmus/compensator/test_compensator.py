@@ -134,7 +134,9 @@ def outputs(found: Array) -> dict[str, Array]:
 # -- numbers --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(
+    "name", ["reconstruct", *(pytest.param(n, marks=pytest.mark.slow) for n in ("track", "free"))]
+)
 def test_torch_is_onnxruntime_is_c(new: New, folder_of: Folder, name: str) -> None:
     """Up to 10,000 samples: the sequence form of torch, onnxruntime, and C in the FMU."""
     along = flight(model(name), SAMPLES[name])
@@ -152,6 +154,7 @@ def test_torch_is_onnxruntime_is_c(new: New, folder_of: Folder, name: str) -> No
     np.testing.assert_array_equal(said["corrected"], rows["virtual"] + said["correction"])
 
 
+@pytest.mark.slow
 def test_other_forms_give_the_same(new: New) -> None:
     """FMI 3 to the bit; the Python slave as far as sums of float32 go."""
     rows = rows_of(flight(model("track"), 200))
@@ -162,6 +165,7 @@ def test_other_forms_give_the_same(new: New) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("ziglang") is None and not os.environ.get("CI"),
     reason="no ziglang: pip install uavtwin[cross]",
@@ -215,6 +219,7 @@ def test_a_long_step_takes_every_sample(new: New) -> None:
     np.testing.assert_array_equal(fine.outputs(), coarse.outputs())
 
 
+@pytest.mark.slow
 def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
     rows = rows_of(flight(model("free"), 30))
     rows["virtual"][10:20, 4] = float(model("free").high[4]) + 1
@@ -263,6 +268,7 @@ def test_derivatives(new: New, fmi: int) -> None:
             np.testing.assert_array_equal(found, right, name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_description(fmu_of: Fmu, name: str, fmi: int) -> None:
@@ -308,6 +314,7 @@ def test_library_and_sources(fmu_of: Fmu, tmp_path: Path) -> None:
     assert all(line.split()[-1].startswith("fmi2") for line in symbols.splitlines())
 
 
+@pytest.mark.slow
 def test_the_same_model_gives_the_same_bytes(fmu_of: Fmu, tmp_path: Path) -> None:
     network_source.cache_clear()
     again = exported(MODELS["track"](), tmp_path / "again")
@@ -355,6 +362,7 @@ def test_corrected_twin_is_the_co_simulation_of_its_parts(
     assert np.isfinite(result["compensator.corrected.acc_z"]).all()
 
 
+@pytest.mark.slow
 def test_export_of_the_corrected_twin(
     folder_of: Folder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -380,6 +388,7 @@ def test_export_of_the_corrected_twin(
     assert not any(v in free for v in wanted)
 
 
+@pytest.mark.slow
 def test_the_vehicle_is_that_of_the_model(tmp_path: Path) -> None:
     """Where none is named the folder brings it; another one, or one that changed, is refused."""
     text, _ = vehicle_text(VEHICLE)
@@ -416,6 +425,7 @@ def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None
             export_components(names, choice)
 
 
+@pytest.mark.slow
 def test_a_model_of_rotor_speeds_reads_those_of_the_airframe(tmp_path: Path) -> None:
     """Which knows them where a speed belongs to each thrust."""
     fast = compensator()
@@ -494,6 +504,7 @@ def test_foreign_files_are_refused(folder_of: Folder, tmp_path: Path) -> None:
         read_network(tmp_path)
 
 
+@pytest.mark.slow
 def test_what_the_c_generator_refuses_becomes_a_python_slave(
     folder_of: Folder, new: New, tmp_path: Path
 ) -> None:

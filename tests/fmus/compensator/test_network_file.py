@@ -118,6 +118,7 @@ def test_a_name_that_is_code_is_refused_at_reading(
     assert not marker.exists()
 
 
+@pytest.mark.slow
 def test_texts_that_are_never_used_do_not_run_either(
     fresh: Callable[[], onnx.ModelProto], tmp_path: Path
 ) -> None:

@@ -147,6 +147,7 @@ def test_fused_is_the_co_simulation_of_its_parts(
     assert coarse.tobytes() == fine.tobytes()
 
 
+@pytest.mark.slow
 def test_fused_is_the_same_in_python(new: Callable[[str, int], Instance]) -> None:
     """CasADi's interpreter, part by part, against the C code of the whole."""
     assembly = twin().with_starts(starts(FUSED))

@@ -111,6 +111,7 @@ def test_no_delay_is_the_signal_itself(component: Component) -> None:
     assert np.array_equal(values[:, names.index("u_0")], values[:, names.index("held")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step_s", [STEP_S, 0.0025, 0.03])
 def test_python_and_fmu_agree_to_the_bit(component: Component, folder: Path, step_s: float) -> None:
     """Of samples; of integrated states to the rounding of two compilers."""
@@ -121,6 +122,7 @@ def test_python_and_fmu_agree_to_the_bit(component: Component, folder: Path, ste
     np.testing.assert_allclose(got, expected, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_rollback_is_exact(component: Component, folder: Path) -> None:
     """Of the FMU by its state, of the Python run by a copy."""
     rng = np.random.default_rng(3)

@@ -121,6 +121,7 @@ def test_library_needs_only_libc_and_libm(fmu_folder: FmuPath, kind: str, fmi: i
     assert all(symbol.startswith(f"fmi{fmi}") for symbol in exported), exported
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "fmi"),
     [(k, f) for k, f in ALL if k in ("airframe-crazyflie", "imu", "replay", "fused")],
@@ -149,6 +150,7 @@ def sanitized(folder: Path, out: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["airframe-crazyflie", "replay", "fused"])
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_no_memory_error_and_no_undefined_behaviour(
@@ -168,6 +170,7 @@ def test_no_memory_error_and_no_undefined_behaviour(
     assert checked.stdout == host(compile_host(bin_folder, fmi), folder, fmi, kind).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_damaged_record_under_sanitizers(
     fmu_file: FmuPath, fmu_folder: FmuPath, bin_folder: Path, tmp_path: Path, fmi: int

@@ -56,6 +56,7 @@ def other_battery() -> Component:
     return m.build()
 
 
+@pytest.mark.slow
 def test_versions_of_one_component_do_not_meet(tmp_path: Path) -> None:
     """Other start values, another equation, another FMI version: each gives what it gives alone."""
     battery = component("battery")

@@ -79,6 +79,7 @@ def fly(instance: Instance, inputs: tuple[str, ...], u: Array, first: int = 0) -
     return np.array(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", MAKERS)
 def test_python_and_fmu_give_the_same_bits(

@@ -105,6 +105,7 @@ def fly(instance: Instance, names: tuple[str, ...], u: Array, first: int = 0) ->
 # -- results ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEVERAL)
 def test_run_slave_and_native_fmu_give_the_same_bits(
     name: str, folder: Callable[[str], Path], tmp_path: Path
@@ -149,6 +150,7 @@ def test_a_tunable_parameter_changes_on_the_way(folder: Callable[[str], Path]) -
 # -- saved states -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEVERAL)
 def test_rollback_is_exact(name: str, folder: Callable[[str], Path]) -> None:
     """Saved at random instants, run on, restored, run again, and in an instance never started."""
@@ -333,6 +335,7 @@ def output(program: str, *arguments: Path, here: Path) -> list[str]:
     return result.stdout.splitlines()
 
 
+@pytest.mark.slow
 def test_versions_of_one_component_do_not_meet(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -370,6 +373,7 @@ def test_nothing_of_this_repository_is_needed(built: Callable[[str], Path], tmp_
     assert len(rows) == 1 + len(c.output_names)
 
 
+@pytest.mark.slow
 def test_failures_and_many_instances_do_not_end_the_process(
     folder: Callable[[str], Path], tmp_path: Path
 ) -> None:
@@ -380,6 +384,7 @@ def test_failures_and_many_instances_do_not_end_the_process(
 # -- archive ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COMPONENTS)
 def test_checkers_find_no_problem(name: str, built: Callable[[str], Path]) -> None:
     assert validate_fmu(str(built(name))) == []
@@ -416,6 +421,7 @@ def test_description_is_that_of_the_native_fmu(
             assert [v.name for v in a.dependencies] == [v.name for v in b.dependencies]
 
 
+@pytest.mark.slow
 def test_same_component_same_bytes(built: Callable[[str], Path], tmp_path: Path) -> None:
     first = hashlib.sha256(built("imu").read_bytes()).hexdigest()
     program = (

@@ -97,6 +97,7 @@ def clean() -> ResidualFlight:
 # -- against the gap ------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["plain", "filtered", "late"])
 def test_channels_are_those_of_the_gap(noisy: Flight, case: str) -> None:
     """To rounding: the same equations and windows, placed differently.
@@ -139,6 +140,7 @@ def test_channels_are_those_of_the_gap(noisy: Flight, case: str) -> None:
     assert compared == set(CHANNELS) - {"mag_x", "mag_y", "mag_z"}
 
 
+@pytest.mark.slow
 def test_windows_at_once_do_not_change_the_numbers(
     noisy: Flight, noisy_residual: ResidualFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,6 +184,7 @@ def test_slow_samples_are_held_and_counted_once(clean: ResidualFlight) -> None:
     assert np.isfinite(clean.residual[rows[0] :, mag]).all()
 
 
+@pytest.mark.slow
 def test_a_sample_between_instants_is_compared_at_its_own_time(noisy: Flight) -> None:
     """A position that grows by 3 m/s, sampled 4 ms before the instants: not 12 mm of residual.
 
@@ -253,6 +256,7 @@ def test_a_gap_ends_a_span(noisy: Flight) -> None:
     assert flight.fresh[a:b].any() and flight.fresh[c:d].any()
 
 
+@pytest.mark.slow
 def test_ground_is_no_span_and_phases_have_codes() -> None:
     whole = fly(FEISI, FEISI, seed=1, waypoints=WAYPOINTS)
     whole.table.loc[whole.table["time"] > 5.8, "phase"] = ""

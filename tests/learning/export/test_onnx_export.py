@@ -46,6 +46,7 @@ def assert_same(said: Rows, right: dict[str, np.ndarray], tolerance: float = TOL
     np.testing.assert_allclose(said["anomaly"], right["anomaly"], rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_onnxruntime_is_torch_sample_by_sample(name: str) -> None:
     """In and out of the envelope, through phases, with sensors that pause."""
@@ -58,6 +59,7 @@ def test_onnxruntime_is_torch_sample_by_sample(name: str) -> None:
         assert np.all(right[channel][0] != 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("protocol", ["reconstruct", "track", "free"])
 def test_onnxruntime_is_torch_over_a_flight(protocol: Any) -> None:
     """10,000 samples against the sequence form, which evaluation uses."""
@@ -130,6 +132,7 @@ def folder(model: Compensator, tmp_path_factory: pytest.TempPathFactory) -> Path
     return exported(model, tmp_path_factory.mktemp("model"))
 
 
+@pytest.mark.slow
 def test_the_same_model_gives_the_same_bytes(
     model: Compensator, folder: Path, tmp_path: Path
 ) -> None:

@@ -51,6 +51,7 @@ def left(model: Compensator, flight: ResidualFlight) -> np.ndarray:
     return np.asarray(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), [("reconstruct", 0), ("track", 2), ("free", 0)])
 @pytest.mark.parametrize("optimiser", ["adam", "adamw"])
 def test_killed_and_resumed_is_uninterrupted(
@@ -122,6 +123,7 @@ def test_a_foreign_checkpoint_is_refused(tmp_path: Path) -> None:
     assert load(tmp_path).info.seed == 1
 
 
+@pytest.mark.slow
 def test_reconstruction_learns(tmp_path: Path) -> None:
     """Twenty epochs on two short flights bring a held-out one below a tenth in variance."""
     preset = tiny(epochs=20, clustering="sensors", n_codes=64, code_size=8)
@@ -132,6 +134,7 @@ def test_reconstruction_learns(tmp_path: Path) -> None:
     assert curve[-1]["reconstruction"] < 0.7 * curve[0]["reconstruction"]
 
 
+@pytest.mark.slow
 def test_free_finds_what_the_features_tell(tmp_path: Path) -> None:
     """The made-up residual follows the speed of the next channel, besides a drift of its own."""
     flights = [made_up(seed, n=900, gain=1.5) for seed in range(3)]
@@ -273,6 +276,7 @@ def test_a_loss_that_is_not_finite_is_said(tmp_path: Path) -> None:
         train(FLIGHTS, preset, "reconstruct", 0, 0, tmp_path)
 
 
+@pytest.mark.slow
 def test_spread_is_calibrated(tmp_path: Path) -> None:
     """On a flight like the training's about two thirds of the samples are within one spread."""
     flights = [made_up(seed, n=900) for seed in range(3)]

@@ -54,6 +54,7 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_a_flight_of_the_vehicle_itself_leaves_the_noise(effect: str) -> None:
     vehicle, flight = having("feisi_x150", effect), flown("feisi_x150", effect)
@@ -70,6 +71,7 @@ def test_a_flight_of_the_vehicle_itself_leaves_the_noise(effect: str) -> None:
     assert flying_twin(vehicle, effects=()).parts["controller"].states
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "effect"),
     [
@@ -100,6 +102,7 @@ def test_windows_start_where_the_teacher_forced_twin_is(
             assert rms(found[f"{stem}_{axis}"].residual) < bound, f"{stem}_{axis}"
 
 
+@pytest.mark.slow
 def test_a_command_arrives_in_a_flight_when_it_does_in_a_simulation() -> None:
     """Of a whole number of sample periods and not; never within one."""
     flight = flown("feisi_x150", "command_delay")
@@ -118,6 +121,7 @@ def test_a_command_arrives_in_a_flight_when_it_does_in_a_simulation() -> None:
         assert np.ptp(raw[:700, 0]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 0.0123, 0.02])
 def test_a_closed_loop_delays_commands_as_a_run_does(delay_s: float) -> None:
     vehicle = having("copter_default", "command_delay", delay_s=delay_s)

@@ -86,6 +86,7 @@ def fitted(vehicle: Vehicle, plant: Vehicle, names: tuple[str, ...]) -> Problem:
     return Problem.of(model_of(flights, vehicle, [EFFECTS[n] for n in names]))
 
 
+@pytest.mark.slow
 def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:
     vehicle = load_vehicle("copter_default")
     truth = {"slung_load.mass_kg": 0.08 * vehicle.mass_kg, "slung_load.length_m": 1.0}
@@ -98,6 +99,7 @@ def test_a_gentle_flight_names_the_load_and_tells_mass_and_length() -> None:
         assert found.gain > problem.fit(rival).gain + 50, rival
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", ["mass_offset", "rotor_drag"])
 def test_what_is_no_load_is_not_taken_for_one(hidden: str) -> None:
     vehicle = load_vehicle("copter_default")

@@ -146,6 +146,7 @@ def test_every_manoeuvre_can_be_flown(name: str) -> None:
 # -- rehearsal ------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_late_command_is_recorded_early() -> None:
     like = hovering(FEISI, FEISI)
     steps = plan(FEISI, [m for m in manoeuvres(FEISI) if m.name == "vertical_steps"])
@@ -156,6 +157,7 @@ def test_a_late_command_is_recorded_early() -> None:
     np.testing.assert_allclose(early["acc_z"], now["acc_z"])
 
 
+@pytest.mark.slow
 def test_a_record_has_the_columns_and_rates_of_the_flights_and_ends_where_it_is_lost() -> None:
     like = hovering(FEISI, FEISI)
     like = replace(like, table=like.table.drop(columns=["vel_x", "vel_y", "vel_z"]))

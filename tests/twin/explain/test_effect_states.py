@@ -126,6 +126,7 @@ def slope_error(model: Model, name: str, values: dict[str, float]) -> float:
     return worst / size
 
 
+@pytest.mark.slow
 def test_slopes_of_an_effect_with_a_state_are_differences_of_predictions(added: Effect) -> None:
     model = model_of([flown(COPTER)], COPTER, [added, EFFECTS["thrust_scale"]])
     size, tau = (f"{added.name}.{p.name}" for p in added.parameters)

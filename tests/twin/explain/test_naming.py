@@ -112,6 +112,7 @@ def test_a_lag_is_seen_though_the_file_has_none() -> None:
     assert fitted.values["motor_lag.tau_s"] == pytest.approx(true, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_delay_that_the_file_has_already_is_not_counted_twice() -> None:
     known, true = 0.02, 0.05
     plant = COPTER.with_effects({"command_delay": {"delay_s": true}})
@@ -140,6 +141,7 @@ def test_nothing_hidden_is_nothing(quiet: Flight) -> None:
     assert naming.best.effects == ()
 
 
+@pytest.mark.slow
 def test_an_aircraft_that_nobody_has_calibrated_lacks_more_than_three_effects() -> None:
     """Two in the body, one each in compass and barometer, which have nothing to do with those."""
     plant = COPTER.with_effects({"thrust_scale": {"scale": 0.9}, "rotor_drag": {"k_xy_1_s": 0.4}})
@@ -265,6 +267,7 @@ def compass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "candidates", lambda _: known)
 
 
+@pytest.mark.slow
 def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) -> None:
     naming = name_effects([turned(0)], COPTER)
     assert naming.verdict == "cannot_tell"

@@ -54,10 +54,12 @@ def test_the_gap_of_a_held_out_flight_is_what_explain_says_before() -> None:
     compared(simulated(), COPTER)
 
 
+@pytest.mark.slow
 def test_the_gap_of_a_real_flight_is_what_explain_says_before(data_dir: Path) -> None:
     compared(read_flight(data_dir / "rflysimdt" / "real_3.ulg"), FEISI)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [

@@ -72,6 +72,7 @@ def test_an_effect_is_named_whatever_drives_the_model(kind: str, dragged: Flight
         assert len(hidden) == 1 and all(e in hidden[0] for e in OF_COMMANDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_between_command_and_rotor_is_visible_where_rotor_speeds_drive(
     kind: str, dragged: Flight
@@ -82,6 +83,7 @@ def test_nothing_between_command_and_rotor_is_visible_where_rotor_speeds_drive(
     assert {*model.unfelt} == (set() if kind == "commands" else OF_COMMANDS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_lag_is_told_from_commands_alone(kind: str, lagging: Flight) -> None:
     flight = without(lagging, KINDS[kind])
@@ -102,6 +104,7 @@ def test_flights_of_two_kinds_show_what_both_can_show(dragged: Flight) -> None:
     assert "rotor_drag" in model.effects
 
 
+@pytest.mark.slow
 def test_the_torque_of_rotors_that_speed_up_is_seen_in_measured_speeds() -> None:
     truth = {"momentum_n_m_s": EFFECTS["rotor_inertia_torque"].starts(VEHICLE)["momentum_n_m_s"]}
     flight = without(flown(VEHICLE.with_effects({"rotor_inertia_torque": truth})), COMMANDS)

@@ -68,6 +68,7 @@ def quiet() -> Flight:
     return fly(COPTER, COPTER, seed=2, name="quiet", waypoints=LEGS)
 
 
+@pytest.mark.slow
 def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> None:
     drag = planted(quiet, lambda _, v: CUBIC_S_M2 * (v * v).sum(axis=0) * v[0])
     problem = ground_of(drag)
@@ -85,6 +86,7 @@ def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> Non
     assert explains_better(problem, [problem.nothing(), problem.fit(["accel_bias"])], found)
 
 
+@pytest.mark.slow
 def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
     problem = ground_of(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
     found = find_equations(problem, problem.nothing())
@@ -97,12 +99,14 @@ def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
     assert size == pytest.approx(0.4, rel=0.1)
 
 
+@pytest.mark.slow
 def test_no_equation_where_nothing_is_missing(quiet: Flight) -> None:
     problem = ground_of(quiet)
     assert find_equations(problem, problem.nothing()) is None
     assert not explains_better(problem, [problem.nothing()], None)
 
 
+@pytest.mark.slow
 def test_an_effect_of_the_library_is_not_called_unnamed() -> None:
     drag = COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0])
     dragged = fly(COPTER, replace(COPTER, drag_linear_n_s_m=drag), 1, "drag", LEGS)

@@ -144,6 +144,7 @@ def coarse(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> Non
             columns[c] = bit * np.round(columns[c] / bit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [filtered, held, coarse])
 def test_filters_held_and_coarse_readings_raise_no_alarm(change: Change) -> None:
     flight = hovering(change)
@@ -227,6 +228,7 @@ def test_gust_is_found_with_its_intensity() -> None:
     assert inside(named["gust"], "gust.intensity_w", 1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [swinging, rattling])
 def test_a_swing_and_a_bump_are_no_gust(change: Change) -> None:
     assert found(hovering(change), hovering(change, seed=2)) == {}

@@ -104,6 +104,7 @@ def test_whole_loop_has_the_poles_of_its_chains(name: str) -> None:
         assert np.abs(found - pole).min() < near * abs(pole), (pole, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VEHICLES)
 @pytest.mark.parametrize("yaw", [0.0, 2.0])
 def test_comes_back_from_a_push(name: str, yaw: float) -> None:
@@ -121,6 +122,7 @@ def test_comes_back_from_a_push(name: str, yaw: float) -> None:
     assert turned.magnitude() < 0.02  # the heading is north again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILTIN)
 @pytest.mark.parametrize("roll_deg", [70.0, 150.0])
 def test_recovers_from_a_large_tilt(name: str, roll_deg: float) -> None:

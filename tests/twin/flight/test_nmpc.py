@@ -87,6 +87,7 @@ def test_a_state_that_is_no_number_is_refused(predictive: Nmpc) -> None:
         predictive.command(rig.state(vel_x=np.nan), np.zeros(10))
 
 
+@pytest.mark.slow
 def test_a_late_command_is_left_to_the_plant(predictive: Nmpc) -> None:
     late = Nmpc(CRAZYFLIE.with_effects({**CRAZYFLIE.effects, "command_delay": {"delay_s": 0.02}}))
     assert late.state_names == predictive.state_names

@@ -62,6 +62,7 @@ def test_round_trip_is_exact_to_the_bit(tmp_path: Path, suffix: str) -> None:
         assert back.facts["vehicle"] == "x"
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-1e12, 1e12), min_size=2, max_size=20, unique=True), st.data())
 def test_any_numbers_survive_csv(
     tmp_path_factory: pytest.TempPathFactory, times: list[float], data: st.DataObject
@@ -238,6 +239,7 @@ def test_malformed_csv(tmp_path: Path, text: str, message: str) -> None:
         read_flight(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 def test_table_cut_anywhere_is_read_or_refused(tmp_path: Path, suffix: str) -> None:
     whole = tmp_path / f"whole{suffix}"

@@ -233,6 +233,7 @@ def test_rebuilding_that_is_impossible_says_why(data_dir: Path, tmp_path: Path) 
     assert len(flight.signal(["cmd_1"])[0]) == 251
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.01, 0.03, 0.05, 0.1, 0.3, 0.5, 0.77, 0.9, 0.999])
 def test_a_cut_log_is_read_as_far_as_it_goes(data_dir: Path, tmp_path: Path, share: float) -> None:
     whole = recorded(data_dir, "real_1")

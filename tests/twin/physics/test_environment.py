@@ -50,6 +50,7 @@ SCALES = {"gust.length_u": 2.0, "gust.length_v": 2.0, "gust.length_w": 1.0}
 SIGMAS = {"gust.intensity_u": 1.5, "gust.intensity_v": 1.2, "gust.intensity_w": 0.7}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("period_s", [1e-3, 1e-2, 0.1, 1.0])
 def test_variance_is_right_at_any_sample_period(period_s: float) -> None:
     correlation_s = 0.2
@@ -66,6 +67,7 @@ def long_record() -> Array:
     return gusts(0.01, 200_000, parameters={**SCALES, **SIGMAS})
 
 
+@pytest.mark.slow
 def test_spectra_are_dryden(long_record: Array) -> None:
     """Density over frequency in time: along 2 L/V / (1 + W^2), across (1 + 3 W^2) / ()^2."""
     f, density = welch(long_record.T, 100.0, nperseg=8192)
@@ -83,6 +85,7 @@ def test_spectra_are_dryden(long_record: Array) -> None:
             assert abs(ratio - 1) < 4 / np.sqrt(draws) + 0.02, (i, low, high, ratio)
 
 
+@pytest.mark.slow
 def test_correlation_time_is_length_over_speed(long_record: Array) -> None:
     along, lag = long_record[:, 0], 20
     correlation = np.mean(along[:-lag] * along[lag:]) / np.mean(along**2)

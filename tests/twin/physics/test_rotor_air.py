@@ -251,6 +251,7 @@ def rotorpy(
     return force, moment
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k_h, k_flap", [(0.0, 0.0), (3e-4, 0.0), (1e-3, -2e-6), (0.0, 4e-6)])
 def test_the_hummingbird_of_the_documentation_feels_what_rotorpys_does(
     k_h: float, k_flap: float

@@ -700,6 +700,7 @@ def survives(text: str) -> None:
         return
 
 
+@pytest.mark.slow
 @given(
     edits=st.lists(
         st.tuples(
@@ -728,6 +729,7 @@ def test_lines_deleted_doubled_moved_or_cut(edits: list[tuple[int, str, int]]) -
     survives("\n".join(lines))
 
 
+@pytest.mark.slow
 @given(
     at=st.integers(0, len(FULL) - 1),
     new=st.text(max_size=3) | st.sampled_from(list("0123456789.,-[]{}\"'=#\n")),
