@@ -22,10 +22,10 @@ demo: setup  ## find the effect hidden in built-in flights and write out/demo/re
 	$(BIN)/uavtwin demo --out out/demo --force
 
 test: setup lint  ## the whole suite
-	$(BIN)/python -m pytest --numprocesses 2
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
-fast: setup  ## without the slow tests
-	$(BIN)/python -m pytest --numprocesses 2 -m 'not slow'
+fast: setup  ## without the slow tests; 90 s
+	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not slow'
 
 lint: setup
 	$(BIN)/ruff check .
