@@ -39,6 +39,7 @@ def tree() -> Tree:
 # -- the tree -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_no_circle() -> None:
     """Imports inside functions count: none of them is there to break a circle."""
     assert circles(tree()) == []
@@ -65,6 +66,7 @@ def test_torch_is_in_learning_alone() -> None:
     assert imports_of(tree(), "torch") != []
 
 
+@pytest.mark.slow
 def test_private_names_stay_at_home() -> None:
     assert private_uses(tree()) == []
 

@@ -19,6 +19,7 @@ from uavtwin.demo.flights import fly, hide
 ROOT = Path(__file__).parents[1]
 
 
+@pytest.mark.slow
 def test_tables_are_generated_from_the_code() -> None:
     result = subprocess.run(
         [sys.executable, ROOT / "docs" / "_generate" / "tables.py", "--check"],
@@ -28,6 +29,7 @@ def test_tables_are_generated_from_the_code() -> None:
     assert result.returncode == 0, result.stdout + "run: python docs/_generate/tables.py"
 
 
+@pytest.mark.slow
 def test_figures_are_those_stored() -> None:
     result = subprocess.run(
         [sys.executable, ROOT / "docs" / "_generate" / "figures.py", "--check"],

@@ -137,6 +137,7 @@ def test_a_flight_is_the_same_in_other_company(monkeypatch: pytest.MonkeyPatch) 
     )
 
 
+@pytest.mark.slow
 def test_cases_are_written_once_alike_and_without_their_truth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,7 @@ def throw(p: Parameters, seconds: float, step_s: float = STEP_S) -> tuple[Array,
     return np.array(course), layout
 
 
+@pytest.mark.slow
 def test_free_body_keeps_energy_and_angular_momentum() -> None:
     p = powerless()
     x, at = throw(p, 2.0)
@@ -68,6 +69,7 @@ def test_free_body_keeps_energy_and_angular_momentum() -> None:
     assert np.abs(momentum - momentum[0]).max() < 1e-5 * np.linalg.norm(momentum[0])
 
 
+@pytest.mark.slow
 def test_body_with_load_keeps_energy_and_momentum(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(physics, "_SWING_DAMPING_1_S", 0.0)
     p = powerless(load_mass=LOAD_KG, load_length=ROPE_M)
@@ -83,6 +85,7 @@ def test_body_with_load_keeps_energy_and_momentum(monkeypatch: pytest.MonkeyPatc
     assert np.abs(momentum - momentum[0]).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_steps_are_of_second_order(monkeypatch: pytest.MonkeyPatch) -> None:
     ends = []
     for step in (2e-3, 1e-3, 5e-4, 2.5e-4):

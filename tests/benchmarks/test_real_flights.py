@@ -77,6 +77,7 @@ def test_a_change_keeps_comments_and_says_that_it_is_one() -> None:
     assert "mass" not in Change("body.mass", None)(text)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda s: str(s.name))
 def test_every_recording_is_there(data_dir: Path, scenario: Any) -> None:
     assert all((data_dir / flight).is_file() for flight in scenario.flights)

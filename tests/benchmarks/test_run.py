@@ -30,6 +30,7 @@ def said(out: Path, case: str) -> dict[str, Any]:
     return content
 
 
+@pytest.mark.slow
 def test_a_case_that_fails_is_recorded_and_costs_no_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

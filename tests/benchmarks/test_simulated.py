@@ -45,6 +45,7 @@ def made(out: Path) -> ResidualFlight:
     return flight
 
 
+@pytest.mark.slow
 def test_files_can_be_read_and_give_nothing_away(out: Path) -> None:
     folder = INDIVIDUAL.folder(out)
     vehicle = load_vehicle(str(folder / VEHICLE))

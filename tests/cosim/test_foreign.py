@@ -155,6 +155,7 @@ FLAGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flag", FLAGS)
 def test_what_fmi3_tells_after_a_step(lag: Callable[[int], Path], flag: str) -> None:
     source = {f"if ({flag}) *{flag} = fmi3False;": f"if ({flag}) *{flag} = fmi3True;"}
@@ -170,6 +171,7 @@ def test_what_fmi3_tells_after_a_step(lag: Callable[[int], Path], flag: str) -> 
 STEP2 = "return status(c, core_step(c, time, h));"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("answer", "message"),
     [
@@ -188,6 +190,7 @@ def test_what_fmi2_answers(lag: Callable[[int], Path], answer: str, message: str
             master.run(1.0, 0.1)
 
 
+@pytest.mark.slow
 def test_warnings_do_not_stop(lag: Callable[[int], Path]) -> None:
     fmu = altered(
         lag(2),
@@ -199,6 +202,7 @@ def test_warnings_do_not_stop(lag: Callable[[int], Path]) -> None:
         assert master.run(1.0, 0.1).steps == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_stop_time_is_passed_on(lag: Callable[[int], Path], fmi: int) -> None:
     """An FMU that refuses to be initialised without."""

@@ -105,6 +105,7 @@ def seen_by(package: str, paths: dict[str, Path], folder: Path) -> Array:
     return values
 
 
+@pytest.mark.slow
 def test_libcosim_is_jacobi_to_the_bit(
     fmus: dict[int, dict[str, Path]], ours: Array, tmp_path: Path
 ) -> None:
@@ -162,6 +163,7 @@ def ssp_seen_by(package: str, system: System, folder: Path) -> Array:
     return values
 
 
+@pytest.mark.slow
 def test_libcosim_reads_our_ssp(trio: System, tmp_path: Path) -> None:
     """Structure, start values, base step and the slower IMU: the bits of `jacobi`."""
     theirs = ssp_seen_by("libcosimpy", trio, tmp_path)

@@ -38,6 +38,7 @@ def scipy_of(q: Array) -> Rotation:
     return Rotation.from_quat(np.roll(q, -1, axis=-1))
 
 
+@pytest.mark.slow
 @given(q=quaternions)
 def test_rotation_matrix_is_scipys(q: Array) -> None:
     np.testing.assert_allclose(rotation_matrix(list(q)), scipy_of(q).as_matrix(), atol=1e-14)

@@ -28,6 +28,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_gap_writes_its_three_files(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -98,6 +99,7 @@ def test_gap_prints_strict_json(
     )
 
 
+@pytest.mark.slow
 def test_an_output_folder_that_holds_files_is_kept(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -111,6 +113,7 @@ def test_an_output_folder_that_holds_files_is_kept(
     assert (tmp_path / "precious.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_an_interrupted_gap_writes_nothing(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -217,6 +220,7 @@ def _broken_tables(table: Path, folder: Path) -> dict[str, tuple[Path, str]]:
     return paths
 
 
+@pytest.mark.slow
 def test_bad_flights_get_one_clear_error(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -235,6 +239,7 @@ def test_bad_flights_get_one_clear_error(
         assert not (tmp_path / "o").exists(), name
 
 
+@pytest.mark.slow
 def test_wrong_use_of_options(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
@@ -270,6 +275,7 @@ def test_wrong_use_of_options(
         assert not (tmp_path / "o").exists(), arguments
 
 
+@pytest.mark.slow
 def test_a_cut_log_is_a_counted_finding(
     capsys: pytest.CaptureFixture[str], data_dir: Path, tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_plant_equal_to_the_twin_follows_the_waypoints(name: str) -> None:
     assert at_bound.sum() * IMU_S < 0.2
 
 
+@pytest.mark.slow
 def test_flight_table_holds_what_it_says(flight: Flight) -> None:
     t = flight.table["time"].to_numpy()
     seconds = sum(duration for _, duration, _ in WAYPOINTS)
@@ -144,6 +145,7 @@ def test_low_passes_of_the_imu_are_in_the_record(flight: Flight) -> None:
     assert means[1] == pytest.approx(means[0], abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_vehicle_driven_by_rotor_speeds_records_them() -> None:
     """That of the page on vehicle files, whose rotors have no map from a command."""
     page = (Path(__file__).parents[2] / "docs" / "guide" / "vehicle.md").read_text()

@@ -53,6 +53,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Writt
     return folder, rows
 
 
+@pytest.mark.slow
 def test_lists_what_it_wrote(exported: tuple[Path, list[WrittenFile]]) -> None:
     folder, rows = exported
     files = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
@@ -130,6 +131,7 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
     assert [float(values[s.split("=")[0]]) for s in starts] == [0.03, 4.0, 0.5]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "choice", "text"),
     [

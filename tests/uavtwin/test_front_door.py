@@ -169,6 +169,7 @@ def gap(folder: Path) -> ut.GapResult:
     return ut.gap(ut.read_flights(folder / "fit_*.parquet"), ut.load_vehicle(folder / "mine.toml"))
 
 
+@pytest.mark.slow
 def test_the_gap_as_a_frame_and_as_samples(gap: ut.GapResult) -> None:
     frame = gap.frame().set_index(["channel", "phase"])
     content = gap.json()["channels"]
@@ -223,6 +224,7 @@ def test_a_run_is_shaped_by_objects(run: ut.Run) -> None:
         run["airframe.posz"]
 
 
+@pytest.mark.slow
 def test_a_run_is_saved_and_reported(run: ut.Run, tmp_path: Path) -> None:
     path = run.save(tmp_path / "new" / "run.parquet")
     pd.testing.assert_frame_equal(pd.read_parquet(path).set_index("time"), run.frame())
@@ -395,6 +397,7 @@ def _other(folder: Path) -> ut.Flight:
     return ut.read_flight(folder / "other.parquet")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", WRONG)
 def test_wrong_use_is_told_in_terms_of_python(folder: Path, case: str) -> None:
     call, text = WRONG[case]
@@ -486,6 +489,7 @@ except SystemExit as stop:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "code",
     [

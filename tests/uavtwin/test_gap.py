@@ -206,6 +206,7 @@ def test_low_pass_of_the_imu_bridges_what_is_unknown() -> None:
 # -- nothing hidden -----------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_hidden_leaves_the_noise_of_the_sensors(quiet_gap: dict[str, Channel]) -> None:
     """White before the low-pass; after it, what a low-pass leaves of white noise."""
     white = np.random.default_rng(0).standard_normal((20_000, 1))
@@ -257,6 +258,7 @@ def in_hover(channel: Channel, start_s: float = 6.0, end_s: float = 8.0) -> Arra
     return np.asarray(channel.residual[(channel.t_s > start_s) & (channel.t_s < end_s)])
 
 
+@pytest.mark.slow
 def test_extra_mass_shows_in_acc_z_alone(quiet_gap: dict[str, Channel]) -> None:
     """Hover: measured -g, simulated -g (1 + s)."""
     found = gap_of(replace(FEISI, mass_kg=1.1 * FEISI.mass_kg), horizon_s=0.5)
@@ -338,6 +340,7 @@ def kinds(gap: FlightGap) -> set[str]:
 EVERYTHING = {"acc", "gyro_rate", "pos@", "vel@", "att@", "gyro@"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("dropped", "left", "note"),
     [
@@ -362,6 +365,7 @@ def test_what_is_missing_leaves_the_channels_possible(
         assert np.isfinite(channel.residual).all()
 
 
+@pytest.mark.slow
 def test_velocity_is_derived_from_position(short: Flight) -> None:
     gap = flight_gap(without(short, "vel_x", "vel_y", "vel_z"), FEISI)
     assert kinds(gap) == EVERYTHING
@@ -438,6 +442,7 @@ def test_a_flight_cut_anywhere_gives_finite_channels_or_one_error(
     assert all(np.isfinite(c.residual).all() for c in gap.channels)
 
 
+@pytest.mark.slow
 def test_a_gap_in_the_pose_is_left_out_not_bridged(quiet: Flight) -> None:
     """A second without pose in mid-flight: no prediction there, no window across."""
     table = quiet.table.copy()
@@ -452,6 +457,7 @@ def test_a_gap_in_the_pose_is_left_out_not_bridged(quiet: Flight) -> None:
     assert rms(found["pos_x@"].residual) < 0.01
 
 
+@pytest.mark.slow
 def test_progress_runs_from_nothing_to_all(short: Flight) -> None:
     shares: list[float] = []
     flight_gap(short, FEISI, progress=shares.append)
@@ -478,6 +484,7 @@ def test_altitude_instead_of_down_is_named() -> None:
         flight_gap(flipped(flight, ("pos_z", "vel_z")), FEISI)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("factor", "doubted"), [(0.4, True), (0.7, False), (1.5, False), (2.2, True)]
 )

@@ -155,6 +155,7 @@ def test_a_flight_of_the_training_is_refused(
     assert not (tmp_path / "e").exists()
 
 
+@pytest.mark.slow
 def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Path) -> None:
     with pytest.raises(TwinError, match=r"no preset 'bset'; there are .*paper"):
         _train(logs, tmp_path / "m", "--preset", "bset")

@@ -83,12 +83,14 @@ def test_wind_and_effects_act(windy: System) -> None:
     assert lean[3.0, True] == pytest.approx(np.arctan(0.5 * 3.0 / 9.80665), rel=0.02)
 
 
+@pytest.mark.slow
 def test_gusts_blow_about_the_wind(windy: System) -> None:
     wind = run_scenario(windy, stop_s=20.0)["environment.wind_x"]
     assert 0.1 < np.std(wind) < 3.0
     assert np.mean(wind) == pytest.approx(3.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes(windy: System, tmp_path: Path) -> None:
     flights, other = [], {k: 5.0 if k.endswith(".seed") else v for k, v in windy.starts.items()}
     for i, starts in enumerate((windy.starts, windy.starts, other)):
@@ -128,6 +130,7 @@ def test_an_ssp_is_the_scenario_that_it_was_made_of(
     assert json.loads((tmp_path / "b" / "run.json").read_text())["seed"] == 4
 
 
+@pytest.mark.slow
 def test_an_ssp_takes_start_values_and_no_other_shape(
     windy: System, simulate: Call, tmp_path: Path
 ) -> None:
@@ -143,6 +146,7 @@ def test_an_ssp_takes_start_values_and_no_other_shape(
     assert "only start values go with it, not gusts." in told
 
 
+@pytest.mark.slow
 def test_the_controller_is_swapped(windy: System, tmp_path: Path) -> None:
     px4 = scenario_system(Scenario("tour", load_vehicle(VEHICLE), "px4"), tmp_path)
     lqr = replace(windy, starts={})
@@ -151,6 +155,7 @@ def test_the_controller_is_swapped(windy: System, tmp_path: Path) -> None:
     assert max(ours["tracking_worst_m"], theirs["tracking_worst_m"]) < 0.5
 
 
+@pytest.mark.slow
 def test_report_shows_every_part_with_units(windy: System, simulate: Call, tmp_path: Path) -> None:
     simulate(
         "tour",
@@ -172,6 +177,7 @@ def test_report_shows_every_part_with_units(windy: System, simulate: Call, tmp_p
         assert text in page
 
 
+@pytest.mark.slow
 def test_steps_and_intervals(windy: System) -> None:
     rows = [
         run_scenario(windy, 0.1, step_s=step_s, interval_s=interval_s).time_s[1]
@@ -197,6 +203,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", WRONG)
 def test_wrong_use(simulate: Call, tmp_path: Path, arguments: tuple[str, ...]) -> None:
     vehicle = () if "--vehicle" in arguments else ("--vehicle", VEHICLE)
@@ -207,6 +214,7 @@ def test_wrong_use(simulate: Call, tmp_path: Path, arguments: tuple[str, ...]) -
     assert not (tmp_path / "o").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("times", "text"),
     [

@@ -188,6 +188,7 @@ def test_other_compilers_give_the_same_bits(
     assert found.tobytes() == fly(new("track").start(), rows, range(200)).tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["track", "slave track"])
 def test_the_first_sample_is_a_period_after_the_start(new: New, name: str) -> None:
     """Until then nothing is corrected, and what an uncorrected sensor is wrong by is expected."""
@@ -287,6 +288,7 @@ def test_description(fmu_of: Fmu, name: str, fmi: int) -> None:
     assert float(variables["sample_period"].start) == H
 
 
+@pytest.mark.slow
 def test_library_and_sources(fmu_of: Fmu, tmp_path: Path) -> None:
     """Our own code compiles without a warning; the library allocates as those of others do."""
     folder = unzip(fmu_of("track", 2), tmp_path / "fmu")
@@ -410,6 +412,7 @@ def test_the_vehicle_is_that_of_the_model(tmp_path: Path) -> None:
             export_components(["corrected-twin"], Choice(vehicle, model=folder))
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None:
     two = exported(compensator(commands=2), tmp_path / "two")
     fine = folder_of("track")

@@ -104,6 +104,7 @@ def evil_channel(marker: Path) -> dict[str, Any]:
     return {"groups": [*GROUPS, name], "channels": [*CHANNELS[:-1], f"{name}_x"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("said", [evil_command, evil_group, evil_channel])
 def test_a_name_that_is_code_is_refused_at_reading(
     fresh: Callable[[], onnx.ModelProto],
@@ -198,6 +199,7 @@ def test_no_names(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.text(max_size=80) | st.from_regex(r"[A-Za-z_][A-Za-z0-9_]{0,70}", fullmatch=True))
 def test_any_name_is_an_identifier_or_refused(

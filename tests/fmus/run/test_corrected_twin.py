@@ -315,6 +315,7 @@ def test_derivatives_against_central_differences(
     assert max(worst) <= TOLERANCE, sorted(worst)[-5:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["airframe", FUSED])
 def test_derivatives_are_finite_while_standing(
     new: Callable[[str, int], Instance], name: str

@@ -152,6 +152,7 @@ def refusal(folder: Path, fmi: int) -> str:
     return message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_damaged_record_is_refused(folders: dict[int, Path], fmi: int) -> None:
     good = replay_example().resources["record.bin"]

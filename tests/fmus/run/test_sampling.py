@@ -74,6 +74,7 @@ def in_fmu(fmu: Path, seed: int, step_s: float = STEP_S) -> Array:
         return master.run(STEPS * STEP_S, step_s).values
 
 
+@pytest.mark.slow
 def test_python_and_fmu_draw_the_same_bits(sensor: Component, fmu: Path) -> None:
     expected, got = in_python(sensor, 5), in_fmu(fmu, 5)
     assert np.array_equal(got[:, :2], expected[:, :2])

@@ -97,6 +97,7 @@ def test_python_and_fmu_give_the_same_bits(
     assert np.all(np.ptp(got, axis=0) > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", MAKERS)
 def test_rollback_is_exact(

@@ -363,6 +363,7 @@ def test_versions_of_one_component_do_not_meet(
     assert output(ROWS, *reversed(folders), here=tmp_path) == alone[::-1]
 
 
+@pytest.mark.slow
 def test_nothing_of_this_repository_is_needed(built: Callable[[str], Path], tmp_path: Path) -> None:
     c = component("airframe")
     rows = dict(line.split() for line in output(ALONE, built("airframe"), here=tmp_path))

@@ -154,6 +154,7 @@ def test_windows_at_once_do_not_change_the_numbers(
 # -- nothing hidden -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_flight_of_the_twin_itself_leaves_nothing(clean: ResidualFlight) -> None:
     """What remains: the low-pass of the body rates from which windows start."""
     assert clean.fresh[:, GROUPS["gyro"]].any()
@@ -203,6 +204,7 @@ def test_a_sample_between_instants_is_compared_at_its_own_time(noisy: Flight) ->
     assert abs(between - at_instants) < 5e-3
 
 
+@pytest.mark.slow
 def test_a_reading_that_comes_later_changes_nothing_before(
     noisy: Flight, noisy_residual: ResidualFlight
 ) -> None:
@@ -244,6 +246,7 @@ def test_without_attitude_the_accelerometer_is_left(noisy: Flight) -> None:
     assert any("attitude" in note for note in flight.notes)
 
 
+@pytest.mark.slow
 def test_a_gap_ends_a_span(noisy: Flight) -> None:
     table = noisy.table.copy()
     hole = (table["time"] > 4.0) & (table["time"] < 4.4)

@@ -106,6 +106,7 @@ def correlation(pair: Array) -> float:
     return float(np.atleast_2d(np.corrcoef(pair.T))[0, 1])
 
 
+@pytest.mark.slow
 def test_draws_have_mean_spread_and_correlation_of_each_phase(generator: Generator) -> None:
     drawn = generator.run(TEST[0]).correction
     for phase, size in ((TAKEOFF, 2.0), (HOVER, 1.0)):
@@ -142,6 +143,7 @@ def test_slow_sensors_are_drawn_at_their_own_rate(generator: Generator) -> None:
     assert not drawn[:, MAG].any()
 
 
+@pytest.mark.slow
 def test_seeds_decide_and_measurements_do_not(generator: Generator) -> None:
     flight = TEST[0]
     first = generator.run(flight).correction
@@ -163,6 +165,7 @@ def test_a_phase_never_seen_and_hardly_any_samples(generator: Generator) -> None
 # -- score ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_table_ranks_what_is_alike_above_what_is_not(generators: dict[str, Generator]) -> None:
     models: dict[str, Callable[[int], Model]] = {n: g.with_seed for n, g in generators.items()}
     models["recording"] = fit_recording(TRAIN).with_seed

@@ -129,6 +129,7 @@ def test_standardised_by_phase() -> None:
         assert mean[mean.phase == phase]["rmse_std"].mean() == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS, ids=lambda t: f"{t.protocol}-{t.horizon}")
 def test_baselines_of_every_task(task: Task) -> None:
     table = table_of(None, task)
@@ -140,6 +141,7 @@ def test_baselines_of_every_task(task: Task) -> None:
         assert table[name].notna().all()
 
 
+@pytest.mark.slow
 def test_same_input_same_table() -> None:
     pd.testing.assert_frame_equal(table_of(Share(0.5)), table_of(Share(0.5)))
 

@@ -175,6 +175,7 @@ def test_metadata_say_what_a_user_must_know(model: Compensator, folder: Path) ->
     np.testing.assert_array_equal(said["normalisation"]["scale"], model.scale.numpy())
 
 
+@pytest.mark.slow
 def test_a_model_of_rotor_speeds_says_so(tmp_path: Path) -> None:
     """Then the twin's rotor speeds are to be fed, and no commands."""
     fast = compensator(commands=2)
@@ -190,6 +191,7 @@ def test_reference_vectors_check_a_runtime(folder: Path) -> None:
     assert_same(streamed(onnx.load(folder / MODEL_FILE), reference), reference)
 
 
+@pytest.mark.slow
 def test_int8_is_smaller_and_says_what_it_costs(tmp_path: Path) -> None:
     wide = compensator(tiny(encoder_units=(64,), decoder_units=(64,), code_size=32))
     folder = exported(wide, tmp_path)

@@ -57,6 +57,7 @@ def trained(row: FamilyRow, preset: Any, protocol: Protocol, folder: Path) -> Tr
 # -- each keeps its word --------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
 def test_a_model_is_kept_as_it_is(
     row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
@@ -79,6 +80,7 @@ def test_a_model_is_kept_as_it_is(
         assert written == (tmp_path / "two" / name).read_bytes(), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
 def test_a_model_is_finite_and_sees_what_it_may(
     row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
@@ -105,6 +107,7 @@ def test_a_model_is_finite_and_sees_what_it_may(
     assert first >= earliest, f"the measurement of row {row_of_change} shows in row {first}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
 def test_other_flights_are_refused(
     row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
@@ -116,6 +119,7 @@ def test_other_flights_are_refused(
         model.run(replace(AWAY, commands=np.zeros((len(AWAY.t_s), 4))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
 def test_what_is_exported_is_what_the_row_says(row: FamilyRow, tmp_path: Path) -> None:
     family = row.load()

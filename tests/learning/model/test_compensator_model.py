@@ -63,6 +63,7 @@ def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
     return Corrected(correction, spread, anomaly, inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
 @pytest.mark.parametrize(
     "changes",
@@ -78,6 +79,7 @@ def test_streaming_is_sequence(protocol: str, horizon: int, changes: dict[str, o
     np.testing.assert_allclose(one.anomaly, other.anomaly, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
 @given(row=st.integers(10, 90), channel=st.integers(0, 14))
 @settings(max_examples=8)
@@ -100,6 +102,7 @@ def test_nothing_newer_than_the_horizon_is_used(
         assert seen[0] == row + horizon
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
 @given(cut=st.integers(2, 99))
 @settings(max_examples=5)

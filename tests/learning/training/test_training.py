@@ -79,6 +79,7 @@ def test_killed_and_resumed_is_uninterrupted(
     assert not (tmp_path / "cut" / CHECKPOINT).exists()
 
 
+@pytest.mark.slow
 def test_same_seed_same_bytes_other_seed_others(tmp_path: Path) -> None:
     """Whatever was drawn before, and however many threads there are; neither is touched."""
     threads = torch.get_num_threads()
@@ -167,6 +168,7 @@ def test_stops_early_and_keeps_the_best(tmp_path: Path) -> None:
     assert curve[best - 1]["validation"] == min(e["validation"] for e in curve)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("protocol", "horizon"), [("track", 1), ("track", 30), ("free", 0)])
 def test_gate_never_makes_the_validation_error_larger(
     protocol: str, horizon: int, tmp_path: Path

@@ -87,6 +87,7 @@ LIBM = {
 """What the C library computes, whose last bit is its own."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["copter_default", "crazyflie", "feisi_x150"])
 def test_components_call_nothing_whose_last_bit_differs(name: str) -> None:
     vehicle = load_vehicle(name)

@@ -45,6 +45,7 @@ def change(
     return {name: rates[name] - value for name, value in base.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", [load_vehicle(n) for n in BUILTIN], ids=BUILTIN)
 def test_an_airframe_with_all_effects_off_is_the_one_without_to_the_last_bit(
     vehicle: Vehicle,
@@ -80,6 +81,7 @@ def test_an_effect_at_its_neutral_value_changes_nothing(effect: Effect) -> None:
         assert rate == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", AIRFRAME, ids=IDS)
 def test_an_effect_at_its_start_value_is_felt_and_stays_finite(effect: Effect) -> None:
     vehicle = plain(drag_linear_n_s_m=np.array([0.1, 0.1, 0.0]))
@@ -163,6 +165,7 @@ def test_blade_flapping_pulls_back_and_pitches_up() -> None:
     assert added["omega_y"] == pytest.approx(0.04 * 0.1 * 1.2 * 9.80665 / 0.027)
 
 
+@pytest.mark.slow
 def test_ground_effect_lifts_and_fades_with_the_square_of_the_height() -> None:
     def gained(height: float) -> float:
         lift = change(plain(), "ground_effect", {"pos_z": -height}, gain=0.3, height_m=0.4)

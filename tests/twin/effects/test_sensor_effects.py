@@ -49,6 +49,7 @@ def test_a_sensor_with_all_effects_off_is_the_one_without_to_the_last_bit(name: 
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", NAMED, ids=lambda e: e.name)
 def test_an_effect_is_felt_at_its_start_value_and_not_at_its_neutral_one(effect: Effect) -> None:
     component = MAKERS[effect.component](VEHICLE, [effect.name])
@@ -138,6 +139,7 @@ def test_noise_level() -> None:
     assert bare.std(axis=0) == pytest.approx([0.2] * 3 + [0.01] * 3, rel=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spin", [1.0, 1.3])
 def test_vibration_is_at_the_rotor_frequency_and_grows_with_the_square_of_the_speed(
     spin: float,
@@ -156,6 +158,7 @@ def test_vibration_is_at_the_rotor_frequency_and_grows_with_the_square_of_the_sp
         assert np.sqrt(2 * power.sum()) == pytest.approx(amplitude * spin**2, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay_s", [0.0, 0.0137, 0.2])
 def test_imu_delay(delay_s: float) -> None:
     """A delay of whole and broken sample periods: the straight line between the samples."""

@@ -264,6 +264,7 @@ def test_the_suggested_flight_separates_and_one_ranked_low_does_not() -> None:
     assert still.probability_of("thrust_scale") > 0.2
 
 
+@pytest.mark.slow
 def test_nothing_is_suggested_where_the_name_is_sure() -> None:
     naming = tie(hovering(COPTER, PLANTS["mass_offset"]), COPTER, ["mass_offset", "accel_bias"])
     assert next_manoeuvre(replace(naming, probabilities=(0.99, 0.01)), COPTER) is None

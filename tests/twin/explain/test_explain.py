@@ -57,6 +57,7 @@ def shown(flight: Flight) -> Comparison:
 # -- showing --------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Comparison) -> None:
     gaps = {g.name: g for g in shown.gaps}
     for name in ("acc_x", "acc_y"):

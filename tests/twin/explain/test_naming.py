@@ -103,6 +103,7 @@ def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
     assert fitted.values["position_delay.delay_s"] == pytest.approx(0.0, abs=0.006)
 
 
+@pytest.mark.slow
 def test_a_lag_is_seen_though_the_file_has_none() -> None:
     instant = replace(COPTER, rotors=replace(COPTER.rotors, lag_up_s=0.0, lag_down_s=0.0))
     flight = fly(instant, COPTER, seed=4, name="lagging", waypoints=ROUND)
@@ -135,6 +136,7 @@ def test_noise_of_the_pose_is_not_damped_by_a_scale(quiet: Flight) -> None:
         assert abs(fitted.values[n.full] - 1.0) < max(2.0 * width, 0.01), n.full
 
 
+@pytest.mark.slow
 def test_nothing_hidden_is_nothing(quiet: Flight) -> None:
     naming = name_effects([quiet], COPTER)
     assert naming.verdict == "nothing"
@@ -274,6 +276,7 @@ def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) ->
     assert naming.probability_of("mag_hard_iron") > 0.2 < naming.probability_of("mag_soft_iron")
 
 
+@pytest.mark.slow
 def test_hard_iron_is_told_from_soft_iron_once_the_nose_turns(compass: None) -> None:
     naming = name_effects([turned(4)], COPTER)
     assert naming.verdict == "named"

@@ -50,6 +50,7 @@ def compared(flight: Flight, vehicle: Vehicle) -> None:
         assert channel["rms"] == pytest.approx(before[name].before, rel=1e-12), name
 
 
+@pytest.mark.slow
 def test_the_gap_of_a_held_out_flight_is_what_explain_says_before() -> None:
     compared(simulated(), COPTER)
 

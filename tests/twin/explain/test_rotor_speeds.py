@@ -96,6 +96,7 @@ def test_a_lag_is_told_from_commands_alone(kind: str, lagging: Flight) -> None:
         assert problem.fit(["rotor_drag"]).gain < 10
 
 
+@pytest.mark.slow
 def test_flights_of_two_kinds_show_what_both_can_show(dragged: Flight) -> None:
     flights = [without(dragged, SPEEDS), replace(without(dragged, COMMANDS), name="other")]
     model = model_of(flights, VEHICLE, candidates(flights))

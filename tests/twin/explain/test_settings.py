@@ -99,6 +99,7 @@ def numeric(value: ast.expr) -> bool:
     return number or (any(isinstance(n, ast.Call) for n in nodes) and not text)
 
 
+@pytest.mark.slow
 def test_every_other_number_of_the_search_says_why_it_is_no_setting() -> None:
     found = set()
     for module, tree in modules():

@@ -97,10 +97,12 @@ def inside(u: StochasticEffect, name: str, value: float) -> bool:
 # -- noise level ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_is() -> None:
     assert found(hovering(seed=1), hovering(seed=2)) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [0.4, 1.8, 4.0])
 def test_noise_level_is_found_with_its_scale(scale: float) -> None:
     named = found(hovering(noise=scale))
@@ -175,6 +177,7 @@ def shaking(hz: float, accel: float, gyro: float) -> Change:
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hz", [60.0, 85.0, 140.0])
 def test_vibration_is_found_with_its_sizes(hz: float) -> None:
     named = found(hovering(shaking(hz, 0.4, 0.02)))
@@ -221,6 +224,7 @@ def rattling(columns: dict[str, Array], t: Array, rng: np.random.Generator) -> N
         columns["acc_y"] -= 0.6 * np.exp(-(((t - start) / 0.3) ** 2))
 
 
+@pytest.mark.slow
 def test_gust_is_found_with_its_intensity() -> None:
     named = found(*(hovering(breeze(1.5, 0.7), seconds=30.0, seed=k) for k in (3, 4)))
     assert set(named) == {"gust"}

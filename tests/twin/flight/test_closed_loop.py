@@ -86,6 +86,7 @@ def test_same_flight_component_by_component() -> None:
     assert [n for n in parts["control"].input_names if n in SETPOINTS] == list(SETPOINTS)
 
 
+@pytest.mark.slow
 def test_names_fit_together() -> None:
     """What one component reads is what another one gives, under the same name and unit."""
     for name in BUILTIN:

@@ -72,6 +72,7 @@ def test_all_poles_are_stable_and_damped(name: str) -> None:
         assert ratio.min() > 0.4  # no oscillation to speak of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VEHICLES)
 def test_whole_loop_has_the_poles_of_its_chains(name: str) -> None:
     """Airframe and cascade, linearised together about hover, against the Riccati designs."""
@@ -131,6 +132,7 @@ def test_recovers_from_a_large_tilt(name: str, roll_deg: float) -> None:
     assert np.linalg.norm(rig.vector(states[-1], "pos")) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILTIN)
 def test_far_setpoint_is_reached_within_the_tilt_limit_and_without_much_overshoot(
     name: str,
@@ -144,6 +146,7 @@ def test_far_setpoint_is_reached_within_the_tilt_limit_and_without_much_overshoo
     assert np.arccos(1 - 2 * (x**2 + y**2)).max() < 0.7 + 0.1  # the limit and some overshoot
 
 
+@pytest.mark.slow
 def test_flight_is_the_same_at_any_heading() -> None:
     """Equal roll and pitch inertia: turned by 1.1 rad, the flight is the same one turned."""
     vehicle = plain(inertia_kg_m2=np.diag([0.02, 0.02, 0.036]))

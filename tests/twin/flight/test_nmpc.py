@@ -65,6 +65,7 @@ def test_settles_no_later_than_the_cascade(predictive: Nmpc) -> None:
     assert np.median(times) < 1.0
 
 
+@pytest.mark.slow
 def test_a_reset_forgets_the_past(predictive: Nmpc) -> None:
     rig = in_air(CRAZYFLIE)
     predictive.reset()

@@ -87,6 +87,7 @@ def test_hover_thrust_follows_the_curve_of_the_thrust() -> None:
     assert {v.name: v.start for v in given.parameters}["MPC_THR_HOVER"] == 0.4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FLOWN)
 def test_hovers_with_the_parameters_of_a_log(name: str, data_dir: Path) -> None:
     vehicle = load_vehicle(name)
@@ -97,6 +98,7 @@ def test_hovers_with_the_parameters_of_a_log(name: str, data_dir: Path) -> None:
     assert flown.saturated_s < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "own"), [("copter_default", False), ("copter_default", True), ("feisi_x150", True)]
 )

@@ -72,6 +72,7 @@ def recorder(*streams: Stream, **changes: object) -> Recorder:
     return replace(Recorder(streams, rate_hz=200.0, sampled_hz=1000.0), **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_streams_are_recorded_at_their_own_rates_with_their_own_noise() -> None:
     clean = [
         Stream(("cmd_1",), 0.005),
@@ -112,6 +113,7 @@ def test_an_old_pose_is_recorded_late_and_flown_as_it_is() -> None:
         np.testing.assert_array_equal(late[column], now[column])
 
 
+@pytest.mark.slow
 def test_late_commands_are_recorded_early_or_answered_late() -> None:
     """Recorded early, the flight is the same; answered late, the loop moves differently."""
     streams = Stream(("cmd_1",), 0.005), Stream(("pos_z",), 0.005)

@@ -409,6 +409,7 @@ def test_a_parameter_acts_as_the_number_in_the_vehicle_file() -> None:
     assert a == pytest.approx(b, rel=1e-12, abs=1e-14)
 
 
+@pytest.mark.slow
 def test_every_combination_of_signs_of_the_inertia_products_is_inverted() -> None:
     for signs in itertools.product((-1, 1), repeat=3):
         J = np.diag([0.02, 0.027, 0.036])

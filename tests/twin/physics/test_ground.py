@@ -34,6 +34,7 @@ def tilt_deg(rig: Rig, states: Array) -> Array:
     return np.asarray(np.degrees(2 * np.arcsin(np.minimum(np.hypot(x, y), 1.0))))
 
 
+@pytest.mark.slow
 def test_stands_still_for_a_minute(rig: Rig) -> None:
     settled = rig.fly(off(rig, 0.0, **q(from_euler(0, 0, 0.7))), rig.commands(0.0), 1.0)[-1]
     states = rig.fly(settled, rig.commands(0.0), 60.0)

@@ -91,6 +91,7 @@ def test_preset_noise() -> None:
     np.testing.assert_allclose(np.linalg.norm(y[:, 6:], axis=1), 1.0, rtol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_walk_of_the_position_grows_with_the_root_of_time() -> None:
     quiet = {k: v for k, v in QUIET.items() if not k.startswith("pos_walk")}
     walks = np.array(

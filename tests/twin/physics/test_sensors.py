@@ -165,6 +165,7 @@ def test_hover_draws_the_hover_current() -> None:
     assert drawn == pytest.approx(2.1 * 0.5**1.5, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_and_bias_walk_of_the_imu() -> None:
     """White noise has the size asked for; the walk's spread grows with the root of time."""
     sensor = imu(load_vehicle("copter_default"))

@@ -152,6 +152,7 @@ def test_what_a_file_cannot_hold_is_refused() -> None:
         update_text(vehicle.with_mass(-1.0), TEXTS["crazyflie"])
 
 
+@pytest.mark.slow
 @given(
     mass=st.floats(0.01, 0.04),
     drag=st.lists(st.floats(0, 10), min_size=3, max_size=3),

@@ -740,6 +740,7 @@ def test_characters_replaced(at: int, new: str, drop: int) -> None:
     survives(FULL[:at] + new + FULL[at + drop :])
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(max_examples=120, deadline=None, suppress_health_check=list(HealthCheck))
 def test_values_replaced_by_odd_ones(data: st.DataObject) -> None:
