@@ -539,7 +539,8 @@ def test_a_type_checker_sees_it_all(tmp_path: Path) -> None:
         text=True,
         cwd=Path(str(ut.__file__)).parents[1],
     )
-    told = [line for line in result.stdout.splitlines() if line.startswith(str(tmp_path))]
+    # By the name alone: the cache remembers the same text by the folder of its first run.
+    told = [line for line in result.stdout.splitlines() if "user.py:" in line]
     for words, line in zip(
         (
             'Revealed type is "uavtwin.vehicles.Vehicle"',
