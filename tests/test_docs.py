@@ -80,6 +80,21 @@ def test_every_polynomial_of_the_documentation_loads() -> None:
         assert parse_vehicle(body + torque + text, "variant.toml").rotors.thrust_n
 
 
+def test_deviations_and_effects_of_the_documentation_load() -> None:
+    page = (ROOT / "docs" / "guide" / "vehicle.md").read_text("utf-8")
+    known, effect = re.findall(r"```toml title=[^\n]*\n(.*?)```", page, re.DOTALL)
+    whole = _blocks()[0]
+    for line in known.splitlines():
+        key = line.split(" = ")[0]
+        whole = re.sub(rf"^{key} = .*$", line, whole, flags=re.MULTILINE)
+    vehicle = parse_vehicle(f"{whole}\n{effect}", "example.toml")
+    assert set(vehicle.deviations) == {
+        "body.mass",
+        "body.inertia",
+        "effects.rotor_drag.k_xy_1_s",
+    }
+
+
 def _json_keys(section: str) -> set[str]:
     """Names in code in a section of the page of JSON keys."""
     page = (ROOT / "docs" / "reference" / "json.md").read_text("utf-8")

@@ -101,8 +101,12 @@ def rotation_vector(q_a: NDArray[np.float64], q_b: NDArray[np.float64]) -> NDArr
     return np.asarray(vector * scale[:, None], dtype=np.float64)
 
 
-def from_euler(roll_rad: float, pitch_rad: float, yaw_rad: float) -> NDArray[np.float64]:
-    """Quaternion body to NED of the aerospace sequence yaw, pitch, roll."""
+def from_euler(
+    roll_rad: float | NDArray[np.float64],
+    pitch_rad: float | NDArray[np.float64],
+    yaw_rad: float | NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Quaternion body to NED of the aerospace sequence yaw, pitch, roll; of n angles, (4, n)."""
     cr, sr = np.cos(roll_rad / 2), np.sin(roll_rad / 2)
     cp, sp = np.cos(pitch_rad / 2), np.sin(pitch_rad / 2)
     cy, sy = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)

@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from twin.errors import TwinError
     from twin.explain.settings import SearchSettings
     from twin.flight.mission import mission_names
-    from twin.logs import Flight, read_flight, write_flight
+    from twin.logs import Flight, Site, read_flight, write_flight
     from twin.vehicle.file import builtin_vehicles
 
+    from .calibration import CalibrateResult, calibrate
     from .explanation import ExplainResult, explain
     from .exports.parts import Twin, compensator, component, replay, twin
     from .exports.write import export
@@ -36,16 +37,19 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EFFECTS",
+    "CalibrateResult",
     "ExplainResult",
     "Flight",
     "GapResult",
     "Run",
     "SearchSettings",
+    "Site",
     "Twin",
     "TwinError",
     "Vehicle",
     "__version__",
     "builtin_vehicles",
+    "calibrate",
     "check",
     "compensator",
     "component",
@@ -67,12 +71,15 @@ __all__ = [
 ]
 
 _HOME = {
+    "CalibrateResult": "uavtwin.calibration",
+    "calibrate": "uavtwin.calibration",
     "EFFECTS": "twin.effects",
     "ExplainResult": "uavtwin.explanation",
     "Flight": "twin.logs",
     "GapResult": "uavtwin.gaps",
     "Run": "uavtwin.run",
     "SearchSettings": "twin.explain.settings",
+    "Site": "twin.logs",
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",

@@ -15,8 +15,9 @@ from twin.explain.estimates import estimates_of, listed_effects, probability_of,
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
+from twin.explain.stochastic.finding import SURE
 from twin.logs import Flight
-from twin.vehicle import Vehicle
+from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
 from .exports.parts import component
@@ -25,7 +26,17 @@ from .flights import checked_flights
 from .output import output_file, write_json
 from .report.explain import write_explain_report
 from .report.gap import number
-from .report.words import certainty, claim, interval, shrink_words, title
+from .report.words import (
+    by_prior,
+    calibrated_rows,
+    certainty,
+    claim,
+    day_rows,
+    instead,
+    interval,
+    shrink_words,
+    title,
+)
 from .shown import Shown, TextTable, counted
 
 if TYPE_CHECKING:
@@ -111,12 +122,32 @@ class ExplainResult(Shown):
                         e.number.name,
                         number(e.value),
                         e.number.about.unit,
-                        interval(e.ci95),
+                        ", ".join(
+                            t
+                            for t in (interval(e.ci95), by_prior(self.details, e.prior_share))
+                            if t
+                        ),
                         rival if i == 0 else "",
+                        instead(self.details, effect) if i == 0 else "",
                     )
                 )
         header = ("effect", "certainty", "number", "value", "unit", "95 % interval", "rival")
-        return TextTable(header, tuple(rows))
+        return TextTable((*header, "or instead"), tuple(rows))
+
+    def calibrated_table(self) -> TextTable:
+        """Numbers that were in doubt, and that lack nothing beyond that."""
+        header = ("was in doubt", "value", "unit", "95 % interval", "")
+        return TextTable(header, tuple(calibrated_rows(self.details)))
+
+    def days_table(self) -> TextTable:
+        """What stands out of the day of each flight."""
+        header = ("of the day", "number", "difference", "unit", "standard deviation")
+        return TextTable(header, tuple(day_rows(self.details)))
+
+    def beside(self) -> Iterable[TextTable]:
+        """What comes last: numbers that were in doubt, and those of days."""
+        tables = (self.calibrated_table(), self.days_table())
+        return [table for table in tables if table.rows]
 
     def frame(self) -> "pd.DataFrame":
         """The gap of the held-out flights before and after: a row per channel."""
@@ -161,7 +192,8 @@ class ExplainResult(Shown):
         return Path(path)
 
     def sections(self) -> Iterable[str | TextTable]:
-        """The sentence, candidates, what to fly next, before and after, warnings."""
+        """The sentence, candidates, what to fly next, before and after, what was in doubt,
+        warnings."""
         yield self.sentence
         if self.effects:
             yield self.candidates_table()
@@ -169,6 +201,7 @@ class ExplainResult(Shown):
             yield f"Fly next: {self.details.next_manoeuvre.description}"
         if self.details.comparison is not None:
             yield self.gap_table()
+        yield from self.beside()
         if self.warnings:
             yield "\n".join(self.warnings)
 
@@ -184,12 +217,14 @@ class ExplainResult(Shown):
 def explain(
     flights: Flight | Sequence[Flight],
     holdout: Flight | Sequence[Flight],
-    vehicle: Vehicle,
+    vehicle: Vehicle | None = None,
     *,
+    since: Vehicle | None = None,
     payloads: Mapping[str, float] | None = None,
     seed: int = 0,
     missions: Sequence[str] | None = None,
     settings: SearchSettings = DEFAULT,
+    indoors: bool | None = None,
     progress: Progress = lambda _: None,
 ) -> ExplainResult:
     """Name the physical effect that a vehicle lacks, add it, and show that the gap shrinks.
@@ -198,26 +233,56 @@ def explain(
         flights: To fit on.
         holdout: Flights that take no part in the fit and show the gap; none (`[]`): blocks of time
             of the others stand in, which is weaker.
-        vehicle: As it stands.
+        vehicle: As it stands, to ask what it lacks.
+        since: Instead of it, a vehicle that was calibrated, to ask what has changed since then: its
+            numbers are held as well as they are known.
         payloads: Known mass aboard by the name of a flight, kg.
         seed: Of every bootstrap.
         missions: To fly with the new model at the end; default: all.
         settings: The numbers that decide what is said, `docs/settings.md`.
+        indoors: Whether all flights were within walls; default: as each flight says, outdoors
+            where it does not.
         progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, or a
-            payload is of no flight.
+        TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, a
+            payload is of no flight, or `since` holds no calibration.
     """
     fit, away = checked_flights(flights, "explain"), checked_flights(holdout, "explain")
-    model = vehicles.checked_vehicle(vehicle, "explain")
+    if (vehicle is None) == (since is None):
+        raise TwinError(
+            f"explain: {'neither a vehicle nor since' if since is None else 'a vehicle and since'} "
+            f"given. Give a vehicle to ask what it lacks, or since=VEHICLE, one that `calibrate` "
+            f"made, to ask what has changed since then."
+        )
+    model = vehicles.checked_vehicle(vehicle if since is None else since, "explain")
+    if since is not None:
+        check_calibrated(model)
     _check_apart(fit, away)
     payloads = dict(payloads or {})
     check_payloads(payloads, [f.name for f in (*fit, *away)])
     found = inner.explain(
-        fit, away, model, seed, progress, missions=missions, payloads=payloads, settings=settings
+        fit,
+        away,
+        model,
+        seed,
+        progress,
+        missions=missions,
+        payloads=payloads,
+        settings=settings,
+        indoors=indoors,
+        since=since is not None,
     )
     return ExplainResult(found)
+
+
+def check_calibrated(vehicle: Vehicle) -> None:
+    """Refuse a vehicle that no flights have calibrated.
+
+    Raises:
+        TwinError: It is one.
+    """
+    inner.calibrated_on(vehicle)
 
 
 def _check_apart(fit: Sequence[Flight], away: Sequence[Flight]) -> None:
@@ -249,17 +314,26 @@ def check_payloads(payloads: Mapping[str, float], flights: Sequence[str]) -> Non
 
 
 def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
-    """The vehicle with the named effects, each number with its pedigree; else as it stood."""
+    """The vehicle with the named effects, each number with pedigree and sd; else as it stood."""
     if found.added is None:
         return vehicles.Vehicle.of(found.vehicle)
     flights, sources = " and ".join(found.flights), dict(found.vehicle.sources)
+    deviations = dict(found.vehicle.deviations)
     for effect in found.effects:
         certainties = {e.number.name: e.ci95 for e in estimates_of(found, effect)}
-        for name in found.added.effects[effect]:
-            sources[f"effects.{effect}.{name}"] = (
-                f"uavtwin explain, {flights}, {_certainty(certainties.get(name))}"
-            )
-    return replace(vehicles.Vehicle.of(found.added), sources=sources)
+        for name, value in found.added.effects.get(effect, {}).items():
+            key, ci95 = f"effects.{effect}.{name}", certainties.get(name)
+            sources[key] = f"uavtwin explain, {flights}, {_certainty(ci95)}"
+            deviations.pop(key, None)
+            if (sd := _deviation(ci95)) > 0:
+                deviations[key] = Deviation.of([sd], [value])
+    return replace(vehicles.Vehicle.of(found.added), sources=sources, deviations=deviations)
+
+
+def _deviation(ci95: tuple[float, float] | None) -> float:
+    """Standard deviation of a 95 % interval; 0 where there is none."""
+    half = 0.0 if ci95 is None else (ci95[1] - ci95[0]) / 2
+    return half / SURE if isfinite(half) else 0.0
 
 
 def _certainty(ci95: tuple[float, float] | None) -> str:
@@ -287,8 +361,9 @@ def write_explanation(
         return written
     vehicle = explained_vehicle(found)
     written.append(vehicle.save(folder / "vehicle.toml").name)
-    if fmus:
-        names = sorted({EFFECTS[e].component for e in found.effects})
+    of_vehicle = (EFFECTS[e] for e in found.effects if EFFECTS[e].of_vehicle)
+    names = sorted({e.component for e in of_vehicle})
+    if fmus and names:
         rows = export_parts([component(n, vehicle) for n in names])(folder, progress)
         written += [row.file for row in rows]
     return written

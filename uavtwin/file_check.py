@@ -5,22 +5,37 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from fmus.inspect import inspect_fmu
 from twin.errors import ModelError, TwinError
+from twin.explain.told import told_by
 from twin.logs import Flight, read_flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.logs.table import header
+from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
+from twin.vehicle.deviation import DEFAULT
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
+from twin.vehicle.plausibility import Question, questions
 
 from .shown import Shown, TextTable, counted
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class CheckReport(Shown):
-    """What `check` says of one file."""
+    """What `check` says of one file.
+
+    Attributes:
+        file: Its name.
+        facts: What it holds.
+        problems: What is wrong with it: findings, exit code 1.
+        warnings: What is likely wrong.
+        notes: What was done or assumed.
+        good_for: What it can be used for.
+        questions: What is odd about a vehicle and may yet be right.
+        told: Of a flight, effects that `explain` can look for in it, by component.
+        not_told: Effects that it cannot show, and what is missing.
+    """
 
     file: str
     facts: dict[str, str]
@@ -28,6 +43,9 @@ class CheckReport(Shown):
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
     good_for: tuple[str, ...]
+    questions: tuple[Question, ...] = ()
+    told: tuple[str, ...] = ()
+    not_told: tuple[str, ...] = ()
 
     def json(self) -> dict[str, Any]:
         """The report as plain data."""
@@ -36,8 +54,11 @@ class CheckReport(Shown):
             "facts": self.facts,
             "problems": list(self.problems),
             "warnings": list(self.warnings),
+            "questions": [q.json() for q in self.questions],
             "notes": list(self.notes),
             "good_for": list(self.good_for),
+            "told": list(self.told),
+            "not_told": list(self.not_told),
         }
 
     def lines(self) -> list[tuple[str, str]]:
@@ -47,8 +68,11 @@ class CheckReport(Shown):
             for kind, texts in (
                 ("problem", self.problems),
                 ("warning", self.warnings),
+                ("question", [str(q) for q in self.questions]),
                 ("note", self.notes),
                 ("good for", self.good_for),
+                ("explain can tell", self.told),
+                ("explain cannot tell", self.not_told),
             )
             for text in texts
         ]
@@ -95,38 +119,46 @@ def _check_fmu(path: Path) -> CheckReport:
 def _check_vehicle(path: Path) -> CheckReport:
     vehicle = load_vehicle(path)
     facts = {"format": "vehicle file", "name": vehicle.name, "driven by": vehicle.drive}
-    given = {k: s for k, s in vehicle.sources.items() if not s.startswith("default:")}
+    given = {k: s for k, s in vehicle.sources.items() if not s.startswith(DEFAULT)}
     facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
-    notes = tuple(_defaults(vehicle.sources))
-    arm = max(float(np.hypot(x, y)) for x, y, _ in vehicle.rotors.position_m)
-    facts["rotors"] = f"{vehicle.rotors.count}, arm {arm:.4g} m"
+    notes, asked = tuple(_defaults(vehicle.sources)), questions(vehicle)
+    facts["rotors"] = f"{vehicle.rotors.count}, arm {vehicle.arm_m:.4g} m"
     try:
         body = airframe(vehicle)
     except ModelError as error:
-        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), (), notes, ())
+        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), (), notes, (), asked)
     trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
     facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
         " rad/s" if vehicle.drive == "rotor_speed" else ""
     )
     uses = "gap, explain, train, demo, simulate, export"
-    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,))
+    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,), asked)
 
 
 def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
     """What stands in for keys that a vehicle file leaves out, a line for keys of one default."""
     keys: dict[str, list[str]] = {}
     for key, source in sources.items():
-        if source.startswith("default:"):
+        if source.startswith(DEFAULT):
             keys.setdefault(source, []).append(key)
     for source, those in keys.items():
         yield f"{', '.join(those)}: {source}"
 
 
 def _check_flight(path: Path) -> CheckReport:
+    columns = header(path)
+    if is_recording(columns):
+        parts = dict.fromkeys(c.partition(".")[0] for c in columns if "." in c)
+        facts = {
+            "format": "recording of uavtwin simulate, no flight table",
+            "holds": f"{len(columns)} columns PART.VARIABLE of {', '.join(parts)}",
+        }
+        return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
     flight = read_flight(path)
     facts = {
         "holds": ", ".join(c for c in flight.table if c != "time" and flight.has(c)),
         "rows": f"{len(flight.table)}",
+        "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
         **flight.facts,
     }
 
@@ -138,8 +170,16 @@ def _check_flight(path: Path) -> CheckReport:
             if f.severity == severity
         )
 
+    told = told_by(flight)
     return CheckReport(
-        path.name, facts, said("error"), said("warning"), said("info"), tuple(_uses(flight))
+        path.name,
+        facts,
+        said("error"),
+        said("warning"),
+        said("info"),
+        tuple(_uses(flight)),
+        told=tuple(f"{component}: {', '.join(names)}" for component, names in told.effects.items()),
+        not_told=tuple(f"{', '.join(names)}: {why}" for why, names in told.unknown.items()),
     )
 
 

@@ -124,11 +124,21 @@ def write_run(
     options: Mapping[str, Any],
     inputs: Iterable[Path] = (),
     seed: int | None = None,
+    file: str = "run.json",
 ) -> None:
     """Write `run.json`: what made the results beside it. No time and no machine: the same run
-    gives the same bytes."""
+    gives the same bytes.
+
+    Args:
+        out: Folder.
+        verb: Of the command line.
+        options: It was called with.
+        inputs: Files that it read.
+        seed: Of what is drawn.
+        file: Another name, where the folder is not of this run alone.
+    """
     write_json(
-        out / "run.json",
+        out / file,
         {
             "verb": verb,
             "options": dict(options),

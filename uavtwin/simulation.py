@@ -116,6 +116,8 @@ def _shaped(twin: Assembly, scenario: Scenario) -> Assembly:
     for name in scenario.effects:
         if name not in EFFECTS:
             raise TwinError(unknown_name("effects", "effect", name, EFFECTS))
+        if not EFFECTS[name].of_vehicle:
+            raise TwinError(f"effect {name} is one of a record; an aircraft that flies has none.")
         block = f"{EFFECTS[name].component}.{name}"
         switches[f"{block}.enabled"] = 1.0
         if isinstance(scenario.effects, Mapping):

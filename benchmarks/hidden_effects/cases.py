@@ -5,8 +5,9 @@ A case is named by a hash: the name of its folder says nothing about what is hid
 
 import hashlib
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from .life.conditions import Conditions
 from .plants.kinds import EFFECTS, PLANTS, Plant
 
 MAGNITUDES = ("small", "medium", "large")
@@ -21,11 +22,14 @@ class Case:
 
     Attributes:
         plant: Name of the plant.
-        kind: single, pair, triple, outside or nothing.
-        effects: Names of the hidden effects.
-        magnitude: small, medium or large; "none" when nothing is hidden.
+        kind: single, pair, triple, outside or nothing; in the set of `life` many, uncertain or
+            since, too.
+        effects: Names of the hidden effects; of since, the class of what has happened.
+        magnitude: small, medium or large; "none" when nothing is hidden, "mixed" where each
+            effect has its own.
         noise: Level of the sensors.
         seed: Draws sizes, signs, missions and noise.
+        life: What it has beside what is hidden.
     """
 
     plant: str
@@ -34,22 +38,24 @@ class Case:
     magnitude: str
     noise: str
     seed: int
+    life: Conditions = field(default_factory=Conditions)
 
     @property
     def key(self) -> str:
         """Text that tells it from all others."""
         effects = "+".join(self.effects)
-        return f"{self.plant}/{effects}/{self.magnitude}/{self.noise}/{self.seed}"
+        key = f"{self.plant}/{effects}/{self.magnitude}/{self.noise}/{self.seed}"
+        return f"{key}/{self.kind}/{self.life.key}" if self.life.key else key
 
     @property
     def id(self) -> str:
         """Name of its folder."""
-        return _digest(self.key)[:12]
+        return digest(self.key)[:12]
 
     @property
     def entropy(self) -> int:
         """Where its random numbers start."""
-        return int(_digest(self.key + "/random")[:15], 16)
+        return int(digest(self.key + "/random")[:15], 16)
 
     @property
     def aircraft(self) -> str:
@@ -88,19 +94,20 @@ def subset(every: Iterable[Case], size: int) -> list[Case]:
     whole = sum(_SHARES[k] for k in kinds)
     for kind in kinds:
         wanted = round(size * _SHARES[kind] / whole)
-        chosen += _round_robin([c for c in every if c.kind == kind], wanted)
+        chosen += round_robin([c for c in every if c.kind == kind], wanted)
     return chosen
 
 
-def _round_robin(every: list[Case], wanted: int) -> list[Case]:
+def round_robin(every: list[Case], wanted: int) -> list[Case]:
     """One of each effect (and plant), then a second of each, and so on."""
     strata: dict[tuple[str, ...], list[Case]] = {}
-    for case in sorted(every, key=lambda c: _digest(c.key)):
+    for case in sorted(every, key=lambda c: digest(c.key)):
         strata.setdefault((case.plant, *case.effects), []).append(case)
     rounds = max((len(s) for s in strata.values()), default=0)
     order = [s[i] for i in range(rounds) for s in strata.values() if i < len(s)]
     return order[:wanted]
 
 
-def _digest(text: str) -> str:
+def digest(text: str) -> str:
+    """A number in hexadecimals that is the same everywhere."""
     return hashlib.sha256(text.encode()).hexdigest()

@@ -11,7 +11,10 @@ from typing import Any
 
 import twin
 
-FIT, HOLDOUT, VEHICLE = ("fit_1.parquet", "fit_2.parquet"), ("holdout_1.parquet",), "vehicle.toml"
+from .calibrated import ask_calibrated, is_calibrated
+from .files import VEHICLE, found_in
+
+FIT, HOLDOUT = "fit_*.parquet", "holdout_*.parquet"
 LONGEST_S = 900.0
 """After this a case counts as failed."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -40,11 +43,15 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
     from twin.vehicle.file import load_vehicle
 
     wall, cpu = time.perf_counter(), time.process_time()
-    fit, away = ([read_flight(folder / name) for name in names] for names in (FIT, HOLDOUT))
-    settings = DEFAULT.with_values(changed or {})
-    found = explain(fit, away, load_vehicle(str(folder / VEHICLE)), missions=(), settings=settings)
+    if is_calibrated(folder):
+        said = ask_calibrated(folder)
+    else:
+        fit, away = ([read_flight(f) for f in found_in(folder, n)] for n in (FIT, HOLDOUT))
+        settings = DEFAULT.with_values(changed or {})
+        vehicle = load_vehicle(str(folder / VEHICLE))
+        said = explain_json(explain(fit, away, vehicle, missions=(), settings=settings))
     return {
-        **explain_json(found),
+        **said,
         "seconds": round(time.perf_counter() - wall, 2),
         "cpu_seconds": round(time.process_time() - cpu, 2),
     }

@@ -1,8 +1,21 @@
-"""Files that are there whole or not at all."""
+"""Names of files, and files that are there whole or not at all."""
 
 import json
 from pathlib import Path
 from typing import Any
+
+from twin.errors import LogError
+
+VEHICLE = "vehicle.toml"
+"""Of a case."""
+
+
+def found_in(folder: Path, pattern: str) -> list[Path]:
+    """Flights of a case in the order of their names."""
+    found = sorted(folder.glob(pattern))
+    if not found:
+        raise LogError(f"{folder}: no {pattern}; write the flights again with generate")
+    return found
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -8,9 +8,10 @@ Cases that are complete are skipped, so a run that was cut short goes on where i
 
 import argparse
 import os
+import re
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from itertools import repeat
@@ -23,12 +24,17 @@ from twin.vehicle.file import parse_vehicle
 
 from .cases import MAGNITUDES, NOISE_LEVELS, Case, cases, subset
 from .files import write_json
+from .halves import HALVES, half_of
+from .life.plan import LIFE_KINDS, life_set
+from .planning import missions_of
 from .plants.kinds import PLANTS, may_fly_together
-from .produce import FLIGHTS, Produced, produce
+from .produce import Produced, produce
 
 KINDS = ("single", "pair", "outside", "nothing", "triple")
-CASES_AT_ONCE = 100
+FLIGHTS_AT_ONCE = 300
 """In one simulation: beyond, memory grows and time per flight hardly falls."""
+_DEVIATION = re.compile(r", sd = (\"[^\"]*\"|[^,}]*?)(?= })")
+"""What a vehicle file says about the deviation of an entry; the rest is checked without it."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -44,23 +50,35 @@ def main(arguments: list[str] | None = None) -> int:
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Options that choose cases."""
-    parser.add_argument("--subset", type=int, help="so many cases, spread evenly")
+    size = parser.add_mutually_exclusive_group()
+    size.add_argument("--subset", type=int, metavar="N", help="so many cases, spread evenly")
+    size.add_argument("--life", type=int, metavar="N", help="so many cases as in real life")
     parser.add_argument("--plant", action="append", choices=tuple(PLANTS))
     parser.add_argument("--effect", action="append", help='with this effect, or "nothing"')
-    parser.add_argument("--kind", action="append", choices=KINDS, help="default: all but triple")
+    parser.add_argument(
+        "--kind",
+        action="append",
+        choices=(*KINDS, *LIFE_KINDS),
+        help="default: all but triple; those after it come with --life alone, which has all",
+    )
+    parser.add_argument("--half", choices=HALVES, help="of plants and effects, as the score has it")
     parser.add_argument("--magnitude", action="append", choices=MAGNITUDES)
     parser.add_argument("--noise", action="append", choices=NOISE_LEVELS)
 
 
 def chosen(options: argparse.Namespace) -> list[Case]:
     """The cases that the options ask for."""
+    plants = options.plant or installed_plants()
+    every = life_set(options.life, plants) if options.life else cases(plants)
+    usual = (*KINDS, *LIFE_KINDS) if options.life else KINDS[:-1]
     wanted = [
         c
-        for c in cases(options.plant or installed_plants())
+        for c in every
         if (not options.effect or set(options.effect) & ({*c.effects} or {"nothing"}))
-        and c.kind in (options.kind or KINDS[:-1])
+        and c.kind in (options.kind or usual)
         and (not options.magnitude or c.magnitude in (*options.magnitude, "none"))
         and (not options.noise or c.noise in options.noise)
+        and (not options.half or half_of(c.plant, c.kind, c.effects, c.seed) == options.half)
     ]
     return subset(wanted, options.subset) if options.subset else wanted
 
@@ -76,8 +94,7 @@ def generate(out: Path, wanted: list[Case], jobs: int) -> None:
             done += count
             spent = time.perf_counter() - start
             print(
-                f"{done}/{len(missing)} cases flown, {spent:.0f} s, "
-                f"{spent / (done * len(FLIGHTS)):.2f} s per flight",
+                f"{done}/{len(missing)} cases flown, {spent:.0f} s, {spent / done:.2f} s per case",
                 file=sys.stderr,
             )
 
@@ -94,16 +111,26 @@ def installed_plants() -> list[str]:
 
 
 def batches(wanted: Iterable[Case]) -> list[list[Case]]:
-    """Cases that fly together, like effects side by side."""
+    """Cases that fly together, like effects side by side, about equally many flights at a time."""
     groups: dict[tuple[str, ...], list[Case]] = {}
     for case in sorted(wanted, key=lambda c: (c.effects, c.key)):
         together = may_fly_together(case.plant, case.aircraft)
         groups.setdefault((case.plant, *together), []).append(case)
-    return [
-        group[i : i + CASES_AT_ONCE]
-        for group in groups.values()
-        for i in range(0, len(group), CASES_AT_ONCE)
-    ]
+    return [part for group in groups.values() for part in _parts(group)]
+
+
+def _parts(group: list[Case]) -> Iterator[list[Case]]:
+    """Cut where the flights become too many."""
+    part: list[Case] = []
+    flights = 0
+    for case in group:
+        n = len(missions_of(case))
+        if flights + n > FLIGHTS_AT_ONCE:
+            yield part
+            part, flights = [], 0
+        part.append(case)
+        flights += n
+    yield part
 
 
 def write_batch(out: Path, batch: list[Case]) -> int:
@@ -115,7 +142,7 @@ def write_batch(out: Path, batch: list[Case]) -> int:
 
 def write_case(out: Path, produced: Produced) -> None:
     """Write one case, its truth last: a case with a truth file is complete."""
-    parse_vehicle(produced.vehicle, "vehicle.toml")
+    parse_vehicle(_DEVIATION.sub("", produced.vehicle), "vehicle.toml")
     folder, truth = flights_folder(out, produced.case), truth_file(out, produced.case)
     folder.mkdir(parents=True, exist_ok=True)
     for name, table in produced.flights.items():
@@ -127,7 +154,7 @@ def write_case(out: Path, produced: Produced) -> None:
 def is_complete(out: Path, case: Case) -> bool:
     """Whether nothing of a case is missing."""
     folder = flights_folder(out, case)
-    names = [f"{name}.parquet" for name in FLIGHTS] + ["vehicle.toml"]
+    names = [f"{name}.parquet" for name in missions_of(case)] + ["vehicle.toml"]
     return truth_file(out, case).is_file() and all((folder / n).is_file() for n in names)
 
 

@@ -1,29 +1,22 @@
-"""From the name of an effect to flights, vehicle file and truth."""
+"""From cases to flights, vehicle files and truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
-from .cases import MAGNITUDES, Case
+from .cases import Case
 from .gap import gap_json, true_gap
-from .hiding.effect import Number, Truth
-from .plants.aircraft import Aircraft, vehicle_toml
-from .plants.kinds import EFFECTS, PLANTS
-from .plants.missions import mission
+from .life.log import as_logged
+from .planning import aircraft_of, plan
+from .plants.aircraft import vehicle_toml
+from .plants.kinds import PLANTS
 from .plants.noise import NOISE
-from .plants.orders import Order
 from .plants.own.flight import fly
-from .plants.own.parameters import Parameters
 from .plants.own.physics import Simulator, own_dynamics
 from .plants.sensing import flight_table
-
-FLIGHTS = {"fit_1": "tour", "fit_2": "forward", "holdout_1": "tour"}
-"""Mission of each flight of a case."""
-_CHARGES = {"fit_1": 0.95, "fit_2": 0.75, "holdout_1": 0.55}
-"""State of charge at the start: one battery, flight after flight."""
+from .truth import life_json, truth_json
 
 
 @dataclass(frozen=True)
@@ -43,96 +36,37 @@ class Produced:
     truth: dict[str, Any]
 
 
-def aircraft_of(case: Case) -> Aircraft:
-    """The aircraft that flies a case."""
-    return PLANTS[case.plant].load(case.aircraft)[0]
-
-
-def hide(case: Case) -> tuple[Parameters, dict[str, Truth]]:
-    """The plant of a case, and its truth by effect."""
-    aircraft = aircraft_of(case)
-    plant, truth = aircraft.nominal, {}
-    for place, name in enumerate(case.effects):
-        rng = np.random.default_rng([case.entropy, place])
-        effect = EFFECTS[name]
-        size = effect.sizes[MAGNITUDES.index(case.magnitude)] * float(rng.uniform(0.8, 1.2))
-        plant, truth[name] = effect.hide(plant, aircraft, size, rng)
-    return plant, truth
-
-
-def orders(case: Case, plant: Parameters) -> dict[str, Order]:
-    """The flights of a case."""
-    aircraft = aircraft_of(case)
-    return {
-        name: Order(
-            aircraft,
-            replace(plant, charge=_CHARGES[name]),
-            mission(
-                kind,
-                aircraft.nominal.leg,
-                aircraft.pace,
-                np.random.default_rng([case.entropy, 100 + place]),
-            ),
-            NOISE[case.noise],
-            (case.entropy, 200 + place),
-        )
-        for place, (name, kind) in enumerate(FLIGHTS.items())
-    }
-
-
 def produce(batch: list[Case]) -> Iterator[Produced]:
     """Fly cases of one plant all at once, with aircraft that may fly together."""
     _, dynamics = PLANTS[batch[0].plant].load(batch[0].aircraft)
-    hidden = [hide(case) for case in batch]
-    wanted = [orders(case, plant) for case, (plant, _) in zip(batch, hidden, strict=True)]
-    flat = [order for flights in wanted for order in flights.values()]
-    trace = fly(flat, dynamics)
+    plans = [plan(case) for case in batch]
+    trace = fly([order for p in plans for order in p.flights.values()], dynamics)
     pure = own_dynamics if isinstance(dynamics, Simulator) else dynamics
     first = 0
-    for case, (plant, truth), flights in zip(batch, hidden, wanted, strict=True):
-        rows = range(first, first + len(flights))
-        first += len(flights)
-        aircraft = aircraft_of(case)
+    for case, planned in zip(batch, plans, strict=True):
+        rows = range(first, first + len(planned.flights))
+        first += len(planned.flights)
+        aircraft = planned.file.believed if planned.file else aircraft_of(case)
+        gaps = [
+            true_gap(aircraft, order.plant, trace, i, pure)
+            for i, order in zip(rows, planned.flights.values(), strict=True)
+        ]
         yield Produced(
             case,
             {
-                name: flight_table(order, trace, i)
-                for i, (name, order) in zip(rows, flights.items(), strict=True)
+                name: as_logged(flight_table(order, trace, i), trace.rotor[:, :, i], case.life)
+                for i, (name, order) in zip(rows, planned.flights.items(), strict=True)
             },
-            vehicle_toml(aircraft, NOISE[case.noise]),
+            vehicle_toml(
+                aircraft,
+                NOISE[case.noise],
+                planned.file.sd if planned.file else None,
+                case.life.rotors,
+            ),
             {
-                **truth_json(case, truth),
+                **truth_json(case, planned.truth),
                 "aircraft": aircraft.name,
-                "gap": gap_json([true_gap(aircraft, plant, trace, i, pure) for i in rows]),
+                "gap": gap_json(gaps),
+                **(life_json(case, planned, trace, rows[-1], pure) if case.life.key else {}),
             },
         )
-
-
-def truth_json(case: Case, truth: dict[str, Truth]) -> dict[str, Any]:
-    """The part of the truth file that every plant writes."""
-    return {
-        "case": case.id,
-        "plant": case.plant,
-        "kind": case.kind,
-        "magnitude": case.magnitude,
-        "noise": case.noise,
-        "seed": case.seed,
-        "missions": FLIGHTS,
-        "effects": [
-            {
-                "name": name,
-                "outside": EFFECTS[name].outside,
-                "parameters": {k: _number(v) for k, v in numbers.items()},
-            }
-            for name, numbers in truth.items()
-        ],
-    }
-
-
-def _number(number: Number) -> dict[str, Any]:
-    return {
-        "value": number.value,
-        "unit": number.unit,
-        "neutral": number.neutral,
-        "exact": number.exact,
-    }

@@ -18,8 +18,8 @@ from queue import Empty, SimpleQueue
 from threading import Lock, Thread
 from typing import Any
 
-from .explaining import VEHICLE, Worker, twin_state
-from .files import write_json
+from .explaining import Worker, twin_state
+from .files import VEHICLE, write_json
 
 
 def main(arguments: list[str] | None = None) -> int:

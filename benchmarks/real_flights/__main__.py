@@ -100,16 +100,16 @@ def answer(data: Path, rotation: Rotation) -> dict[str, Any]:
         traceback.print_exc()
         said = failure(f"{type(error).__name__}: {error}")
         name = Path(holdout).stem
-        empty: dict[str, Any] = {"at_edge": {}, "by_flight": {}, "channels": [], "seconds": 0.0}
+        empty: dict[str, Any] = {"numbers": {}, "predicted": {}, "channels": [], "seconds": 0.0}
         return {"scenario": scenario.name, "holdout": name, "said": said, **empty}
 
 
 def key(data: Path, scenario: Scenario, holdout: str, state: str) -> str:
     """Name of a rotation and hash of all that it depends on, `state` of `twin/` included."""
     digest = hashlib.sha256(state.encode())
-    digest.update(scenario.vehicle_text.encode())
+    digest.update(f"{scenario.vehicle_text}{scenario.indoors}".encode())
     scripts = {p for f in scenario.flights for p in sources(f)}
-    for path in [HERE / "measure.py", *sorted(scripts)]:
+    for path in [HERE / "bands.py", HERE / "measure.py", *sorted(scripts)]:
         digest.update(path.read_bytes())
     for flight in (*scenario.flights, holdout):
         digest.update(flight.encode() + (data / flight).read_bytes())

@@ -1,12 +1,14 @@
 """What several rotations of the same flights say together, and what speaks against each effect."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
-ONE_FLIGHT = 0.9
-"""Share of what an effect adds from which on it rests on one flight."""
+TENSE = 3.0
+"""Prior deviations from which on a number is not what its effect is expected to have."""
+UNTOLD = 0.7
+"""Posterior over prior deviation from which on a number is the prior's more than the flights'."""
 Case = Mapping[str, Any]
 
 
@@ -17,14 +19,80 @@ class Number:
     Attributes:
         value: In its unit.
         unit: Of the value.
-        ci95: Interval; None for a shape.
+        ci95: Interval; None: it has none.
         edge: Prior range, where the number is at the end of it.
+        tension: Prior deviations between value and what was expected; None: not known.
+        neutral: Value at which the effect vanishes; None: a shape.
+        prior_share: Posterior over prior deviation; None: not known.
     """
 
     value: float
     unit: str
     ci95: tuple[float, float] | None
-    edge: tuple[float, float] | None
+    edge: tuple[float, float] | None = None
+    tension: float | None = None
+    neutral: float | None = None
+    prior_share: float | None = None
+
+    @property
+    def side(self) -> int:
+        """Side of its neutral value that its whole interval is on, 1 or -1; 0: not known."""
+        if self.neutral is None or self.ci95 is None:
+            return 0
+        low, high = self.ci95
+        return int(low > self.neutral) - int(high < self.neutral)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """One number over the rotations that name its effect.
+
+    Attributes:
+        full: "effect.number".
+        by: Held-out flight of each rotation -> the number.
+    """
+
+    full: str
+    by: Mapping[str, Number]
+
+    @property
+    def same_sign(self) -> bool | None:
+        """Whether all are on one side of the neutral value; None: fewer than two are on any."""
+        sides = [n.side for n in self.by.values() if n.side]
+        return len(set(sides)) == 1 if len(sides) > 1 else None
+
+    @property
+    def overlap(self) -> bool | None:
+        """Whether each two intervals overlap; None: fewer than two are known."""
+        known = [n.ci95 for n in self.by.values() if n.ci95 is not None]
+        pairs = combinations(known, 2)
+        return all(a[0] <= b[1] and b[0] <= a[1] for a, b in pairs) if len(known) > 1 else None
+
+    @property
+    def edges(self) -> tuple[str, ...]:
+        """Held-out flights of the rotations in which it is at the edge of its range."""
+        return tuple(f for f, n in self.by.items() if n.edge is not None)
+
+    @property
+    def tense(self) -> tuple[str, ...]:
+        """The same where it is too far from what was expected."""
+        return tuple(f for f, n in self.by.items() if (n.tension or 0.0) > TENSE)
+
+    @property
+    def untold(self) -> tuple[str, ...]:
+        """The same where the prior says more of it than the flights."""
+        return tuple(f for f, n in self.by.items() if (n.prior_share or 0.0) > UNTOLD)
+
+    @property
+    def compared(self) -> bool:
+        """Whether more than one rotation gives it."""
+        return len(self.by) > 1
+
+    @property
+    def passes(self) -> bool:
+        """Whether rotations agree on it, and nothing else speaks against it."""
+        apart = self.same_sign is False or self.overlap is False
+        return self.compared and not (apart or self.edges or self.tense)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,34 +115,42 @@ def effects_of(case: Case) -> dict[str, float]:
     return {e["name"]: e["probability"] for e in case["said"].get("effects", [])}
 
 
-def numbers_of(case: Case) -> dict[str, Number]:
-    """Numbers of a rotation, "effect.number"."""
-    found = {}
-    for effect in case["said"].get("effects", []):
-        for name, p in effect["parameters"].items():
-            full = f"{effect['name']}.{name}"
-            ci95, edge = p["ci95"], case["at_edge"].get(full)
-            found[full] = Number(p["value"], p["unit"], ci95 and tuple(ci95), edge and tuple(edge))
-    return found
+def alike_of(case: Case) -> dict[str, str]:
+    """Effects that something acts like in a rotation, and why they are not believed."""
+    return {r["name"]: r["why"] for r in case["said"].get("acts_like", [])}
 
 
-def agreement(numbers: Sequence[Number]) -> str:
-    """How far the same number of several rotations agrees."""
-    known = [(n.value, n.ci95) for n in numbers if n.ci95 is not None]
-    if len(numbers) < 2:
-        return "one rotation only"
-    if len(known) < 2:
-        return "no interval"
-    pairs = list(combinations(known, 2))
-    if all(_inside(a, cb) and _inside(b, ca) for (a, ca), (b, cb) in pairs):
-        return "yes"
-    if all(ca[0] <= cb[1] and cb[0] <= ca[1] for (_, ca), (_, cb) in pairs):
-        return "intervals overlap"
-    return "no"
+def numbers_of(case: Case, effects: Collection[str] | None = None) -> dict[str, Number]:
+    """Numbers of a rotation, "effect.number": of effects that it names or lists as candidates.
+
+    Args:
+        case: The rotation.
+        effects: Other effects whose numbers are asked for.
+    """
+    wanted = effects_of(case) if effects is None else effects
+    return {
+        full: Number(
+            n["value"],
+            n["unit"],
+            None if n["ci95"] is None else (n["ci95"][0], n["ci95"][1]),
+            None if n["edge"] is None else (n["edge"][0], n["edge"][1]),
+            n["tension"],
+            n["neutral"],
+            n["prior_share"],
+        )
+        for full, n in case["numbers"].items()
+        if full.partition(".")[0] in wanted
+    }
 
 
-def _inside(value: float, interval: tuple[float, float]) -> bool:
-    return interval[0] <= value <= interval[1]
+def agreements(cases: Sequence[Case]) -> list[Agreement]:
+    """Every number that a rotation names, in the order of its first mention."""
+    each = {c["holdout"]: numbers_of(c) for c in cases}
+    every = dict.fromkeys(full for numbers in each.values() for full in numbers)
+    return [
+        Agreement(full, {f: numbers[full] for f, numbers in each.items() if full in numbers})
+        for full in every
+    ]
 
 
 def judge(cases: Sequence[Case]) -> list[Judgement]:
@@ -95,22 +171,16 @@ def judge(cases: Sequence[Case]) -> list[Judgement]:
 
 
 def _against(effect: str, by: Sequence[Case], cases: Sequence[Case]) -> Iterator[str]:
-    missing = [c["holdout"] for c in cases if c not in by]
+    missing = [c["holdout"] for c in cases if c not in by and effect not in alike_of(c)]
     if missing:
         yield f"not named with {_and(missing)} held out"
     ties = [c["holdout"] for c in by if c["said"]["verdict"] != "named"]
     if ties:
         yield f"only a candidate with {_and(ties)} held out"
+    alike = [c["holdout"] for c in cases if effect in alike_of(c)]
+    if alike:
+        yield f"something only acts like it with {_and(alike)} held out"
     yield from _against_numbers(effect, by)
-    for case in by:
-        added = case["by_flight"].get(effect, {})
-        total = sum(max(a, 0.0) for a in added.values())
-        for flight, gain in added.items():
-            if len(added) > 1 and total > 0 and gain > ONE_FLIGHT * total:
-                yield (
-                    f"rests on {flight} with {case['holdout']} held out: "
-                    f"{100 * gain / total:.0f} % of what it adds"
-                )
     yield from _against_gap(effect, by)
 
 
@@ -125,7 +195,10 @@ def _against_numbers(effect: str, by: Sequence[Case]) -> Iterator[str]:
             always = len(edges) == len(by) > 1
             where = "every time" if always else f"with {_and(edges)} held out"
             yield f"`{full}` at the edge of its range {where}"
-        if agreement([n for _, n in own]) == "no":
+        tense = [c["holdout"] for c, n in own if (n.tension or 0.0) > TENSE]
+        if tense:
+            yield f"`{full}` far from what is expected of it with {_and(tense)} held out"
+        if Agreement(full, {c["holdout"]: n for c, n in own}).overlap is False:
             values = " and ".join(f"{n.value:.3g}" for _, n in own)
             yield f"`{full}` differs between rotations, beyond the intervals: {values}"
 

@@ -1,17 +1,21 @@
 """One flight held out: what is named on the others, and its gap beside trivial baselines."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.effects import EffectParameter
+from twin.explain.estimates import estimates_of, listed_effects
 from twin.explain.explanation import Explanation, explain
 from twin.explain.result_json import explain_json
 from twin.residuals.channels import CHANNEL_HZ, ChannelData
 
+from .bands import band_rms
 from .scenarios import Scenario, read
 
 Array = NDArray[np.float64]
@@ -26,49 +30,45 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
     start = time.perf_counter()
     fit = [read(data, f) for f in scenario.flights if f != holdout]
     away = read(data, holdout)
-    found = explain(fit, [away], scenario.read_vehicle(), missions=())
+    found = explain(fit, [away], scenario.read_vehicle(), missions=(), indoors=scenario.indoors)
     return {
         "scenario": scenario.name,
         "holdout": away.name,
         "said": explain_json(found),
-        "at_edge": at_edge(found),
-        "by_flight": by_flight(found),
+        "numbers": numbers(found),
+        "predicted": dict(found.values),
         "channels": channels(found),
         "seconds": round(time.perf_counter() - start, 1),
     }
 
 
-def at_edge(found: Explanation) -> dict[str, list[float]]:
-    """Numbers at the end of their prior range, "effect.number" -> the range; shapes as well."""
+def numbers(found: Explanation) -> dict[str, dict[str, Any]]:
+    """Numbers of every effect that may be there, where it is there: "effect.number" -> facts.
+
+    Among them those of effects that something merely acts like, and of those without a mean.
+    `edge` is the prior range of a number that is at the end of it.
+    """
     if found.naming is None:
         return {}
-    ends = {}
-    for number in found.naming.problem.model.numbers:
-        value = found.values.get(number.full)
-        low, high = number.about.prior
-        if value is None or value == number.about.neutral:
-            continue
-        if min(abs(value - low), abs(value - high)) <= EDGE * (high - low):
-            ends[number.full] = [low, high]
-    return ends
+    facts = {}
+    for effect in dict.fromkeys([*found.naming.told.effects, *listed_effects(found)]):
+        for e in estimates_of(found, effect):
+            facts[e.number.full] = {
+                "value": e.value,
+                "unit": e.number.about.unit,
+                "ci95": None if e.ci95 is None else list(e.ci95),
+                "prior_share": e.prior_share,
+                "tension": e.tension,
+                "neutral": e.number.about.neutral,
+                "edge": _edge(e.value, e.number.about),
+            }
+    return facts
 
 
-def by_flight(found: Explanation) -> dict[str, dict[str, float]]:
-    """Log likelihood, out of sample, that each effect adds to the others, per fitted flight."""
-    if found.naming is None or found.shown is None:
-        return {}
-    problem, shown = found.naming.problem, found.shown
-    flight = np.array([f for f, _ in problem.rest.keys])
-    added = {}
-    for effect in shown.effects:
-        if effect not in problem.model.effects:
-            continue
-        without = problem.fit([e for e in shown.effects if e != effect])
-        more = shown.gains - without.gains
-        added[effect] = {
-            name: float(more[flight == i].sum()) for i, name in enumerate(found.flights)
-        }
-    return added
+def _edge(value: float, about: EffectParameter) -> list[float] | None:
+    low, high = about.bounds
+    near = min(abs(value - low), abs(value - high)) <= EDGE * (high - low)
+    return [low, high] if near and value != about.neutral else None
 
 
 def channels(found: Explanation) -> list[dict[str, Any]]:
@@ -76,7 +76,10 @@ def channels(found: Explanation) -> list[dict[str, Any]]:
     if found.comparison is None or found.naming is None:
         return []
     fitted = _by_name(found.naming.problem.model.channels([]))
-    before = _by_name(found.comparison.before)
+    before, after, best = (
+        _by_name(flights)
+        for flights in (found.comparison.before, found.comparison.after, found.comparison.best)
+    )
     return [
         {
             "name": gap.name,
@@ -87,9 +90,38 @@ def channels(found: Explanation) -> list[dict[str, Any]]:
             "effects": gap.after,
             "floor": gap.noise_floor,
             "shrink_ci95": [x if np.isfinite(x) else None for x in gap.shrink_ci95],
+            **spectra(
+                {"none": before[gap.name], "effects": after[gap.name], "floor": best[gap.name]},
+                fitted.get(gap.name, []),
+            ),
         }
         for gap in sorted(found.comparison.gaps, key=lambda g: list(before).index(g.name))
     ]
+
+
+def spectra(
+    left: Mapping[str, Sequence[ChannelData]], fit: Sequence[ChannelData]
+) -> dict[str, dict[str, Any]]:
+    """Mean and rms by band of what every correction leaves of one channel.
+
+    Args:
+        left: By correction, `none` among them, the channel of each held-out flight.
+        fit: The same channel of each flight that was fitted on, without any effect.
+    """
+    own = _mean(left["none"])
+    shifts = {"own_mean": own} | ({"fit_mean": _mean(fit)} if fit else {})
+    every = dict(left) | {
+        name: [replace(c, residual=c.residual - by) for c in left["none"]]
+        for name, by in shifts.items()
+    }
+    return {
+        "mean": {name: _mean(flights) for name, flights in every.items()},
+        "bands": {name: band_rms(flights) for name, flights in every.items()},
+    }
+
+
+def _mean(flights: Sequence[ChannelData]) -> float:
+    return float(np.mean(np.concatenate([c.residual for c in flights])))
 
 
 def baselines(away: Sequence[ChannelData], fit: Sequence[ChannelData]) -> dict[str, float | None]:

@@ -1,17 +1,17 @@
 """The page: protocol, what was named, gaps of the held-out flights, what to believe."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from twin.residuals.channels import CHANNEL_HZ
 
-from .agreement import Case, Number, agreement, effects_of, judge, numbers_of
+from .agreement import Case, agreements, alike_of, effects_of, judge, numbers_of
+from .details import agree, beside_prototype, by_band, constants, passing, wishes
+from .markup import figure, in_shown_unit, section, table
 from .scenarios import Scenario
 
 HEAD = Path(__file__).with_name("protocol.md").read_text("utf-8")
-MICRO = {"T": ("µT", 1e6)}
-"""Units that are shown in millionths."""
 COLUMNS = {
     "none": "none",
     "effects": "effects",
@@ -28,14 +28,22 @@ def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
     parts = [HEAD.format(rate=CHANNEL_HZ), *overview(found)]
     for scenario, cases in found:
         parts += ["", f"## {scenario.title}", "", scenario.about, *rotations(cases)]
-        parts += numbers(scenario, cases)
+        parts += agree(scenario, cases)
         parts += believe(scenario, cases)
+        parts += wishes(scenario, cases)
+        parts += beside_prototype(scenario, cases)
         for case in cases:
-            parts += gap(case)
+            parts += [*gap(case), *by_band(case), *constants(case)]
     every = [c for _, cases in found for c in cases]
     states = ", ".join(sorted({c["twin"] for c in every}))
-    minutes = sum(c["seconds"] for c in every) / 60
-    parts += ["", f"State of `twin/`: {states}. Time spent: {minutes:.0f} minutes of one core."]
+    chosen = ", ".join(sorted({c["said"].get("settings", {}).get("hash", "-") for c in every}))
+    seconds = [c["seconds"] for c in every]
+    parts += [
+        "",
+        f"State of `twin/`: {states}; of the settings: {chosen}. Time spent: "
+        f"{sum(seconds) / 60:.0f} minutes of one core, {min(seconds):.0f} to {max(seconds):.0f} s "
+        f"a rotation.",
+    ]
     return "\n".join(parts) + "\n"
 
 
@@ -48,9 +56,16 @@ def overview(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> list[str]:
         stand = [f"`{j.effect}`" for j in judged if not j.against]
         verdicts = [c["said"]["verdict"] for c in cases]
         told = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
-        lines.append((scenario.title, told, ", ".join(always) or "-", ", ".join(stand) or "-"))
-    head = ("scenario", "verdicts", "in every rotation", "of these, nothing speaks against")
-    return ["## Overview", "", *_table(head, lines)]
+        good, compared, _ = passing(agreements(cases))
+        numbers = f"{good} of {compared}" if compared else "-"
+        alike = dict.fromkeys(f"`{e}`" for c in cases for e in alike_of(c))
+        lists = (", ".join(names) or "-" for names in (always, stand, alike))
+        lines.append((scenario.title, told, *lists, numbers))
+    head = (
+        *("scenario", "verdicts", "in every rotation", "nothing speaks against"),
+        *("something acts like", "numbers that pass"),
+    )
+    return ["## Overview", "", *table(head, lines)]
 
 
 def rotations(cases: Sequence[Case]) -> list[str]:
@@ -65,13 +80,17 @@ def rotations(cases: Sequence[Case]) -> list[str]:
                 case["holdout"],
                 said["verdict"],
                 ", ".join(effects) or "-",
+                ", ".join(f"`{e}`" for e in alike_of(case)) or "-",
                 "-" if nothing is None else f"{nothing:.2f}",
                 "; ".join(_equation(u) for u in said.get("unnamed", [])) or "-",
             )
         )
         remarks += [f"- {case['holdout']} held out: {r}" for r in _remarks(said)]
-    head = ("held out", "verdict", "effects, probability", "nothing", "equations beyond them")
-    return ["", *_table(head, lines), *(["", *remarks] if remarks else [])]
+    head = (
+        *("held out", "verdict", "effects, probability", "something acts like"),
+        *("nothing", "equations beyond them"),
+    )
+    return ["", *table(head, lines), *(["", *remarks] if remarks else [])]
 
 
 def _equation(unnamed: Mapping[str, Any]) -> str:
@@ -81,45 +100,10 @@ def _equation(unnamed: Mapping[str, Any]) -> str:
 def _remarks(said: Mapping[str, Any]) -> list[str]:
     """What `explain` warns of, except for what the tables show."""
     lines = [said["error"]] if "error" in said else list(said["reasons"])
-    lines += [w for w in said.get("warnings", []) if "edge of the range" not in w]
+    lines += [w for w in said.get("warnings", []) if not w.startswith("something acts like")]
     if said.get("next_manoeuvre"):
         lines.append(f"to fly next: {said['next_manoeuvre']['description']}")
     return lines
-
-
-def numbers(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
-    """Every number that a rotation gives."""
-    each = [numbers_of(c) for c in cases]
-    lines = []
-    for full in dict.fromkeys([*scenario.expected, *(k for numbers in each for k in numbers)]):
-        own = [n[full] for n in each if full in n]
-        cells = [_number(n.get(full)) for n in each]
-        right = scenario.expected.get(full)
-        unit = MICRO.get(own[0].unit, (own[0].unit, 1.0))[0] if own else "-"
-        truth = [] if not scenario.expected else ["-" if right is None else f"{right:g}"]
-        agree = agreement(own) if own else "never given"
-        lines.append((f"`{full}`", unit, *truth, *cells, agree))
-    if not lines:
-        return []
-    wanted = ["wanted"] if scenario.expected else []
-    head = ("number", "unit", *wanted, *(f"without {c['holdout']}" for c in cases), "agree")
-    return ["", *_table(head, lines)]
-
-
-def _number(number: Number | None) -> str:
-    if number is None:
-        return "-"
-    _, factor = MICRO.get(number.unit, ("", 1.0))
-    text = f"{_figure(factor * number.value)}{'' if number.edge is None else '*'}"
-    if number.ci95 is None:
-        return text
-    low, high = (_figure(factor * end) for end in number.ci95)
-    return f"{text} ({low} to {high})"
-
-
-def _figure(value: float) -> str:
-    """Three significant digits; no exponent where a person would write none."""
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def believe(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
@@ -133,9 +117,9 @@ def believe(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         for j in judge(cases)
     ]
     lines += _wanted(scenario, cases)
-    text = ["", "### What to believe", ""]
+    text = section("What to believe")
     if lines:
-        text += _table(("effect", "rotations", "against it"), lines)
+        text += table(("effect", "rotations", "against it"), lines)
     else:
         text.append("No rotation names an effect.")
     return [*text, "", *_hits(scenario, cases), *_gap_in_words(cases)]
@@ -199,22 +183,14 @@ def gap(case: Case) -> list[str]:
         return []
     lines = []
     for row in case["channels"]:
-        unit, factor = MICRO.get(row["unit"], (row["unit"], 1.0))
-        values = ["-" if row[k] is None else _figure(factor * row[k]) for k in COLUMNS]
+        factor, unit = in_shown_unit(1.0, row["unit"])
+        values = ["-" if row[k] is None else figure(factor * row[k]) for k in COLUMNS]
         low, high = row["shrink_ci95"]
         shrink = "-" if low is None else f"{100 * low:.0f} to {100 * high:.0f} %"
         lines.append((f"`{row['name']}`", unit, str(row["n"]), *values, shrink))
     head = ("channel", "unit", "n", *COLUMNS.values(), "effects take")
-    return ["", f"### Held out: {case['holdout']}", "", *_table(head, lines)]
+    return [*section(f"Held out: {case['holdout']}"), *table(head, lines)]
 
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(f"`{n}`" for n in names) or "none"
-
-
-def _table(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
-    """A Markdown table."""
-    content = [
-        f"| {' | '.join(c.replace('|', '&#124;') for c in line)} |" for line in (head, *lines)
-    ]
-    return [content[0], "|" + "---|" * len(head), *content[1:]]

@@ -56,6 +56,9 @@ class Scenario:
         vehicle: Built-in vehicle.
         change: Made to its file.
         expected: What a right answer has among its numbers, "effect.number" -> value.
+        indoors: Whether the flights were within walls; None: the logs say it themselves.
+        turning_goal_rad_s2: Rms of angular acceleration about its mean that effects should leave at
+            most; None: no goal was set.
     """
 
     name: str
@@ -65,6 +68,8 @@ class Scenario:
     vehicle: str
     change: Change | None = None
     expected: Mapping[str, float] = field(default_factory=dict)
+    indoors: bool | None = None
+    turning_goal_rad_s2: float | None = None
 
     @property
     def vehicle_text(self) -> str:
@@ -155,6 +160,8 @@ SCENARIOS = (
         "each flight and changing. No magnetometer, no barometer.",
         NANOBENCH,
         "crazyflie",
+        indoors=True,
+        turning_goal_rad_s2=6.0,
     ),
     Scenario(
         "crazyflie_motor_delay",
@@ -164,6 +171,7 @@ SCENARIOS = (
         "the others do not. Vehicle file `crazyflie`, whose lag comes from log10.",
         CRAZYFLIE,
         "crazyflie",
+        indoors=True,
     ),
     Scenario(
         "crazyflie_quick",
@@ -174,5 +182,6 @@ SCENARIOS = (
         "crazyflie",
         Change("rotors.lag", None),
         {"motor_lag.tau_s": 0.075},
+        indoors=True,
     ),
 )

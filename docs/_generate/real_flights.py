@@ -1,4 +1,4 @@
-"""Write what `explain` says about recorded flights as a page: ten minutes on two cores.
+"""Write what `explain` says about recorded flights as a page: 22 rotations of some minutes each.
 
     python docs/_generate/real_flights.py --data ../shared/data \\
         --out docs/results/real_flights.md --jobs 2

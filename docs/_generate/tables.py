@@ -8,7 +8,7 @@ nothing and exits 1 if a table is out of date.
 
 import re
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
@@ -17,14 +17,29 @@ from typer.main import get_command
 from learning.model.registry import FAMILIES
 from twin.component import Component, Variable
 from twin.effects import EFFECTS, EffectParameter
+from twin.effects.priors import (
+    CHANGES,
+    COMMON,
+    LAST,
+    ONLY_MORE,
+    RARE,
+    UNMEASURED,
+    Normal,
+    Prior,
+    always_said,
+    prior_of,
+)
+from twin.explain.model.model import has_mean
 from twin.explain.settings import DEFAULT, Setting
 from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
 from twin.logs.columns import COLUMNS
 from twin.logs.formats import FORMATS
 from twin.vehicle import Vehicle
+from twin.vehicle.deviation import WORDS
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
+from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
 
 DOCS = Path(__file__).parents[1]
@@ -87,9 +102,25 @@ def vehicle() -> str:
         line = (f"`{name}`", f"{unit}{sign}", needed, field.meaning)
         sections.setdefault(section, []).append(line)
     head = ("key", "unit", "needed", "meaning")
-    return "\n\n".join(
-        "\n".join([f"## [{name}]", "", *rows(head, lines)]) for name, lines in sections.items()
-    )
+    tables = ["\n".join([f"## [{n}]", "", *rows(head, lines)]) for n, lines in sections.items()]
+    return "\n\n".join([*tables, _words_of_sources(), _bands()])
+
+
+def _words_of_sources() -> str:
+    """What stands in for a standard deviation that is not given."""
+    lines = [
+        (", ".join(f'"{w}"' for w in row.words), f"{100 * row.share:g} %", row.reason)
+        for row in WORDS
+    ]
+    head = ("word in `source`", "standard deviation", "why")
+    return "\n".join(["## Words of a source", "", *rows(head, lines)])
+
+
+def _bands() -> str:
+    """Where the numbers of multirotors usually lie."""
+    lines = [(b.quantity, str(b), b.origin) for b in BANDS]
+    head = ("quantity", "usual", "origin")
+    return "\n".join(["## What check asks", "", *rows(head, lines)])
 
 
 # -- FMUs -----------------------------------------------------------------------------------
@@ -149,7 +180,12 @@ def effects() -> str:
         (f"`{e.name}`", e.component, e.meaning, ", ".join(f"`{n}`" for n in e.needs), e.source)
         for e in EFFECTS.values()
     ]
-    numbers = [_number(e.name, p, model) for e in EFFECTS.values() for p in e.parameters]
+    numbers = [
+        _number(e.name, p, model, mark)
+        for e in EFFECTS.values()
+        for own, mark in ((e.parameters, ""), (e.of_logs, "†"))
+        for p in own
+    ]
     return "\n".join(
         [
             "## Effects",
@@ -158,17 +194,70 @@ def effects() -> str:
             "",
             "## Parameters",
             "",
-            *rows(("parameter", "unit", "start", "prior", "meaning"), numbers),
+            *rows(("parameter", "unit", "start", "range", "meaning"), numbers),
         ]
     )
 
 
-def _number(effect: str, parameter: EffectParameter, model: Vehicle) -> Sequence[str]:
+def _number(effect: str, parameter: EffectParameter, model: Vehicle, note: str) -> Sequence[str]:
     p = parameter.sized(model)
-    name = f"`{effect}.{p.name}{'_1..n' if p.per_rotor else ''}`"
+    name = f"`{effect}.{p.name}{'_1..n' if p.per_rotor else ''}`{note}"
     mark = "\\*" if parameter.scale is not None else ""
-    low, high = p.prior
-    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{mark}", p.description
+    ends = "\\*" if parameter.scale is not None or parameter.floor is not None else ""
+    low, high = p.bounds
+    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{ends}", p.description
+
+
+# -- priors ---------------------------------------------------------------------------------
+
+ODDS = {UNMEASURED: "unmeasured", COMMON: "common", RARE: "rare", LAST: "last"}
+
+
+def priors() -> str:
+    """What is expected of every effect before a flight, and of what changes on an aircraft."""
+    usual = {name: prior_of(e) for name, e in EFFECTS.items() if has_mean(e)}
+    only_more = ", ".join(f"`{e}`" for e in ONLY_MORE)
+    return "\n".join(
+        [
+            "## Of an aircraft",
+            "",
+            *_priors(usual),
+            "",
+            "## Of a change",
+            "",
+            f"Nothing else changes. Only more, never less: {only_more}.",
+            "",
+            *_priors(CHANGES),
+        ]
+    )
+
+
+def _priors(known: Mapping[str, Prior]) -> list[str]:
+    """One line for the numbers of an effect of which the same is expected."""
+    model, lines = load_vehicle("copter_default"), []
+    for name, prior in known.items():
+        effect, groups = EFFECTS[name], dict[tuple[str, ...], list[str]]()
+        for p in (*effect.parameters, *effect.of_logs):
+            here, indoors = (_expected(prior.of(p.name, i), p, model) for i in (False, True))
+            same = (p.unit, *here, "-" if here == indoors else "; ".join(indoors))
+            groups.setdefault(same, []).append(f"`{p.name}{'_1..n' if p.per_rotor else ''}`")
+        odds = f"{ODDS[prior.odds]}{'' if prior.unsaid is always_said else '†'}"
+        corrects = "-" if prior.corrects is None else f"`{prior.corrects}`"
+        for i, (facts, names) in enumerate(groups.items()):
+            own = (f"`{name}`", odds, corrects, prior.reason) if i == 0 else ("", "", "", "")
+            lines.append((*own[:2], ", ".join(names), *facts, *own[2:]))
+    numbers = ("number", "unit", "mean", "sd", "day", "indoors")
+    head = ("effect", "odds", *numbers, "corrects", "reason")
+    return rows(head, lines)
+
+
+def _expected(normal: Normal, parameter: EffectParameter, model: Vehicle) -> tuple[str, str, str]:
+    """Mean, deviation, and deviation between days."""
+    of_voltage = parameter.unit == "V" and parameter.neutral is None
+    n = normal if of_voltage else normal.sized(parameter, model)
+    mark = " U" if of_voltage else "" if parameter.scale is None else "\\*"
+    mean, sd, day = (f"{x:.3g}{mark if x else ''}" for x in (n.mean, n.sd, n.day))
+    return mean, sd, day if n.day else "-"
 
 
 # -- settings -------------------------------------------------------------------------------
@@ -251,6 +340,7 @@ DOCUMENTS = {
     "reference/vehicle_fields.md": vehicle,
     "reference/fmu_variables.md": fmus,
     "reference/effects.md": effects,
+    "reference/priors.md": priors,
     "reference/settings.md": settings,
     "reference/cli.md": command_line,
     "guide/log_formats.md": log_formats,

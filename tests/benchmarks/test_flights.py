@@ -15,6 +15,7 @@ import benchmarks.hidden_effects as package
 from benchmarks.hidden_effects import generate
 from benchmarks.hidden_effects.cases import Case, cases, subset
 from benchmarks.hidden_effects.gap import true_gap
+from benchmarks.hidden_effects.planning import hide
 from benchmarks.hidden_effects.plants import missions
 from benchmarks.hidden_effects.plants.aircraft import AIRCRAFT, vehicle_toml
 from benchmarks.hidden_effects.plants.kinds import EFFECTS
@@ -22,7 +23,6 @@ from benchmarks.hidden_effects.plants.noise import NOISE
 from benchmarks.hidden_effects.plants.orders import Order
 from benchmarks.hidden_effects.plants.own.flight import Trace, fly
 from benchmarks.hidden_effects.plants.sensing import flight_table
-from benchmarks.hidden_effects.produce import hide
 from twin.logs.flight import Flight
 from twin.logs.read import read_flight
 from twin.residuals.aligned import align_flight
@@ -30,9 +30,9 @@ from twin.residuals.channels import BAND_HZ, GRID_HZ, low_pass
 from twin.residuals.imu import imu_channels
 from twin.vehicle.file import parse_vehicle
 
-ALLOWED = ("twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
-"""What the generators may take from the twin: the file formats."""
-RUNNERS = ("explaining", "run", "__main__")
+ALLOWED = ("twin.errors", "twin.logs.flight", "twin.logs.table", "twin.vehicle.file")
+"""What the generators may take from the twin: the file formats and their errors."""
+RUNNERS = ("explaining", "calibrated", "run", "__main__")
 """What calls `twin.explain`; generators import none of it."""
 SHORT_S = 5.0
 

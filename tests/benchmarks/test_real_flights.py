@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks.real_flights import __main__ as command
-from benchmarks.real_flights.agreement import Number, agreement, judge
-from benchmarks.real_flights.measure import baselines, held
+from benchmarks.real_flights.agreement import Agreement, Number, agreements, judge
+from benchmarks.real_flights.bands import about_mean, above, band_rms
+from benchmarks.real_flights.details import drag_1_s, passing
+from benchmarks.real_flights.measure import baselines, held, spectra
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
 from twin.residuals.channels import ChannelData
@@ -68,6 +70,13 @@ def test_a_vehicle_file_is_wrong_in_one_number_alone() -> None:
     assert set(wrong) == {"simulated_heavy", "simulated_quick", "crazyflie_quick"}
 
 
+def test_flights_say_where_they_were_or_are_told(data_dir: Path) -> None:
+    told = {s.name for s in SCENARIOS if s.indoors is not None}
+    assert told == {"nanobench", "crazyflie_motor_delay", "crazyflie_quick"}
+    for scenario in (s for s in SCENARIOS if s.indoors is not None):
+        assert read(data_dir, scenario.flights[0]).indoors is None
+
+
 def test_a_change_keeps_comments_and_says_that_it_is_one() -> None:
     text = '[body]\n# weighed\nmass = { value = 2.0, unit = "kg", source = "scales" }\n'
     assert Change("body.mass", 1.5)(text) == (
@@ -91,7 +100,7 @@ def test_every_recording_is_there(data_dir: Path, scenario: Any) -> None:
 
 
 def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) -> dict[str, Any]:
-    """A rotation; effects: name -> value, ci95, edge of its one number `n`, added per flight."""
+    """A rotation; effects: name -> value, ci95, and what else is known of its one number `n`."""
     rms = {"none": 2.0, "effects": 1.0, "fit_mean": 1.5, "own_mean": 1.4, "floor": 0.9}
     row = {
         "name": "acc_z",
@@ -101,6 +110,8 @@ def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) ->
         "last_20_ms": 0.5,
         "last_500_ms": None,
         "shrink_ci95": [0.3, 0.6],
+        "mean": {"none": 1.4, "effects": 0.6, "fit_mean": 0.1, "own_mean": 0.0, "floor": 0.2},
+        "bands": {name: [0.5, 0.3, 0.4, 0.1] for name in rms},
     }
     told = [
         {
@@ -112,19 +123,38 @@ def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) ->
         for name, e in effects.items()
     ]
     verdict = more.pop("verdict", "named" if effects else "nothing")
+    alike = [{"name": e, "why": "too far"} for e in more.pop("acts_like", [])]
     return {
         "scenario": "real",
         "holdout": holdout,
-        "said": {"verdict": verdict, "effects": told, "reasons": [], "nothing_probability": 0.01},
-        "at_edge": {f"{k}.n": e["edge"] for k, e in effects.items() if "edge" in e},
-        "by_flight": {k: e["added"] for k, e in effects.items() if "added" in e},
+        "said": {
+            "verdict": verdict,
+            "effects": told,
+            "reasons": [],
+            "nothing_probability": 0.01,
+            "acts_like": alike,
+            "inclusion": {e: 0.97 for e in effects},
+        },
+        "numbers": {
+            f"{k}.n": {
+                "value": e["value"],
+                "unit": "s",
+                "ci95": e.get("ci95"),
+                "edge": e.get("edge"),
+                "tension": e.get("tension", 1.0),
+                "neutral": e.get("neutral", 0.0),
+                "prior_share": e.get("prior_share", 0.1),
+            }
+            for k, e in effects.items()
+        },
+        "predicted": {f"{k}.n": e["value"] for k, e in effects.items()},
         "channels": [row | more],
         "seconds": 30.0,
         "twin": "0123456789ab",
     }
 
 
-GOOD = {"value": 0.05, "ci95": [0.04, 0.06], "added": {"a": 40.0, "b": 30.0}}
+GOOD = {"value": 0.05, "ci95": [0.04, 0.06]}
 
 
 def against(cases: list[dict[str, Any]]) -> dict[str, str]:
@@ -140,8 +170,8 @@ def test_an_effect_that_all_rotations_confirm_has_nothing_against_it() -> None:
     [
         ({"edge": [0.0, 0.05]}, {}, "`motor_lag.n` at the edge of its range with c held out"),
         ({"value": 0.3, "ci95": [0.2, 0.4]}, {}, "differs between .*: 0.05 and 0.05 and 0.3"),
-        ({"added": {"a": 99.0, "b": 1.0}}, {}, "rests on a with c held out: 99 %"),
-        ({"added": {"a": 9.0, "b": -5.0}}, {}, "rests on a with c held out: 100 %"),
+        ({"tension": 3.5}, {}, "`motor_lag.n` far from what is expected of it with c held out"),
+        ({}, {"acts_like": ["motor_lag"]}, "something only acts like it with c held out"),
         ({}, {"verdict": "cannot_tell"}, "only a candidate with c held out"),
         ({}, {"shrink_ci95": [-0.1, 0.2]}, "no channel .* shrinks beyond doubt on c"),
         ({}, {"shrink_ci95": [None, None]}, "no channel .* shrinks beyond doubt on c"),
@@ -170,18 +200,107 @@ def test_an_effect_of_one_rotation_is_told_with_those_that_miss_it() -> None:
     assert against(cases) == {"motor_lag": "", "gust": "not named with b and c held out"}
 
 
+def number(value: float, low: float, high: float, **more: Any) -> Number:
+    return Number(value, "m", (low, high), neutral=more.pop("neutral", 0.0), **more)
+
+
 @pytest.mark.parametrize(
-    ("numbers", "said"),
+    ("numbers", "same_sign", "overlap", "passes"),
     [
-        ([(1.0, (0.5, 1.5)), (1.4, (0.9, 1.9))], "yes"),
-        ([(1.0, (0.5, 1.5)), (1.6, (1.1, 2.1))], "intervals overlap"),
-        ([(1.0, (0.5, 1.5)), (3.0, (2.0, 4.0))], "no"),
-        ([(1.0, None), (3.0, None)], "no interval"),
-        ([(1.0, (0.5, 1.5))], "one rotation only"),
+        ([number(1.0, 0.5, 1.5), number(1.4, 0.9, 1.9)], True, True, True),
+        ([number(1.0, 0.5, 1.5), number(3.0, 2.0, 4.0)], True, False, False),
+        ([number(1.0, 0.9, 1.1), number(-1.0, -1.1, -0.9)], False, False, False),
+        ([number(0.1, -0.5, 0.7), number(-0.1, -0.9, 0.7)], None, True, True),
+        ([number(0.1, -0.5, 0.7), number(0.5, 0.2, 0.8)], None, True, True),
+        (
+            [number(1.3, 1.2, 1.6, neutral=1.0), number(0.8, 0.7, 0.9, neutral=1.0)],
+            False,
+            False,
+            False,
+        ),
+        (
+            [number(0.4, 0.2, 0.6, neutral=None), number(0.5, 0.3, 0.7, neutral=None)],
+            None,
+            True,
+            True,
+        ),
+        ([number(1.0, 0.5, 1.5, edge=(0.0, 1.0)), number(1.1, 0.6, 1.6)], True, True, False),
+        ([number(1.0, 0.5, 1.5, tension=3.1), number(1.1, 0.6, 1.6)], True, True, False),
+        ([number(1.0, 0.5, 1.5, tension=2.9), number(1.1, 0.6, 1.6)], True, True, True),
+        ([Number(1.0, "m", None), Number(3.0, "m", None)], None, None, True),
+        ([number(1.0, 0.5, 1.5)], None, None, False),
+        (
+            [number(1.0, 0.5, 1.5), number(1.4, 1.2, 1.6), number(1.7, 1.55, 1.9)],
+            True,
+            False,
+            False,
+        ),
     ],
 )
-def test_agreement(numbers: list[tuple[float, Any]], said: str) -> None:
-    assert agreement([Number(v, "m", ci, None) for v, ci in numbers]) == said
+def test_agreement(
+    numbers: list[Number], same_sign: bool | None, overlap: bool | None, passes: bool
+) -> None:
+    found = Agreement("e.n", dict(zip("abc", numbers, strict=False)))
+    assert (found.same_sign, found.overlap, found.passes) == (same_sign, overlap, passes)
+
+
+def test_numbers_are_counted_that_pass_that_do_not_and_that_stand_alone() -> None:
+    apart = GOOD | {"value": 0.3, "ci95": [0.2, 0.4]}
+    cases = [
+        case("a", {"motor_lag": GOOD, "gust": GOOD, "cog_offset": GOOD}),
+        case("b", {"motor_lag": GOOD, "gust": apart}),
+    ]
+    assert passing(agreements(cases)) == (1, 2, 1)
+
+
+def test_numbers_of_what_something_only_acts_like_are_none_of_the_named() -> None:
+    alike = case("a", {"motor_lag": GOOD}, acts_like=["gust"])
+    alike["numbers"]["gust.n"] = alike["numbers"]["motor_lag.n"]
+    assert [a.full for a in agreements([alike])] == ["motor_lag.n"]
+
+
+# -- bands ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("hz", "band"), [(0.4, 0), (3.0, 1), (9.0, 2), (20.0, 3)])
+def test_a_sine_is_in_its_band(hz: float, band: int) -> None:
+    """Of whole half periods, so that next to nothing leaks into others."""
+    t = np.arange(1000) / 50
+    wave = channel((2 * np.cos(2 * np.pi * hz * (t + 0.01))).tolist())
+    found = band_rms([wave])
+    assert found[band] == pytest.approx(np.sqrt(2), rel=1e-6)
+    assert sum(found) == pytest.approx(found[band], abs=1e-6)
+
+
+def test_bands_sum_up_to_the_whole_over_pieces_and_flights() -> None:
+    rng = np.random.default_rng(3)
+    parts = [rng.normal(size=n) + 1 for n in (300, 200, 77)]
+    first = channel(np.concatenate(parts[:2]).tolist(), [0] * 300 + [1] * 200)
+    found = band_rms([first, channel(parts[2].tolist())])
+    whole = np.concatenate(parts)
+    assert sum(b * b for b in found) == pytest.approx(np.mean(whole**2))
+    assert above(found) == pytest.approx(np.sqrt(np.mean(whole**2) - found[0] ** 2))
+
+
+def test_a_constant_is_in_the_first_band_alone_and_a_mean_takes_it() -> None:
+    rng = np.random.default_rng(4)
+    noise = rng.normal(size=400)
+    noisy, flat = channel((noise + 5).tolist()), channel([5.0] * 400)
+    assert band_rms([flat]) == pytest.approx([5.0, 0.0, 0.0, 0.0])
+    found = spectra({"none": [noisy], "effects": [flat]}, [channel([3.0, 5.0])])
+    assert found["mean"] == pytest.approx(
+        {
+            "none": 5 + noise.mean(),
+            "effects": 5.0,
+            "own_mean": 0.0,
+            "fit_mean": 1 + noise.mean(),
+        }
+    )
+    for mean in ("own_mean", "fit_mean"):
+        assert found["bands"][mean][1:] == pytest.approx(found["bands"]["none"][1:])
+    assert found["bands"]["own_mean"][0] < found["bands"]["fit_mean"][0]
+    rms = float(np.sqrt(np.mean(noisy.residual**2)))
+    assert about_mean(rms, found["mean"]["none"]) == pytest.approx(float(np.std(noisy.residual)))
 
 
 # -- the page -------------------------------------------------------------------------------
@@ -190,18 +309,21 @@ def test_agreement(numbers: list[tuple[float, Any]], said: str) -> None:
 def test_page_holds_every_figure_and_no_path() -> None:
     real = next(s for s in SCENARIOS if s.name == "real")
     heavy = next(s for s in SCENARIOS if s.name == "simulated_heavy")
-    shape = {"value": 4.8, "edge": [2.6, 4.8], "added": {"a": 4.0, "b": 3.0}}
+    shape = {"value": 4.8, "edge": [2.6, 4.8], "neutral": None}
     text = page(
         [
             (real, [case("a", {"motor_lag": GOOD, "battery_sag": shape}), case("b", {})]),
             (heavy, [case("sim", {})]),
         ]
     )
-    assert "| a | named | `motor_lag` 0.97, `battery_sag` 0.97 | 0.01 | - |" in text
-    assert "| `motor_lag.n` | s | 0.05 (0.04 to 0.06) | - | one rotation only |" in text
-    assert "| `battery_sag.n` | s | 4.8* | - | one rotation only |" in text
+    assert "| a | named | `motor_lag` 0.97, `battery_sag` 0.97 | - | 0.01 | - |" in text
+    alone = "- | - | no | no | no | one rotation |"
+    assert f"| `motor_lag.n` | s | 0.05 (0.04 to 0.06) | - | {alone}" in text
+    assert f"| `battery_sag.n` | s | 4.8* | - | {alone.replace('no', 'a', 1)}" in text
+    assert "| `acc_z` | m/s² | 1.4 | 0.6 | 0.1 | 0.2 | 1.4 | 0.8 |" in text
     assert "| `acc_z` | m/s² | 900 | 2 | 1 | 1.5 | 1.4 | 0.5 | - | 0.9 | 30 to 60 % |" in text
-    assert "| `mass_offset.mass_kg` | - | -0.28 | - | never given |" in text
+    nowhere = "| - | - | - | no | no | no | never given |"
+    assert f"| `mass_offset.mass_kg` | - | -0.28 {nowhere}" in text
     assert "| `mass_offset` | 0 of 1 | made wrong on purpose, and missed |" in text
     assert "0123456789ab" in text
     assert not re.search(r"(^|[\s(`\"])/\w+/", text)
@@ -214,10 +336,42 @@ def test_page_tells_how_near_a_number_is_that_was_made_wrong() -> None:
     near, far = GOOD | {"value": 0.07, "ci95": [0.06, 0.08]}, GOOD | {"value": 0.06}
     cases = [case("a", {"motor_lag": near}), case("b", {"motor_lag": far}), case("c", {})]
     for c in cases:
-        for effect in c["said"]["effects"]:
-            effect["parameters"] = {"tau_s": effect["parameters"]["n"]}
+        c["numbers"] = {f"{k[:-1]}tau_s": n for k, n in c["numbers"].items()}
     said = "given by 2 of 3 rotations, off by 20 % at most, inside the interval in 1."
     assert f"- `motor_lag.tau_s` was to be 0.075: {said}" in page([(quick, cases)])
+
+
+def test_page_shows_bands_beside_the_prototype() -> None:
+    cases = [case(f, {"motor_lag": GOOD}) for f in ("real_1", "real_2", "real_3")]
+    for c in cases:
+        row = c["channels"][0]
+        c["channels"].append(row | {"name": "gyro_rate_z", "unit": "rad/s²"})
+    text = page([(SCENARIOS[0], cases)])
+    assert "| `gyro_rate_z` | 0.8-4.5 Hz | 0.3 | 0.3 | 0.3 | 0.3 | 0.3 |" in text
+    assert "| `gyro_rate_z` | **> 0.8 Hz** | 0.51 | 0.51 | 0.51 | 0.51 | 0.51 |" in text
+    assert "| `acc_z` | m/s² | 1* / 0.781 | 1* / 0.319 | 1* / 0.279 |" in text
+    assert "| `gyro_rate_z` | rad/s² | **1** / 1.86 | **1** / 2.05 | **1** / 1.45 |" in text
+    assert "- Better in 6, worse in 3, the same in 0." in text
+    assert "- Of 1 numbers that more than one rotation gives, 1 pass, 0 of them mostly" in text
+
+
+def test_page_tells_what_something_acts_like() -> None:
+    text = page([(SCENARIOS[0], [case("a", {}, verdict="unnamed", acts_like=["gyro_scale"])])])
+    assert "| a | unnamed | - | `gyro_scale` | 0.01 | - |" in text
+    assert "- a held out: something acts like `gyro_scale`: too far" in text
+
+
+def test_drag_is_that_of_either_effect_in_1_s() -> None:
+    nano = next(s for s in SCENARIOS if s.name == "nanobench")
+    found = case("circle", {})
+    found["predicted"] = {"rotor_drag.k_xy_1_s": 0.1, "blade_flapping.k_rad_s_m": 0.02}
+    assert drag_1_s(found) == pytest.approx(0.1 + 9.81 * 0.02)
+    row = found["channels"][0] | {"unit": "rad/s²", "effects": 10.0}
+    for axis, mean in zip("xyz", (9.0, 0.0, 8.0), strict=True):
+        found["channels"].append(
+            row | {"name": f"gyro_rate_{axis}", "mean": row["mean"] | {"effects": mean}}
+        )
+    assert "| circle | 0.296 | - | - | 4.36 | 10* | 6 |" in page([(nano, [found])])
 
 
 def test_page_tells_of_what_failed_or_could_not_be_used() -> None:

@@ -1,6 +1,6 @@
-"""What the tests of the physics share: plain vehicles, and a component run by name."""
+"""What the tests of the physics share: plain vehicles, a component run by name, least squares."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.component import Component
+from twin.explain.model.model import Model
 from twin.physics.airframe import airframe
 from twin.physics.rotors import Drive
+from twin.residuals.channels import ChannelData
 from twin.vehicle import Rotors, Vehicle
 from twin.vehicle.file import load_vehicle
 
@@ -113,3 +115,46 @@ def q(values: ArrayLike) -> dict[str, float]:
 
 def vec(stem: str, values: ArrayLike) -> dict[str, float]:
     return dict(zip((f"{stem}_{a}" for a in "xyz"), np.asarray(values).tolist(), strict=True))
+
+
+ROUNDS = 5
+"""Of Gauss-Newton in `fitted`."""
+
+
+def fitted(
+    model: Model,
+    names: Sequence[str],
+    channels: Sequence[str] | None = None,
+    start: Mapping[str, float] | None = None,
+) -> dict[str, float]:
+    """Values of some numbers, "effect.number" -> value, by Gauss-Newton on channels, each over its
+    spread: no prior, no choice between effects, whatever the search does.
+
+    Args:
+        model: Flights.
+        names: "effect.number".
+        channels: Beginnings of the names of channels that count; default: all.
+        start: Values to start from, default: as the model stands; of other numbers: held.
+    """
+    known = {n.full: n for n in model.numbers}
+    columns = [model.numbers.index(known[name]) for name in names]
+    values = {name: known[name].now for name in names} | dict(start or {})
+    for _ in range(ROUNDS):
+        rows, slopes = rows_of(model.channels(columns, values), channels)
+        step = np.linalg.lstsq(slopes, rows, rcond=None)[0]
+        for name, change in zip(names, step.tolist(), strict=True):
+            low, high = known[name].about.bounds
+            values[name] = min(max(values[name] + change, low), high)
+    return {name: values[name] for name in names}
+
+
+def rows_of(
+    flights: Sequence[Sequence[ChannelData]], channels: Sequence[str] | None = None
+) -> tuple[Array, Array]:
+    """Residuals and slopes one below the other, each channel over its spread."""
+    begins = ("",) if channels is None else tuple(channels)
+    found = [c for flight in flights for c in flight if c.name.startswith(begins)]
+    sizes = [float(np.std(c.measured)) or 1.0 for c in found]
+    residuals = [c.residual / s for c, s in zip(found, sizes, strict=True)]
+    slopes = [c.slopes / s for c, s in zip(found, sizes, strict=True)]
+    return np.concatenate(residuals), np.concatenate(slopes)

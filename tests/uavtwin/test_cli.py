@@ -13,7 +13,7 @@ import pytest
 from cli_rig import run
 
 from twin.logs import write_flight
-from twin.vehicle.file import load_vehicle
+from twin.vehicle.file import load_vehicle, vehicle_text
 from uavtwin.demo.flights import fly
 
 VEHICLE = "copter_default"
@@ -345,6 +345,25 @@ def test_check_tells_of_the_files_before_one_that_cannot_be_read(
     code, said, error = run(capsys, "check", table, tmp_path / "nothing.ulg")
     assert (code, "good for: gap" in said) == (2, True)
     assert "nothing.ulg: no such file" in error
+
+
+def test_check_asks_of_an_odd_vehicle_and_fails_an_impossible_one(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    text, path = vehicle_text("feisi_x150")[0], tmp_path / "mine.toml"
+    path.write_text(text, "utf-8")
+    code, said, _ = run(capsys, "check", path)
+    assert code == 0
+    assert "question: rotors.lag = none: rotors take 15 to 75 ms" in said
+    code, said, _ = run(capsys, "check", path, "--json")
+    (report,) = json.loads(said)
+    assert code == 0
+    assert report["problems"] == []
+    assert {"key", "value", "why", "way_out"} == set(report["questions"][0])
+    path.write_text(text.replace("8.82e-4]", "18.82e-4]"), "utf-8")
+    code, said, _ = run(capsys, "check", path)
+    assert code == 1
+    assert "problem: body.inertia" in said
 
 
 @pytest.mark.parametrize("word", ["version", "--version"])

@@ -177,6 +177,9 @@ def test_the_new_vehicle_is_the_old_one_with_the_effect_on(named: Run) -> None:
     low, high = parameters["k_xy_1_s"]["ci95"]
     source = new.sources["effects.rotor_drag.k_xy_1_s"]
     assert source == f"uavtwin explain, one and two, 95 % interval {low:.4g} to {high:.4g}"
+    stated = new.deviations["effects.rotor_drag.k_xy_1_s"].numbers
+    assert stated is not None
+    assert list(stated) == [pytest.approx((high - low) / 2 / 1.96, rel=1e-4)]
     assert new.mass_kg == COPTER.mass_kg
     assert new.rotors.thrust_n == COPTER.rotors.thrust_n
     assert np.array_equal(new.drag_linear_n_s_m, COPTER.drag_linear_n_s_m)

@@ -3,7 +3,7 @@
 from ..vehicle import Vehicle
 from . import air, gust, inertial, mass, propulsion, sensors, timing
 from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit, Period
-from .seen import Equation, Lines, NoiseFloor, Observer, RandomForce, Repeats, Seen, Shift
+from .seen import Average, Equation, Lines, NoiseFloor, Observer, RandomForce, Repeats, Seen, Shift
 
 _MODULES = (air, gust, propulsion, mass, inertial, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
@@ -42,6 +42,7 @@ def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
 
 __all__ = [
     "EFFECTS",
+    "Average",
     "Block",
     "Blocks",
     "ComponentName",

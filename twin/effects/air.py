@@ -24,11 +24,12 @@ def _rotor_drag(w: Wrench, p: Block) -> Wrench:
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
     drag = [-m * c * v for c, v in zip(k, air, strict=True)]
     hubs = w.motion.body.hubs
-    middle = [sum(places, start=ca.SX(0)) / len(hubs) for places in zip(*hubs, strict=True)]
+    point = [sum(places, start=ca.SX(0)) / len(hubs) for places in zip(*hubs, strict=True)]
+    point[2] -= p["height_m"]
     return replace(
         w,
         force=[f + d for f, d in zip(w.force, drag, strict=True)],
-        moment=[a + b for a, b in zip(w.moment, cross(middle, drag), strict=True)],
+        moment=[a + b for a, b in zip(w.moment, cross(point, drag), strict=True)],
     )
 
 
@@ -96,8 +97,8 @@ def _ground_effect(r: Thrust, p: Block) -> Thrust:
 
 ROTOR_DRAG = Effect(
     "rotor_drag",
-    "drag of the turning rotors, at the middle of their hubs, proportional to their speed and to "
-    "that through the air",
+    "drag of the turning rotors, about the middle of their hubs, proportional to their speed and "
+    "to that through the air",
     "airframe",
     Wrench,
     (
@@ -106,6 +107,9 @@ ROTOR_DRAG = Effect(
         ),
         EffectParameter(
             "k_z_1_s", "1/s", "drag over mass and speed in hover, body z", 0.0, (0, 1.5)
+        ),
+        EffectParameter(
+            "height_m", "m", "where it attacks, over the middle of the hubs", 0.0, (-0.15, 0.15)
         ),
     ),
     ("acc", "vel", "q"),

@@ -19,8 +19,10 @@ from .seen import Equation, Seen
 ComponentName = str
 """Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
 Stage = TypeVar("Stage")
+RECORD = "record"
+"""In the place of a component, for effects of a log: no aircraft has them, and no FMU."""
 TRIFLE = 0.01
-"""Share of its prior range by which a number moves at least where an effect is one to speak of:
+"""Share of its range by which a number moves at least where an effect is one to speak of:
 a percent of the mass."""
 
 
@@ -33,28 +35,30 @@ class EffectParameter:
         unit: SI unit.
         description: One line.
         start: A middling size, which counts once the effect is switched on.
-        prior: Smallest and largest value that a fit considers.
+        bounds: Smallest and largest value that a fit considers.
         neutral: Value at which the effect vanishes; None for a shape (a height, a time constant
             of something else).
-        scale: Vehicle quantity that start, prior and neutral are multiples of; None: absolute.
+        scale: Vehicle quantity that start, bounds and neutral are multiples of; None: absolute.
         per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
-        trifle: Smallest change worth a name, in the unit of `prior`; None: `TRIFLE` of that range.
+        trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
+        floor: Smallest value that a vehicle allows, absolute, where that is below the bounds.
     """
 
     name: str
     unit: str
     description: str
     start: float
-    prior: tuple[float, float]
+    bounds: tuple[float, float]
     neutral: float | None = 0.0
     scale: Callable[[Vehicle], float] | None = None
     per_rotor: bool = False
     trifle: float | None = None
+    floor: Callable[[Vehicle], float] | None = None
 
     @property
     def smallest(self) -> float:
         """Smallest change worth a name."""
-        low, high = self.prior
+        low, high = self.bounds
         return TRIFLE * (high - low) if self.trifle is None else self.trifle
 
     def names(self, vehicle: Vehicle) -> list[str]:
@@ -65,18 +69,17 @@ class EffectParameter:
 
     def sized(self, vehicle: Vehicle) -> "EffectParameter":
         """The same with absolute numbers for a vehicle."""
-        if self.scale is None:
-            return self
-        k = self.scale(vehicle)
-        low, high = self.prior
+        k = 1.0 if self.scale is None else self.scale(vehicle)
+        low, high = (k * b for b in self.bounds)
         neutral, trifle = (None if v is None else k * v for v in (self.neutral, self.trifle))
         return replace(
             self,
             start=k * self.start,
-            prior=(k * low, k * high),
+            bounds=(low if self.floor is None else min(low, self.floor(vehicle)), high),
             neutral=neutral,
             trifle=trifle,
             scale=None,
+            floor=None,
         )
 
 
@@ -138,10 +141,38 @@ class Effect:
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
 
+    @property
+    def of_vehicle(self) -> bool:
+        """Whether an aircraft can have it; else it is of a record alone."""
+        return self.component != RECORD
+
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""
         sized = [p.sized(vehicle) for p in self.parameters]
         return {name: p.start for p in sized for name in p.names(vehicle)}
+
+
+def effect_of_records(
+    name: str,
+    meaning: str,
+    numbers: tuple[EffectParameter, ...],
+    needs: tuple[str, ...],
+    source: str,
+    seen_as: Seen,
+) -> Effect:
+    """An effect without a term in any component. Arguments as of `Effect`."""
+    return Effect(
+        name,
+        meaning,
+        RECORD,
+        object,
+        (),
+        needs,
+        source,
+        lambda stage, _: stage,
+        seen_as=seen_as,
+        of_logs=numbers,
+    )
 
 
 class Block:

@@ -24,7 +24,7 @@ def _mass_offset(b: Body, p: Block) -> Body:
 
 
 def _cog_offset(b: Body, p: Block) -> Body:
-    shift = [p["x_m"], p["y_m"], ca.SX(0)]
+    shift = [p["x_m"], p["y_m"], p["z_m"]]
     hubs = [[h - s for h, s in zip(hub, shift, strict=True)] for hub in b.hubs]
     return replace(b, hubs=hubs, origin=[o - s for o, s in zip(b.origin, shift, strict=True)])
 
@@ -147,6 +147,14 @@ COG_OFFSET = Effect(
             "y_m",
             "m",
             "centre of mass right of the model's",
+            0.0,
+            (-0.4, 0.4),
+            scale=lambda v: v.arm_m,
+        ),
+        EffectParameter(
+            "z_m",
+            "m",
+            "centre of mass below the model's",
             0.0,
             (-0.4, 0.4),
             scale=lambda v: v.arm_m,

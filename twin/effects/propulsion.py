@@ -10,6 +10,9 @@ from ..vehicle import Vehicle
 from .definition import Block, Effect, EffectParameter
 from .stages import Motors, Thrust, Wrench
 
+LEAST_LAG_S = 2.5e-3
+"""Below it no lag of a file is made shorter: half the longest step that is integrated."""
+
 
 def _hover_momentum(vehicle: Vehicle) -> float:
     """Spin momentum of one rotor in hover, N m s, guessed from thrust and arm.
@@ -37,12 +40,23 @@ def _battery_sag(r: Thrust, p: Block) -> Thrust:
 
 
 def _motor_lag(d: Motors, p: Block) -> Motors:
-    extra = ca.fmax(p["tau_s"], 0.0)
-    return replace(d, lag_up=d.lag_up + extra, lag_down=d.lag_down + extra)
+    def longer(lag: ca.SX) -> ca.SX:
+        return ca.fmax(lag + p["tau_s"], ca.fmin(lag, LEAST_LAG_S))
+
+    return replace(d, lag_up=longer(d.lag_up), lag_down=longer(d.lag_down))
+
+
+def _spare_lag(vehicle: Vehicle) -> float:
+    """By how much the lag of the file may be too long, as a negative number, s."""
+    rotors = vehicle.rotors
+    lag = min(rotors.lag_up_s, rotors.lag_down_s)
+    return min(0.0, max(-0.9 * lag, LEAST_LAG_S - lag))
 
 
 def _rotor_efficiency_loss(r: Thrust, p: Block) -> Thrust:
-    return _scaled(r, [1 - loss for loss in p.each("loss")])
+    lost = p.each("loss")
+    torque = [q * (1 - p["torque_share"] * k) for q, k in zip(r.torque, lost, strict=True)]
+    return replace(_scaled(r, [1 - k for k in lost]), torque=torque)
 
 
 def _rotor_inertia_torque(r: Thrust, p: Block) -> Thrust:
@@ -146,10 +160,20 @@ BATTERY_SAG = Effect(
 
 MOTOR_LAG = Effect(
     "motor_lag",
-    "rotors follow the command more slowly than the model's do",
+    "rotors follow the command more slowly than the model's do, or faster",
     "airframe",
     Motors,
-    (EffectParameter("tau_s", "s", "time constant on top of the model's", 0.05, (0, 0.3)),),
+    (
+        EffectParameter(
+            "tau_s",
+            "s",
+            "time constant on top of the model's",
+            0.05,
+            (0, 0.3),
+            trifle=0.003,
+            floor=_spare_lag,
+        ),
+    ),
     ("acc", "gyro"),
     "first-order rotor dynamics: Mahony, Kumar & Corke 2012, p. 22; 75 ms measured on a Crazyflie",
     _motor_lag,
@@ -160,9 +184,20 @@ ROTOR_EFFICIENCY_LOSS = Effect(
     "single rotors give less thrust than the others: a damaged blade, a worn motor",
     "airframe",
     Thrust,
-    (EffectParameter("loss", "1", "share of the thrust lost", 0.0, (0, 0.6), per_rotor=True),),
+    (
+        EffectParameter("loss", "1", "share of the thrust lost", 0.0, (0, 0.6), per_rotor=True),
+        EffectParameter(
+            "torque_share",
+            "1",
+            "share of the reaction torque lost per share of the thrust lost",
+            1.0,
+            (0, 1.5),
+            neutral=None,
+        ),
+    ),
     ("acc", "gyro"),
-    "definition: one factor per rotor",
+    "definition: one factor per rotor; thrust and torque of a rotor that turns more slowly go with "
+    "the square of its speed, one with a damaged blade may keep more of its torque",
     _rotor_efficiency_loss,
 )
 

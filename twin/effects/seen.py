@@ -4,12 +4,13 @@
 |---|---|
 | Equation | readings that its component, with it, predicts |
 | Shift | signals that are apart in time |
+| Average | a pose that is smoother than the motion |
 | NoiseFloor | the flat part of a spectrum |
 | Lines | lines of a spectrum, which follow the rotors or stand still |
 | RandomForce | a slow random force that no curve explains |
 | Repeats | readings that stand still |
 
-The first two change a mean, and are fitted together; each of the others is found by its own rule.
+The first three change a mean, and are fitted together; each of the others is found by its own rule.
 Numbers are given by their names within the effect, signals as in `Effect.needs`.
 """
 
@@ -76,6 +77,17 @@ class Shift:
 
 
 @dataclass(frozen=True, slots=True)
+class Average:
+    """In a pose that is an average over time, as far before each instant as after it.
+
+    Attributes:
+        spreads: Signals for which each number, s^2, is the variance of the weights.
+    """
+
+    spreads: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
 class NoiseFloor:
     """In the noise of readings against that of the vehicle file.
 
@@ -130,4 +142,4 @@ class Repeats:
     channels: tuple[str, ...] = field(default=())
 
 
-Seen = Equation | Shift | NoiseFloor | Lines | RandomForce | Repeats
+Seen = Equation | Shift | Average | NoiseFloor | Lines | RandomForce | Repeats

@@ -1,11 +1,11 @@
-"""Effects of time: readings that come late."""
+"""Effects of time: readings that come late, clocks that are apart, a pose that is smoothed."""
 
 from dataclasses import replace
 
 import casadi as ca
 
-from .definition import Block, Effect, EffectParameter, Period
-from .seen import Shift
+from .definition import Block, Effect, EffectParameter, Period, effect_of_records
+from .seen import Average, Shift
 from .sensor_stages import Latency
 from .stages import Motors
 
@@ -17,6 +17,10 @@ POSE_SAMPLING_S = 0.0125
 """The same for a pose at 80 Hz."""
 COMMAND_SAMPLES = 251
 """Commands remembered: a quarter of a second."""
+
+
+CLOCK_S = 0.25
+"""Clocks that are farther apart are set before a log is read."""
 
 
 def _later(t: Latency, p: Block) -> Latency:
@@ -86,4 +90,48 @@ COMMAND_DELAY = Effect(
     period=Period(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay"),
 )
 
-EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY)
+_CLOCKS = (
+    ("pose_s", "position and velocity", ("pos", "vel"), POSE_SAMPLING_S),
+    ("attitude_s", "attitude", ("q",), POSE_SAMPLING_S),
+    ("accelerometer_s", "accelerometer", ("acc",), SAMPLING_S),
+    ("command_s", "motor commands", ("cmd",), SAMPLING_S),
+    ("rotor_s", "rotor speeds", ("rotor",), SAMPLING_S),
+)
+
+CLOCK_OFFSET = effect_of_records(
+    "clock_offset",
+    "the time stamps of a record are apart: some of its signals are older or younger than the "
+    "gyroscope's of the same stamp",
+    tuple(
+        EffectParameter(
+            name,
+            "s",
+            f"age over that of the gyroscope, {what}",
+            0.02,
+            (-CLOCK_S, CLOCK_S),
+            trifle=trifle,
+        )
+        for name, what, _, trifle in _CLOCKS
+    ),
+    ("gyro",),  # another signal that a flight lacks has no clock there
+    "definition: the same added to every clock changes nothing, so one of them is the reference",
+    Shift({name: signals for name, _, signals, _ in _CLOCKS}),
+)
+
+POSE_SMOOTHING = effect_of_records(
+    "pose_smoothing",
+    "the logged pose is smoother than the motion: averaged over time by an estimator or a motion "
+    "capture, as far ahead as back",
+    tuple(
+        EffectParameter(
+            name, "s2", f"{what}: square of the standard width of the average", 4e-4, (0, 0.01)
+        )
+        for name, what in (("attitude_s2", "attitude"), ("position_s2", "position and velocity"))
+    ),
+    ("q", "gyro"),
+    "x - (q/2) x'' of an average with variance q, to second order: Taylor's theorem; exact for "
+    "motion that is slow over its width",
+    Average({"attitude_s2": ("q",), "position_s2": ("pos", "vel")}),
+)
+
+EFFECTS = (IMU_DELAY, POSITION_DELAY, COMMAND_DELAY, CLOCK_OFFSET, POSE_SMOOTHING)

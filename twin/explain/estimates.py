@@ -1,19 +1,21 @@
 """What is told of each effect, to programs and to people alike."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..effects import EFFECTS
 from .explanation import Explanation
-from .inference.fit import Fit
+from .inference.beliefs import effect_of
+from .inference.fit import INTERVAL, Fit
 from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
 from .stochastic.finding import StochasticEffect
 
 MOST_RIVALS = 5
 """That are listed."""
+UNTOLD = 0.7
+"""Posterior over prior deviation of a number from which on flights do not tell it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +26,16 @@ class Estimate:
         number: What it is.
         value: In its unit.
         ci95: 95 % interval; None: it has none.
+        prior_share: Posterior over prior deviation: 1 where the flights say nothing; None: it has
+            no prior.
+        tension: Prior deviations between the value and what was expected; None: the same.
     """
 
     number: Number
     value: float
     ci95: tuple[float, float] | None
+    prior_share: float | None = None
+    tension: float | None = None
 
 
 def listed_effects(found: Explanation) -> list[str]:
@@ -36,13 +43,23 @@ def listed_effects(found: Explanation) -> list[str]:
     naming = found.naming
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
+    effects = {*naming.named, *naming.undecided}
     if naming.verdict == "cannot_tell":
         every = {e for f in naming.fitted for e in f.effects}
-        effects = {e for e in every if naming.probability_of(e) >= naming.settings.least}
-    else:
-        effects = set(naming.best.effects)
+        alike = {r.effect for r in naming.resemblances}
+        effects |= {e for e in every - alike if probability_of(found, e) >= naming.settings.least}
     effects |= {u.effect for u in found.stochastic}
     return sorted(effects, key=lambda e: (-probability_of(found, e), e))
+
+
+def calibrated_effects(found: Explanation) -> list[str]:
+    """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
+    if found.naming is None or found.shown is None:
+        return []
+    beliefs = found.naming.problem.beliefs
+    unsure = {effect_of(c) for c, sd in zip(beliefs.cause, beliefs.spike, strict=True) if sd > 0}
+    told = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
+    return [e for e in found.shown.effects if e in unsure and e not in told]
 
 
 def undecided(found: Explanation) -> tuple[str, ...]:
@@ -77,7 +94,7 @@ def best_with(naming: Naming, effect: str) -> Fit:
 
 
 def intervals(fitted: Fit) -> dict[str, tuple[float, float]]:
-    """95 % intervals, "effect.number" -> low, high; shapes have none."""
+    """95 % intervals, "effect.number" -> low, high."""
     return {
         n.full: (fitted.values[n.full] - float(w), fitted.values[n.full] + float(w))
         for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)
@@ -85,20 +102,30 @@ def intervals(fitted: Fit) -> dict[str, tuple[float, float]]:
 
 
 def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
-    """The numbers of an effect that is listed."""
+    """The numbers of an effect that is listed, where it is there."""
     beside = beside_mean(found, effect)
-    own: Mapping[str, tuple[float, float]]
-    if beside is None:
-        assert found.naming is not None
-        fitted = best_with(found.naming, effect)
-        numbers, values, own = found.naming.problem.model.numbers, fitted.values, intervals(fitted)
-    else:
-        numbers = tuple(numbers_of([EFFECTS[effect]], found.vehicle))
-        values, own = beside.values, beside.intervals
+    if beside is not None:
+        numbers = numbers_of([EFFECTS[effect]], found.vehicle)
+        own = beside.intervals
+        return [
+            Estimate(n, beside.values[n.full], own.get(n.full))
+            for n in numbers
+            if n.full in beside.values
+        ]
+    assert found.naming is not None
+    told, beliefs = found.naming.told, found.naming.problem.beliefs
+    tension, sure = beliefs.tension(told.values), intervals(told)
+    prior = dict(zip(beliefs.names, beliefs.slab, strict=True))
     return [
-        Estimate(n, values[n.full], own.get(n.full))
-        for n in numbers
-        if n.effect == effect and n.full in values
+        Estimate(
+            n,
+            told.values[n.full],
+            sure[n.full],
+            min(1.0, float(w) / INTERVAL / prior[n.full]),
+            tension[n.full],
+        )
+        for n, w in zip(told.numbers, told.half_widths, strict=True)
+        if n.effect == effect
     ]
 
 
@@ -116,8 +143,8 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
 
     An effect that changes no mean has one, `nothing`, and only its probability is known.
 
-    `behind`: log likelihood, out of sample, below the best hypothesis with the effect; `share`: of
-    the power of a channel that it takes, at its best together with the effects `with`.
+    `behind`: log probability below the best set with the effect, of the best set with the rival in
+    its place, together with the effects `with`.
     """
     beside, naming = beside_mean(found, effect), found.naming
     if beside is not None:
@@ -125,7 +152,7 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
     assert naming is not None
     fitted = best_with(naming, effect)
     others: dict[str, dict[str, Any]] = {}
-    for f, p, share in zip(naming.fitted, naming.probabilities, naming.shares, strict=True):
+    for f, p in zip(naming.fitted, naming.probabilities, strict=True):
         if effect in f.effects:
             continue
         for name in f.effects or ("nothing",):
@@ -135,6 +162,6 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
             entry["probability"] += p
             if fitted.gain - f.gain < entry["behind"]:
                 partners = [e for e in f.effects if e != name]
-                entry |= {"behind": fitted.gain - f.gain, "share": share, "with": partners}
+                entry |= {"behind": fitted.gain - f.gain, "with": partners}
     ranked = sorted(others.values(), key=lambda r: (-r["probability"], r["behind"]))
     return ranked[:MOST_RIVALS]

@@ -4,29 +4,34 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from ..effects import EFFECTS, RandomForce
-from ..errors import LogError
+from ..errors import LogError, ModelError
 from ..flight.stability import Mission, fly_missions
-from ..logs import Flight
+from ..logs import Flight, Site
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
 from .holdout import Comparison, compare_holdout
+from .inference.beliefs import UNCALIBRATED
 from .inference.fit import Fit
 from .inference.selection import Naming, Verdict, name_effects
 from .localization import Place, localize
 from .model.numbers import with_effects
 from .model.payload import Payloads
-from .settings import DEFAULT, SearchSettings, UsableSettings
+from .settings import DEFAULT, SearchSettings
 from .split import Span, held_out_spans, hidden
 from .stochastic.finding import StochasticEffect
 from .stochastic.search import find_stochastic, find_stuck
 from .stochastic.stuck import Stuck, stuck_channels, without_stuck
 from .unnamed.equations import Equation, explains_better, find_equations
-from .usable import reasons_unusable
+from .usable import flown, reasons_unusable, with_readings
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
+UNKNOWN_SITE = (
+    "not known whether {} flew indoors or outdoors, taken for outdoors: say which by --indoor or "
+    "--outdoor, in Python by indoors=True or False"
+)
 WEAKER = (
     "no flight was held out: one block of time in {} of the same flights stands in for one, "
     "which is weaker, because what one flight has in common is in both parts"
@@ -57,8 +62,8 @@ class Explanation:
         reasons: Why nothing can be learnt, for the verdict "unusable".
         warnings: What to keep in mind, the worst first.
         naming: Hypotheses and their probabilities; None where nothing could be fitted.
-        shown: Hypothesis whose gap is shown: the named one; the first candidate where the verdict
-            is "cannot_tell"; None: no effect that changes a mean.
+        shown: Every effect that may be there, with the means of its numbers over all sets: what
+            predicts best, and whose gap is shown; None: no effect that changes a mean.
         stochastic: Effects that change no mean, found beside it.
         values: Numbers of all these, "effect.number" -> value.
         comparison: Held-out flights before and after; None where nothing could be held out.
@@ -69,6 +74,8 @@ class Explanation:
         unnamed: Equations for what no effect explains.
         next_manoeuvre: What to fly to learn more.
         settings: What decided all this.
+        since: Flights of the calibration since which it is asked what has changed; None: it is
+            asked what the model lacks.
     """
 
     verdict: Verdict
@@ -88,6 +95,7 @@ class Explanation:
     unnamed: tuple[Equation, ...] = ()
     next_manoeuvre: Suggestion | None = None
     settings: SearchSettings = DEFAULT
+    since: tuple[str, ...] | None = None
 
     __repr__ = short_repr
 
@@ -99,10 +107,14 @@ class Explanation:
 
     @property
     def added(self) -> Vehicle | None:
-        """The model with the named effects; None where none is named."""
-        if self.verdict != "named":
+        """The model with the effects that it lacks and the numbers that its file was unsure of;
+        None where nothing is named and nothing was unsure, and where nothing has changed since a
+        calibration. What it holds is no longer what flights calibrated."""
+        told = ("named",) if self.since is not None else ("named", "nothing")
+        if self.verdict not in told or not self.effects:
             return None
-        return with_effects(self.vehicle, self.effects, self.values)
+        made = with_effects(self.vehicle, self.effects, self.values)
+        return replace(made, calibration=None)
 
 
 def explain(
@@ -114,6 +126,8 @@ def explain(
     missions: Sequence[str] | None = None,
     payloads: Payloads | None = None,
     settings: SearchSettings = DEFAULT,
+    indoors: bool | None = None,
+    since: bool = False,
 ) -> Explanation:
     """Say what a model lacks, and prove it.
 
@@ -126,14 +140,29 @@ def explain(
         missions: To fly with the new model; default: all.
         payloads: Known masses aboard, of flights of either kind.
         settings: The numbers that decide what is said.
+        indoors: Whether all flights were within walls; None: as each flight says.
+        since: Whether it is asked what has changed since the vehicle was calibrated, its numbers
+            held as well as they are known; else everything that the model may lack.
+
+    Raises:
+        ModelError: The vehicle holds no calibration to ask since.
     """
+    asked = calibrated_on(vehicle) if since else None
+    flights, holdout = ([sited(f, indoors) for f in some] for some in (flights, holdout))
     names = tuple(f.name for f in flights)
     stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f, settings.stochastic.stuck)]
-    fit, reasons = _usable([without_stuck(f, stuck) for f in flights], vehicle, settings.usable)
-    held, left_out = _usable([without_stuck(f, stuck) for f in holdout], vehicle, settings.usable)
+    (fit, reasons), (held, left_out) = (
+        usable_of([without_stuck(f, stuck) for f in some], vehicle, payloads, settings)
+        for some in (flights, holdout)
+    )
     if not fit:
-        return Explanation("unusable", vehicle, names, tuple(reasons), settings=settings)
+        return Explanation(
+            "unusable", vehicle, names, tuple(reasons), settings=settings, since=asked
+        )
     warnings = [f"left out: {reason}" for reason in reasons + left_out]
+    if unknown := [f.name for f in (*fit, *held) if f.indoors is None]:
+        warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
+    hidden_from: list[str] = []
     away = tuple(HeldOut(f.name) for f in held)
     if not held:
         spans = [held_out_spans(f, settings.holdout) for f in fit]
@@ -141,6 +170,11 @@ def explain(
         fit = [hidden(f, s, inside=True) for f, s in zip(fit, spans, strict=True)]
         away = tuple(HeldOut(f.name, tuple(s)) for f, s in zip(fit, spans, strict=True))
         warnings.append(WEAKER.format(settings.holdout.spared_every))
+        (fit, hidden_from), (held, none_left) = (
+            with_readings(some, vehicle, payloads) for some in (fit, held)
+        )
+        warnings += [f"left out: {reason}" for reason in hidden_from]
+        warnings += [f"left out of what is held out: {reason}" for reason in none_left]
     found = Explanation(
         "unusable",
         vehicle,
@@ -148,18 +182,27 @@ def explain(
         warnings=tuple(warnings),
         holdout=away,
         settings=settings,
+        since=asked,
     )
+    if not fit:
+        return replace(found, reasons=tuple(hidden_from))
     try:
         naming = name_effects(
-            fit, vehicle, seed, lambda done: progress(0.5 * done), payloads, settings.inference
+            fit,
+            vehicle,
+            seed,
+            lambda done: progress(0.6 * done),
+            payloads,
+            settings.inference,
+            since,
         )
     except LogError as error:
         return replace(found, reasons=(str(error),))
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(found, warnings=(*found.warnings, *_not_felt(naming)))
-    progress(0.6)
+    progress(0.65)
     found = _with_equations(found, seed)
-    progress(0.7)
+    progress(0.75)
     found = _with_gap(found, held, seed, payloads)
     progress(0.85)
     if found.verdict in ("named", "cannot_tell"):
@@ -170,6 +213,22 @@ def explain(
         return found
     flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
     return replace(found, missions=flown)
+
+
+def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
+    """Names of the flights that told a vehicle's numbers.
+
+    Raises:
+        ModelError: The vehicle holds no calibration.
+    """
+    if vehicle.calibration is None:
+        raise ModelError(UNCALIBRATED.format(vehicle.name))
+    return vehicle.calibration.flights
+
+
+def sited(flight: Flight, indoors: bool | None) -> Flight:
+    """The flight indoors or outdoors, as somebody says; None: as it says itself."""
+    return flight if indoors is None else replace(flight, site=Site(indoors, "as told"))
 
 
 def _not_felt(naming: Naming) -> list[str]:
@@ -183,12 +242,18 @@ def _not_felt(naming: Naming) -> list[str]:
     ]
 
 
-def _usable(
-    flights: Sequence[Flight], vehicle: Vehicle, settings: UsableSettings
+def usable_of(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    payloads: Payloads | None,
+    settings: SearchSettings,
 ) -> tuple[list[Flight], list[str]]:
     """Flights fit for the search, and why the others are not."""
-    found = [(f, reasons_unusable(f, vehicle, settings)) for f in flights]
-    return [f for f, against in found if not against], [r for _, against in found for r in against]
+    found = [
+        (f, reasons_unusable(f, flown(f, vehicle, payloads), settings.usable)) for f in flights
+    ]
+    fit, unread = with_readings([f for f, against in found if not against], vehicle, payloads)
+    return fit, [r for _, against in found for r in against] + unread
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
@@ -200,7 +265,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
     exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
-    bounds = () if shown is None else [text for _, text in shown.edges]
+    alike = [f"something acts like {r.effect}: {r.why}" for r in naming.resemblances]
     return replace(
         found,
         verdict=verdict,
@@ -208,7 +273,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
         shown=shown,
         stochastic=beside,
         values=values,
-        warnings=(*bounds, *found.warnings),
+        warnings=(*alike, *found.warnings),
     )
 
 
@@ -218,22 +283,27 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     assert naming is not None
     if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
-    problem, settings = naming.problem, found.settings.unnamed
-    alone = find_equations(problem, problem.nothing(), seed, settings)
-    if alone is None or not explains_better(problem, naming.likely, alone, settings):
+    ground, settings = naming.ground, found.settings.unnamed
+    stands = _calibrated(naming)
+    alone = find_equations(ground, replace(naming.nothing, values=stands), seed, settings)
+    if alone is None or not explains_better(ground, naming.likely, alone, settings, stands):
         return found
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
     )
 
 
+def _calibrated(naming: Naming) -> dict[str, float]:
+    """Numbers that the file was unsure of, but for those of effects that are missing."""
+    b = naming.problem.beliefs
+    pairs = zip(b.names, b.spike, strict=True)
+    unsure = [n for n, sd in pairs if sd > 0 and n.partition(".")[0] not in naming.best.effects]
+    return {n: naming.shown.values[n] for n in unsure if n in naming.shown.values}
+
+
 def _shown(naming: Naming) -> Fit | None:
-    """The hypothesis whose gap is shown."""
-    if naming.verdict == "named":
-        return naming.best
-    if naming.verdict == "cannot_tell":
-        return next((f for f in naming.likely if f.effects), None)
-    return None
+    """The numbers whose gap is shown; None where they are none."""
+    return naming.shown if naming.shown.effects else None
 
 
 def _with_gap(
@@ -242,6 +312,9 @@ def _with_gap(
     """The same with the gap of held-out flights, where effects act, and where the gap is."""
     effects = () if found.shown is None else found.shown.effects
     assert found.naming is not None
+    if not held:
+        problem = "no gap can be shown: of what is held out, no reading is known for long enough"
+        return replace(found, warnings=(*found.warnings, problem))
     settings = found.settings
     steady = {k: v for k, v in found.values.items() if k.partition(".")[0] in effects}
     try:
@@ -253,7 +326,7 @@ def _with_gap(
             seed,
             payloads,
             settings.holdout,
-            settings.inference.likelihood,
+            settings.inference.evidence,
         )
     except LogError as error:
         problem = f"no gap can be shown on what is held out: {error}"

@@ -18,11 +18,12 @@ from ..logs import Flight
 from ..representation import short_repr
 from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
-from .inference.likelihood import Scores, noise_of_all, whiten
+from .inference.beliefs import beliefs_of
+from .inference.refit import Problem
+from .inference.spectrum import Spectrum
 from .model.model import Model, candidates, model_of
-from .model.numbers import columns_of
 from .model.payload import Payloads
-from .settings import DEFAULT, HoldoutSettings, LikelihoodSettings
+from .settings import DEFAULT, EvidenceSettings, HoldoutSettings
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -78,12 +79,14 @@ class Comparison:
         model: The held-out flights.
         before: Channels of each flight with the model as it stood.
         after: The same channels with the effects added.
+        best: The same with every effect of the library, fitted to these very flights.
     """
 
     gaps: tuple[ChannelGap, ...]
     model: Model
     before: Flights
     after: Flights
+    best: Flights
 
     __repr__ = short_repr
 
@@ -110,7 +113,7 @@ def compare_holdout(
     seed: int = 0,
     payloads: Payloads | None = None,
     settings: HoldoutSettings = DEFAULT.holdout,
-    likelihood: LikelihoodSettings = DEFAULT.inference.likelihood,
+    evidence: EvidenceSettings = DEFAULT.inference.evidence,
 ) -> Comparison:
     """Compare held-out flights with a model before and after effects are added.
 
@@ -122,7 +125,7 @@ def compare_holdout(
         seed: Of the bootstrap.
         payloads: Known masses aboard.
         settings: Of the bootstrap.
-        likelihood: Of the noise, for the noise floor.
+        evidence: Of the fit of all numbers.
 
     Raises:
         LogError: A flight cannot be compared with this vehicle.
@@ -130,39 +133,56 @@ def compare_holdout(
     seen = {e.name: e for e in candidates(flights)} | {e: EFFECTS[e] for e in effects}
     known = [e for e in EFFECTS.values() if e.name in seen]
     model = model_of(flights, vehicle, known, payloads=payloads)
-    before = model.channels([])
-    linear = columns_of(model.numbers, model.effects)
-    rows = model.channels(linear, values)
-    floors = _floors(rows, np.array([model.numbers[i].sd for i in linear]), likelihood)
+    before, rows = model.channels([]), model.channels([], values)
+    best = _best(model, values, evidence)
     after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
     gaps = [
-        _gap([f[i] for f in before], [f[i] for f in after], floors[i], seed, settings)
+        _gap([f[i] for f in before], [f[i] for f in after], [f[i] for f in best], seed, settings)
         for i in range(len(before[0]))
     ]
-    return Comparison(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after)
+    return Comparison(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after, best)
 
 
-def _floors(rows: Flights, sd: Array, settings: LikelihoodSettings) -> list[float]:
-    """Rms of each channel that the fit of all numbers at once leaves."""
-    noise = noise_of_all(rows, sd, settings)
-    change, _ = Scores(whiten(rows, noise, settings), sd).fit(range(len(sd)))
-    left = [[c.residual - c.slopes @ change for c in flight] for flight in rows]
-    return [_rms(np.concatenate(parts)) for parts in zip(*left, strict=True)]
+def _best(
+    model: Model, values: Mapping[str, float], settings: EvidenceSettings
+) -> list[list[ChannelData]]:
+    """What all numbers leave of each channel, fitted to the flights themselves."""
+    problem = Problem.of(model, beliefs_of(model), settings)
+    beliefs = problem.beliefs
+    place = {n: i for i, n in enumerate(beliefs.names)}
+    x = np.zeros(len(beliefs.now) + problem.rest.days.size)
+    for name, value in values.items():
+        if name in place:
+            x[place[name]] = value - beliefs.now[place[name]]
+    flights = problem.channels(x, range(len(beliefs.now)))
+    judge = problem.judge(Spectrum.of(flights, *problem.split(x), beliefs.days))
+    shared, days = problem.split(judge.best(beliefs.causes, 1.0).x - x)
+    left = []
+    for flight, day in zip(flights, days, strict=True):
+        step = shared.copy()
+        step[beliefs.days] += day
+        left.append(
+            [
+                replace(c, residual=c.residual - c.slopes @ step, slopes=c.slopes[:, :0])
+                for c in flight
+            ]
+        )
+    return left
 
 
 def _gap(
     before: Sequence[ChannelData],
     after: Sequence[ChannelData],
-    floor: float,
+    best: Sequence[ChannelData],
     seed: int,
     settings: HoldoutSettings,
 ) -> ChannelGap:
     sums = [_block_sums(b, a, settings.block_s) for b, a in zip(before, after, strict=True)]
-    rms_before, rms_after = (
-        _rms(np.concatenate([c.residual for c in channels])) for channels in (before, after)
+    rms_before, rms_after, rms_best = (
+        _rms(np.concatenate([c.residual for c in channels])) for channels in (before, after, best)
     )
     interval = _shrink_interval(np.concatenate(sums), seed, settings.fewest_blocks)
-    floor = min(floor, rms_before, rms_after)
+    floor = min(rms_best, rms_before, rms_after)
     name, unit, n = before[0].name, before[0].unit, sum(len(b.t_s) for b in before)
     return ChannelGap(name, unit, n, rms_before, rms_after, floor, interval)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..flight.stability import Mission
 from .estimates import (
+    calibrated_effects,
     estimates_of,
     listed_effects,
     nothing_probability,
@@ -17,6 +18,7 @@ from .estimates import (
 )
 from .explanation import Explanation
 from .holdout import ChannelGap
+from .inference.selection import Naming
 from .localization import Place
 from .unnamed.equations import Equation
 
@@ -28,11 +30,20 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "reasons": list(found.reasons),
         "warnings": list(found.warnings),
         "flights": list(found.flights),
+        "since": None if found.since is None else list(found.since),
         "vehicle": found.vehicle.name,
         "nothing_probability": None if found.naming is None else nothing_probability(found.naming),
         "outside_probability": None if found.naming is None else found.naming.outside,
         "effects": [_effect(found, e) for e in listed_effects(found)],
         "undecided": list(undecided(found)),
+        "inclusion": {} if found.naming is None else dict(found.naming.inclusion),
+        "acts_like": []
+        if found.naming is None
+        else [{"name": r.effect, "why": r.why} for r in found.naming.resemblances],
+        "calibrated": [
+            {"effect": e, "parameters": _parameters(found, e)} for e in calibrated_effects(found)
+        ],
+        "per_flight": {} if found.naming is None else _per_flight(found.naming),
         "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],
         "gap": {} if found.comparison is None else {g.name: _gap(g) for g in found.comparison.gaps},
@@ -54,13 +65,36 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     return {
         "name": effect,
         "probability": probability_of(found, effect),
-        "parameters": {
-            t.number.name: {"value": t.value, "unit": t.number.about.unit, "ci95": t.ci95}
-            for t in estimates_of(found, effect)
-        },
+        "parameters": _parameters(found, effect),
+        "one_of": [] if found.naming is None else list(found.naming.one_of(effect)),
         "channels": channels,
         "phases": phases,
         "rivals": rivals(found, effect),
+    }
+
+
+def _parameters(found: Explanation, effect: str) -> dict[str, Any]:
+    return {
+        t.number.name: {
+            "value": t.value,
+            "unit": t.number.about.unit,
+            "ci95": t.ci95,
+            "prior_share": t.prior_share,
+            "tension": t.tension,
+        }
+        for t in estimates_of(found, effect)
+    }
+
+
+def _per_flight(naming: Naming) -> dict[str, Any]:
+    """What stands out of the day of each flight."""
+    unit = {n.full: n.about.unit for n in naming.problem.model.numbers}
+    return {
+        flight: {
+            name: {"difference": value, "sd": sd, "unit": unit[name]}
+            for name, (value, sd) in own.items()
+        }
+        for flight, own in naming.days.items()
     }
 
 

@@ -6,11 +6,15 @@ from dataclasses import replace
 import numpy as np
 
 from ..logs import Flight
+from ..logs.columns import ACC_NED, POS, QUAT, VEL
 from ..physics.sensors.table import SENSORS
+from .model.flight import unfelt_by
 from .settings import DEFAULT, HoldoutSettings
 
 READINGS = tuple(c for s in SENSORS for c in s.columns)
 """What is hidden. Pose and commands stay: they are inputs of the twin."""
+POSE = (*POS, *VEL, *QUAT, *ACC_NED)
+"""What is hidden as well where it stands in for a sensor."""
 Span = tuple[float, float]
 
 
@@ -24,12 +28,16 @@ def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) 
 
 
 def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
-    """The flight without the sensor readings inside some spans of time, or outside all of them."""
+    """The flight without the sensor readings inside some spans of time, or outside all of them.
+
+    Where it lacks a sensor of the IMU, for which its pose is compared, that is hidden too.
+    """
     time = flight.table["time"].to_numpy(dtype=np.float64)
     within = np.zeros(len(time), dtype=np.bool_)
     for start, end in spans:
         within |= (time >= start) & (time < end)
     table = flight.table.copy()
-    readings = [c for c in READINGS if c in table]
+    compared = READINGS + POSE if unfelt_by([flight]) else READINGS
+    readings = [c for c in compared if c in table]
     table.loc[within == inside, readings] = np.nan
     return replace(flight, table=table)

@@ -1,6 +1,6 @@
 """Is a flight fit for a search at all? Reasons against it, in words, with the way out."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +12,23 @@ from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
+from .model.flight import channel_names
+from .model.motion import FORCE, TORQUE
+from .model.payload import Payloads, carrying
 from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]
+_FELT = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
+"""What channels of force and torque begin with."""
 
 
 def reasons_unusable(
     flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
 ) -> list[str]:
-    """Why nothing can be learnt from a flight about a vehicle; empty for a usable one."""
+    """Why nothing can be learnt from a flight about a vehicle; empty for a usable one.
+
+    The vehicle is that which flew, a known mass aboard included.
+    """
     try:
         aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
     except LogError as error:
@@ -31,6 +39,41 @@ def reasons_unusable(
         for check in checks
         for reason in check(flight, aligned, settings)
     ]
+
+
+def with_readings(
+    flights: Sequence[Flight], vehicle: Vehicle, payloads: Payloads | None = None
+) -> tuple[list[Flight], list[str]]:
+    """Flights that have something to compare, and why the others have not.
+
+    All flights of a search are compared in the channels that all have: one that shows nothing of
+    force or torque would hide it in all.
+    """
+    kept: list[Flight] = []
+    reasons: list[str] = []
+    named: list[tuple[Flight, list[str]]] = []
+    for flight in flights:
+        try:
+            named.append((flight, channel_names(flight, flown(flight, vehicle, payloads))))
+        except LogError as error:
+            reasons.append(str(error))
+    told = [any(name.startswith(_FELT) for name in names) for _, names in named]
+    for (flight, names), body in zip(named, told, strict=True):
+        if not names:
+            reasons.append(f"{flight.name}: no reading is known for long enough in the air")
+        elif any(told) and not body:
+            reasons.append(
+                f"{flight.name}: neither accelerometer, gyroscope nor pose with attitude is known "
+                f"for long enough in the air, as in other flights"
+            )
+        else:
+            kept.append(flight)
+    return kept, reasons
+
+
+def flown(flight: Flight, vehicle: Vehicle, payloads: Payloads | None) -> Vehicle:
+    """The vehicle of a flight, a known mass aboard included."""
+    return carrying(vehicle, (payloads or {}).get(flight.name, 0.0))
 
 
 def _too_short(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
 
 from ..component import Component
 from ..component.sampled import noiseless_outputs
-from ..effects import EFFECTS, Shift
-from ..logs import Flight
+from ..effects import EFFECTS, Average, Shift
+from ..logs import Flight, Site
 from ..logs.columns import QUAT
 from ..physics.airframe import airframe
 from ..physics.sensors.table import components_of_sensors
@@ -71,7 +72,8 @@ def simulate_flight(
 ) -> Flight:
     """Fly setpoints in closed loop from standing on the ground, and record the sensors.
 
-    The controller reads the true motion: a pose that is old in the plant is so in the record alone.
+    The controller reads the true motion: a pose that is old or smooth in the plant is so in the
+    record alone.
 
     Args:
         setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
@@ -99,7 +101,12 @@ def simulate_flight(
     t_s = np.arange(len(states[kept])) / recorder.sampled_hz
     for column, later_s in _late_columns(plant, recorder, list(known)):
         known[column] = np.interp(t_s - later_s, t_s, known[column])
-    return Flight(name, _table(known, phases[kept], recorder))
+    for column, width_s in _averaged_columns(plant, list(known)):
+        known[column] = gaussian_filter1d(
+            known[column], width_s * recorder.sampled_hz, mode="nearest"
+        )
+    outdoors = Site(False, "simulated without walls")
+    return Flight(name, _table(known, phases[kept], recorder), site=outdoors)
 
 
 def _truth(body: Component, states: Array, inputs: Array) -> dict[str, Array]:
@@ -163,18 +170,30 @@ def _late_columns(
 ) -> Iterator[tuple[str, float]]:
     """Columns of a record that a delay shifts, and by how much, s; early ones have a minus.
 
-    A number that the effect has in logs alone is taken for its first one.
+    A number that an effect of the aircraft has in logs alone is taken for its first one.
     """
     for effect, numbers in plant.effects.items():
         shift = _of_record(effect, recorder)
         if shift is None:
             continue
-        first = numbers[next(iter(shift.moves))]
+        of_aircraft = EFFECTS[effect].of_vehicle
+        usual = numbers[next(iter(shift.moves))] if of_aircraft else 0.0
         for number, signals in shift.moves.items():
-            delay_s = numbers.get(number, first)
+            delay_s = numbers.get(number, usual)
             for column in known:
                 if column.rpartition("_")[0] in signals:
                     yield column, -delay_s if shift.acts else delay_s
+
+
+def _averaged_columns(plant: Vehicle, known: Sequence[str]) -> Iterator[tuple[str, float]]:
+    """Columns of a record that are averages over time, and the standard width of each, s."""
+    for effect, numbers in plant.effects.items():
+        seen_as = EFFECTS[effect].seen_as
+        if isinstance(seen_as, Average):
+            for number in seen_as.spreads.keys() & {k for k, v in numbers.items() if v > 0}:
+                for column in known:
+                    if column.rpartition("_")[0] in seen_as.spreads[number]:
+                        yield column, float(np.sqrt(numbers[number]))
 
 
 def _lost(

@@ -46,6 +46,14 @@ COLUMNS: tuple[Column, ...] = (
     Column("q_x", "1", "attitude, body to NED, x part"),
     Column("q_y", "1", "attitude, body to NED, y part"),
     Column("q_z", "1", "attitude, body to NED, z part"),
+    Column("roll_rad", "rad", "roll, in place of q_*: the last of yaw, pitch, roll, NED to body"),
+    Column("pitch_rad", "rad", "pitch, in place of q_*: positive nose up"),
+    Column("yaw_rad", "rad", "yaw, in place of q_*: 0 north, positive to the east"),
+    Column(
+        "acc_ned_x", "m/s^2", "acceleration north, NED, of the motion: 0 at rest, no gravity in it"
+    ),
+    Column("acc_ned_y", "m/s^2", "acceleration east, NED"),
+    Column("acc_ned_z", "m/s^2", "acceleration down, NED"),
     Column("vbat_v", "V", "battery voltage"),
     Column("ibat_a", "A", "battery current, positive while discharging"),
     Column("phase", "", "phase of flight: " + ", ".join(PHASES) + ', or "" where unknown'),
@@ -57,7 +65,9 @@ MAG = ("mag_x", "mag_y", "mag_z")
 POS = ("pos_x", "pos_y", "pos_z")
 VEL = ("vel_x", "vel_y", "vel_z")
 QUAT = ("q_w", "q_x", "q_y", "q_z")
-MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT)
+ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")
+EULER = ("roll_rad", "pitch_rad", "yaw_rad")
+MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)
 
 _MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]*)")
 

@@ -26,6 +26,22 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
+class Site:
+    """Where a flight took place, as far as it matters to the air around it.
+
+    Attributes:
+        indoors: Within walls: no wind, and a compass among metal.
+        source: What says so.
+    """
+
+    indoors: bool
+    source: str
+
+    def __str__(self) -> str:
+        return f"{'indoors' if self.indoors else 'outdoors'}: {self.source}"
+
+
+@dataclass(frozen=True, slots=True)
 class Flight:
     """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
 
@@ -37,6 +53,7 @@ class Flight:
         facts: What the log says about itself (vehicle, firmware, rates, match of rebuilt
             commands), printable key by key.
         source: File it came from.
+        site: Indoors or outdoors, and how that is known; None: not known.
     """
 
     name: str
@@ -44,8 +61,14 @@ class Flight:
     findings: tuple[Finding, ...] = ()
     facts: dict[str, str] = field(default_factory=dict)
     source: Path | None = None
+    site: Site | None = None
 
     __repr__ = short_repr
+
+    @property
+    def indoors(self) -> bool | None:
+        """Whether it flew within walls; None: not known."""
+        return None if self.site is None else self.site.indoors
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""

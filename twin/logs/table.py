@@ -3,9 +3,9 @@
 `columns.COLUMNS` is the definition of the table; `validate.validate` what is checked.
 """
 
-import dataclasses
 import io
 import json
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +16,28 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 
 from ..errors import LogError
+from .attitude import with_quaternion
 from .columns import is_known
-from .flight import Finding, Flight
+from .flight import Finding, Flight, Site
 from .formats import ReadOptions
 from .validate import check_columns, validate
 
 _METADATA = b"uavtwin"
+_LONGEST_HEADER = 1_000_000
 _EMPTY = ["", "nan", "NaN", "NAN"]
+
+
+def header(path: Path) -> list[str]:
+    """Names of the columns of a table in Parquet or CSV; nothing of any other file."""
+    with path.open("rb") as file:
+        line = file.readline(_LONGEST_HEADER)
+    if line.startswith(b"PAR1"):
+        try:
+            return [str(name) for name in pq.read_schema(path).names]
+        except (pa.ArrowException, OSError):
+            return []  # it is said why when it is read
+    text = line.decode("utf-8-sig", errors="replace").strip()
+    return [c.strip().strip('"') for c in text.split(",")] if text.startswith("time") else []
 
 
 def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -38,7 +53,8 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """
     findings: list[Finding] = []
     facts: dict[str, str] = {}
-    return _checked(path, _parquet(path, blob, facts, findings), facts, findings)
+    raw, site = _parquet(path, blob, facts, findings)
+    return replace(_checked(path, raw, facts, findings), site=site)
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -54,16 +70,18 @@ def _checked(
     findings = findings + check_columns(path.name, [str(c) for c in raw.columns])
     raw = raw[[c for c in raw.columns if is_known(str(c))]]
     table = pd.DataFrame({c: _numbers(path, raw[c]) for c in raw if c != "phase"})
+    table, turned = with_quaternion(path.name, table)
     table["phase"] = _phase(raw)
     table, doubts = validate(path.name, table)
-    return Flight(path.stem, table, (*findings, *doubts), facts, path)
+    return Flight(path.stem, table, (*findings, *turned, *doubts), facts, path)
 
 
 def write_flight(flight: Flight, path: str | Path) -> None:
     """Write the table of a flight; an existing file is replaced.
 
     Args:
-        flight: Flight; its facts and findings go along in Parquet, CSV has no room for them.
+        flight: Flight; its facts, findings and site go along in Parquet, CSV has no room for
+            them.
         path: File ending in `.parquet` or `.csv`.
     """
     path = Path(path)
@@ -71,7 +89,8 @@ def write_flight(flight: Flight, path: str | Path) -> None:
         if path.suffix == ".parquet":
             about = {
                 "facts": flight.facts,
-                "findings": [dataclasses.asdict(f) for f in flight.findings],
+                "findings": [asdict(f) for f in flight.findings],
+                "site": None if flight.site is None else asdict(flight.site),
             }
             arrow = pa.Table.from_pandas(flight.table, preserve_index=False)
             arrow = arrow.replace_schema_metadata({_METADATA: json.dumps(about).encode()})
@@ -86,8 +105,9 @@ def write_flight(flight: Flight, path: str | Path) -> None:
 
 def _parquet(
     path: Path, blob: bytes, facts: dict[str, str], findings: list[Finding]
-) -> pd.DataFrame:
-    """Parquet -> columns as they are; facts and findings of the writer are taken over."""
+) -> tuple[pd.DataFrame, Site | None]:
+    """Parquet -> columns as they are; facts, findings and site of the writer are taken over."""
+    site = None
     try:
         arrow = pq.read_table(io.BytesIO(blob))
         repeated = {n for n in arrow.column_names if arrow.column_names.count(n) > 1}
@@ -103,9 +123,11 @@ def _parquet(
         about = json.loads((arrow.schema.metadata or {}).get(_METADATA, b"{}"))
         facts |= {str(k): str(v) for k, v in about.get("facts", {}).items()}
         findings += [Finding(**f) for f in about.get("findings", [])]
-    except (ValueError, TypeError, AttributeError):
+        if about.get("site"):
+            site = Site(bool(about["site"]["indoors"]), str(about["site"]["source"]))
+    except (ValueError, TypeError, AttributeError, KeyError):
         findings.append(Finding("warning", "file", "what the writer noted cannot be read"))
-    return frame
+    return frame, site
 
 
 def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:

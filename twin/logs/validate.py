@@ -8,7 +8,9 @@ import pandas as pd
 from ..errors import LogError
 from .columns import (
     ACC,
+    ACC_NED,
     COLUMNS,
+    EULER,
     GYRO,
     MAG,
     MAX_MOTORS,
@@ -29,6 +31,18 @@ _NORM_DOUBT = 1e-3
 _FASTEST_ROTOR_RAD_S = 4500.0
 
 
+NO_TABLE = (
+    "a recording of uavtwin simulate holds what the parts of a simulation gave, no flight table: "
+    "to use it as one, keep time and rename the columns that a flight would log, imu.acc_x to acc_x"
+)
+
+
+def is_recording(columns: list[str]) -> bool:
+    """Whether a table is a recording of a simulation: time, and columns PART.VARIABLE alone."""
+    others = [c for c in columns if c != "time"]
+    return bool(others) and len(others) < len(columns) and all("." in c for c in others)
+
+
 def check_columns(name: str, columns: list[str]) -> list[Finding]:
     """Check the names of the columns.
 
@@ -42,6 +56,8 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
     Raises:
         LogError: A misspelt name, no `time`, no motion signal, motors not numbered 1..n.
     """
+    if is_recording(columns):
+        raise LogError(f"{name}: {NO_TABLE}.")
     findings = []
     known = [c.name for c in COLUMNS if not c.per_motor]
     known += [*motor_columns("cmd", MAX_MOTORS), *motor_columns("rotor", MAX_MOTORS)]
@@ -55,17 +71,17 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
         findings.append(Finding("warning", column, "not a column of the flight table; ignored"))
     if "time" not in columns:
         raise LogError(f"{name}: no column 'time' (s). It has: {', '.join(columns[:12])}.")
-    if not any(c in columns for c in MOTION):
+    if not any(c in columns for c in (*MOTION, *EULER)):
         raise LogError(
-            f"{name}: no motion signal beside time; at least one of acc, gyro, pos, vel, q is "
-            f"needed. It has: {', '.join(columns[:12])}."
+            f"{name}: no motion signal beside time; at least one of acc, gyro, pos, vel, q, "
+            f"roll, pitch and yaw, acc_ned is needed. It has: {', '.join(columns[:12])}."
         )
     missing = [c for c in QUAT if c not in columns]
     if 0 < len(missing) < len(QUAT):
         raise LogError(
             f"{name}: the attitude lacks {', '.join(missing)}. Give q_w, q_x, q_y and q_z, or none."
         )
-    for group in (ACC, GYRO, MAG, POS, VEL):
+    for group in (ACC, GYRO, MAG, POS, VEL, ACC_NED):
         missing = [c for c in group if c not in columns]
         if 0 < len(missing) < len(group):
             findings.append(Finding("warning", group[0][:-2], f"lacks {', '.join(missing)}"))
@@ -127,7 +143,7 @@ def validate(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding
 def _partial_vectors(table: pd.DataFrame) -> list[Finding]:
     """Rows in which a vector has some of its components and NaN for the others."""
     found = []
-    for group in (ACC, GYRO, MAG, POS, VEL, QUAT):
+    for group in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED):
         there = table[[c for c in group if c in table and table[c].notna().any()]].notna()
         count = int((there.any(axis=1) & ~there.all(axis=1)).sum())
         if count:
@@ -278,6 +294,14 @@ def _doubt_frames(table: pd.DataFrame) -> list[Finding]:
             "-9.8 in FRD. Axes FLU (z up), or gravity instead of specific force?"
         )
         found.append(Finding("error", "acc", message))
+    if "acc_ned_z" in table and table["acc_ned_z"].notna().any():
+        down = float(table["acc_ned_z"].median())
+        if abs(down) > 5.0:
+            message = (
+                f"acc_ned_z has median {down:+.2f} m/s^2; that of a motion is about 0 on average: "
+                "is gravity in it, or specific force meant?"
+            )
+            found.append(Finding("error", "acc_ned", message))
     air = table["phase"].isin(["hover", "forward", "tour"])
     ground = table["phase"] == "ground"
     if "pos_z" in table:

@@ -178,15 +178,9 @@ def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
             f"an acceleration of {np.max(np.abs(value)):.3g}. Check mass, thrust map, rotor "
             f"positions and directions."
         )
-    levels = guess[len(names) :]
-    if steady and not vehicle.rotors.follows:
-        # The only lag is an effect; it may be off, and is then trimmed for the time it is not.
-        p = component.parameter_values({"motor_lag.enabled": 1.0, "motor_lag.tau_s": 1.0})
-        missing = ca.Function("missing", [unknown], [component.derivatives(x, u, p)[steady]])
-        levels = levels + np.asarray(missing(guess), dtype=np.float64).ravel()
     trim = dict(zip(names, commands.tolist(), strict=True))
     starts = [f"initial.{component.states[i].name}" for i in steady]
-    return trim | dict(zip(starts, levels.tolist(), strict=True))
+    return trim | dict(zip(starts, guess[len(names) :].tolist(), strict=True))
 
 
 def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:

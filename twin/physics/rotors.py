@@ -23,6 +23,10 @@ from ..vehicle.thrust_map import hover_level, polynomial
 from .rotor_air import by_advance, gained_thrust
 
 Drive = Literal["command", "rotor_speed"]
+SHORTEST_LAG_S = 15e-3
+"""Time constant of the state that gives the rate of a rotor where the file knows no lag: that of
+the fastest rotors among published airframes, 15 to 75 ms. A shorter one would take the steps of a
+record of the commands for accelerations."""
 
 
 def rotor_inputs(m: ComponentBuilder, vehicle: Vehicle, drive: Drive) -> list[ca.SX]:
@@ -67,7 +71,9 @@ def rotor_equations(
     twists = [_not_negative(polynomial(torque, x)) * motion.density for x in level]
     thrust_share, torque_share = by_advance(m, rotors, motion, level)
     gained = gained_thrust(m, rotors.air, motion, level)
-    reactions = _reactions(m, rotors, rate)
+    # By commands and without lag the file's rotors have no acceleration.
+    told = drive == "rotor_speed" or rotors.follows
+    reactions = _reactions(m, rotors, rate) if told else [ca.SX(0)] * rotors.count
     pushes = [t * k + g for t, k, g in zip(pushes, thrust_share, gained, strict=True)]
     twists = [q * k + r for q, k, r in zip(twists, torque_share, reactions, strict=True)]
     spin, spin_rate = _spin(vehicle, level, rate)
@@ -145,7 +151,8 @@ def _driven_by_command(
             m, "speed", "rad/s", "Steady rotor speed", rotors.speed_rad_s, "command", "1"
         )
         steady = [ca.fmax(polynomial(speed, c), 0.0) for c in steady]
-    if not blocks.include("motor_lag") and not rotors.follows:
+    asked = any(map(blocks.include, ("motor_lag", "rotor_inertia_torque")))
+    if not (rotors.follows or asked):
         return steady, [ca.SX(0)] * rotors.count
     return _lagging(m, rotors, steady, motors)
 
@@ -153,8 +160,15 @@ def _driven_by_command(
 def _lagging(
     m: ComponentBuilder, rotors: Rotors, steady: list[ca.SX], motors: Motors
 ) -> tuple[list[ca.SX], list[ca.SX]]:
-    """First-order lag per rotor; where the model has none of its own, a lag of 0 s passes the
-    input through."""
+    """First-order lag per rotor, and the rate of change of what follows.
+
+    Where the model has no lag of its own, a lag L below T = `SHORTEST_LAG_S` is
+
+        level = (1 - L/T) target + (L/T) x,    T dx/dt = target - x,
+
+    as late as a lag of L to first order, and the input itself at L = 0; the rate is that of x, a
+    rotor that cannot change its speed at once.
+    """
     state, unit, meaning = (
         ("rotor", "rad/s", "speed of rotor")
         if rotors.from_speed
@@ -175,9 +189,9 @@ def _lagging(
         elif rotors.lag_up_s > 0:
             level, rate = x, (target - x) / lag
         else:
-            lags = lag > 0
-            level = ca.if_else(lags, x, target)
-            rate = ca.if_else(lags, (target - x) / ca.if_else(lags, lag, 1.0), 0.0)
+            share = ca.fmin(lag / SHORTEST_LAG_S, 1.0)
+            level = ca.if_else(share < 1, target + share * (x - target), x)
+            rate = (target - x) / ca.fmax(lag, SHORTEST_LAG_S)
         m.derivative(f"{state}_{i}", rate)
         levels.append(level)
         rates.append(rate)

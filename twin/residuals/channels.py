@@ -12,6 +12,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import shift
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from ..representation import short_repr
@@ -209,12 +210,18 @@ def on_grid(signal: Signal, t_s: Array) -> Array:
 
 
 def shifted(values: Array, later_s: float) -> Array:
-    """Values on the grid later by a while, linearly interpolated, unknown ones bridged."""
+    """Values on the grid later by a while, by cubic splines, unknown ones bridged.
+
+    Straight lines between grid points would take a tenth of what moves at a tenth of the grid's
+    rate, where they are shifted by half a step, and feign that an age between two samples fits
+    noise better than any other.
+    """
     grid, moved = np.arange(len(values)), np.array(values)
     for column, v in zip(moved.T, values.T, strict=True):
         known = np.isfinite(v)
         if known.any():
-            column[:] = np.interp(grid - later_s * GRID_HZ, grid[known], v[known])
+            bridged = np.interp(grid, grid[known], v[known])
+            column[:] = shift(bridged, later_s * GRID_HZ, order=3, mode="nearest")
     return moved
 
 

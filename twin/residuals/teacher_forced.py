@@ -5,7 +5,7 @@ only the rotor states, which nobody measures, are integrated from the commands, 
 step as in the FMU.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -142,9 +142,19 @@ def _rate(signal: Signal, t_s: Array) -> Array:
     return np.nan_to_num(Signal(signal.t_s, differentiate(signal)).at(t_s)[:, 0])
 
 
+def rotor_states_of(airframe: Component) -> list[int]:
+    """Positions of the states of the rotors: speeds or effective commands."""
+    return [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
+
+
+def with_rotor_states(inputs: Inputs, airframe: Component) -> Inputs:
+    """The same inputs, the rotors following them as those of another airframe do."""
+    return replace(inputs, rotor_states=_rotor_states(airframe, inputs.u, inputs.step_s))
+
+
 def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
     """Integrate the rotor states alone over the inputs, settled on the first input."""
-    index = [i for i, s in enumerate(airframe.states) if s.name.startswith(("rotor_", "effort_"))]
+    index = rotor_states_of(airframe)
     if not index:
         return np.zeros((len(u), 0))
     p = airframe.parameter_values()
@@ -181,7 +191,7 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             if signal is motion.attitude:
                 values = values / np.linalg.norm(values, axis=1, keepdims=True)
             x[:, [column[n] for n in names]] = values
-    rotors = [i for s, i in column.items() if s.startswith(("rotor_", "effort_"))]
+    rotors = rotor_states_of(airframe)
     x[:, rotors] = inputs.rotor_states
     arrived = {
         i: s.partition(".")[2]
@@ -192,14 +202,23 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
         x[:, i] = inputs.u[:, airframe.input_names.index(name)]
     hidden = sorted(set(range(x.shape[1])) - {*rotors, *arrived} - {column[n] for n in RIGID})
     if hidden:
-        x[:, hidden] = _hidden_states(airframe, hidden, x, inputs)
+        x[:, hidden] = hidden_states(airframe, hidden, x, inputs)
     return x
 
 
-def _hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
+def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
     """Integrate states that nobody measures, such as a load on its rope, along the measured ones.
 
     Where the motion is unknown its last known values count.
+
+    Args:
+        airframe: It says how they change, and where they start.
+        index: Their positions.
+        x: All states on the grid, shape (n, n_x); those of `index` are not used.
+        inputs: On the same grid.
+
+    Returns:
+        Shape (n, len(index)).
     """
     known = np.all(np.isfinite(x), axis=1)
     if not known.any():

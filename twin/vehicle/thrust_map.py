@@ -34,3 +34,10 @@ def first_reaching(coefficients: Sequence[float], value: float, high: float) -> 
     grid = np.linspace(0.0, high, 2001)
     reached = np.polynomial.polynomial.polyval(grid, coefficients) >= value
     return float(grid[int(np.argmax(reached))] if reached.any() else high)
+
+
+def most_thrust_n(vehicle: Vehicle) -> float:
+    """Largest thrust of one rotor that a command gives, N; on a grid of 201."""
+    rotors, command = vehicle.rotors, np.linspace(0.0, 1.0, 201)
+    level = polynomial(rotors.speed_rad_s, command) if rotors.speed_rad_s else command
+    return float(np.max(polynomial(rotors.thrust_n, level)))

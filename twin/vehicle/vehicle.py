@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..representation import short_repr
+from .calibration import Calibration
+from .deviation import Deviation
 from .sensors import Sensors
 
 Array = NDArray[np.float64]
@@ -168,8 +170,11 @@ class Vehicle:
         sensors: Noise of the sensors, and the site.
         sources: Pedigree of each number, by its key in the file; "default: ..." where the file
             is silent and a default stands in.
+        deviations: Standard deviations that the file states, by the same keys; what else is known
+            of them, the sources say (`relative_deviation`).
         doubts: What looks odd but is not refused.
         effects: Effects that are switched on (`twin.effects`), each with all its parameters.
+        calibration: What flights have told of its numbers together; None: nobody has asked them.
     """
 
     name: str
@@ -191,6 +196,8 @@ class Vehicle:
     drag_parasitic_n_s2_m2: Array = field(default_factory=lambda: np.zeros(3))
     drag_angular_n_m_s2: Array = field(default_factory=lambda: np.zeros(3))
     gravity_m_s2: float = GRAVITY_M_S2
+    deviations: Mapping[str, Deviation] = field(default_factory=dict)
+    calibration: Calibration | None = None
 
     __repr__ = short_repr
 

@@ -8,7 +8,13 @@ import typer
 from .options import Exit, Json
 from .printing import STDOUT, print_json
 
-_STYLES = {"problem": "red", "warning": "yellow", "good for": "green"}
+_STYLES = {
+    "problem": "red",
+    "warning": "yellow",
+    "question": "cyan",
+    "good for": "green",
+    "explain can tell": "green",
+}
 
 
 def check(

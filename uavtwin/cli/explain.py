@@ -2,19 +2,34 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Out, VehicleName, named_numbers
+from .options import Exit, Force, Indoor, Json, Out, Payload, named_numbers
 from .printing import STDOUT, print_damage, print_explanation, print_json, progress
+
+if TYPE_CHECKING:
+    from twin.logs import Flight
 
 
 def explain(
     flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables, to fit on.")],
-    vehicle: VehicleName,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file (TOML), or the name of a built-in vehicle: what does it lack?"
+        ),
+    ] = None,
+    since: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file of `uavtwin calibrate`, instead of --vehicle: what has changed "
+            "since then?"
+        ),
+    ] = None,
     holdout: Annotated[
         list[Path] | None,
         typer.Option(
@@ -22,10 +37,8 @@ def explain(
             "Default: blocks of time of the flights, which is weaker."
         ),
     ] = None,
-    payload: Annotated[
-        list[str] | None,
-        typer.Option(help="Known mass aboard one of the flights, FLIGHT=KG. May be repeated."),
-    ] = None,
+    payload: Payload = None,
+    indoor: Indoor = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
     no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
     out: Out = Path("explain"),
@@ -33,6 +46,7 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
+    given = _one_vehicle(vehicle, since)
     from fmus.platforms import DEFAULT, compilers, select_platforms
     from twin.logs import read_flight
 
@@ -43,16 +57,32 @@ def explain(
     check_folder(out, force)
     if not no_fmus:
         compilers(select_platforms(DEFAULT))  # a missing one is reported before the search
-    model, held = load_vehicle(vehicle), holdout or []
+    model, held = load_vehicle(given), holdout or []
+    if since is not None:
+        explanation.check_calibrated(model)
     for path in held:
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
     fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
-        found = explanation.explain(fit, away, model, payloads=payloads, seed=seed, progress=step)
-    options = {"vehicle": Path(vehicle).name, "no_fmus": no_fmus, "payload": payload or []}
-    inputs = [p for p in (*flights, *held, Path(vehicle)) if p.is_file()]
+        found = explanation.explain(
+            fit,
+            away,
+            model if since is None else None,
+            since=None if since is None else model,
+            payloads=payloads,
+            seed=seed,
+            indoors=indoor,
+            progress=step,
+        )
+    options = {
+        "vehicle" if since is None else "since": Path(given).name,
+        "no_fmus": no_fmus,
+        "payload": payload or [],
+        "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
+    }
+    inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = explanation.write_explanation(found.details, folder, not no_fmus, step)
         write_run(folder, "explain", options, inputs, seed)
@@ -64,6 +94,32 @@ def explain(
     damaged = print_damage([*fit, *away])
     if damaged or found.verdict != "nothing":
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _one_vehicle(vehicle: str | None, since: str | None) -> str:
+    """The vehicle that was named.
+
+    Raises:
+        TwinError: None was, or two were.
+    """
+    if (given := vehicle or since) and not (vehicle and since):
+        return given
+    raise TwinError(
+        f"explain: {'both' if vehicle else 'neither'} --vehicle {'and' if vehicle else 'nor'} "
+        f"--since {'are' if vehicle else 'is'} given. Give --vehicle FILE to ask what its model "
+        f"lacks, or --since FILE, a file of `uavtwin calibrate`, to ask what has changed since "
+        f"then."
+    )
+
+
+def site_record(flight: "Flight", indoor: bool | None) -> dict[str, bool | str]:
+    """What a flight was taken for, and why, for `run.json`."""
+    from twin.explain.explanation import sited
+
+    site = sited(flight, indoor).site
+    if site is None:
+        return {"indoors": False, "source": "not known, assumed"}
+    return {"indoors": site.indoors, "source": site.source}
 
 
 def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, float]:

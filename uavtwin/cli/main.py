@@ -13,6 +13,7 @@ import typer
 from twin.errors import TwinError
 
 from .bench import bench
+from .calibrate import calibrate
 from .check import check
 from .demo import demo
 from .evaluate import evaluate
@@ -26,7 +27,7 @@ from .train import train
 from .vehicle import vehicle
 from .version import print_version, version
 
-VERBS = (check, gap, explain, demo, export, simulate, train, evaluate, bench, version)
+VERBS = (check, gap, calibrate, explain, demo, export, simulate, train, evaluate, bench, version)
 
 app = typer.Typer(
     add_completion=False,

@@ -56,3 +56,17 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a tabl
 VehicleName = Annotated[
     str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a built-in vehicle.")
 ]
+Payload = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--payload", help="Known mass aboard one of the flights, FLIGHT=KG. May be repeated."
+    ),
+]
+Indoor = Annotated[
+    bool | None,
+    typer.Option(
+        "--indoor/--outdoor",
+        help="Whether the flights were within walls. Default: as each log says, else outdoors.",
+        show_default=False,
+    ),
+]

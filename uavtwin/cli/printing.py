@@ -2,7 +2,7 @@
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -44,16 +44,29 @@ def print_table(table: "TextTable", unbroken: str = "") -> None:
     STDOUT.print(printed)
 
 
+def print_sections(sections: "Iterable[str | TextTable]") -> None:
+    """A result as it prints itself, the claim in bold."""
+    for i, section in enumerate(sections):
+        if isinstance(section, str):
+            STDOUT.print(section, style="bold" if i == 0 else None, markup=False)
+        else:
+            print_table(section, unbroken=section.header[0])
+
+
 def print_explanation(found: "ExplainResult") -> None:
     """What was found, and the gap before and after."""
     for warning in found.warnings:
         STDERR.print(warning, style="yellow", markup=False)
     STDOUT.print(found.sentence, style="bold", markup=False)
+    if found.effects:
+        print_table(found.candidates_table())
     if found.details.next_manoeuvre is not None:
         STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}", markup=False)
     if found.details.comparison is not None:
         table = found.gap_table()
         print_table(table, unbroken=table.header[-1])
+    for table in found.beside():
+        print_table(table, unbroken=table.header[0])
 
 
 def print_damage(flights: "list[Flight]") -> int:

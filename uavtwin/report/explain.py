@@ -13,7 +13,20 @@ from .explain_figures import before_after_figure, evidence_figure
 from .figures import embedded, pretty_unit
 from .gap import number, percent
 from .page import render
-from .words import certainty, claim, interval, meaning, shrink_words, shrinking, title, why_lost
+from .words import (
+    by_prior,
+    calibrated_rows,
+    certainty,
+    claim,
+    day_rows,
+    instead,
+    interval,
+    meaning,
+    shrink_words,
+    shrinking,
+    title,
+    why_lost,
+)
 
 MOST_AFFECTED = 2
 """Channels that are drawn over time."""
@@ -40,6 +53,9 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         effects=[_effect(found, e) for e in listed_effects(found)],
         before_after=_before_after(found),
         gaps=() if found.comparison is None else found.comparison.gaps,
+        alike=[] if found.naming is None else found.naming.resemblances,
+        calibrated=calibrated_rows(found),
+        days=day_rows(found),
         stable=all(m.stable for m in found.missions),
     )
     path.write_text(page, encoding="utf-8")
@@ -64,9 +80,11 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
                 "unit": t.number.about.unit,
                 "value": t.value,
                 "interval": interval(t.ci95),
+                "told_by": by_prior(found, t.prior_share),
             }
             for t in estimates_of(found, effect)
         ],
+        "instead": instead(found, effect),
         "channels": channels,
         "phases": phases,
         "figure": figure,

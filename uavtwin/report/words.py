@@ -6,7 +6,9 @@ from typing import Any
 
 from twin.effects import EFFECTS
 from twin.explain.estimates import (
+    UNTOLD,
     beside_mean,
+    calibrated_effects,
     estimates_of,
     listed_effects,
     nothing_probability,
@@ -16,11 +18,15 @@ from twin.explain.estimates import (
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
 from twin.explain.inference.fit import Fit
+from twin.explain.inference.selection import Naming
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, InferenceSettings
 
 from .figures import pretty_unit
 from .gap import number, percent
+from .spoken import joined, said
+
+TOLD_BY_PRIOR = "told by the prior"
 
 MOST_NUMBERS = 3
 """Numbers of an effect that the sentence on top gives; of several effects, one each."""
@@ -34,6 +40,8 @@ def claim(found: Explanation) -> str:
     naming = found.naming
     if naming is None or found.verdict == "unusable":
         return f"These flights cannot be used: {'; '.join(found.reasons)}"
+    if found.since is not None:
+        return f"Since the calibration on {joined(list(found.since))}: {_since(found, naming)}"
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
         return f"The model lacks nothing that these flights can show, sure to {sure}."
@@ -43,20 +51,124 @@ def claim(found: Explanation) -> str:
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
         chance = naming.together([e for e in effects if beside_mean(found, e) is None])
         chance *= math.prod(u.probability for u in found.stochastic)
-        lacks = f"The model lacks {_joined(parts)}, sure to {certainty(chance)}."
+        lacks = f"The model lacks {joined(parts)}, sure to {certainty(chance)}."
         return f"{lacks}{_what_else(found, effects)}"
     if found.verdict == "unnamed":
-        first = found.unnamed[0]
-        return (
-            f"The model lacks something that is not in the library of effects: in {first.channel} "
-            f"it is {first.expression}, {100 * first.share:.0f} % of the gap there."
-        )
+        return f"The model lacks something {_outside(found)}."
     tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
     if naming.outside > naming.settings.least:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
-    return f"These flights cannot tell what the model lacks: {_joined(tied, 'or')}."
+    return f"These flights cannot tell what the model lacks: {joined(tied, 'or')}."
+
+
+def _outside(found: Explanation) -> str:
+    """What is known of something without a name; begins with a relative clause."""
+    if found.unnamed:
+        first = found.unnamed[0]
+        return (
+            f"that is not in the library of effects: in {first.channel} it is {first.expression}, "
+            f"{100 * first.share:.0f} % of the gap there"
+        )
+    alike = [] if found.naming is None else [title(r.effect) for r in found.naming.resemblances]
+    like = f" It acts like {joined(alike, 'or')}" if alike else ""
+    return f"that is not in the library of effects.{like}".rstrip(".")
+
+
+def _since(found: Explanation, naming: Naming) -> str:
+    """What has changed since the calibration, a clause that ends in a stop."""
+    if found.verdict == "nothing":
+        sure = certainty(nothing_probability(naming))
+        return f"nothing has changed that these flights can show, sure to {sure}."
+    if found.verdict == "unnamed":
+        return f"something has changed {_outside(found)}."
+    if found.verdict == "named":
+        effects = [e for e in listed_effects(found) if e not in undecided(found)]
+        parts = [
+            f"{title(e)}{_sizes(found, e, 1)}"
+            if beside_mean(found, e) is not None
+            else _change(found, naming.told, e)
+            for e in effects
+        ]
+        chance = naming.together([e for e in effects if beside_mean(found, e) is None])
+        chance *= math.prod(u.probability for u in found.stochastic)
+        return f"{joined(parts)}, sure to {certainty(chance)}.{_what_else(found, effects)}"
+    tied = []
+    for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
+        if p >= naming.settings.least:
+            parts = [_change(found, fit, e) for e in fit.effects]
+            tied.append(f"{joined(parts) or 'nothing has changed'} ({certainty(p)})")
+    if naming.outside > naming.settings.least:
+        tied.append(f"something not in the library has changed ({certainty(naming.outside)})")
+    return (
+        f"either {joined(tied, 'or')}: these flights cannot tell."
+        if len(tied) > 1
+        else (f"it may be that {joined(tied)}: these flights cannot tell.")
+    )
+
+
+def _change(found: Explanation, fitted: Fit, effect: str) -> str:
+    """How an effect has changed since the calibration, and which rotors it may be as well."""
+    naming = found.naming
+    assert naming is not None
+    b = naming.problem.beliefs
+    then = {n: float(v) for n, v in zip(b.names, b.now + b.held, strict=True)}
+    own = [n for n in fitted.numbers if n.effect == effect and not n.shape]
+    change = {n.name: fitted.values[n.full] - then.get(n.full, n.now) for n in own}
+    words = said(effect, change, found.vehicle, since=True)
+    rotors = {c.partition(":")[2] for c in naming.one_of(effect) if c.startswith(f"{effect}:")}
+    named = {r for r in rotors if f"rotor {r} " in words}
+    if len(rotors) > 1 and named:
+        words += f" (or another one of rotors {joined(sorted(rotors), 'and')})"
+    return words
+
+
+def instead(found: Explanation, effect: str) -> str:
+    """What else may stand in the place of an effect, in words; "" where nothing may."""
+    if found.naming is None or beside_mean(found, effect) is not None:
+        return ""
+    parts = []
+    for cause in found.naming.one_of(effect):
+        other, _, rotor = cause.partition(":")
+        parts.append(f"{title(other)}{f' of rotor {rotor}' if rotor else ''}")
+    return joined(parts, "or")
+
+
+def by_prior(found: Explanation, share: float | None) -> str:
+    """What is said beside a number of which flights say little; "" of others."""
+    if share is None or share <= UNTOLD:
+        return ""
+    return TOLD_BY_PRIOR if found.since is None else "told by the calibration"
+
+
+def calibrated_rows(found: Explanation) -> list[tuple[str, str, str, str, str]]:
+    """Numbers that were in doubt, and that lack nothing beyond that: number, value, unit, interval,
+    whether flights tell it."""
+    return [
+        (
+            t.number.full,
+            number(t.value),
+            _unit(t.number).strip(),
+            interval(t.ci95),
+            by_prior(found, t.prior_share),
+        )
+        for e in calibrated_effects(found)
+        for t in estimates_of(found, e)
+        if not t.number.shape
+    ]
+
+
+def day_rows(found: Explanation) -> list[tuple[str, str, str, str, str]]:
+    """What stands out of the day of a flight: flight, number, difference, unit, deviation."""
+    if found.naming is None:
+        return []
+    units = {n.full: _unit(n).strip() for n in found.naming.problem.model.numbers}
+    return [
+        (flight, name, f"{value:+.3g}", units[name], number(sd))
+        for flight, own in found.naming.days.items()
+        for name, (value, sd) in own.items()
+    ]
 
 
 def _what_else(found: Explanation, sure: list[str]) -> str:
@@ -68,7 +180,7 @@ def _what_else(found: Explanation, sure: list[str]) -> str:
     every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
     chance = {e: probability_of(found, e) for e in sorted(every)}
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
-    tied = _joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
+    tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Beside that, these flights cannot tell what it lacks: {tied}."
 
 
@@ -87,11 +199,11 @@ def _sizes(found: Explanation, effect: str, most: int) -> str:
     beside = beside_mean(found, effect)
     if beside is None:
         assert found.naming is not None
-        return f": {sizes(found.naming.best, effect, most)}"
+        return f": {sizes(found.naming.told, effect, most)}"
     texts = [
         f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in estimates_of(found, effect)
     ]
-    return f" in {', '.join(beside.channels)}" + (f": {_joined(texts[:most])}" if texts else "")
+    return f" in {', '.join(beside.channels)}" + (f": {joined(texts[:most])}" if texts else "")
 
 
 def _unit(of: Number) -> str:
@@ -117,7 +229,7 @@ def sizes(fitted: Fit, effect: str, most: int = MOST_NUMBERS) -> str:
         which = f" of rotor {index}" if n.about.per_rotor else ""
         value = number(fitted.values[n.full])
         texts.append(f"{value}{_unit(n)} ({n.about.description}{which})")
-    return _joined(texts)
+    return joined(texts)
 
 
 def certainty(probability: float) -> str:
@@ -138,14 +250,8 @@ def why_lost(rival: Mapping[str, Any], settings: InferenceSettings = DEFAULT.inf
         return "leaves the whole gap open" if "behind" in rival else "does not look like this"
     if rival["probability"] >= settings.selection.least:
         return "explains the flights about as well: they cannot tell the two apart"
-    partners = f"together with {_joined([title(e) for e in rival['with']])} " * bool(rival["with"])
-    if rival["behind"] < settings.prior.per_effect:
-        return f"{partners}explains the flights about as well, but with more effects or numbers"
-    return (
-        f"{partners}takes {100 * rival['share']:.1f} % of the gap of a channel at best, but "
-        f"foretells time that it was not fitted on worse: log likelihood lower by "
-        f"{rival['behind']:.0f}"
-    )
+    partners = f"together with {joined([title(e) for e in rival['with']])} " * bool(rival["with"])
+    return f"{partners}is less probable: log probability lower by {rival['behind']:.1f}"
 
 
 def shrinking(found: Explanation) -> str:
@@ -169,9 +275,3 @@ def shrink_words(gap: ChannelGap) -> str:
         return ""
     low, high = gap.shrink_ci95
     return f"{percent(low)} to {percent(high)}" if low == low else "\N{EN DASH}"
-
-
-def _joined(parts: list[str], word: str = "and") -> str:
-    if len(parts) < 2:
-        return "".join(parts)
-    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"

@@ -4,7 +4,7 @@ All numbers are made up, of the size of: a 450 class quadrotor, a 150 mm indoor 
 hexacopter with 12 inch rotors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,21 +151,39 @@ AIRCRAFT = {
 }
 
 
-def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
-    """The vehicle file that a user of this aircraft believes in (docs/guide/vehicle.md)."""
-    p = aircraft.nominal
+def vehicle_toml(
+    aircraft: Aircraft, noise: Noise, sd: Mapping[str, str] | None = None, by_speed: bool = False
+) -> str:
+    """The vehicle file that a user of this aircraft believes in (docs/guide/vehicle.md).
+
+    Args:
+        aircraft: With the numbers that the user believes.
+        noise: Of its sensors.
+        sd: Standard deviations of entries as TOML, by "section.key".
+        by_speed: Whether measured rotor speeds drive it: nothing is said about commands.
+    """
+    p, deviations = aircraft.nominal, sd or {}
     lines = [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"', "", "[body]"]
+
+    def deviation(key: str) -> str:
+        """What is said about the standard deviation of an entry of the section begun last."""
+        section = next(line for line in reversed(lines) if line.startswith("["))
+        known = deviations.get(f"{section[1:-1]}.{key}")
+        return f", sd = {known}" if known else ""
 
     def add(key: str, value: object, unit: str) -> None:
         """Add a number or a list."""
-        lines.append(f'{key} = {{ value = {_text(value)}, unit = "{unit}", source = "made up" }}')
+        lines.append(
+            f'{key} = {{ value = {_text(value)}, unit = "{unit}", '
+            f'source = "{_MADE_UP}"{deviation(key)} }}'
+        )
 
     def polynomial(key: str, coefficients: Sequence[float], unit: str, of: str = "") -> None:
         """Add a map with its coefficients."""
         argument = f'of = "{of}", ' if of else ""
         lines.append(
             f'{key} = {{ coefficients = {_text([*coefficients])}, unit = "{unit}", {argument}'
-            f'source = "{_MADE_UP}" }}'
+            f'source = "{_MADE_UP}"{deviation(key)} }}'
         )
 
     add("mass", p.mass, "kg")
@@ -178,18 +196,21 @@ def vehicle_toml(aircraft: Aircraft, noise: Noise) -> str:
     names = ["cw" if d > 0 else "ccw" for d in p.direction]
     lines.append(f'direction = {{ value = {_text(names)}, source = "{_MADE_UP}" }}')
     k, q, a, b = float(p.thrust_k[0]), float(p.torque_k[0]), p.speed_0, p.speed_1
-    if aircraft.by_command:
+    if aircraft.by_command and not by_speed:
         polynomial("thrust_from_command", [k * a * a, 2 * k * a * b, k * b * b], "N")
         add("torque_per_thrust", q / k, "m")
     elif aircraft.thrust_of_rpm and aircraft.torque_of_rpm:
         polynomial("thrust_from_speed", aircraft.thrust_of_rpm, "N", of="rpm")
         polynomial("torque_from_speed", aircraft.torque_of_rpm, "N*m", of="rpm")
-        polynomial("speed_from_command", [a, b], "rad/s")
+        if not by_speed:
+            polynomial("speed_from_command", [a, b], "rad/s")
     else:
         add("thrust_from_speed", k, "N*s^2/rad^2")
         add("torque_from_speed", q, "N*m*s^2/rad^2")
-        polynomial("speed_from_command", aircraft.speed_of_command or [a, b], "rad/s")
-    add("lag", p.lag, "s")
+        if not by_speed:
+            polynomial("speed_from_command", aircraft.speed_of_command or [a, b], "rad/s")
+    if not by_speed:
+        add("lag", p.lag, "s")
     lines += ["", "[imu]"]
     add("position", p.imu_arm, "m")
     add("accel_cutoff", p.accel_cutoff_hz, "Hz")

@@ -13,7 +13,7 @@ from .own.parameters import Array
 
 CONTROL_HZ = 200
 DURATION_S = 24.0
-MISSIONS = ("hover", "takeoff", "land", "forward", "tour")
+MISSIONS = ("hover", "takeoff", "land", "forward", "tour", "slow_circle")
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,15 @@ def mission(name: str, leg: float, pace: float, rng: np.random.Generator) -> Set
     path.wait("ground", 0.8)
     path.armed_from = path.samples - 40
     path.go("takeoff", 2.4, [0, 0, -height, 0])
-    {"hover": _hover, "takeoff": _low, "land": _land, "forward": _forward, "tour": _tour}[name](
-        path, height, pace, rng
-    )
+    legs = {
+        "hover": _hover,
+        "takeoff": _low,
+        "land": _land,
+        "forward": _forward,
+        "tour": _tour,
+        "slow_circle": _slow_circle,
+    }
+    legs[name](path, height, pace, rng)
     return path.setpoints()
 
 
@@ -171,6 +177,15 @@ def _tour(path: _Path, height: float, pace: float, rng: np.random.Generator) -> 
     path.add("tour", 4.8, lambda s: _circle(s, radius, sense))
     path.wait("tour", 0.2)
     path.add("tour", 5.4, lambda s: _eight(s, 1.25 * radius, sense))
+    path.wait("hover", DURATION_S)
+
+
+def _slow_circle(path: _Path, height: float, pace: float, rng: np.random.Generator) -> None:
+    """Twice round at a walk."""
+    path.wait("hover", 1.0)
+    radius, sense = pace * float(rng.uniform(1.0, 1.4)), float(rng.choice([-1, 1]))
+    for _ in range(2):
+        path.add("tour", 9.0, lambda s: _circle(s, radius, sense))
     path.wait("hover", DURATION_S)
 
 

@@ -61,6 +61,17 @@ def after_over_floor(said: dict[str, Any]) -> float:
     return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
 
 
+def after_over_fit_mean(said: dict[str, Any]) -> float:
+    """Gap afterwards over what the mean of the fit flights' residual leaves, over the same
+    channels; NaN where the program does not tell."""
+    squares = [
+        (channel["after"] / channel["fit_mean"]) ** 2
+        for channel in said.get("gap", {}).values()
+        if channel.get("fit_mean") and channel.get("after") is not None
+    ]
+    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+
+
 def _gaps(said: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
     """Before, after, floor of every channel with a gap."""
     for channel in said.get("gap", {}).values():

@@ -1,10 +1,18 @@
 """Cases of which both are known: what was hidden and what was said."""
 
 import json
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from ..halves import half_of
+
+FAR = 2.0
+"""A number of the file so many of its deviations off is one that may be named."""
+_ROTOR = re.compile(r"(\.loss_|[._])\d+$")
+"""What tells one rotor's loss from the loss of another."""
 
 
 @dataclass(frozen=True)
@@ -16,7 +24,7 @@ class Outcome:
 
     @property
     def kind(self) -> str:
-        """single, pair, triple, outside or nothing."""
+        """single, pair, triple, outside, nothing, many, uncertain or since."""
         return str(self.truth["kind"])
 
     @property
@@ -35,17 +43,42 @@ class Outcome:
         if self.verdict != "named":
             return []
         effects = sorted(self.said["effects"], key=lambda e: -e["probability"])
-        return [str(e["name"]) for e in effects]
+        return list(dict.fromkeys(plain(e["name"]) for e in effects))
+
+    @property
+    def half(self) -> str:
+        """tune or score."""
+        happened = self.truth.get("class")
+        names = self.hidden if happened is None else {happened} - {"none"}
+        return half_of(self.truth["plant"], self.kind, names, self.truth.get("seed", 0))
+
+    @property
+    def lives(self) -> bool:
+        """Whether it has what real aircraft have, and is no case of today."""
+        return bool(self.truth.get("life"))
+
+    @property
+    def excused(self) -> set[str]:
+        """Names that are neither right nor wrong: a late clock is never early, so that its days
+        have a mean; and what puts a number of the file right that is far off."""
+        late = {"position_delay"} if self.truth.get("days") else set()
+        far = {e["effect"] for e in self.truth.get("file", ()) if abs(e["z"]) > FAR}
+        return (late | far) - self.hidden
+
+    def cannot_be_told_from(self, name: str) -> set[str]:
+        """What the program says could stand for a name as well, the name with it."""
+        of_name = [e.get("one_of") or [] for e in self.said["effects"] if plain(e["name"]) == name]
+        return {name} | {plain(n) for names in of_name for n in names}
 
     @property
     def right(self) -> bool:
         """The first name of a single effect, all of several, or the right other verdict."""
         match self.kind:
-            case "nothing":
+            case "nothing" | "uncertain":
                 return self.verdict == "nothing"
             case "outside":
                 return self.verdict == "unnamed"
-            case "pair" | "triple":
+            case "pair" | "triple" | "many":
                 return self.hidden <= set(self.named)
             case _:
                 return self.named[:1] == [*self.hidden]
@@ -56,6 +89,11 @@ class Outcome:
         listed = self.said["effects"]
         rivals = {r["name"] for e in listed for r in e.get("rivals", [])}
         return self.hidden <= rivals | {e["name"] for e in listed}
+
+
+def plain(name: str) -> str:
+    """An effect without the number of a rotor: `rotor_efficiency_loss.loss_3` is one of a rotor."""
+    return _ROTOR.sub("", name)
 
 
 def read_outcomes(

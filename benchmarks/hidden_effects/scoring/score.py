@@ -5,6 +5,7 @@
     DIR/results/ID.json   what the program said about each case
     DIR/truth/ID.json     what was hidden
     DIR/results.score.json   the figures that are printed
+    DIR/results.reliability.svg   whether its probabilities are what they say
 
 Verdicts are those of `explain.json` (named, nothing, unnamed, cannot_tell, unusable), and "error"
 for a case that failed; such a case counts as wrong.
@@ -17,9 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from ..files import write_json
+from ..halves import HALVES
+from .chances import of_inclusion, reliability
+from .life import life_rows
 from .measures import after_over_floor, parameter_errors, share_closed
 from .outcomes import Outcome, read_outcomes
 from .rates import middle, rate, share
+from .reliability import reliability_svg
 from .table import table
 
 _LEVELS = ("none", "low", "small", "medium", "high", "large")
@@ -30,37 +35,75 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("dir", type=Path)
     parser.add_argument("--results", default="results", help="name of the folder in DIR")
+    parser.add_argument("--half", choices=HALVES, help="of plants and effects; default: both")
     options = parser.parse_args(arguments)
-    return write_score(options.dir, options.results)
+    return write_score(options.dir, options.results, half=options.half)
 
 
-def write_score(out: Path, results: str = "results", ids: Collection[str] | None = None) -> int:
+def write_score(
+    out: Path,
+    results: str = "results",
+    ids: Collection[str] | None = None,
+    half: str | None = None,
+) -> int:
     """Print the table and write it as JSON beside the results; 1 when results are missing."""
     outcomes, missing = read_outcomes(out / results, out / "truth", ids)
+    outcomes = [o for o in outcomes if half in (None, o.half)]
     figures = score(outcomes, missing)
     write_json(out / f"{results}.score.json", figures)
     print(table(figures))
+    if figures["reliability"]:
+        picture = reliability_svg(figures["reliability"])
+        (out / f"{results}.reliability.svg").write_text(picture, "utf-8")
     return 1 if missing or figures["errors"] else 0
 
 
-def score(outcomes: Sequence[Outcome], missing: Sequence[str] = ()) -> dict[str, Any]:
-    """All figures; a value is null where no case counts for it."""
+def score(everything: Sequence[Outcome], missing: Sequence[str] = ()) -> dict[str, Any]:
+    """All figures; a value is null where no case counts for it.
+
+    Cases that have what real aircraft have count for `life` and `halves` alone.
+    """
+    outcomes = [o for o in everything if not o.lives]
     return {
-        "cases": len(outcomes),
+        "cases": len(everything),
         "missing": list(missing),
         "errors": [
             {"case": o.said.get("case"), "error": o.said.get("error")}
-            for o in outcomes
+            for o in everything
             if o.verdict == "error"
         ],
-        "twin": dict(Counter(str(o.said.get("twin")) for o in outcomes)),
+        "twin": dict(Counter(str(o.said.get("twin")) for o in everything)),
         "goals": _goals(outcomes),
         "more": _more(outcomes),
         "by": {by: _by(outcomes, by) for by in ("magnitude", "noise", "plant")},
         "effects": _per_effect(outcomes),
         "parameters": _parameters(outcomes),
         "confusions": _confusions(outcomes),
+        "life": _life(everything),
+        "halves": _halves(everything),
+        "reliability": _reliability(everything),
     }
+
+
+def _life(everything: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Of cases as in life; none where there is no such case and no probability."""
+    told = any(o.lives or o.said.get("inclusion") for o in everything)
+    return life_rows(everything) if told else []
+
+
+def _halves(everything: Sequence[Outcome]) -> dict[str, list[dict[str, Any]]]:
+    """Goals and life of the half on which things may be chosen, and of the other."""
+    parts = {half: [o for o in everything if o.half == half] for half in HALVES}
+    return {
+        half: [*_goals([o for o in part if not o.lives]), *_life(part)]
+        for half, part in parts.items()
+    }
+
+
+def _reliability(everything: Sequence[Outcome]) -> dict[str, list[dict[str, Any]]]:
+    """Bins of probabilities by half; empty where no program gave any."""
+    forecasts = {h: of_inclusion([o for o in everything if o.half == h]) for h in HALVES}
+    return {half: reliability(found) for half, found in forecasts.items() if found}
 
 
 def _goals(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ def table(figures: dict[str, Any]) -> str:
         f"{row.get('goal', '')}".rstrip()
         for row in (*figures["goals"], *figures["more"])
     ]
+    lines += _life(figures)
     for by, groups in figures["by"].items():
         lines += ["", f"{'right, by ' + by:<18}" + "".join(f"{k:>16}" for k in _KINDS.values())]
         lines[-1] += f"{'cannot tell':>16}"
@@ -36,6 +37,31 @@ def table(figures: dict[str, Any]) -> str:
     lines += ["", "wrong answers: hidden -> said"]
     lines += [f"{c['n']:>4}  {c['hidden']} -> {c['said']}" for c in figures["confusions"]]
     return "\n".join(lines + _remarks(figures))
+
+
+def _life(figures: dict[str, Any]) -> list[str]:
+    """Cases as in life, and both halves side by side where there are two."""
+    lines = []
+    if figures["life"]:
+        lines += ["", f"{'as in life':<50} {'value':>7} {'95 %':>16} {'n':>6}"]
+        lines += [
+            f"{row['what']:<50} {_value(row):>7} {_interval(row):>16} {row['n']:>6}"
+            for row in figures["life"]
+        ]
+    halves = {h: {r["what"]: r for r in rows} for h, rows in figures["halves"].items()}
+    first, second = halves.values()
+    shared = [w for w in first if w in second and first[w]["n"] and second[w]["n"]]
+    if shared:
+        lines += ["", f"{'by half':<50}" + "".join(f"{h:>20}" for h in halves)]
+        lines += [
+            f"{what:<50}" + "".join(f"{_counted(rows[what]):>20}" for rows in halves.values())
+            for what in shared
+        ]
+    return lines
+
+
+def _counted(row: dict[str, Any]) -> str:
+    return f"{_value(row)} (n {row['n']})"
 
 
 def _remarks(figures: dict[str, Any]) -> list[str]:

@@ -8,7 +8,9 @@ from rig import BUILTIN, Rig, plain, q, vec, with_rotors
 
 from twin.effects import EFFECTS, Effect, effects_of
 from twin.errors import ModelError
+from twin.flight.control.hover import linearise
 from twin.physics.airframe import airframe
+from twin.physics.rotors import SHORTEST_LAG_S
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle
 
@@ -101,9 +103,9 @@ def test_an_effect_at_its_start_value_is_felt_and_stays_finite(effect: Effect) -
 def test_prior_ranges_hold_the_start_value_and_the_neutral_one() -> None:
     for effect in EFFECTS.values():
         for p in effect.parameters:
-            assert p.prior[0] <= p.start <= p.prior[1], (effect.name, p.name)
+            assert p.bounds[0] <= p.start <= p.bounds[1], (effect.name, p.name)
             if p.neutral is not None:
-                assert p.prior[0] <= p.neutral <= p.prior[1], (effect.name, p.name)
+                assert p.bounds[0] <= p.neutral <= p.bounds[1], (effect.name, p.name)
 
 
 def test_a_vehicle_as_it_stands_keeps_the_limits_of_every_effect() -> None:
@@ -121,8 +123,8 @@ def test_a_vehicle_as_it_stands_keeps_the_limits_of_every_effect() -> None:
 
 def test_ranges_hold_what_real_flights_have_shown() -> None:
     """2,140 Pa off in RflySimDT's logs: the pressure of the day; 86 uT indoors, by its motors."""
-    assert EFFECTS["baro_bias"].parameters[0].prior[0] < -2140
-    assert all(p.prior[1] > 1.5 * 86e-6 for p in EFFECTS["mag_hard_iron"].parameters)
+    assert EFFECTS["baro_bias"].parameters[0].bounds[0] < -2140
+    assert all(p.bounds[1] > 1.5 * 86e-6 for p in EFFECTS["mag_hard_iron"].parameters)
 
 
 # -- exact answers --------------------------------------------------------------------------
@@ -131,6 +133,28 @@ def test_ranges_hold_what_real_flights_have_shown() -> None:
 def test_rotor_drag_slows_in_proportion_to_the_speed() -> None:
     added = change(plain(), "rotor_drag", vec("vel", [4, -2, -1]), k_xy_1_s=0.3, k_z_1_s=0.1)
     assert [added[f"vel_{a}"] for a in "xyz"] == pytest.approx([-1.2, 0.6, 0.1])
+
+
+def test_rotor_drag_that_attacks_above_the_hubs_lifts_the_nose() -> None:
+    added = change(
+        plain(), "rotor_drag", vec("vel", [4, -2, 0]), k_xy_1_s=0.3, k_z_1_s=0.0, height_m=0.05
+    )
+    assert added["omega_y"] == pytest.approx(0.05 * 1.2 * 0.3 * 4 / 0.027)
+    assert added["omega_x"] == pytest.approx(0.05 * 1.2 * 0.3 * 2 / 0.020)
+    assert added["vel_x"] == pytest.approx(-1.2)
+
+
+def test_a_centre_of_mass_below_the_hubs_is_pulled_nose_up_by_their_drag() -> None:
+    dragged = plain().with_effects({"rotor_drag": {"k_xy_1_s": 0.3, "k_z_1_s": 0.0}})
+    forward = vec("vel", [4, 0, 0])
+    added = change(dragged, "cog_offset", forward, x_m=0.0, z_m=0.02)
+    assert added["omega_y"] == pytest.approx(0.02 * 1.2 * 0.3 * 4 / 0.027)
+    # Where the file has the centre of mass, above that of the aircraft, as the nose goes up.
+    rig, bare = having(dragged, "cog_offset", x_m=0.0, z_m=0.02), lacking(dragged)
+    felt, there = (r.outputs(r.state(forward), r.inputs()) for r in (rig, bare))
+    assert felt["specific_force_x"] - there["specific_force_x"] == pytest.approx(
+        -0.02 * added["omega_y"]
+    )
 
 
 def test_parasitic_drag_slows_with_the_square_of_the_speed() -> None:
@@ -203,12 +227,80 @@ def test_motor_lag_adds_to_the_models_own(own_s: float) -> None:
     assert (0.8 - level) / (0.8 - trim) == pytest.approx(np.exp(-0.1 / (own_s + 0.05)), rel=1e-6)
 
 
+@pytest.mark.parametrize("tau_s", [0.0, 0.003])
+def test_a_lag_that_is_short_is_as_late_as_it_says(tau_s: float) -> None:
+    """On a ramp a first-order lag follows tau behind, once its start has died out."""
+    rig = having(with_rotors(plain(), lag_up_s=0.0, lag_down_s=0.0), "motor_lag", tau_s=tau_s)
+    x, slope = rig.state(), 0.5
+    commands = rig.inputs()[0] + slope * 1e-3 * np.arange(200)
+    for command in commands[:-1]:  # held over a step: half of it late by itself
+        x = rig.component.advance(x, rig.commands([command] * 4), rig.p, 1e-3)
+    thrust = rig.outputs(x, rig.commands([commands[-1]] * 4))["thrust_1"]
+    late_s = tau_s + 0.5e-3 * min(tau_s / SHORTEST_LAG_S, 1)
+    assert thrust == pytest.approx(8.0 * (commands[-1] - slope * late_s), abs=8.0 * slope * 1e-5)
+
+
+def test_a_lag_of_the_file_can_be_shortened() -> None:
+    vehicle = plain()
+    tau = EFFECTS["motor_lag"].parameters[0].sized(vehicle)
+    assert tau.bounds == pytest.approx((-0.036, 0.3))
+    for tau_s, left_s in ((-0.02, 0.02), (-0.036, 0.004), (-0.2, 0.0025)):
+        rig = having(vehicle, "motor_lag", tau_s=tau_s)
+        trim = rig.inputs()[0]
+        level = rig.get(rig.fly(rig.state(), rig.commands([0.8] * 4), 0.01)[-1], "effort_1")[0]
+        assert (0.8 - level) / (0.8 - trim) == pytest.approx(np.exp(-0.01 / left_s), rel=2e-3)
+    for instant in ({"lag_up_s": 0.0, "lag_down_s": 0.0}, {"lag_up_s": 1e-3, "lag_down_s": 1e-3}):
+        sized = EFFECTS["motor_lag"].parameters[0].sized(with_rotors(vehicle, **instant))
+        assert sized.bounds == (0.0, 0.3)
+
+
 def test_a_weak_rotor_drops_its_corner() -> None:
     added = change(plain(), "rotor_efficiency_loss", {}, loss_1=0.1)  # front right
     push = 0.1 * 1.2 * 9.80665 / 4
     assert added["vel_z"] == pytest.approx(push / 1.2)
     assert added["omega_x"] == pytest.approx(0.16 * push / 0.020)
     assert added["omega_y"] == pytest.approx(-0.16 * push / 0.027)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0, 1.4])
+def test_a_weak_rotor_loses_reaction_torque_as_well(share: float) -> None:
+    added = change(plain(), "rotor_efficiency_loss", {}, loss_2=0.1, torque_share=share)
+    torque = 0.02 * 1.2 * 9.80665 / 4  # of a rotor that turns counter-clockwise: the body's is +
+    assert added["omega_z"] == pytest.approx(-share * 0.1 * torque / 0.036)
+    assert added["vel_z"] == pytest.approx(0.1 * 9.80665 / 4)
+
+
+@pytest.mark.parametrize("at_speed", [False, True])
+def test_rotors_without_a_lag_twist_as_they_speed_up(at_speed: bool) -> None:
+    """The turn of the body is that of the change of their momentum, however fast that was."""
+    base = load_vehicle("copter_default") if at_speed else plain()
+    vehicle = with_rotors(base, lag_up_s=0.0, lag_down_s=0.0)
+    momentum = 0.01 * vehicle.inertia_kg_m2[2, 2]
+    runs = []
+    for rig in (
+        having(vehicle, "rotor_inertia_torque", momentum_n_m_s=momentum),
+        lacking(vehicle),
+    ):
+        trim = rig.inputs()[:4]
+        way = np.array(vehicle.rotors.direction)
+        x = rig.fly(rig.state(), rig.commands((trim + 0.02 * way).tolist()), 0.1)[-1]
+        runs.append(rig.get(x, "omega_z")[0])
+        spins = [rig.outputs(x, rig.commands((trim + s * 0.02 * way).tolist())) for s in (1, 0)]
+    gained = sum(
+        d * (spins[0][f"spin_{i}"] - spins[1][f"spin_{i}"])
+        for i, d in enumerate(vehicle.rotors.direction, start=1)
+    )
+    assert runs[0] - runs[1] == pytest.approx(-0.01 * gained, rel=2e-3)
+
+
+def test_a_controller_is_designed_for_settled_rotors() -> None:
+    """Whatever torque they have on the way, and whether they have a lag."""
+    for lag_s in (0.0, 0.04):
+        vehicle = with_rotors(plain(), lag_up_s=lag_s, lag_down_s=lag_s)
+        twisting = vehicle.with_effects({"rotor_inertia_torque": {"momentum_n_m_s": 0.01}})
+        bare, found = linearise(vehicle), linearise(twisting)
+        np.testing.assert_allclose(found.effect, bare.effect, rtol=1e-9, atol=1e-9)
+        assert found.lag_s == pytest.approx(bare.lag_s) == pytest.approx(lag_s)
 
 
 def test_spinning_up_twists_against_the_rotor() -> None:
@@ -259,6 +351,8 @@ def test_mass_centre_and_inertia() -> None:
     assert heavier["vel_z"] == pytest.approx(9.80665 * (1 - 1 / 1.1))
     ahead = change(plain(), "cog_offset", {}, x_m=0.01)  # nose-heavy: pitches down
     assert ahead["omega_y"] == pytest.approx(-0.01 * 1.2 * 9.80665 / 0.027)
+    level = change(plain(), "cog_offset", {}, x_m=0.0, z_m=0.02)
+    assert level["omega_y"] == pytest.approx(0.0, abs=1e-12)
     rig, bare = having(plain(), "inertia_error", scale_x=2.0), lacking(plain())
     state = {"effort_1": 0.5, "effort_2": 0.2, "effort_3": 0.2, "effort_4": 0.5}
     slow, fast = (r.rates(r.state(state), r.inputs())["omega_x"] for r in (rig, bare))
@@ -297,7 +391,7 @@ def with_text(more: str) -> Vehicle:
 
 def test_a_vehicle_file_switches_effects_on() -> None:
     vehicle = with_text(RIGHT)
-    assert vehicle.effects == {"rotor_drag": {"k_xy_1_s": 0.5, "k_z_1_s": 0.0}}
+    assert vehicle.effects == {"rotor_drag": {"k_xy_1_s": 0.5, "k_z_1_s": 0.0, "height_m": 0.0}}
     assert vehicle.sources["effects.rotor_drag.k_xy_1_s"] == "made up"
     starts = {v.name: v.start for v in airframe(vehicle).parameters}
     assert (starts["rotor_drag.enabled"], starts["rotor_drag.k_xy_1_s"]) == (1.0, 0.5)

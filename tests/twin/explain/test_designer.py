@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from search_rigs.hypotheses import fit_set
 
 from twin.effects import EFFECTS
 from twin.explain.design.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
 from twin.explain.design.manoeuvres import hover_height_m, manoeuvres, plan
 from twin.explain.design.rehearsal import rehearse
 from twin.explain.inference import selection as search
-from twin.explain.inference.likelihood import Block
+from twin.explain.inference.fit import fit_of
 from twin.explain.inference.selection import Naming, name_effects
+from twin.explain.inference.whitening import Block
 from twin.explain.model.numbers import with_effects
 from twin.explain.model.payload import carrying
 from twin.explain.settings import DEFAULT
@@ -91,8 +93,7 @@ def tie(flight: Flight, vehicle: Vehicle, names: Sequence[str]) -> Naming:
     """Single effects fitted to a flight and declared equally probable."""
     with library(names):
         naming = name_effects([flight], vehicle)
-    singles = {f.effects: f for f in naming.fitted}
-    fitted = tuple(singles[(e,)] for e in names)
+    fitted = tuple(fit_set(naming.problem, [e]) for e in names)
     even = (1 / len(names),) * len(names)
     return replace(naming, fitted=fitted, probabilities=even)
 
@@ -262,6 +263,22 @@ def test_the_suggested_flight_separates_and_one_ranked_low_does_not() -> None:
     still = named(low, "mass_offset")
     assert still.verdict == "cannot_tell"
     assert still.probability_of("thrust_scale") > 0.2
+
+
+@pytest.mark.slow
+def test_one_weak_rotor_is_told_from_another_cause_by_a_flight() -> None:
+    """A set may hold one rotor's number without those of the others."""
+    weak = COPTER.with_effects({"rotor_efficiency_loss": {"loss_3": 0.1}})
+    names = ["rotor_efficiency_loss", "cog_offset"]
+    naming = tie(hovering(COPTER, weak), COPTER, names)
+    state = naming.problem.start(["rotor_efficiency_loss:3"], 1.0)
+    best = state.best
+    one = fit_of(naming.problem, state.effects, best.x, best.deviations(), 0.0)
+    (found,) = suggestions(
+        replace(naming, fitted=(one, naming.fitted[1])), COPTER, ["vertical_steps"]
+    )
+    assert found.separates == (("rotor_efficiency_loss",), ("cog_offset",))
+    assert np.isfinite(found.separation)
 
 
 @pytest.mark.slow

@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from search_rigs.hypotheses import against, fit_set
 
-from twin.effects import EFFECTS
-from twin.explain.inference.fit import Problem
-from twin.explain.inference.likelihood import Block
-from twin.explain.model.model import model_of
+from twin.explain.inference.fit import Fit
+from twin.explain.inference.whitening import Block, Ground
 from twin.explain.unnamed.equations import (
     _band,
     _spectrum,
@@ -39,10 +38,16 @@ CUBIC_S_M2 = -0.06
 TONE_HZ = 1.37
 
 
-def ground_of(flight: Flight) -> Problem:
-    """The flight against the model with a small library."""
-    library = [EFFECTS[e] for e in ("rotor_drag", "accel_bias", "thrust_scale")]
-    return Problem.of(model_of([flight], COPTER, library))
+LIBRARY = ("rotor_drag", "accel_bias", "thrust_scale")
+NOTHING = Fit((), {}, (), np.zeros(0), 0.0)
+
+
+def fitted(flight: Flight, *effects: str) -> tuple[Ground, Fit]:
+    """The flight with the noise that some effects of a small library leave of it, and their
+    numbers."""
+    problem = against(flight, COPTER, *LIBRARY)
+    fit = fit_set(problem, effects)
+    return Ground.of(problem.model, fit.values), fit
 
 
 def planted(flight: Flight, force: Callable[[Array, Array], Array]) -> Flight:
@@ -71,8 +76,8 @@ def quiet() -> Flight:
 @pytest.mark.slow
 def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> None:
     drag = planted(quiet, lambda _, v: CUBIC_S_M2 * (v * v).sum(axis=0) * v[0])
-    problem = ground_of(drag)
-    found = find_equations(problem, problem.nothing())
+    ground, _ = fitted(drag)
+    found = find_equations(ground, NOTHING)
     assert found is not None
     (equation,) = found.equations
     assert equation.channel == "acc_x"
@@ -81,15 +86,15 @@ def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> Non
     assert coefficient == pytest.approx(CUBIC_S_M2, rel=0.05)
     assert equation.expression.startswith(f"acc_x = {coefficient:g} s/m² * |v|² v_x")
     assert equation.share > 0.9
-    assert len(found.gains) == len(problem.nothing().gains)
     assert found.gain == pytest.approx(equation.gain)
-    assert explains_better(problem, [problem.nothing(), problem.fit(["accel_bias"])], found)
+    _, bias = fitted(drag, "accel_bias")
+    assert explains_better(ground, [NOTHING, bias], found)
 
 
 @pytest.mark.slow
 def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
-    problem = ground_of(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
-    found = find_equations(problem, problem.nothing())
+    ground, _ = fitted(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
+    found = find_equations(ground, NOTHING)
     assert found is not None
     (equation,) = found.equations
     hz = [float(term.split()[1]) for term, _, _ in equation.terms if "Hz" in term]
@@ -101,21 +106,20 @@ def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
 
 @pytest.mark.slow
 def test_no_equation_where_nothing_is_missing(quiet: Flight) -> None:
-    problem = ground_of(quiet)
-    assert find_equations(problem, problem.nothing()) is None
-    assert not explains_better(problem, [problem.nothing()], None)
+    ground, _ = fitted(quiet)
+    assert find_equations(ground, NOTHING) is None
+    assert not explains_better(ground, [NOTHING], None)
 
 
 @pytest.mark.slow
 def test_an_effect_of_the_library_is_not_called_unnamed() -> None:
     drag = COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0])
     dragged = fly(COPTER, replace(COPTER, drag_linear_n_s_m=drag), 1, "drag", LEGS)
-    problem = ground_of(without_gyro(dragged))
-    right = problem.fit(["rotor_drag"])
-    alone = find_equations(problem, problem.nothing())
+    ground, right = fitted(without_gyro(dragged), "rotor_drag")
+    alone = find_equations(ground, NOTHING)
     assert alone is not None
-    assert covered(problem, right, alone) > 0.9
-    assert not explains_better(problem, [problem.nothing(), right], alone)
+    assert covered(ground, right, alone) > 0.9
+    assert not explains_better(ground, [NOTHING, right], alone)
 
 
 def test_only_columns_that_pay_out_of_sample_are_picked() -> None:

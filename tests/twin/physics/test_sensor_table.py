@@ -94,7 +94,7 @@ def test_every_effect_of_a_sensor_needs_its_readings() -> None:
 
 
 def test_every_measured_column_of_the_flight_table_has_a_sensor() -> None:
-    motion = ("pos_", "vel_", "q_")
+    motion = ("pos_", "vel_", "q_", "roll_", "pitch_", "yaw_", "acc_ned_")
     power = ("cmd_", "rotor_", "vbat_", "ibat_")
     others = {c.name for c in COLUMNS if c.name.startswith((*motion, *power))} | {"time", "phase"}
     assert {c.name for c in COLUMNS} - others == {c for s in SENSORS for c in s.columns}

@@ -24,8 +24,8 @@ from ...logs import Flight
 from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
 from ..inference.fit import Fit
-from ..inference.likelihood import Block, blocks_of
 from ..inference.selection import Naming
+from ..inference.whitening import Block, blocks_of
 from ..model.model import Model, model_of
 from ..model.numbers import Number, columns_of, with_effects
 from ..model.payload import carrying
@@ -113,7 +113,7 @@ def suggestions(
         progress: Called with the share done.
         settings: Sizes of manoeuvres.
     """
-    block_s = naming.problem.settings.block_s
+    block_s = naming.ground.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
     listed = [m for m in _flyable(naming, vehicle, settings) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
@@ -148,7 +148,7 @@ def _parting(
     """What one explanation predicts for a flight beyond another, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
-    noise = dict(zip(_names(naming.problem.model), naming.problem.noise, strict=True))
+    noise = dict(zip(_names(naming.ground.model), naming.ground.noise, strict=True))
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
     rows = [
         replace(c, residual=c.residual - true[c.name])
@@ -156,7 +156,7 @@ def _parting(
         if c.name in noise
     ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
-    return blocks_of([rows], even, naming.problem.settings) if rows else {}
+    return blocks_of([rows], even, naming.ground.settings) if rows else {}
 
 
 def lead(blocks: Sequence[Block], held: Held) -> float:
@@ -188,34 +188,36 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
 
 def _held(naming: Naming, fitted: Fit) -> Held:
     """How far the flights so far, and the priors, let the numbers of an explanation move."""
-    problem = naming.problem
-    answers = _answers(problem.model, fitted)
-    blocks = blocks_of(answers, problem.noise, problem.settings).values()
-    numbers, at = _numbers(problem.model, fitted), dict(fitted.values)
+    ground = naming.ground
+    answers = _answers(ground.model, fitted)
+    blocks = blocks_of(answers, ground.noise, ground.settings).values()
+    numbers = _numbers(ground.model, fitted)
+    at = {n.full: n.now for n in numbers} | dict(fitted.values)  # of some rotors, maybe
     prior = np.diag([1 / n.sd**2 for n in numbers])
     return Held(
         np.sum([b.gram for b in blocks], axis=0) + prior,
-        np.array([n.about.prior[0] - at[n.full] for n in numbers]),
-        np.array([n.about.prior[1] - at[n.full] for n in numbers]),
+        np.array([n.about.bounds[0] - at[n.full] for n in numbers]),
+        np.array([n.about.bounds[1] - at[n.full] for n in numbers]),
     )
 
 
 def _present(naming: Naming, a: Fit, b: Fit) -> float:
     """Log likelihood by which the truth leads in the flights so far: both are at their best."""
-    problem, model = naming.problem, naming.problem.model
+    ground, model = naming.ground, naming.ground.model
     ours, theirs = model.channels([], a.values), model.channels([], b.values)
     rows = [
         [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
         for f, g in zip(ours, theirs, strict=True)
     ]
-    blocks = blocks_of(rows, problem.noise, problem.settings).values()
+    blocks = blocks_of(rows, ground.noise, ground.settings).values()
     return 0.5 * sum(block.power for block in blocks)
 
 
 def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
     """Channels of an explanation at its values, with slopes by its numbers and its shapes."""
     at = dict(fitted.values)
-    flights = model.channels(columns_of(model.numbers, fitted.effects), at)
+    own = columns_of(model.numbers, fitted.effects)
+    flights = model.channels([i for i in own if model.numbers[i].full in at], at)
     for shape in (n.full for n in _numbers(model, fitted) if n.shape):
         step = SHAPE_STEP * at[shape]
         moved = model.channels([], {**at, shape: at[shape] + step})
@@ -231,7 +233,7 @@ def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
 
 def _numbers(model: Model, fitted: Fit) -> list[Number]:
     """Numbers of an explanation in the order of the model, then its shapes."""
-    own = [n for n in model.numbers if n.effect in fitted.effects]
+    own = [n for n in model.numbers if n.effect in fitted.effects and n.full in fitted.values]
     return sorted(own, key=lambda n: n.shape)
 
 
@@ -256,4 +258,4 @@ def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list
 
 
 def _flights(naming: Naming) -> list[Flight]:
-    return [m.flight for m in naming.problem.model.flights]
+    return [m.flight for m in naming.ground.model.flights]

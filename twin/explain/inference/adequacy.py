@@ -43,14 +43,30 @@ def misfits(
     """
     after, found = model.channels([], fitted.values), {}
     for effect, rest in without.items():
-        i = int(np.argmax((fitted.gains - rest.gains).sum(axis=0)))
         before = model.channels([], rest.values)
+        i = int(
+            np.argmax(
+                [
+                    _taken(b, a)
+                    for b, a in zip(
+                        zip(*before, strict=True), zip(*after, strict=True), strict=True
+                    )
+                ]
+            )
+        )
         (there, _), (left, chance) = (
             coherent([f[i] for f in flights], settings) for flights in (before, after)
         )
         share = max(left - settings.chance * chance, 0.0) / there if there > 0 else 0.0
         found[effect] = float(np.sqrt(min(share, 1.0)))
     return found
+
+
+def _taken(before: Sequence[ChannelData], after: Sequence[ChannelData]) -> float:
+    """Log of the power of a channel before over that after, times its samples."""
+    n = sum(len(c.residual) for c in before)
+    old, new = (sum(float(c.residual @ c.residual) for c in own) for own in (before, after))
+    return n * float(np.log(max(old, 1e-300) / max(new, 1e-300)))
 
 
 def coherent(

@@ -44,7 +44,7 @@ class Bounds:
                 row[[place[f"{effect}.{k}"] for k in limit.weights]] = [*limit.weights.values()]
                 rows.append(row)
         every = np.array(rows).reshape(-1, len(numbers))
-        low, high = (np.array([n.about.prior[i] for n in numbers]) for i in (0, 1))
+        low, high = (np.array([n.about.bounds[i] for n in numbers]) for i in (0, 1))
         return cls(low, high, every, np.minimum(0.0, every @ now))
 
     def around(self, values: Array) -> "Bounds":
@@ -92,12 +92,12 @@ def edges(
     """
     for n in numbers:
         value = values[n.full]
-        at = np.isclose(value, n.about.prior, rtol=EDGE, atol=0)
+        at = np.isclose(value, n.about.bounds, rtol=EDGE, atol=0)
         if np.any(at) and value != n.about.neutral:
             yield (
                 n.effect,
                 f"{n.full} = {value:.4g} is at the edge of the range that is considered, "
-                f"{n.about.prior[0]:g} to {n.about.prior[1]:g}: perhaps another effect is meant",
+                f"{n.about.bounds[0]:g} to {n.about.bounds[1]:g}: perhaps another effect is meant",
             )
     for effect in dict.fromkeys(n.effect for n in numbers):
         for limit in EFFECTS[effect].limits(vehicle):

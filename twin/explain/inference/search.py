@@ -1,96 +1,273 @@
-"""Hypotheses: which effects, together, explain the residuals of all flights."""
+"""Look for the set of effects that flights make most probable, from several starts.
 
-from collections.abc import Iterable, Sequence
+Gains of sets are told by one linearisation; each move is fitted again before it is accepted. A move
+adds an effect, drops one, or puts one in the place of another; days may turn out to differ more or
+less than is usual. Where several moves in a row promise more, they are tried together first.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.numbers import Number, columns_of
-from ..settings import DEFAULT, LikelihoodSettings, PoolSettings
-from .bounds import Bounds
-from .likelihood import Scores, believed
+from ...effects import EFFECTS, Shift
+from ...effects.priors import LAST, UNMEASURED, prior_of
+from ...representation import short_repr
+from .beliefs import Beliefs, effect_of
+from .evidence import Judge
+from .refit import Problem, State
 
 Array = NDArray[np.float64]
-DRAWS = 4000
-"""Of the Bayesian bootstrap."""
+Tried = dict[tuple[tuple[str, ...], float], float]
+"""Worth of every set that was fitted, by its effects and its days."""
+MOVES, TRIED, AHEAD, RIVALS = 60, 4, 8, 4
+"""Accepted moves at most; of each state so many are fitted; looked ahead; swapped in."""
+CLEAR = 5.0
+"""Nats that the linearisation gives an effect from which on it is not fitted without it again."""
+WORTH = 0.3
+"""Nats that a move has to gain."""
 
 
 @dataclass(frozen=True, slots=True)
-class Hypothesis:
-    """Some effects and nothing else.
+class Move:
+    """A neighbour.
 
     Attributes:
-        effects: Identifiers, sorted; none: nothing is missing.
-        gains: Log likelihood over that of nothing, out of sample, shape (blocks, channels).
+        effects: Identifiers, sorted.
+        kappa: Of the days.
+        gain: That the linearisation promises, nats.
     """
 
     effects: tuple[str, ...]
-    gains: Array
-
-    @property
-    def gain(self) -> float:
-        """Over all blocks."""
-        return float(self.gains.sum())
+    kappa: float
+    gain: float
 
 
-def score(
-    scores: Scores, numbers: Sequence[Number], bounds: Bounds, effects: Iterable[str]
-) -> Hypothesis:
-    """One hypothesis, the changes of its numbers held inside their room."""
-    effects = tuple(sorted(effects))
-    columns = columns_of(numbers, effects)
-    return Hypothesis(effects, scores.gains(columns, bounds.part(columns)))
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The end of a search.
+
+    Attributes:
+        state: Where it ended.
+        judge: All sets about it.
+        tried: Evidence of every set that was fitted on the way.
+    """
+
+    state: State
+    judge: Judge
+    tried: Tried
+
+    __repr__ = short_repr
+
+
+def log_prior_of_days(kappa: float) -> float:
+    """Log of the weight of days that differ more or less than is usual: normal in the logarithm,
+    a factor of e either way."""
+    return -0.5 * float(np.log(kappa)) ** 2
 
 
 def search(
-    scores: Scores,
-    numbers: Sequence[Number],
-    bounds: Bounds,
-    settings: PoolSettings = DEFAULT.inference.pool,
-) -> list[Hypothesis]:
-    """Hypotheses of up to `most` effects, best first, `nothing` among them.
-
-    All single effects and pairs are scored; larger sets grow from the best `width` of one less.
-    """
-    names = list(dict.fromkeys(n.effect for n in numbers))
-    found: dict[tuple[str, ...], Hypothesis] = {(): score(scores, numbers, bounds, ())}
-    for name in names:
-        found[(name,)] = score(scores, numbers, bounds, (name,))
-    for pair in combinations(sorted(names), 2):
-        found[pair] = score(scores, numbers, bounds, pair)
-    for size in range(3, settings.most + 1):
-        best = sorted((h for k, h in found.items() if len(k) == size - 1), key=lambda h: -h.gain)
-        for h in best[: settings.width]:
-            for name in names:
-                key = tuple(sorted({*h.effects, name}))
-                if len(key) == size and key not in found:
-                    found[key] = score(scores, numbers, bounds, key)
-    return sorted(found.values(), key=lambda h: -h.gain)
-
-
-def weights(
-    hypotheses: Sequence[Hypothesis],
-    prior: Array,
-    seed: int = 0,
-    settings: LikelihoodSettings = DEFAULT.inference.likelihood,
-) -> Array:
-    """Probability of each hypothesis, shape (k,).
-
-    Bayesian bootstrap over the blocks of time: a lead that rests on a few blocks is worth little.
-    No law is exact, so a lead also counts by its ratio to what is explained, channel by channel.
+    problem: Problem,
+    start: Sequence[str],
+    kappa: float = 1.0,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Found:
+    """Climb from a set.
 
     Args:
-        hypotheses: Scored over the same blocks.
-        prior: Log of the prior weight of each, shape (k,).
-        seed: Of the draws.
-        settings: How exact a law is.
+        problem: What is fitted.
+        start: Effects that are there at first.
+        kappa: Of the days at first.
+        progress: Called with the share done, roughly.
     """
-    blocks = len(hypotheses[0].gains)
-    draws = np.random.default_rng(seed).dirichlet(np.ones(blocks), DRAWS) * blocks
-    each = [believed(draws @ h.gains, settings).sum(axis=1) for h in hypotheses]
-    total = np.stack(each, axis=-1) + prior
-    total -= total.max(axis=1, keepdims=True)
-    share = np.exp(total)
-    return np.asarray((share / share.sum(axis=1, keepdims=True)).mean(axis=0))
+    state = problem.start(start, kappa)
+    tried = {(state.effects, kappa): worth(state)}
+    judge = problem.linearised(state)
+    for n in range(MOVES):
+        progress(1 - 0.9**n)
+        better = (
+            _better(problem, judge, state, tried)
+            or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
+            or _verified(problem, judge, state, tried, _weak(judge, state))
+        )
+        if better is None:
+            break
+        state = better
+        judge = problem.linearised(state)
+    return Found(state, judge, tried)
+
+
+def worth(state: State) -> float:
+    """Log of the probability of a state, that of its days included."""
+    return state.evidence + log_prior_of_days(state.kappa)
+
+
+def asked_for(problem: Problem) -> tuple[str, ...]:
+    """Effects that the model as it stands asks for, each the best by its linearisation."""
+    judge = problem.judge(problem.rest)
+    first = neighbours(problem, judge, (), 1.0)
+    ahead = _ahead(problem, judge, (), first)
+    return first[0].effects if ahead is None and first else () if ahead is None else ahead.effects
+
+
+def calibration_start(beliefs: Beliefs) -> list[str]:
+    """Effects whose numbers nobody measures, the delay that no aircraft is without, and the average
+    that most estimates of a pose are."""
+    return [
+        c
+        for c in beliefs.causes
+        if beliefs.odds[c] >= UNMEASURED or prior_of(EFFECTS[effect_of(c)]).start
+    ]
+
+
+def _better(
+    problem: Problem,
+    judge: Judge,
+    state: State,
+    tried: Tried,
+) -> State | None:
+    """A neighbour that is better once it is fitted; None where there is none."""
+    candidates = neighbours(problem, judge, state.effects, state.kappa)
+    ahead = _ahead(problem, judge, state.effects, candidates)
+    queue = [*([ahead] if ahead else []), *_different(candidates, state.effects)]
+    fresh = [m for m in queue if (m.effects, m.kappa) not in tried]
+    for move in fresh[:TRIED]:
+        there = problem.settle(move.effects, move.kappa, judge.spectrum, state.best.x)
+        tried[move.effects, move.kappa] = worth(there)
+        if worth(there) > worth(state) + WORTH:
+            return there
+    return None
+
+
+def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
+    """The best move of each effect that comes in, and those by which none does."""
+    seen = set()
+    for m in moves:
+        new = frozenset(m.effects) - frozenset(on)
+        if not new or new not in seen:
+            yield m
+        seen.add(new)
+
+
+Trial = tuple[tuple[str, ...], str | None]
+"""A set, and what has come in to begin at its expected numbers."""
+
+
+def _clocks(problem: Problem, judge: Judge, state: State) -> list[Trial]:
+    """The set without a delay or a lag, and with any other in the place of each.
+
+    What moves signals in time is not linear over a few milliseconds, so that no linearisation tells
+    which is meant. A record of several clocks is thought of last: they come in as other effects do.
+    """
+    present = [e for e in state.effects if is_time(e)]
+    every = [e for e in problem.beliefs.causes if is_time(e)]
+    odds = problem.beliefs.odds
+    absent = [e for e in every if e not in state.effects and odds[e] > LAST]
+    sets: list[Trial] = []
+    for old in present:
+        rest = tuple(e for e in state.effects if e != old)
+        known = [e for e in absent if judge.share_a_channel(old, e) and not judge.silent(e)]
+        sets += [(rest, None), *((tuple(sorted((*rest, new))), new) for new in known)]
+    return sets
+
+
+def _weak(judge: Judge, state: State) -> list[Trial]:
+    """The set without each effect that adds little by the linearisation."""
+    whole = judge.best(state.effects, state.kappa).evidence
+    sets: list[Trial] = []
+    for old in (e for e in state.effects if not is_time(e)):
+        rest = tuple(e for e in state.effects if e != old)
+        if whole - judge.best(rest, state.kappa).evidence < CLEAR:
+            sets.append((rest, None))
+    return sets
+
+
+def _verified(
+    problem: Problem, judge: Judge, state: State, tried: Tried, sets: Sequence[Trial]
+) -> State | None:
+    """The best of some sets, each fitted; None where none is better."""
+    best = state
+    for on, new in sets:
+        if (on, state.kappa) in tried:
+            continue
+        x = state.best.x if new is None else _with_expected(problem, state.best.x, new)
+        there = problem.settle(on, state.kappa, judge.spectrum, x, worth(best))
+        tried[on, state.kappa] = worth(there)
+        best = there if worth(there) > worth(best) + WORTH else best
+    return None if best is state else best
+
+
+def is_time(cause: str) -> bool:
+    """Whether a cause moves signals in time: a delay, a clock, a lag."""
+    effect = effect_of(cause)
+    return isinstance(EFFECTS[effect].seen_as, Shift) or prior_of(EFFECTS[effect]).timed
+
+
+def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
+    """Numbers with those of an effect as expected, or half a deviation off."""
+    b, own = problem.beliefs, problem.beliefs.of([effect])
+    x = x.copy()
+    x[own] = np.where(b.mean[own] != b.now[own], b.mean[own], b.now[own] + b.slab[own] / 2)
+    x[own] = np.clip(x[own], b.low[own], b.high[own]) - b.now[own]
+    return x
+
+
+def neighbours(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> list[Move]:
+    """Moves that promise a gain, best first."""
+    base = judge.best(on, kappa).evidence + log_prior_of_days(kappa)
+    found = [
+        Move(m.effects, m.kappa, m.gain - base)
+        for m in _around(problem, judge, on, kappa)
+        if m.gain > base + WORTH
+    ]
+    return sorted(found, key=lambda m: -m.gain)
+
+
+def _around(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> Iterator[Move]:
+    """Every neighbour with its worth; none with a clock in the place of something else, see
+    `_clocks`."""
+
+    def move(effects: Sequence[str], days: float) -> Move:
+        made = judge.best(effects, days)
+        return Move(tuple(sorted(effects)), days, made.evidence + log_prior_of_days(days))
+
+    i = problem.kappas.index(kappa)
+    for j in (i - 1, i + 1):
+        if 0 <= j < len(problem.kappas):
+            yield move(on, problem.kappas[j])
+    absent = [e for e in judge.beliefs.causes if e not in on and not judge.silent(e)]
+    more = [(e, move([*on, e], kappa)) for e in absent]
+    yield from (m for _, m in more)
+    for e in (e for e in on if not is_time(e)):
+        yield move([a for a in on if a != e], kappa)
+    strongest = sorted(more, key=lambda m: -m[1].gain)[:RIVALS]
+    for new, _ in strongest:
+        for old in on:
+            if not (is_time(old) or is_time(new)) and judge.share_a_channel(old, new):
+                yield move([*(a for a in on if a != old), new], kappa)
+
+
+def _ahead(problem: Problem, judge: Judge, on: Sequence[str], first: Sequence[Move]) -> Move | None:
+    """Several moves in a row, each the best by the linearisation; None where one is all.
+
+    Where there is a delay or a lag already, no other comes in on the way: a linearisation cannot
+    tell them apart.
+    """
+
+    def best(moves: Sequence[Move], known: Sequence[str]) -> Move | None:
+        timed = any(is_time(e) for e in known)
+        return next(
+            (m for m in moves if not timed or not any(map(is_time, {*m.effects} - {*known}))), None
+        )
+
+    here = start = best(first, on)
+    for _ in range(AHEAD):
+        if here is None:
+            break
+        following = neighbours(problem, judge, here.effects, here.kappa)
+        then = best(following, here.effects)
+        if then is None:
+            break
+        here = Move(then.effects, then.kappa, here.gain + then.gain)
+    return None if here is start else here

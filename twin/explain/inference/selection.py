@@ -1,29 +1,52 @@
-"""Name what a model lacks: one effect, some, none, or a tie that the flights cannot break."""
+"""Name what a model lacks: some effects, none, or a tie that the flights cannot break.
+
+| said of an effect | where |
+|---|---|
+| named | it is there with certainty, and its numbers are such as it can have |
+| undecided | it may be there, or another stands for it |
+| acts like it | a number is at its edge or too far from what is expected, or its law leaves much |
+| calibrated | the file's own uncertainty covers it |
+"""
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Shift
 from ...logs import Flight
 from ...representation import short_repr
 from ...vehicle import Vehicle
-from ..model.model import candidates, model_of
+from ..model.model import Model, candidates, model_of
 from ..model.payload import Payloads
 from ..settings import DEFAULT, InferenceSettings, SelectionSettings
 from .adequacy import credible, misfits
-from .fit import Fit, Problem
-from .pool import Pool, dominated, grow, log_prior, pool_of, worth_a_name
-from .search import Hypothesis, weights
+from .beliefs import beliefs_of, beliefs_since, effect_of
+from .bounds import edges
+from .evidence import Best
+from .fit import Fit, fit_of, fit_of_best, worth_a_name
+from .inclusion import Posterior, weigh
+from .refit import Problem
+from .search import Found, asked_for, calibration_start, search, worth
+from .whitening import Ground
 
 Array = NDArray[np.float64]
 Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
-IMPOSSIBLE = 1e6
-"""Log odds against what is ruled out: more than any flight can tell."""
+
+
+@dataclass(frozen=True, slots=True)
+class Resemblance:
+    """An effect that something acts like.
+
+    Attributes:
+        effect: Identifier.
+        why: It is not believed to be the cause itself, to be read behind "acts like it: ".
+    """
+
+    effect: str
+    why: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,32 +54,53 @@ class Naming:
     """What the flights say about a model.
 
     Attributes:
-        fitted: Hypotheses at their best, most probable first, `nothing` among them.
+        fitted: Sets of effects worth a name at their best, most probable first, `nothing` among
+            them; without those of which the flights say nothing.
         probabilities: Of each.
-        shares: Largest share of the power of a channel that each explains.
-        credible: Of the effects of likely hypotheses, the probability that their cause is of the
-            library at all, see `adequacy`.
+        inclusion: Probability of every effect of the search that it is there and worth a name.
+        shown: Every effect that may be there with the mean of its numbers over all sets: what
+            predicts best. Numbers that the file is unsure of are among them.
+        told: The same effects, each with its numbers where it is there.
+        credible: Probability that the cause of an effect is of the library at all.
+        resemblances: Effects that something acts like.
+        posterior: All sets.
         problem: What they were fitted against.
+        ground: The flights with the noise that `shown` leaves.
+        kappa: By how much the days of these flights differ over what is usual.
+        days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
+            what all flights share, and its standard deviation.
         settings: From when on a name is given.
     """
 
     fitted: tuple[Fit, ...]
     probabilities: tuple[float, ...]
-    shares: tuple[float, ...]
+    inclusion: Mapping[str, float]
+    shown: Fit
+    told: Fit
     credible: Mapping[str, float]
+    resemblances: tuple[Resemblance, ...]
+    posterior: Posterior
     problem: Problem
+    ground: Ground
+    kappa: float
+    days: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     settings: SelectionSettings = DEFAULT.inference.selection
 
     __repr__ = short_repr
 
     @property
     def best(self) -> Fit:
-        """The most probable hypothesis."""
+        """The most probable set."""
         return self.fitted[0]
 
     @property
+    def nothing(self) -> Fit:
+        """The set without any effect."""
+        return next(f for f in self.fitted if not f.effects)
+
+    @property
     def likely(self) -> tuple[Fit, ...]:
-        """Hypotheses that are candidates, the most probable first."""
+        """Sets that are candidates, the most probable first."""
         pairs = zip(self.fitted, self.probabilities, strict=True)
         return tuple(f for f, p in pairs if p >= self.settings.least)
 
@@ -65,22 +109,30 @@ class Naming:
         return self.together([effect])
 
     @property
-    def verdict(self) -> Verdict:
-        """In a word: something is named where one effect is sure, whatever else is not."""
-        if not self.best.effects:
-            return "nothing" if self.probabilities[0] >= self.settings.sure else "cannot_tell"
-        return "cannot_tell" if self.undecided == self.best.effects else "named"
+    def named(self) -> tuple[str, ...]:
+        """Effects that are sure."""
+        return tuple(e for e in self.best.effects if self._is_sure(e))
 
     @property
     def undecided(self) -> tuple[str, ...]:
-        """Effects of the most probable hypothesis that are not sure."""
-        return tuple(e for e in self.best.effects if not self._is_sure(e))
+        """Effects of the most probable set that are not sure, but may be the cause."""
+        alike = {r.effect for r in self.resemblances}
+        return tuple(e for e in self.best.effects if e not in alike and not self._is_sure(e))
+
+    @property
+    def verdict(self) -> Verdict:
+        """In a word: something is named where one effect is sure, whatever else is not."""
+        if self.named:
+            return "named"
+        if self.resemblances:
+            return "unnamed"
+        quiet = not self.best.effects and self.probabilities[0] >= self.settings.sure
+        return "nothing" if quiet else "cannot_tell"
 
     def _is_sure(self, effect: str) -> bool:
-        believable = self.credible[effect]
-        if believable < self.settings.credible:
+        if any(r.effect == effect for r in self.resemblances):
             return False
-        return self.together([effect]) >= self.settings.sure * believable
+        return self.together([effect]) >= self.settings.sure * self.credible.get(effect, 1.0)
 
     @property
     def sure(self) -> bool:
@@ -95,8 +147,13 @@ class Naming:
 
     @property
     def outside(self) -> float:
-        """That a cause is none of the library, though the best hypothesis gives it a name."""
-        return 1 - math.prod(self.credible[e] for e in self.best.effects)
+        """That a cause is none of the library, though the best set gives it a name."""
+        return 1 - math.prod(self.credible.get(e, 1.0) for e in self.best.effects)
+
+    def one_of(self, effect: str) -> tuple[str, ...]:
+        """Other causes that may stand in the place of one: effects, or "effect:rotor"."""
+        own = [c for c in self.problem.beliefs.causes if effect_of(c) == effect]
+        return tuple(dict.fromkeys(o for c in own for o in self.posterior.exchangeable(c)))
 
 
 def name_effects(
@@ -106,127 +163,208 @@ def name_effects(
     progress: Callable[[float], None] = lambda _: None,
     payloads: Payloads | None = None,
     settings: InferenceSettings = DEFAULT.inference,
+    since: bool = False,
 ) -> Naming:
-    """Fit every effect that the flights can show, alone and together.
+    """Find the sets of effects that flights make probable.
 
     Args:
         flights: To fit on.
         vehicle: The model as it stands.
-        seed: Of the bootstrap.
+        seed: Of the chain that meets the sets.
         progress: Called with the share done.
         payloads: Known masses aboard.
-        settings: Noise, prices, rules.
+        settings: Noise, rules.
+        since: Whether it is asked what has changed since the vehicle was calibrated.
+
+    Raises:
+        ModelError: The vehicle holds no calibration to ask since.
     """
     model = model_of(
-        flights, vehicle, candidates(flights), lambda done: progress(0.2 * done), payloads
+        flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
-    problem = Problem.of(model, settings.likelihood)
-    pool = pool_of(problem, lambda done: progress(0.2 + 0.7 * done), settings)
-    chance = _weighed(pool, seed)
-    fitted = pool.fitted
-    order = np.argsort(-chance)
-    ranked = tuple(fitted[i] for i in order)
-    probabilities = tuple(float(chance[i]) for i in order)
-    least = settings.selection.least
-    likely = [f for f, p in zip(ranked, probabilities, strict=True) if p >= least] or [ranked[0]]
-    return Naming(
-        ranked,
-        probabilities,
-        tuple(share(f, problem.nothing()) for f in ranked),
-        _credible(pool, likely),
-        problem,
-        settings.selection,
-    )
+    problem = since_problem(model, settings) if since else usual_problem(model, settings)
+    found = climb(problem, lambda done: progress(0.1 + 0.6 * done))
+    posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
+    return _named(problem, found, posterior, settings)
 
 
-def _weighed(pool: Pool, seed: int) -> Array:
-    """Probabilities of what competes; what is likely is held against the rules first."""
-    settings = pool.settings
-    out: dict[tuple[str, ...], bool] = {}
-    while True:
-        fitted = pool.fitted
-        allowed = [f for f in fitted if not out.get(f.effects)]
-        ruled_out = [out.get(f.effects, False) or dominated(f, allowed, settings) for f in fitted]
-        prior = np.array([log_prior(f, settings.prior) for f in fitted])
-        prior -= IMPOSSIBLE * np.array(ruled_out)
-        competing = [Hypothesis(f.effects, f.gains) for f in fitted]
-        chance = weights(competing, prior, seed, settings.likelihood)
-        checked = settings.selection.checked
-        likely = [fitted[i] for i in np.argsort(-chance) if chance[i] >= checked]
-        new = next((f for f in likely if f.effects not in out), None)
-        if new is None:
-            return _without_trifles(fitted, chance)
-        pool.add(worth_a_name(new))
-        out[new.effects] = (
-            _spoils(new, pool.problem, settings.selection)
-            or not _material(pool, new)
-            or _hangs(pool, new)
-        )
+def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
+    """Everything that a model may lack."""
+    return Problem.of(model, beliefs_of(model), settings.evidence)
 
 
-def _without_trifles(fitted: Sequence[Fit], chance: Array) -> Array:
-    """Probabilities given to the names alone: a delay below a sample may stand in a hypothesis, so
-    that nothing else has to stand in for it."""
-    place = {f.effects: i for i, f in enumerate(fitted)}
-    given = np.zeros_like(chance)
-    for f, p in zip(fitted, chance, strict=True):
-        given[place.get(worth_a_name(f), place[f.effects])] += p
-    return given
+def since_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
+    """Whatever may have changed on a calibrated aircraft."""
+    beliefs = beliefs_since(model)
+    assert model.vehicle.calibration is not None
+    constants = model.vehicle.calibration.constants
+    return Problem.of(model, beliefs, settings.evidence, gated=True, constants=constants)
 
 
-def _hangs(pool: Pool, fitted: Fit) -> bool:
-    """Whether one of several effects is not credible; then the others compete without it.
+def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> Found:
+    """The end of the search from where it promises most.
 
-    A name must not hang on one beside it that leaves what it should explain.
+    A model that lacks little is searched from nothing on. One that asks for many effects at once is
+    searched from what nobody measures on every aircraft: from nothing on, each effect would be
+    judged while all others are absent.
     """
-    believable = {e: p for e, p in _credible(pool, [fitted]).items() if e in worth_a_name(fitted)}
-    least = pool.settings.selection.credible
-    if len(believable) < 2 or min(believable.values()) >= least:
-        return False
-    worst = min(believable, key=lambda e: believable[e])
-    rest = pool.add(pool.without(fitted, worst).effects)
-    if len(fitted.effects) > pool.settings.pool.most:
-        grow(pool, rest, worst)
-    return True
+    every = calibration_start(problem.beliefs)
+    if len(asked_for(problem)) > MANY:
+        return search(problem, every, progress=progress)
+    found = search(problem, (), progress=progress)
+    if len(found.state.effects) <= MANY:
+        return found
+    other = search(problem, every, progress=progress)
+    return max(found, other, key=lambda f: worth(f.state))
 
 
-def _credible(pool: Pool, likely: Sequence[Fit]) -> dict[str, float]:
-    """Of each effect, in the most probable hypothesis with it, what `adequacy.credible` says."""
-    model, settings = pool.problem.model, pool.settings.adequacy
-    found: dict[str, float] = {}
-    for fitted in likely:
-        without = {e: pool.without(fitted, e) for e in fitted.effects}
-        left = misfits(model, fitted, without, settings)
-        found = {e: credible(m, settings) for e, m in left.items()} | found
+MANY = 4
+"""Effects that a model may lack to be called nearly right."""
+
+
+def _named(
+    problem: Problem, found: Found, posterior: Posterior, settings: InferenceSettings
+) -> Naming:
+    judge, kappa, rules = found.judge, found.state.kappa, settings.selection
+    nothing = judge.best((), kappa).evidence
+    chances: dict[tuple[str, ...], float] = {(): 0.0}
+    fits: dict[tuple[str, ...], Fit] = {
+        (): fit_of_best(problem, (), judge.best((), kappa), nothing)
+    }
+    inclusion = dict.fromkeys(problem.model.effects, 0.0)
+    silent = _silent(problem, posterior, rules)
+    for s in posterior.sets:
+        whole = fit_of_best(problem, s.effects, s.best, nothing)
+        for e in worth_a_name(whole):
+            inclusion[e] += s.probability
+        heard = [c for c in s.effects if c not in silent]
+        own = worth_a_name(fit_of(problem, heard, s.best.x, s.best.deviations(), 0.0))
+        chances[own] = chances.get(own, 0.0) + s.probability
+        if own not in fits:
+            causes = [c for c in heard if effect_of(c) in own]
+            fits[own] = fit_of(problem, causes, s.best.x, s.best.deviations(), whole.gain)
+    order = sorted(chances, key=lambda k: -chances[k])
+    fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
+    shown, told = _averaged(problem, posterior, silent, rules)
+    believable = _credible(problem, found, fitted[0], settings)
+    return Naming(
+        fitted,
+        probabilities,
+        inclusion,
+        shown,
+        told,
+        believable,
+        tuple(_resemblances(problem, told, fitted[0], believable, rules)),
+        posterior,
+        problem,
+        Ground.of(problem.model, shown.values, settings.likelihood),
+        kappa,
+        days_of(problem, found.state.best),
+        rules,
+    )
+
+
+def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
+    """Causes of which the flights say nothing: they keep the odds that they had, which is no sign
+    that they are there."""
+    odds = problem.beliefs.odds
+
+    def unmoved(cause: str) -> bool:
+        chance = posterior.inclusion[cause]
+        if not 0 < chance < 1:
+            return False
+        now = math.log(chance / (1 - chance))
+        return now < 0 and abs(now - odds[cause]) < math.log(rules.moved)
+
+    return frozenset(c for c in problem.beliefs.causes if unmoved(c))
+
+
+def _averaged(
+    problem: Problem,
+    posterior: Posterior,
+    silent: Collection[str],
+    rules: SelectionSettings,
+) -> tuple[Fit, Fit]:
+    """Effects that may be there, with the means of their numbers over all sets, and over those that
+    hold them."""
+    b, k = problem.beliefs, len(problem.beliefs.now)
+    p = np.array([s.probability for s in posterior.sets])
+    x = np.array([s.best.x[:k] for s in posterior.sets])
+    sd = np.array([s.best.deviations()[:k] for s in posterior.sets])
+    there = np.zeros(x.shape, dtype=np.bool_)
+    for row, s in zip(there, posterior.sets, strict=True):
+        row[b.of(s.effects)] = True
+    spiked = b.spike > 0
+    weight = p[:, None] * (there | spiked)
+    total = np.maximum(weight.sum(axis=0), 1e-300)
+    held = (weight * x).sum(axis=0) / total
+    spread = np.sqrt((weight * (sd**2 + (x - held) ** 2)).sum(axis=0) / total)
+    mean = np.where(b.shape, held, p @ x)
+    likely = {c for c in b.causes if posterior.inclusion[c] >= rules.least and c not in silent}
+    kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
+    return tuple(fit_of(problem, kept, v, spread, 0.0) for v in (mean, held))  # type: ignore[return-value]
+
+
+def _credible(
+    problem: Problem, found: Found, best: Fit, settings: InferenceSettings
+) -> dict[str, float]:
+    """Of each effect of the best set what `adequacy.credible` says.
+
+    Of a model that lacks many things at once it is not asked: what one law leaves is not to be told
+    from what the others do.
+    """
+    if len(best.effects) > MANY:
+        return {}
+    judge, state = found.judge, found.state
+    whole = fit_of_best(problem, state.effects, judge.best(state.effects, state.kappa), 0.0)
+    without = {}
+    for e in best.effects:
+        rest = [a for a in state.effects if effect_of(a) != e]
+        without[e] = fit_of_best(problem, rest, judge.best(rest, state.kappa), 0.0)
+    left = misfits(problem.model, whole, without, settings.adequacy)
+    return {e: credible(m, settings.adequacy) for e, m in left.items()}
+
+
+def _resemblances(
+    problem: Problem,
+    told: Fit,
+    best: Fit,
+    believable: Mapping[str, float],
+    rules: SelectionSettings,
+) -> Sequence[Resemblance]:
+    tension = problem.beliefs.tension({n.full: told.values[n.full] for n in told.numbers})
+    bare = Fit(best.effects, told.values, tuple(n for n in told.numbers), told.half_widths, 0.0)
+    at_edge = dict(edges(bare.numbers, bare.values, problem.model.vehicle))
+    found = []
+    for e in best.effects:
+        own = [n for n in told.numbers if n.effect == e]
+        far = max(own, key=lambda n: tension[n.full])
+        if e in at_edge:
+            found.append(Resemblance(e, at_edge[e]))
+        elif tension[far.full] > rules.tension:
+            found.append(
+                Resemblance(
+                    e,
+                    f"{far.full} = {told.values[far.full]:.4g} is {tension[far.full]:.1f} "
+                    f"deviations from what such a number is expected to be",
+                )
+            )
+        elif believable.get(e, 1.0) < rules.credible:
+            found.append(Resemblance(e, "it leaves much of what its law should take"))
     return found
 
 
-def _spoils(fitted: Fit, problem: Problem, settings: SelectionSettings) -> bool:
-    """Whether a channel is left clearly worse than without any effect.
-
-    White noise hardly counts what is slow: an offset that a hypothesis brings in.
-    """
-    return bool(np.any(fitted.raw > settings.spoilt * problem.raw))
-
-
-def _material(pool: Pool, fitted: Fit) -> bool:
-    """Whether each effect of a hypothesis is large enough to speak of, and adds to the others.
-
-    Every log has its delays below a sample: they are allowed, but no names.
-    """
-    names = worth_a_name(fitted)
-    trifles = (EFFECTS[e] for e in fitted.effects if e not in names)
-    if not all(isinstance(e.seen_as, Shift) for e in trifles):
-        return False
-    least = pool.settings.selection.smallest_share
-    return all(share(fitted, pool.without(fitted, e)) >= least for e in names)
-
-
-def share(fitted: Fit, beyond: Fit) -> float:
-    """Largest share of the power of a channel, as the noise model weighs it, that is explained.
-
-    Args:
-        fitted: What explains.
-        beyond: What has explained some of it already.
-    """
-    return float(np.max(1 - fitted.left / np.maximum(beyond.left, 1e-300)))
+def days_of(problem: Problem, best: Best) -> dict[str, dict[str, tuple[float, float]]]:
+    """What stands out of each flight's day: flight -> "effect.number" -> value and deviation."""
+    b = problem.beliefs
+    k, d, sd = len(b.now), len(b.days), best.deviations()
+    told: dict[str, dict[str, tuple[float, float]]] = {}
+    for f, flight in enumerate(problem.model.flights):
+        own = {}
+        for j, column in enumerate(b.days):
+            i = k + f * d + j
+            number = problem.model.numbers[b.columns[column]]
+            if abs(best.x[i]) > max(2 * sd[i], number.about.smallest):
+                own[b.names[column]] = float(best.x[i]), float(sd[i])
+        told[flight.flight.name] = own
+    return told

@@ -8,9 +8,13 @@
 | pose_gyro_* | gyroscope | turning of the measured attitude, and IMU |
 | mag_* | magnetometer | measured attitude, and magnetometer |
 | baro_pa | barometer | measured height and velocity, and barometer |
+| motion_acc_* | acceleration of the pose less gravity | airframe, at the vehicle's centre of mass |
+| motion_rate_* | rate of change of the attitude's rates | airframe |
+
+The last two stand in where not every flight has an accelerometer, or a gyroscope.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,16 +22,46 @@ from numpy.typing import NDArray
 
 from ...frames import to_body, to_ned
 from ...logs import Flight
+from ...residuals.aligned import align_flight
 from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, shifted
+from ...residuals.imu import OF_IMU
 from ...vehicle import Vehicle
-from .numbers import COMMANDS, PLACE, TURN, Number, age_of, values_of
+from .motion import motion_parts
+from .numbers import DRIVES, PLACE, TURN, Number, age_of, values_of
+from .parts import Seen
 from .prediction import Physics
-from .sensors import Seen, imu_parts, other_parts, pose_parts
+from .sensors import imu_parts, other_parts, pose_parts
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
-AGE_STEP_S = 0.01
-"""By which the age of what a prediction is made from is moved where its answer is a difference."""
+AGE_STEP_S = 0.002
+"""By which the age or the heading of what a prediction is made from is moved where its answer is a
+difference."""
+TIME_STEP_S = 0.002
+"""By which a lag is moved where its answer is a difference."""
+SMALL = 0.01
+"""Share of the step of a number in a difference that is to be a derivative."""
+BEND_S = 0.02
+"""Step of differences of what was averaged over time: they leave vibration out, and are those of
+motion to 5 % at the band of the pose."""
+
+
+def unfelt_by(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Signals of the IMU that not every flight has."""
+    return tuple(s.signal for s in OF_IMU if not all(f.has(*s.columns) for f in flights))
+
+
+def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
+    """Channels of a flight by itself, whatever predicts them.
+
+    Raises:
+        LogError: It cannot be put on the grid of the vehicle.
+    """
+    seen = Seen(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ), (), ())
+    force = np.zeros((len(seen.aligned.inputs.t_s), 3))
+    parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
+    parts += motion_parts(seen, unfelt_by([flight]))
+    return [name for part in parts for name in part.readings.names]
 
 
 class FlightModel:
@@ -48,6 +82,7 @@ class FlightModel:
         physics: Physics,
         effects: Sequence[str],
         numbers: Sequence[Number],
+        unfelt: Collection[str] | None = None,
     ) -> None:
         """Put the flight on the grid and filter its readings.
 
@@ -57,6 +92,7 @@ class FlightModel:
             physics: Airframe and IMU, made with the same effects and numbers.
             effects: Effects in the equations, all switched on.
             numbers: Every number, in the order of the prediction's.
+            unfelt: Signals of the IMU for which the pose stands in; None: those that it lacks.
         """
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
         self._physics = physics
@@ -66,6 +102,7 @@ class FlightModel:
         seen = Seen(flight, vehicle, self.aligned, effects, self.numbers)
         force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
         self.parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
+        self.parts += motion_parts(seen, unfelt_by([flight]) if unfelt is None else unfelt)
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
 
@@ -81,15 +118,16 @@ class FlightModel:
         change = dict(change or {})
         touched = {self.numbers[i].effect for i in columns}
         touched |= {name.partition(".")[0] for name in change}
-        body: tuple[Array, Array] | None = None
+        body: dict[bool, tuple[Array, Array]] = {}
         found: list[ChannelData] = []
         for k, part in enumerate(self.parts):
             if not touched & part.effects:
                 found += self._untouched(k, len(columns))
                 continue
-            if part.batch is None:
-                body = body or self._body_answers(columns, change)
-            predicted, slopes = self._answers(k, columns, change, body)
+            bare = part.as_logged is not None
+            if part.batch is None and bare not in body:
+                body[bare] = self._body_answers(columns, change, bare)
+            predicted, slopes = self._answers(k, columns, change, body.get(bare))
             found += part.readings.channels(predicted, slopes)
         return found
 
@@ -97,7 +135,8 @@ class FlightModel:
         """Channels of a part that no number in question reaches."""
         if k not in self._resting:
             part = self.parts[k]
-            body = self._body_answers([], {}) if part.batch is None else None
+            bare = part.as_logged is not None
+            body = self._body_answers([], {}, bare) if part.batch is None else None
             self._resting[k] = part.readings.channels(*self._answers(k, [], {}, body))
         return [replace(c, slopes=np.zeros((len(c.t_s), width))) for c in self._resting[k]]
 
@@ -114,7 +153,7 @@ class FlightModel:
             k: Which part.
             columns: Numbers to differentiate by.
             change: "effect.number" -> value.
-            body: The same of airframe and IMU, where the part is theirs.
+            body: The same of airframe and IMU, or of the airframe alone, where the part is theirs.
         """
         part, theta = self.parts[k], values_of(self.numbers, change)
         if part.batch is None:
@@ -123,6 +162,8 @@ class FlightModel:
             predicted = at
             if part.rate:
                 predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
+            if part.as_logged is not None:
+                return self._logged(part.as_logged, columns, theta, predicted, slopes)
         else:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
             at = part.batch.value(theta, part.at)
@@ -132,32 +173,55 @@ class FlightModel:
         return self._in_time(k, columns, theta, predicted, slopes, at)
 
     def _body_answers(
-        self, columns: Sequence[int], change: Mapping[str, float]
+        self, columns: Sequence[int], change: Mapping[str, float], bare: bool
     ) -> tuple[Array, Array]:
-        """Prediction of airframe and IMU, and its slopes."""
+        """Prediction of airframe and IMU, or of the `bare` airframe, and its slopes."""
         theta, (states, inputs) = values_of(self.numbers, change), self._trajectory.at(change)
-        value = self._physics.value(theta, states, inputs)
-        slopes = self._physics.slopes(columns, theta, states, inputs)
+        physics = self._physics.bare if bare else self._physics
+        value = physics.value(theta, states, inputs)
+        slopes = physics.slopes(columns, theta, states, inputs)
         for k, i in enumerate(columns):
             step = self._difference_step(i, change)
             if step is not None:
                 more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
                 ahead[i] += step
-                moved = self._physics.value(ahead, *self._trajectory.at(more))
+                moved = physics.value(ahead, *self._trajectory.at(more))
                 slopes[:, :, k] = (moved - value) / step
         return value, slopes
 
     def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
         """Step of a number whose answer is no derivative of the equations at given states."""
         n = self.numbers[i]
-        if set(n.moves) & {*PLACE, *TURN, *COMMANDS}:
+        if set(n.moves) & {*PLACE, *TURN, *DRIVES}:
             return AGE_STEP_S
+        if self._trajectory.is_followed(n.effect):
+            return n.step * SMALL
         as_it_is = {**change, n.full: n.now}
         if i in self._physics.of_sensor or self._trajectory.is_integrated(n.full, as_it_is):
-            return n.step
+            return min(n.step, TIME_STEP_S) if n.about.unit == "s" else n.step
         return None
 
     # -- answers that are no derivatives of equations ----------------------------------------
+
+    def _logged(
+        self,
+        shown: Callable[[Array, Array], Array],
+        columns: Sequence[int],
+        theta: Array,
+        predicted: Array,
+        slopes: Array,
+    ) -> tuple[Array, Array]:
+        """What happened and its slopes, as a pose of an age and a heading shows them."""
+        value = shown(predicted, theta)
+        answer = np.zeros_like(slopes)
+        for column, i in enumerate(columns):
+            n = self.numbers[i]
+            answer[:, :, column] = shown(slopes[:, :, column], theta)
+            if n.turns_pose or (set(n.moves) & {*PLACE, *TURN} and not n.acts):
+                ahead = theta.copy()
+                ahead[i] += AGE_STEP_S
+                answer[:, :, column] += (shown(predicted, ahead) - value) / AGE_STEP_S
+        return value, answer
 
     def _in_time(
         self,
@@ -168,18 +232,22 @@ class FlightModel:
         answer: Array,
         at: Array,
     ) -> tuple[Array, Array]:
-        """Ages and a turned heading, which shift or turn what is predicted."""
+        """Ages, an averaged pose, a turned heading: they shift, bend or turn what is predicted."""
         part = self.parts[k]
         rate = np.gradient(at, 1 / GRID_HZ, axis=0)
         turned = None if part.turning is None else self._turned(at)
         for i, n in enumerate(self.numbers):
+            if theta[i] and set(n.averages) & part.averaged:
+                predicted = predicted + theta[i] * self._by_average(k, i, at)
             if n.full in part.late and theta[i]:
                 predicted = shifted(predicted, part.late[n.full] * theta[i])
             if n.turns_pose and theta[i] and turned is not None:
                 predicted = predicted + theta[i] * turned
         for column, i in enumerate(columns):
             n = self.numbers[i]
-            if n.full in part.late:
+            if set(n.averages) & part.averaged:
+                answer[:, :, column] = self._by_average(k, i, at)
+            elif n.full in part.late:
                 answer[:, :, column] = -part.late[n.full] * rate
             elif part.turning is not None and n.turns_pose:
                 answer[:, :, column] = turned
@@ -201,6 +269,28 @@ class FlightModel:
             answer = rate + swept
         if moves & {*TURN}:
             answer = answer - swept
+        return answer
+
+    def _by_average(self, k: int, i: int, at: Array) -> Array:
+        """Answer to the variance of the average over time that a pose is: what was averaged is the
+        average less half the variance times its second derivative.
+
+        Of the gyroscope, as every slope here: the noise of the attitude, twice differentiated on
+        top, hides all. That of the gyroscope, which the residual has too, feigns a little of an
+        average where the vehicle hardly turns.
+        """
+        part, signals = self.parts[k], set(self.numbers[i].averages)
+        if part.turning is None:
+            return -0.5 * _bend(at)
+        assert self.aligned.motion.attitude is not None
+        answer = np.zeros_like(at)
+        if signals & {*PLACE}:
+            q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
+            force_n = np.stack(to_ned(q, list(at.T)), axis=-1)
+            answer -= 0.5 * np.stack(to_body(q, list(_bend(force_n).T)), axis=-1)
+        if signals & {*TURN}:
+            ahead, back = (shifted(part.turning, s) for s in (-BEND_S, BEND_S))
+            answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
         return answer
 
     def _clean(self, k: int, theta: Array) -> Array:
@@ -227,3 +317,8 @@ class FlightModel:
         q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
         north, east, _ = to_ned(q, list(force_b.T))
         return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
+
+
+def _bend(values: Array) -> Array:
+    """Second derivative in time of values on the grid, by differences over `BEND_S`."""
+    return np.asarray((shifted(values, -BEND_S) - 2 * values + shifted(values, BEND_S)) / BEND_S**2)

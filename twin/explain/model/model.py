@@ -1,13 +1,13 @@
 """A vehicle's model with its flights, as residuals that answer to the numbers of effects."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...effects import EFFECTS, Effect, Equation, Shift, acting_late
+from ...effects import EFFECTS, Average, Effect, Equation, Shift, acting_late
 from ...errors import LogError
 from ...logs import Flight
 from ...physics.airframe import airframe
@@ -15,8 +15,8 @@ from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
-from .flight import FlightModel
-from .numbers import Number, at_voltage, numbers_of, numbers_of_logs, visible
+from .flight import FlightModel, unfelt_by
+from .numbers import DRIVES, Number, at_voltage, has_signal, numbers_of, numbers_of_logs, visible
 from .payload import Payloads, carrying
 from .prediction import Physics
 
@@ -60,8 +60,12 @@ class Model:
 
 def candidates(flights: Sequence[Flight]) -> list[Effect]:
     """Effects that change a mean, of which all flights have the signals."""
-    means = (e for e in EFFECTS.values() if isinstance(e.seen_as, Equation | Shift))
-    return [e for e in means if visible(e, flights)]
+    return [e for e in EFFECTS.values() if has_mean(e) and visible(e, flights)]
+
+
+def has_mean(effect: Effect) -> bool:
+    """Whether an effect changes a mean."""
+    return isinstance(effect.seen_as, Equation | Shift | Average)
 
 
 def model_of(
@@ -95,20 +99,33 @@ def model_of(
         standing = [name for name in standing if name not in unfelt]
         bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
     own = (at_voltage(n, flights, vehicle) for n in numbers_of(effects, vehicle))
-    numbers = (*numbers_of_logs(effects, vehicle), *own)
+    of_logs = numbers_of_logs(effects, vehicle)
+    numbers = (*(n for n in of_logs if _is_told(n, flights, bodies.values())), *own)
     predicted = {k: Physics(b, flown[k[1]], standing, numbers) for k, b in bodies.items()}
-    made = []
+    made, unfelt_signals = [], unfelt_by(flights)
     for i, (flight, kind) in enumerate(zip(flights, kinds, strict=True)):
-        made.append(FlightModel(flight, flown[kind[1]], predicted[kind], standing, numbers))
+        made.append(
+            FlightModel(flight, flown[kind[1]], predicted[kind], standing, numbers, unfelt_signals)
+        )
         progress((i + 1) / len(flights))
     names = tuple(e.name for e in effects)
     model = Model(vehicle, names, numbers, tuple(made), tuple(unfelt))
     if not model.channels([])[0]:
         raise LogError(
-            f"{flights[0].name}: no reading is known for long enough in the air; the search needs "
-            f"accelerometer or gyroscope, with motor commands, for some seconds of flight."
+            f"{', '.join(f.name for f in flights)}: no reading that all have is known for long "
+            f"enough in the air; the search needs accelerometer, gyroscope or a pose with "
+            f"attitude, with motor commands, for some seconds of flight."
         )
     return model
+
+
+def _is_told(number: Number, flights: Sequence[Flight], bodies: Iterable[Component]) -> bool:
+    """Whether some flight shows a signal whose time a number of logs is about; else all do."""
+    signals = (*number.moves, *number.averages)
+    drives = tuple(f"{s}_" for s in signals if s in DRIVES)
+    if drives:
+        return any(name.startswith(drives) for b in bodies for name in b.input_names)
+    return not signals or any(has_signal(f, s) for f in flights for s in signals)
 
 
 def _has_place(body: Component, effect: Effect) -> bool:

@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Effect, EffectParameter, Equation, Shift
+from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shift
 from ...logs import Flight
-from ...logs.columns import POS, QUAT, VEL
-from ...physics.sensors.table import SENSORS
+from ...logs.columns import ACC_NED, POS, QUAT, VEL
+from ...physics.sensors.table import BODY, SENSORS
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]
 STEPS = 30.0
-"""Steps of differences over the prior range of a number."""
+"""Steps of differences over the range of a number."""
 SIGNALS: dict[str, tuple[str, ...]] = {
     **{s.signal: s.columns for s in SENSORS},
     "pos": POS,
@@ -23,11 +23,14 @@ SIGNALS: dict[str, tuple[str, ...]] = {
     "vbat": ("vbat_v",),
     "ibat": ("ibat_a",),
     "cmd": ("cmd_1",),
+    "rotor": ("rotor_1",),
 }
 """Flight-table columns of a signal named in `Effect.needs`; of motors, the first."""
+ACCELEROMETER, GYROSCOPE = (s.signal for s in SENSORS if s.group == BODY)
 PLACE, TURN = ("pos", "vel"), ("q",)
 """Signals of the pose, which may come from two clocks."""
-COMMANDS = ("cmd",)
+DRIVES = ("cmd", "rotor")
+"""Signals that drive the airframe, one of them each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,12 @@ class Number:
         return isinstance(seen_as, Shift) and seen_as.acts
 
     @property
+    def averages(self) -> tuple[str, ...]:
+        """Signals that it smooths."""
+        seen_as = EFFECTS[self.effect].seen_as
+        return seen_as.spreads.get(self.name, ()) if isinstance(seen_as, Average) else ()
+
+    @property
     def turns_pose(self) -> bool:
         """Whether it turns the logged attitude about the vertical."""
         seen_as = EFFECTS[self.effect].seen_as
@@ -78,13 +87,13 @@ class Number:
     @property
     def step(self) -> float:
         """By which it is moved where its answer is a difference."""
-        low, high = self.about.prior
+        low, high = self.about.bounds
         return (high - low) / STEPS
 
     @property
     def sd(self) -> float:
         """Standard deviation of the prior: a quarter of its range."""
-        low, high = self.about.prior
+        low, high = self.about.bounds
         return (high - low) / 4
 
 
@@ -114,14 +123,52 @@ def at_voltage(number: Number, flights: Sequence[Flight], vehicle: Vehicle) -> N
     if usual <= 0:
         return number
     ratio = usual / number.about.start
-    low, high = number.about.prior
-    about = replace(number.about, start=usual, prior=(low * ratio, high * ratio))
+    low, high = number.about.bounds
+    about = replace(number.about, start=usual, bounds=(low * ratio, high * ratio))
     return replace(number, about=about, now=usual)
 
 
 def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
-    """Whether every flight has the signals without which the effect cannot be seen."""
-    return all(flight.has(SIGNALS[need][0]) for flight in flights for need in effect.needs)
+    """Whether every flight can show the effect."""
+    return not any(lacking(effect, flight) for flight in flights)
+
+
+def lacking(effect: Effect, flight: Flight) -> tuple[str, ...]:
+    """Signals of `Effect.needs` for want of which a flight cannot show an effect.
+
+    A velocity is told from the position. What an accelerometer or a gyroscope would feel of the
+    airframe is told from the pose; an effect of the IMU is not, nor is one whose states are
+    followed by what is felt, nor one without a mean.
+    """
+    return tuple(
+        need
+        for need in effect.needs
+        if not has_signal(flight, need)
+        and not (need == "vel" and flight.has(*POS))
+        and not (on_the_body(effect) and pose_shows(need, flight))
+    )
+
+
+def pose_shows(signal: str, flight: Flight) -> bool:
+    """Whether the pose of a flight can stand in for a sensor of the IMU."""
+    if signal not in (ACCELEROMETER, GYROSCOPE) or not flight.has(*QUAT):
+        return False
+    return signal == GYROSCOPE or any(flight.has(*c) for c in (VEL, POS, ACC_NED))
+
+
+def on_the_body(effect: Effect) -> bool:
+    """Whether the pose alone can show what an effect does."""
+    seen_as = effect.seen_as
+    if effect.component in {s.component for s in SENSORS}:
+        return False
+    return isinstance(seen_as, Shift) or (
+        isinstance(seen_as, Equation) and seen_as.observer is None
+    )
+
+
+def has_signal(flight: Flight, signal: str) -> bool:
+    """Whether a flight has a signal named in `Effect.needs`."""
+    return flight.has(SIGNALS[signal][0])
 
 
 def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:
@@ -131,9 +178,12 @@ def columns_of(numbers: Sequence[Number], effects: Iterable[str]) -> list[int]:
 
 
 def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, float]) -> Vehicle:
-    """The vehicle with some effects on; `values` are "effect.number" -> value."""
+    """The vehicle with some effects on; `values` are "effect.number" -> value.
+
+    Effects of records stay out: they are of a flight, not of what flew.
+    """
     settings = {name: dict(numbers) for name, numbers in vehicle.effects.items()}
-    for name in effects:
+    for name in (e for e in effects if EFFECTS[e].of_vehicle):
         own = {n.name: n.now for n in numbers_of([EFFECTS[name]], vehicle)}
         settings[name] = {k: values.get(f"{name}.{k}", v) for k, v in own.items()}
     return vehicle.with_effects(settings)
@@ -142,6 +192,13 @@ def with_effects(vehicle: Vehicle, effects: Iterable[str], values: Mapping[str, 
 def values_of(numbers: Sequence[Number], change: Mapping[str, float]) -> Array:
     """Every number, changed ("effect.number" -> value) or as it is; shape (len(numbers),)."""
     return np.array([change.get(n.full, n.now) for n in numbers])
+
+
+def lateness_of(numbers: Sequence[Number], theta: Array, signal: str) -> float:
+    """By how much a signal acts later than in the model as it stands, s, at the values `theta`:
+    what acts late does by its number, what is older than it says was there earlier."""
+    own = (n for n in zip(numbers, theta, strict=True) if signal in n[0].moves)
+    return float(sum((v - n.now) * (1 if n.acts else -1) for n, v in own))
 
 
 def age_of(numbers: Sequence[Number], theta: Array, signals: Sequence[str]) -> float:

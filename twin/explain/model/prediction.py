@@ -8,6 +8,7 @@ and the difference of two predictions takes the place of the derivative.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -107,6 +108,14 @@ class Physics:
         readings = ca.vertcat(shown[:3], rate)
         rows = [x, u, z] if self._states.index else [x, u]
         self._batch = Batch(rows, theta, ca.substitute(readings, sensed, felt))
+        moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
+        self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
+
+    @cached_property
+    def bare(self) -> Batch:
+        """Airframe alone: `(states, inputs, numbers) -> specific force where the vehicle file has
+        the centre of mass, angular acceleration`."""
+        return Batch(*self._moved)
 
     def value(self, theta: Array, states: Array, inputs: Array) -> Array:
         """Predicted readings, shape (n, 6), of all rows of a flight."""

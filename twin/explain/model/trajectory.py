@@ -23,12 +23,19 @@ from ...logs.columns import ACC
 from ...residuals.aligned import AlignedFlight, align_flight
 from ...residuals.channels import GRID_HZ, on_grid, shifted
 from ...residuals.measured import Signal
-from ...residuals.teacher_forced import airframe_inputs, measured_states
+from ...residuals.teacher_forced import (
+    SPIN_RATE,
+    hidden_states,
+    rotor_states_of,
+    with_rotor_states,
+)
 from ...vehicle import Vehicle
-from .numbers import COMMANDS, PLACE, TURN, Number, age_of, values_of, with_effects
+from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of, with_effects
 from .prediction import Physics
 
 Array = NDArray[np.float64]
+REMEMBERED = 16
+"""Courses of unmeasured states, by their numbers."""
 
 
 class Trajectory:
@@ -73,16 +80,16 @@ class Trajectory:
         if own:
             key = tuple(sorted(own.items()))
             if key not in self._integrated:
+                while len(self._integrated) >= REMEMBERED:
+                    del self._integrated[next(iter(self._integrated))]
                 self._integrated[key] = self._integrated_with(own)
             aligned = self._integrated[key]
         states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
         states = self._observed(states, theta)
-        later = sum(
-            theta[i] - n.now
-            for i, n in enumerate(self._numbers)
-            if n.acts and set(n.moves) & {*COMMANDS}
-        )
-        return self._late_commands(states, inputs, later) if later else (states, inputs)
+        for signal in DRIVES:
+            if later := lateness_of(self._numbers, theta, signal):
+                states, inputs = self._late_drive(states, inputs, signal, later)
+        return states, inputs
 
     def is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
         """Whether a state that answers to a number matters: not of an effect that is at rest, and
@@ -95,6 +102,10 @@ class Trajectory:
         names = (self.aligned.airframe.states[i].name for i in self._reached(number))
         return any(name.partition(".")[0] not in resting for name in names)
 
+    def is_followed(self, effect: str) -> bool:
+        """Whether an observer places the states of an effect, by its numbers."""
+        return effect in self._observers
+
     def _reached(self, number: str) -> frozenset[int]:
         """States of the airframe that nobody measures and that answer to a number."""
         return self._physics.reached.get(number, frozenset())
@@ -104,6 +115,8 @@ class Trajectory:
         for signals in (PLACE, TURN):
             if age := age_of(self._numbers, theta, signals):
                 stems = tuple(f"{s}_" for s in signals)
+                if signals == TURN and not self.aligned.motion.rates_measured:
+                    stems += ("omega_",)  # they come from the attitude
                 names = [s.name for s in self.aligned.airframe.states]
                 own = [i for i, name in enumerate(names) if name.startswith(stems)]
                 states = states.copy()
@@ -118,8 +131,15 @@ class Trajectory:
         moving = effects | {*self._stateful}
         starts = on | {n.full: n.now for n in self._numbers if n.effect in moving} | dict(values)
         body = self.aligned.airframe.with_starts({k: v for k, v in starts.items() if k in known})
-        inputs = airframe_inputs(self._flight, self._vehicle, body, self.aligned.inputs.t_s)
-        states = measured_states(body, self.aligned.motion, inputs)
+        reached: set[int] = set().union(*(self._reached(name) for name in values))
+        inputs, states = self.aligned.inputs, self.aligned.states.copy()
+        rotors = rotor_states_of(body)
+        if reached & {*rotors}:
+            inputs = with_rotor_states(inputs, body)
+            states[:, rotors] = inputs.rotor_states
+        followed = {i for i, s in enumerate(body.states) if _owner(s.name) in self._observers}
+        if hidden := sorted(reached - {*rotors} - followed):
+            states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return replace(self.aligned, airframe=body, inputs=inputs, states=states)
 
     def _felt_beyond(self, effect: str, now: Array) -> tuple[Array, Array]:
@@ -160,19 +180,20 @@ class Trajectory:
             states = observer.place(states, names, course, free, numbers, self._vehicle)
         return states
 
-    def _late_commands(self, states: Array, inputs: Array, delay_s: float) -> tuple[Array, Array]:
-        """Commands, and the rotors that follow them, later by a while."""
-        aligned = self.aligned
+    def _late_drive(
+        self, states: Array, inputs: Array, signal: str, delay_s: float
+    ) -> tuple[Array, Array]:
+        """What drives the airframe, and the rotors that follow it, later by a while."""
+        body = self.aligned.airframe
+        own = (f"{signal}_", SPIN_RATE) if signal == "rotor" else (f"{signal}_",)
+        drives = [i for i, n in enumerate(body.input_names) if n.startswith(own)]
+        if not drives:
+            return states, inputs
         arrived = tuple(f"{n.effect}." for n in self._numbers if n.acts)
         rotors = [
             i
-            for i, s in enumerate(aligned.airframe.states)
+            for i, s in enumerate(body.states)
             if s.name.startswith(("rotor_", "effort_", *arrived))
-        ]
-        drives = [
-            i
-            for i, n in enumerate(aligned.airframe.input_names)
-            if n.startswith(("cmd_", "rotor_"))
         ]
         states, inputs = states.copy(), inputs.copy()
         states[:, rotors] = shifted(states[:, rotors], delay_s)
@@ -184,3 +205,8 @@ def _observer(effect: str) -> Observer | None:
     """What follows the states of an effect, if something does."""
     seen_as = EFFECTS[effect].seen_as
     return seen_as.observer if isinstance(seen_as, Equation) else None
+
+
+def _owner(state: str) -> str:
+    """Effect that a state belongs to; of others, something else."""
+    return state.partition(".")[0]

@@ -9,10 +9,9 @@ from .design import DesignSettings
 from .group import Setting
 from .inference import (
     AdequacySettings,
+    EvidenceSettings,
     InferenceSettings,
     LikelihoodSettings,
-    PoolSettings,
-    PriorSettings,
     SelectionSettings,
 )
 from .proof import AttributionSettings, HoldoutSettings, LocalizationSettings
@@ -33,14 +32,13 @@ __all__ = [
     "AdequacySettings",
     "AttributionSettings",
     "DesignSettings",
+    "EvidenceSettings",
     "GustSettings",
     "HoldoutSettings",
     "InferenceSettings",
     "LikelihoodSettings",
     "LocalizationSettings",
     "NoiseLevelSettings",
-    "PoolSettings",
-    "PriorSettings",
     "SearchSettings",
     "SelectionSettings",
     "Setting",

@@ -8,16 +8,10 @@ from .group import Group, setting
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodSettings(Group):
-    """Of `twin.explain.inference.likelihood`: noise of a channel, and how far laws are believed."""
+    """Of `twin.explain.inference.whitening`: noise of a channel, for equations and designs."""
 
     order: int = setting(
         15, "samples", "order of the autoregression that is the noise of a channel", "made up"
-    )
-    rounds: int = setting(
-        3,
-        "1",
-        "fits of all numbers and of the noise in turn, after a first one with white noise",
-        "made up",
     )
     block_s: float = setting(
         2.0, "s", "blocks of time that are left out of a fit, and drawn in the bootstrap", "made up"
@@ -36,81 +30,57 @@ class LikelihoodSettings(Group):
         "made up",
         1.0,
     )
-    exact: float = setting(
-        100.0,
-        "nat",
-        "log likelihood in a channel from which on the law of an effect shows that it is not "
-        "exact: two percent more of it are worth two, as if the law were right to a seventh",
-        "made up; the form is that of Miller & Dunson, J. Am. Stat. Assoc. 114 (2019)",
-    )
 
 
 @dataclass(frozen=True, slots=True)
-class PriorSettings(Group):
-    """Prices of a hypothesis, in log odds."""
+class EvidenceSettings(Group):
+    """Of `twin.explain.inference.evidence`: what is known of noise before a flight is looked at."""
 
-    per_effect: float = setting(
-        6.0,
-        "nat",
-        "log prior odds against one more effect",
-        "made up: one of forty effects, and seldom more than one at once",
+    level: float = setting(
+        2.0, "degrees of freedom", "with which the noise level of a band is known", "made up"
     )
-    per_number: float = setting(
-        1.5, "nat", "log prior odds against one more number that the flights tell", "made up"
+    samples: float = setting(
+        250.0,
+        "samples",
+        "that a channel of one flight counts as, however fast it was logged",
+        "chosen on: RflySimDT real flights and NanoBench; 100 and 600 keep the names",
     )
-    per_edge: float = setting(
-        100.0,
-        "nat",
-        "log prior odds against an effect at the edge of its range",
-        "made up: as much as one channel tells that a law which is not exact explains",
+    rough: float = setting(
+        0.02,
+        "share",
+        "of the amplitude of a band that no law explains, being inexact",
+        "chosen on: RflySimDT real flights and NanoBench",
+        1.0,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class PoolSettings(Group):
-    """Of `twin.explain.inference.pool`: which hypotheses get to compete."""
-
-    most: int = setting(
-        3,
-        "effects",
-        "searched for in all their combinations, and in each of compass, barometer and the rest",
-        "made up",
+    coherent: float = setting(
+        0.7,
+        "1",
+        "squared coherence of predicted and measured angular acceleration from which on a band "
+        "votes, where an aircraft is calibrated or held against its calibration",
+        "chosen on: slow flights of small quadrotors, once; not tuned",
+        1.0,
     )
-    width: int = setting(
-        12,
-        "hypotheses",
-        "of one size out of which those of the next size grow, in the first search",
-        "made up",
+    trim_force: float = setting(
+        0.01,
+        "share",
+        "of gravity: constant specific force that a day brings",
+        "chosen on: RflySimDT real flights; three times as much loses the centre of mass",
     )
-    singles: int = setting(
-        8,
-        "hypotheses",
-        "of one effect that are fitted at their own best",
-        "made up: 6 at first; why it was changed is not recorded",
+    trim_turn: float = setting(
+        0.0025,
+        "share",
+        "of the weight at the arm: constant moment about x and y that a day brings",
+        "chosen on: RflySimDT real flights; three times as much loses the centre of mass",
     )
-    pairs: int = setting(
-        6,
-        "hypotheses",
-        "of two effects that are fitted at their own best",
-        "made up: 5, then 4 at first; why it was changed is not recorded",
+    trim_yaw: float = setting(0.3, "share", "of that, about z", "chosen on: RflySimDT real flights")
+    trim_pose: float = setting(
+        0.005,
+        "share",
+        "of gravity, and of 0.4 rad/s: constants between pose and IMU that a day brings",
+        "made up: 0.3 degrees of levelling, 0.1 deg/s",
     )
-    triples: int = setting(
-        3,
-        "hypotheses",
-        "of three effects that are fitted at their own best",
-        "made up: 3, then 2 at first; why it was changed is not recorded",
-    )
-    grown: int = setting(
-        3, "hypotheses", "of one more effect that are tried after the best of a size", "made up"
-    )
-    rounds: int = setting(
-        3, "1", "times at most that the best is grown and its effects are exchanged", "made up"
-    )
-    alike: float = setting(
-        10.0, "nat", "log likelihood up to which an effect resembles another", "made up"
-    )
-    exchanged: int = setting(
-        2, "effects", "that resemble one are tried in its place; tried when a set grows", "made up"
+    trim_other: float = setting(
+        0.02, "share", "of the size of a sensor: constant of it that a day brings", "made up"
     )
 
 
@@ -118,14 +88,21 @@ class PoolSettings(Group):
 class SelectionSettings(Group):
     """Of `twin.explain.inference.selection`: rules, and from when on a name is given."""
 
-    smallest_share: float = setting(
-        0.03,
-        "share",
-        "of the power of every channel; an effect that takes less is none to speak of",
-        "made up",
-        1.0,
-    )
     sure: float = setting(0.8, "probability", "from which on a name is given", "made up", 1.0)
+    moved: float = setting(
+        3.0,
+        "1",
+        "factor on the odds of an effect from which on flights say something of it",
+        "made up: evidence that is worth more than a bare mention, Kass & Raftery, J. Am. Stat. "
+        "Assoc. 90 (1995)",
+    )
+    tension: float = setting(
+        3.0,
+        "sd",
+        "by which a number may be away from what is expected of it; beyond, something else acts "
+        "like its effect",
+        "made up: one in 370 of right names",
+    )
     credible: float = setting(
         0.5,
         "probability",
@@ -140,19 +117,6 @@ class SelectionSettings(Group):
         "made up",
         1.0,
     )
-    checked: float = setting(
-        0.02,
-        "probability",
-        "from which on a hypothesis is held against the rules",
-        "made up",
-        1.0,
-    )
-    spoilt: float = setting(
-        1.5,
-        "1",
-        "times the power that a channel has without any effect: then it is spoilt",
-        "made up",
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +127,8 @@ class AdequacySettings(Group):
         1 / 7,
         "share",
         "deviation of a law of the right name from nature's, of what it explains",
-        "made up: the same as `inference.likelihood.exact`, sqrt(2 / 100); right names leave 0.14 "
-        "or less in 25 of 26 cases (docs/results/hidden_effects.md)",
+        "made up; right names leave 0.14 or less in 25 of 26 cases "
+        "(docs/results/hidden_effects.md)",
         1.0,
     )
     outside: float = setting(
@@ -184,8 +148,7 @@ class InferenceSettings(Group):
     """Of `twin.explain.inference`."""
 
     likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
-    prior: PriorSettings = field(default_factory=PriorSettings)
-    pool: PoolSettings = field(default_factory=PoolSettings)
+    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     adequacy: AdequacySettings = field(default_factory=AdequacySettings)
 

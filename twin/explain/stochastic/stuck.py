@@ -7,7 +7,7 @@ in the other axes of the sensor, or in the reading at other times, and is told a
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,7 @@ def without_stuck(flight: Flight, stuck: Sequence[Stuck]) -> Flight:
         sensor = next(r.columns for r in SENSORS if s.channel in r.columns)
         rows = (time >= s.from_s) & (time <= s.to_s)
         table.loc[rows, [c for c in sensor if c in table]] = np.nan
-    return Flight(flight.name, table, flight.findings, flight.facts, flight.source)
+    return replace(flight, table=table)
 
 
 def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]:

@@ -60,7 +60,7 @@ def find_vibration(
     )
     if not sensors:
         return None
-    rel = np.exp(np.arange(np.log(hover_hz.prior[0]), np.log(hover_hz.prior[1]), 0.005))
+    rel = np.exp(np.arange(np.log(hover_hz.bounds[0]), np.log(hover_hz.bounds[1]), 0.005))
     tracks = [(f, True) for f in rel.tolist()]
     top = max(s.rate_hz for s in sensors) / 2
     tracks += [(f, False) for f in np.arange(own.from_hz, 0.97 * top, 1.0).tolist()]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ...physics.sensors.table import BODY, SENSORS, sensor_of
 from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
-from ..inference.fit import Fit, Problem
-from ..inference.likelihood import Block, Key, Noise, blocks_of, noise_of
+from ..inference.fit import Fit
+from ..inference.whitening import Block, Ground, Key, Noise, blocks_of, noise_of
 from ..settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 from .quantities import Quantity, quantities
 from .regression import Sparse, fold_of, longest, sparse
@@ -100,31 +100,31 @@ class _Channel:
 
 
 def find_equations(
-    problem: Problem, fitted: Fit, seed: int = 0, settings: UnnamedSettings = DEFAULT.unnamed
+    ground: Ground, fitted: Fit, seed: int = 0, settings: UnnamedSettings = DEFAULT.unnamed
 ) -> Unnamed | None:
     """Equations for what a hypothesis leaves; None where none is worth having.
 
     Args:
-        problem: Flights and noise.
+        ground: Flights and noise.
         fitted: The hypothesis; no effects: what the model as it stands leaves.
         seed: Draws which blocks of time are left out together.
         settings: Terms, their price, and when an equation is worth having.
     """
-    left = problem.model.channels([], fitted.values)
-    keys = list(blocks_of(left, problem.noise, problem.settings))
-    search = _Search(fold_of(keys, seed, settings), settings, problem.settings)
-    known = _shared([quantities(f) for f in problem.model.flights], left)
+    left = ground.model.channels([], fitted.values)
+    keys = list(blocks_of(left, ground.noise, ground.settings))
+    search = _Search(fold_of(keys, seed, settings), settings, ground.settings)
+    known = _shared([quantities(f) for f in ground.model.flights], left)
     tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
         if sensor_of(first.name) is None:
             continue  # what the pose implies has its own noise in every regressor
-        made = _channel(problem, [f[i] for f in left], known, tones, settings)
+        made = _channel(ground, [f[i] for f in left], known, tones, settings)
         found = _found(made, search)
         if found is None:
             continue
         equation, best, noise = found
-        if not _worth(equation, problem, settings):
+        if not _worth(equation, ground, settings):
             continue
         equations.append(equation)
         noises[first.name] = noise
@@ -241,7 +241,7 @@ def _bridged(quantity: Quantity) -> Quantity:
 
 
 def _channel(
-    problem: Problem,
+    ground: Ground,
     flights: Sequence[ChannelData],
     known: Sequence[dict[str, Quantity]],
     tones_hz: tuple[float, ...],
@@ -250,7 +250,7 @@ def _channel(
     """The channel with every candidate, low-passed as the channel is."""
     name = flights[0].name
     made, columns = [], []
-    for channel, own, flight in zip(flights, known, problem.model.flights, strict=True):
+    for channel, own, flight in zip(flights, known, ground.model.flights, strict=True):
         columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
         readings = next(p.readings for p in flight.parts if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
@@ -301,16 +301,16 @@ def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
 # -- decision ---------------------------------------------------------------------------------
 
 
-def _worth(equation: Equation, problem: Problem, settings: UnnamedSettings) -> bool:
+def _worth(equation: Equation, ground: Ground, settings: UnnamedSettings) -> bool:
     """Whether an equation explains enough, of something large enough to speak of."""
-    return equation.share >= settings.worth and equation.rms >= smallest(equation.channel, problem)
+    return equation.share >= settings.worth and equation.rms >= smallest(equation.channel, ground)
 
 
-def smallest(channel: str, problem: Problem) -> float:
+def smallest(channel: str, ground: Ground) -> float:
     """What is too little to speak of, rms in the unit of a channel."""
     sensor = sensor_of(channel)
     assert sensor is not None, channel
-    return SMALLEST * sensor.size(problem.model.vehicle)[sensor.channels.index(channel)]
+    return SMALLEST * sensor.size(ground.model.vehicle)[sensor.channels.index(channel)]
 
 
 def _of_body(channel: str) -> bool:
@@ -320,34 +320,39 @@ def _of_body(channel: str) -> bool:
 
 
 def explains_better(
-    problem: Problem,
+    ground: Ground,
     named: Sequence[Fit],
     alone: Unnamed | None,
     settings: UnnamedSettings = DEFAULT.unnamed,
+    stands: Mapping[str, float] | None = None,
 ) -> bool:
     """Whether something outside the library is the better account of the flights.
 
     Args:
-        problem: Flights.
+        ground: Flights.
         named: Hypotheses of the library that are worth considering; none of them may cover what
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
         settings: What is enough, and what covers it.
+        stands: Numbers that the file was unsure of, with which the model stands.
     """
     return (
         alone is not None
         and alone.gain > settings.enough
-        and all(covered(problem, f, alone) < settings.covers for f in named)
+        and all(covered(ground, f, alone, stands) < settings.covers for f in named)
     )
 
 
-def covered(problem: Problem, named: Fit, alone: Unnamed) -> float:
+def covered(
+    ground: Ground, named: Fit, alone: Unnamed, stands: Mapping[str, float] | None = None
+) -> float:
     """Share of what equations explain, in their channels, that a hypothesis explains as well.
 
     Both in log likelihood, under the noise that the equations leave: the noise of the ground has
     learnt what the library cannot explain, and would forgive it.
     """
-    before, after = (problem.model.channels([], v) for v in ({}, named.values))
+    now = dict(stands or {})
+    before, after = (ground.model.channels([], v) for v in (now, now | dict(named.values)))
     taken = 0.0
     for i, channel in enumerate(before[0]):
         if channel.name in alone.noise:
@@ -355,9 +360,7 @@ def covered(problem: Problem, named: Fit, alone: Unnamed) -> float:
             power, left = (
                 sum(
                     b.power
-                    for b in blocks_of(
-                        [[f[i]] for f in flights], [noise], problem.settings
-                    ).values()
+                    for b in blocks_of([[f[i]] for f in flights], [noise], ground.settings).values()
                 )
                 for flights in (before, after)
             )

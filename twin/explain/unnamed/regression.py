@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inference.likelihood import Block, Key
+from ..inference.whitening import Block, Key
 from ..settings import DEFAULT, UnnamedSettings
 
 Array = NDArray[np.float64]

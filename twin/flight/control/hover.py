@@ -77,12 +77,14 @@ def linearise(vehicle: Vehicle) -> Hover:
     level = [i for n, i in rate.items() if n.startswith(("rotor_", "effort_"))]
     thrust = [output[f"thrust_{i}"] for i in range(1, len(driven) + 1)]
     rows = [rate["vel_z"]] + [rate[f"omega_{axis}"] for axis in AXES]
+    slope, effect = np.diag(d[np.ix_(thrust, driven)]), b[np.ix_(rows, driven)]
+    lag_s = 0.0
     if level:
-        slope, effect = np.diag(c[np.ix_(thrust, level)]), a[np.ix_(rows, level)]
-        lag_s = float(np.mean(-1.0 / np.diag(a[np.ix_(level, level)])))
-    else:
-        slope, effect = np.diag(d[np.ix_(thrust, driven)]), b[np.ix_(rows, driven)]
-        lag_s = 0.0
+        rest_s = -1.0 / np.diag(a[np.ix_(level, level)])
+        settled = rest_s * np.diag(b[np.ix_(level, driven)])  # level per command
+        later = np.diag(c[np.ix_(thrust, level)]) * settled
+        slope, effect = slope + later, effect + a[np.ix_(rows, level)] * settled
+        lag_s = float(np.mean(later / slope * rest_s))
     effect = effect / slope * np.array([[-1.0], [1.0], [1.0], [1.0]])
     largest = np.maximum(np.abs(effect).max(axis=1, keepdims=True), 1e-12)
     if np.linalg.matrix_rank(effect / largest) < 4:

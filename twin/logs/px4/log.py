@@ -31,18 +31,25 @@ TOPICS = (
     "multirotor_motor_limits",
     "rate_ctrl_status",
     "sensor_combined",
+    "sensor_gps",
     "vehicle_acceleration",
     "vehicle_air_data",
     "vehicle_angular_velocity",
     "vehicle_attitude",
     "vehicle_attitude_setpoint",
     "vehicle_command",
+    "vehicle_gps_position",
     "vehicle_imu_status",
     "vehicle_land_detected",
     "vehicle_local_position",
     "vehicle_magnetometer",
+    "vehicle_mocap_odometry",
     "vehicle_rates_setpoint",
+    "vehicle_visual_odometry",
 )
+
+NEEDED = ("sensor_combined", "vehicle_attitude", "vehicle_local_position", "actuator_outputs")
+"""Some of them, for an error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +130,10 @@ class Px4Log:
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that hold samples."""
         return sorted(k for n, k in self._raw if n == name)
+
+    def fields(self, name: str) -> Mapping[str, NDArray[Any]]:
+        """What the first instance of a topic holds, in the order of the file; {} without it."""
+        return self._raw.get((name, 0), {})
 
     def topic(self, name: str, instance: int = 0, *needs: str) -> Topic | None:
         """A topic with its samples in order, None where the log has none with these fields."""
@@ -244,7 +255,7 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     if not raw:
         raise LogError(
             f"{path.name}: ULog of {len(blob)} bytes without any sample of "
-            f"{', '.join(TOPICS[9:13])} or the like. The log was cut inside its header, or "
+            f"{', '.join(NEEDED)} or the like. The log was cut inside its header, or "
             "logging never started: copy the log again, or set SDLOG_MODE and fly again."
         )
     start = int(log.start_timestamp)

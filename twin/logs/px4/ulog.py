@@ -16,6 +16,7 @@ from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
 from .phases import from_px4_phases
+from .site import from_px4_site
 
 _GAUSS_T = 1e-4
 _RPM_RAD_S = 2.0 * np.pi / 60.0
@@ -71,7 +72,8 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= _coverage(rows, t_us)
-    return Flight(path.stem, table, tuple(log.findings), facts, path)
+    site = from_px4_site(log)
+    return Flight(path.stem, table, tuple(log.findings), facts, path, site)
 
 
 def from_px4_gauss(field: Array) -> Array:

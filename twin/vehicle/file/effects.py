@@ -7,7 +7,7 @@ from typing import Any
 from ...component import unknown_name
 from ...effects import EFFECTS
 from ...errors import ModelError
-from .. import Vehicle
+from .. import Deviation, Vehicle
 from .entries import read_number
 
 
@@ -18,11 +18,13 @@ class SwitchedOn:
     Attributes:
         values: Every number of each effect in SI units; those the file leaves out at their start.
         sources: Pedigree by "effects.NAME.PARAMETER".
+        deviations: Standard deviations by the same, where given.
         mistakes: What is wrong, a line each.
     """
 
     values: dict[str, dict[str, float]] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
+    deviations: dict[str, Deviation] = field(default_factory=dict)
     mistakes: list[str] = field(default_factory=list)
 
 
@@ -35,6 +37,11 @@ def read_effects(sections: Any, vehicle: Vehicle) -> SwitchedOn:
     for name, table in sections.items():
         if name not in EFFECTS:
             on.mistakes.append(unknown_name("[effects]", "effect", name, EFFECTS))
+        elif not EFFECTS[name].of_vehicle:
+            on.mistakes.append(
+                f"[effects.{name}] is of a record, not of the aircraft: {EFFECTS[name].meaning}. "
+                f"Take the section out; `explain` and `calibrate` find it anew in each flight."
+            )
         elif not isinstance(table, dict):
             on.mistakes.append(f"[effects.{name}] must be a table of its numbers.")
         else:
@@ -51,7 +58,9 @@ def _read_effect(name: str, table: dict[str, Any], vehicle: Vehicle, on: Switche
             on.mistakes.append(unknown_name(f"[effects.{name}]", "number", key, values))
             continue
         try:
-            values[key] = read_number(full, entry, spelled(units[key]))
+            values[key], deviation = read_number(full, entry, spelled(units[key]))
+            if deviation is not None:
+                on.deviations[full] = deviation
             on.sources[full] = entry["source"]
         except ModelError as mistake:
             on.mistakes.append(str(mistake))

@@ -14,15 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import ModelError
-from .. import Array
-from .fields import FIELDS
+from .. import Array, Deviation
+from .deviations import read_deviation
+from .fields import FIELDS, Field
 
 if TYPE_CHECKING:
     import pint
 
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
 _TEXTS = ("name", "description")
-_PARTS = {"value", "coefficients", "unit", "source", "of"}
+_PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}
 _PER_MASS = {"body.drag_linear": "1/s"}
 """Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
 _Entry = dict[str, Any]
@@ -38,6 +39,7 @@ class Entries:
         values: By key, in SI units; polynomials as ascending coefficients, of the speed in rad/s
             or of the raw command; directions as +1 (cw) and -1 (ccw).
         sources: Pedigree by key; "default: ..." for a key that the file leaves out.
+        deviations: Standard deviations by key, where given.
         mistakes: What is wrong, a line each, with key and value.
     """
 
@@ -45,6 +47,7 @@ class Entries:
     texts: dict[str, str] = field(default_factory=dict)
     values: dict[str, Array] = field(default_factory=dict)
     sources: dict[str, str] = field(default_factory=dict)
+    deviations: dict[str, Deviation] = field(default_factory=dict)
     mistakes: list[str] = field(default_factory=list)
 
     def number(self, key: str) -> float:
@@ -91,6 +94,8 @@ def read_entries(tree: dict[str, Any]) -> Entries:
                 value = value * entries.values.get("body.mass", 1.0)
             _check_sign(key, value, what.positive)
             entries.values[key] = value
+            if "sd" in entry:
+                entries.deviations[key] = _deviation(key, entry, what, entries)
         except ModelError as mistake:
             entries.mistakes.append(str(mistake))
     return entries
@@ -122,17 +127,20 @@ def _unknown(kind: str, name: str, known: set[str]) -> str:
     return f"unknown {kind}: {name!r}. {hint}"
 
 
-def read_number(key: str, entry: Any, unit: str) -> float:
-    """One number in braces, in `unit`; for entries that are not in `FIELDS`.
+def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | None]:
+    """One number in braces, in `unit`, and its `sd`; for entries that are not in `FIELDS`.
 
     Raises:
-        ModelError: It has no value, unit or source, or the unit is of another kind.
+        ModelError: It has no value, unit or source, or the unit is of another kind; or a wrong sd.
     """
     _check_form(key, entry, unit)
     value = _si(key, entry.get("value"), entry, unit)
     if value.shape != ():
         raise ModelError(f"{key} = {_short(entry.get('value'))} must be one number.")
-    return float(value)
+    if "sd" not in entry:
+        return float(value), None
+    given = _numbers_of_sd(key, _to_si(key, entry, unit))
+    return float(value), read_deviation(key, entry["sd"], "scalar", value, given)
 
 
 def _check_form(key: str, entry: Any, unit: str) -> None:
@@ -169,14 +177,43 @@ def _numbers(key: str, raw: Any) -> Array:
 
 def _si(key: str, raw: Any, entry: _Entry, unit: str) -> Array:
     """Numbers in `unit`; those of `_PER_MASS` may stay per kilogram."""
-    values = _numbers(key, raw)
+    return _numbers(key, raw) * _to_si(key, entry, unit)
+
+
+def _to_si(key: str, entry: _Entry, unit: str) -> float:
+    """Factor from the unit of an entry to `unit`."""
     given = entry.get("unit")
     if not isinstance(given, str):
         raise ModelError(f'{key} has no unit. Add unit = "{unit}" or another one.')
     factor = _factor(key, given, _PER_MASS[key] if _is_per_mass(key, entry) else unit)
     if factor is None:
         raise ModelError(f'{key} has unit "{given}", which is not a unit of the kind "{unit}".')
-    return values * factor
+    return factor
+
+
+def _deviation(key: str, entry: _Entry, what: Field, entries: Entries) -> Deviation:
+    """The `sd` of an entry whose value is read."""
+    value, shape, unit = entries.values[key], what.shape, what.unit.removeprefix("poly:")
+    if shape == "polynomial" and "value" in entry:  # k of k * speed^2
+        shape, value, unit = "scalar", value[2], f"{unit}*s^2/rad^2"
+    factor = _to_si(key, entry, unit) if unit else 1.0
+    if _is_per_mass(key, entry):
+        factor *= float(entries.values.get("body.mass", 1.0))
+    hubs = entries.values.get("rotors.position", np.ones((1, 3)))
+    found = read_deviation(
+        key,
+        entry["sd"],
+        shape,
+        value,
+        _numbers_of_sd(key, factor),
+        np.shape(entry.get("value", ())),
+        arm_m=float(np.linalg.norm(hubs[:, :2], axis=1).max()),
+    )
+    return Deviation(found.share) if shape != what.shape else found
+
+
+def _numbers_of_sd(key: str, factor: float) -> Callable[[object], Array]:
+    return lambda raw: _numbers(f"{key}: sd", raw) * factor
 
 
 def _is_per_mass(key: str, entry: _Entry) -> bool:

@@ -14,12 +14,15 @@ import numpy as np
 
 from ...errors import ModelError
 from .. import GRAVITY_M_S2, Battery, Vehicle
+from .calibration import SECTION, read_calibration
 from .effects import read_effects
 from .entries import Entries, read_entries
 from .fields import FIELDS
 from .rotors import read_rotors, rotor_contradictions, rotor_doubts, rotors_too_weak
 from .sensors import read_sensors, sensor_contradictions
 
+_ROUNDING = 1e-9
+"""Share by which the moments of a flat plate may miss their sum."""
 _BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))
 
 
@@ -68,17 +71,22 @@ def parse_vehicle(text: str, file: str) -> Vehicle:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ModelError(f"{file}: not valid TOML: {error}.") from error
-    effects = tree.pop("effects", {})
+    effects, calibration = tree.pop("effects", {}), tree.pop(SECTION, None)
     entries = read_entries(tree)
     _refuse(file, [*entries.mistakes, *_contradictions(entries)])
     vehicle = _vehicle(entries, default_name=Path(file).stem)
     _refuse(file, list(rotors_too_weak(vehicle)))
     switched_on = read_effects(effects, vehicle)
+    told = None
+    if calibration is not None:
+        told = read_calibration(calibration, vehicle, switched_on.mistakes)
     _refuse(file, switched_on.mistakes)
     return replace(
         vehicle,
+        calibration=told,
         effects=switched_on.values,
         sources={**vehicle.sources, **switched_on.sources},
+        deviations={**vehicle.deviations, **switched_on.deviations},
     )
 
 
@@ -113,11 +121,12 @@ def _contradictions(entries: Entries) -> Iterator[str]:
 
 def _doubts(entries: Entries) -> Iterator[str]:
     """What looks odd but is not refused."""
-    principal = np.linalg.eigvalsh(entries.values["body.inertia"])
-    if principal[0] + principal[1] < principal[2]:
+    small, middle, large = np.linalg.eigvalsh(entries.values["body.inertia"])
+    if small + middle < (1 - _ROUNDING) * large:
         yield (
-            "body.inertia: the two smaller principal moments add up to less than the largest; "
-            "no real body has that."
+            f"body.inertia: the principal moments {small:.4g} and {middle:.4g} kg*m^2 add up to "
+            f"less than the third, {large:.4g}; no real body has that. Check the order [Ixx, Iyy, "
+            f"Izz], the powers of ten, and which of them was estimated."
         )
     yield from rotor_doubts(entries)
 
@@ -150,6 +159,7 @@ def _vehicle(entries: Entries, default_name: str) -> Vehicle:
         drag_angular_n_m_s2=entries.vector("body.drag_angular", "zero", zero),
         gravity_m_s2=GRAVITY_M_S2 if gravity is None else gravity,
         sources=entries.sources,
+        deviations=entries.deviations,
         doubts=tuple(_doubts(entries)),
     )
 

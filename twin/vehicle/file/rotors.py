@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.polynomial.polynomial import polyval
 
 from .. import Advance, RotorAir, Rotors, RunUp, Vehicle
+from ..thrust_map import most_thrust_n
 from .entries import Entries
 
 _THRUST = ("rotors.thrust_from_speed", "rotors.thrust_from_command")
@@ -102,9 +102,7 @@ def rotors_too_weak(vehicle: Vehicle) -> Iterator[str]:
     rotors = vehicle.rotors
     if vehicle.drive == "rotor_speed":
         return
-    command = np.linspace(0.0, 1.0, 201)
-    level = polyval(command, rotors.speed_rad_s) if rotors.speed_rad_s else command
-    most = float(np.max(polyval(level, rotors.thrust_n)))
+    most = most_thrust_n(vehicle)
     if most < vehicle.hover_thrust_n:
         yield (
             f"cannot hover: {rotors.count} rotors give at most {most * rotors.count:.4g} N, "

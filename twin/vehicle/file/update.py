@@ -6,7 +6,7 @@ format cannot hold is refused, never written in part.
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -15,13 +15,16 @@ from tomlkit import TOMLDocument
 from tomlkit.items import Table
 
 from ...errors import ModelError
-from .. import Rotors, Vehicle
+from .. import Deviation, Rotors, Vehicle
+from ..deviation import BEFORE, DEFAULT
+from .calibration import same_calibration, with_calibration
+from .deviations import written_sd
 from .fields import FIELDS
 from .read import parse_vehicle
 from .sensors import PLACE, POSITION, SENSOR_NUMBERS, WHEN
 from .write import Written, with_effect_sections, without_effect_sections
 
-_BESIDE = ("sources", "doubts", "effects", "text")
+_BESIDE = ("sources", "deviations", "doubts", "effects", "calibration", "text")
 """Attributes of a vehicle that are no numbers of its body, rotors and sensors."""
 _MAPS = tuple(
     f"rotors.{what}_from_{of}"
@@ -33,8 +36,6 @@ TIED = {
     "magnetometer.field": (*PLACE, *WHEN),
 }
 """What must go from the text when a key is written: the same said in another way."""
-_DEFAULT = "default: "
-"""How the pedigree begins of a number about which a file is silent."""
 _BY_HAND = "set in Python"
 _PASSES = 3
 """Numbers of a file may be relative to others: drag per kilogram, torque per thrust."""
@@ -54,15 +55,20 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
     Raises:
         ModelError: The format cannot hold the vehicle, or the text is no vehicle file.
     """
+    if text:
+        vehicle = _told_anew(vehicle, parse_vehicle(text, file))
     for _ in range(_PASSES):
         there = parse_vehicle(text, file) if text else None
         changed = set(_changed(vehicle, there))
         if not changed:
             break
-        text = _with_numbers(vehicle, there, text, changed)
-    text = _with_effects(vehicle, parse_vehicle(text, file), text)
+        text = _with_numbers(vehicle, text, changed)
+    text = _with_effects(vehicle, there := parse_vehicle(text, file), text)
+    if not same_calibration(vehicle.calibration, there.calibration):
+        text = with_calibration(text, vehicle.calibration)
     left = [*_differing(vehicle, again := parse_vehicle(text, file))]
     left += ["effects"] if _plain(vehicle.effects) != _plain(again.effects) else []
+    left += [] if same_calibration(vehicle.calibration, again.calibration) else ["calibration"]
     if left:
         raise ModelError(
             f"{vehicle.name}: a vehicle file cannot hold its {', '.join(left)}. Write the file by "
@@ -75,12 +81,13 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
 
 
 def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
-    """Keys whose values differ from those of the text; without one, all that are no defaults."""
+    """Keys whose values or deviations differ from the text's; without one, all but defaults."""
     wanted, found = values_by_key(vehicle), {} if there is None else values_by_key(there)
     for key in wanted.keys() | found.keys():
-        if there is None and vehicle.sources.get(key, "").startswith(_DEFAULT):
+        if there is None and vehicle.sources.get(key, "").startswith(DEFAULT):
             continue
-        if not _same(wanted.get(key), found.get(key)):
+        known_anew = there is not None and _deviation(vehicle, key) != _deviation(there, key)
+        if known_anew or not _same(wanted.get(key), found.get(key)):
             yield key
 
 
@@ -169,7 +176,7 @@ def _rotor_values(rotors: Rotors) -> dict[str, Any]:
 # -- text -----------------------------------------------------------------------------------
 
 
-def _with_numbers(vehicle: Vehicle, there: Vehicle | None, text: str, changed: set[str]) -> str:
+def _with_numbers(vehicle: Vehicle, text: str, changed: set[str]) -> str:
     """The text with these keys written anew, each with a source."""
     document, wanted = tomlkit.parse(text), values_by_key(vehicle)
     for name in (n for n in ("name", "description") if n in changed):
@@ -177,29 +184,52 @@ def _with_numbers(vehicle: Vehicle, there: Vehicle | None, text: str, changed: s
     keys = changed.union(*(TIED.get(key, ()) for key in changed))
     for key in (k for k in FIELDS if k in keys):
         if key in wanted:
-            _set(document, key, wanted[key], _source(vehicle, there, key))
+            _set(
+                document,
+                key,
+                wanted[key],
+                _pedigree(vehicle, key) or _BY_HAND,
+                _deviation(vehicle, key),
+            )
         else:
             _remove(document, key)
     return document.as_string()
 
 
-def _source(vehicle: Vehicle, there: Vehicle | None, key: str) -> str:
-    """Pedigree of a number; that of the text no longer holds for a number that was changed."""
-    source, before = _pedigree(vehicle, key), "" if there is None else _pedigree(there, key)
-    changed = there is None or not _same(values_by_key(vehicle)[key], values_by_key(there).get(key))
-    if source and (source != before or not changed):
-        return source
-    return f"{_BY_HAND}; before: {before}" if before else _BY_HAND
+def _told_anew(vehicle: Vehicle, there: Vehicle) -> Vehicle:
+    """The vehicle without what was said of numbers that it no longer has."""
+    sources, deviations = dict(vehicle.sources), dict(vehicle.deviations)
+    wanted, found = values_by_key(vehicle), values_by_key(there)
+    for key in (k for k in FIELDS if k in wanted and not _same(wanted[k], found.get(k))):
+        before = _pedigree(there, key)
+        if before and _pedigree(vehicle, key) in ("", before):
+            sources[key] = f"{_BY_HAND}{BEFORE}{before}"
+            if _deviation(vehicle, key) == _deviation(there, key):
+                deviations.pop(key, None)
+                deviations.pop(_ratio(key), None)
+    return replace(vehicle, sources=sources, deviations=deviations)
 
 
 def _pedigree(vehicle: Vehicle, key: str) -> str:
     """Source of a number, "" where none is known; a torque may have come by its ratio."""
-    ratio = "rotors.torque_per_thrust" if key.startswith("rotors.torque") else ""
-    source = vehicle.sources.get(key) or vehicle.sources.get(ratio, "")
-    return "" if source.startswith(_DEFAULT) else source
+    source = vehicle.sources.get(key) or vehicle.sources.get(_ratio(key), "")
+    return "" if source.startswith(DEFAULT) else source
 
 
-def _set(document: TOMLDocument, key: str, value: Any, source: str) -> None:
+def _deviation(vehicle: Vehicle, key: str) -> Deviation | None:
+    """That is stated of a number; of a torque that came by its ratio, as a share."""
+    ratio = vehicle.deviations.get(_ratio(key))
+    return vehicle.deviations.get(key) or (None if ratio is None else Deviation(ratio.share))
+
+
+def _ratio(key: str) -> str:
+    """The key that may stand for a torque."""
+    return "rotors.torque_per_thrust" if key.startswith("rotors.torque_from") else ""
+
+
+def _set(
+    document: TOMLDocument, key: str, value: Any, source: str, deviation: Deviation | None
+) -> None:
     """Write one entry, in the place of the old one and with its comment where there is one."""
     section, name = key.split(".")
     if section not in document:
@@ -215,6 +245,8 @@ def _set(document: TOMLDocument, key: str, value: Any, source: str) -> None:
         entry["unit"] = what.unit.removeprefix("poly:")
     if key.endswith("_from_speed") or what.shape == "rates":
         entry["of"] = "rad/s"
+    if deviation is not None:
+        entry["sd"] = written_sd(deviation, np.shape(value))
     entry["source"] = source
     if name in table:
         entry.trivia.comment_ws = table[name].trivia.comment_ws
@@ -237,7 +269,11 @@ def _with_effects(vehicle: Vehicle, there: Vehicle, text: str) -> str:
         text = without_effect_sections(text, gone)
     written = {
         name: {
-            number: Written(value, vehicle.sources.get(f"effects.{name}.{number}", _BY_HAND))
+            number: Written(
+                value,
+                vehicle.sources.get(key := f"effects.{name}.{number}", _BY_HAND),
+                vehicle.deviations.get(key),
+            )
             for number, value in numbers.items()
         }
         for name, numbers in vehicle.effects.items()
@@ -252,6 +288,7 @@ def _holds(there: Vehicle, vehicle: Vehicle, effect: str) -> bool:
     same = dict(there.effects.get(effect, {})) == dict(vehicle.effects[effect])
     return same and all(
         there.sources.get(prefix + n) == vehicle.sources.get(prefix + n)
+        and there.deviations.get(prefix + n) == vehicle.deviations.get(prefix + n)
         for n in vehicle.effects[effect]
     )
 

@@ -10,7 +10,8 @@ from tomlkit import TOMLDocument
 from tomlkit.items import InlineTable, Table
 
 from ...effects import EFFECTS
-from .. import Vehicle
+from .. import Deviation, Vehicle
+from .deviations import written_sd
 from .effects import spelled
 
 
@@ -21,10 +22,12 @@ class Written:
     Attributes:
         value: In the unit of the effect.
         source: Where it comes from.
+        deviation: Standard deviation; None: none is written.
     """
 
     value: float
     source: str
+    deviation: Deviation | None = None
 
 
 def with_effect_sections(
@@ -82,5 +85,8 @@ def _section(effect: str, vehicle: Vehicle, numbers: Mapping[str, Written]) -> T
 
 def _entry(number: Written, unit: str) -> InlineTable:
     entry = tomlkit.inline_table()
-    entry.update({"value": number.value, "unit": unit, "source": number.source})
+    entry.update({"value": number.value, "unit": unit})
+    if number.deviation is not None:
+        entry["sd"] = written_sd(number.deviation)
+    entry["source"] = number.source
     return entry

@@ -1,14 +1,12 @@
-"""Which numbers a residual asks for: whitened regression, scored on blocks of time left out.
+"""Residuals made white: the noise of a channel as an autoregression of what a model leaves.
 
-The noise of a channel is an autoregression, fitted to what all numbers together leave
-unexplained; residual and regressors pass its inverse, after which samples are as good as
-independent. Hypotheses are then scored from sums over blocks of time: each is fitted on all blocks
-but one, and gains what it explains of that one beyond `nothing`.
+Residual and regressors pass its inverse, after which samples are as good as independent; sums over
+blocks of time then say what an equation gains on time that it was not fitted on.
 
 Source: prediction-error method with a noise model, Ljung, System Identification, ch. 7.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -17,9 +15,8 @@ from numpy.typing import NDArray
 
 from ...representation import short_repr
 from ...residuals.channels import ChannelData
+from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
-from .bounds import Bounds
-from .robust_covariance import half_widths
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -219,115 +216,33 @@ def blocks_of(
     return whiten(flights, noise, settings).blocks()
 
 
-def believed(gains: Array, settings: LikelihoodSettings = DEFAULT.inference.likelihood) -> Array:
-    """Log likelihood of each channel, given that no law is exact.
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Flights with the noise that is left of them.
 
-    What a law gets wrong grows with what it explains: a gain counts in full up to `exact`, and by
-    its ratio above, as in a posterior that asks for closeness to the data and not for the data:
-    Miller & Dunson, J. American Statistical Association 114 (2019).
-    """
-    exact = settings.exact
-    return np.where(gains > 0, exact * np.log1p(np.maximum(gains, 0) / exact), gains)
-
-
-class Scores:
-    """Hypotheses over the same samples: a set of columns may change, the others do not."""
-
-    def __init__(self, rows: Whitened, sd: Array, away: Array | None = None) -> None:
-        """Sum over each channel in each block of time.
-
-        Args:
-            rows: Samples.
-            sd: Standard deviation of the prior of each column, shape (k,).
-            away: Present value of each column minus the mean of its prior; default: zero.
-        """
-        self._pulls = rows.per_cell(rows.slopes * rows.residual[:, None])
-        self._grams = rows.grams()
-        self._precision = 1.0 / sd**2
-        prior_pull = -self._precision * (np.zeros_like(sd) if away is None else away)
-        self._gram = self._grams.sum(axis=(0, 1))
-        self._pull = self._pulls.sum(axis=(0, 1)) + prior_pull
-
-    def fit(self, columns: Sequence[int]) -> tuple[Array, Array]:
-        """Change of the numbers and its covariance, shapes (k,) and (k, k)."""
-        c = np.asarray(columns, dtype=np.intp)
-        inverse = np.linalg.inv(self._gram[np.ix_(c, c)] + np.diag(self._precision[c]))
-        return inverse @ self._pull[c], inverse
-
-    def half_widths(self, columns: Sequence[int]) -> Array:
-        """Half of the 95 % interval of each fitted change, shape (k,)."""
-        c = np.asarray(columns, dtype=np.intp)
-        change, inverse = self.fit(c.tolist())
-        grams, pulls = self._of(c)
-        return half_widths(inverse, grams, pulls - grams @ change)
-
-    def told(
-        self,
-        columns: Sequence[int],
-        gains: Array,
-        settings: LikelihoodSettings = DEFAULT.inference.likelihood,
-    ) -> float:
-        """How many of some numbers the channels tell, with a law that is not exact.
-
-        A direction in which they may move without changing much of what is explained is free.
-        MacKay, Neural Computation 4 (1992): number of well-determined parameters.
-
-        Args:
-            columns: The numbers.
-            gains: Log likelihood that each channel gains by them, shape (channels,).
-            settings: How exact a law is.
-        """
-        c = np.asarray(columns, dtype=np.intp)
-        grams, _ = self._of(c)
-        gram = np.einsum("bckl,c->kl", grams, 1 / (1 + np.maximum(gains, 0) / settings.exact))
-        return float(np.trace(np.linalg.solve(gram + np.diag(self._precision[c]), gram)))
-
-    def gains(self, columns: Sequence[int], bounds: Bounds) -> Array:
-        """Log likelihood over that of no change, each block left out of its fit.
-
-        Args:
-            columns: Numbers that may change.
-            room: Of their changes.
-
-        Returns:
-            Shape (blocks, channels).
-        """
-        if not len(columns):
-            return np.zeros(self._pulls.shape[:2])
-        c = np.asarray(columns, dtype=np.intp)
-        grams, pulls = self._of(c)
-        rest = self._gram[np.ix_(c, c)] - grams.sum(axis=1) + np.diag(self._precision[c])
-        inverse = np.linalg.inv(rest)
-        theta = np.einsum("bkl,bl->bk", inverse, self._pull[c] - pulls.sum(axis=1))
-        theta = bounds.inside(theta, inverse)
-        bent = np.einsum("bckl,bl->bck", grams, theta)
-        return np.asarray(np.einsum("bck,bk->bc", pulls - 0.5 * bent, theta))
-
-    def _of(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Sums of some columns."""
-        return self._grams[:, :, columns[:, None], columns], self._pulls[:, :, columns]
-
-
-def noise_of_all(
-    flights: Flights, sd: Array, settings: LikelihoodSettings = DEFAULT.inference.likelihood
-) -> list[Noise]:
-    """Noise of every channel, from what all numbers together leave unexplained.
-
-    The first fit takes the noise for white: an autoregression would take an offset for a walk.
-
-    Args:
-        flights: Channels of each flight; all have the same channels in the same order.
-        sd: Prior deviations of the numbers, shape (k,).
+    Attributes:
+        model: Flights.
+        noise: Of each channel.
         settings: Of the noise.
     """
-    by_channel = list(zip(*flights, strict=True))
-    unexplained = [[c.residual for c in channels] for channels in by_channel]
-    order = 0
-    for _ in range(settings.rounds + 1):
-        noise = [
-            noise_of(c, u, order, settings) for c, u in zip(by_channel, unexplained, strict=True)
-        ]
-        change, _ = Scores(whiten(flights, noise, settings), sd).fit(range(len(sd)))
-        unexplained = [[c.residual - c.slopes @ change for c in ch] for ch in by_channel]
-        order = settings.order
-    return [noise_of(c, u, order, settings) for c, u in zip(by_channel, unexplained, strict=True)]
+
+    model: Model
+    noise: tuple[Noise, ...]
+    settings: LikelihoodSettings
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        values: Mapping[str, float],
+        settings: LikelihoodSettings = DEFAULT.inference.likelihood,
+    ) -> "Ground":
+        """The noise that the model leaves with some numbers, "effect.number" -> value."""
+        left = model.channels([], values)
+        noise = (
+            noise_of(own, [c.residual - c.residual.mean() for c in own], settings.order, settings)
+            for own in zip(*left, strict=True)
+        )
+        return cls(model, tuple(noise), settings)

@@ -1,0 +1,262 @@
+"""Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from . import prototype
+from .agreement import Agreement, Case, Number, agreements, alike_of, numbers_of
+from .bands import NAMES, about_mean, above
+from .markup import figure, in_shown_unit, interval, section, table
+from .scenarios import Scenario
+
+CORRECTIONS = {
+    "none": "none",
+    "effects": "effects",
+    "fit_mean": "fit mean",
+    "own_mean": "own mean",
+    "floor": "floor",
+}
+TURNING = "gyro_rate_"
+GRAVITY = 9.81
+DRAG = {"rotor_drag.k_xy_1_s": 1.0, "blade_flapping.k_rad_s_m": GRAVITY}
+"""Numbers that are a drag linear in the speed, and what makes them one in 1/s."""
+ALIKE = 0.03
+"""Share by which two rms may differ to be called the same."""
+
+
+# -- which numbers agree --------------------------------------------------------------------
+
+
+def agree(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
+    """Which numbers agree over the rotations, how many of them pass, and what acts like what."""
+    found = {a.full: a for a in agreements(cases)}
+    holdouts = [c["holdout"] for c in cases]
+    lines = []
+    for full in dict.fromkeys([*scenario.expected, *found]):
+        a = found.get(full, Agreement(full, {}))
+        unit = in_shown_unit(1.0, next((n.unit for n in a.by.values()), "-"))[1]
+        right = scenario.expected.get(full)
+        wanted = [] if not scenario.expected else ["-" if right is None else f"{right:g}"]
+        facts = (_yes(a.same_sign), _yes(a.overlap), *map(_listed, (a.edges, a.tense, a.untold)))
+        cells = [_number(a.by.get(h)) for h in holdouts]
+        lines.append((f"`{full}`", unit, *wanted, *cells, *facts, _passed(a)))
+    head = (
+        *("number", "unit"),
+        *(["wanted"] if scenario.expected else []),
+        *(f"without {h}" for h in holdouts),
+        *("same sign", "intervals overlap", "at edge", "tension > 3", "mostly prior", "passes"),
+    )
+    shown = table(head, lines) if lines else ["No rotation gives a number."]
+    every = list(found.values())
+    return [*section("Which numbers agree"), *shown, "", *_summary(every), *_alike(cases)]
+
+
+def _listed(holdouts: Sequence[str]) -> str:
+    return ", ".join(holdouts) or "no"
+
+
+def _passed(a: Agreement) -> str:
+    if not a.by:
+        return "never given"
+    return ("yes" if a.passes else "no") if a.compared else "one rotation"
+
+
+def _yes(answer: bool | None) -> str:
+    return {True: "yes", False: "no", None: "-"}[answer]
+
+
+def _number(number: Number | None) -> str:
+    if number is None:
+        return "-"
+    mark = "" if number.edge is None else "*"
+    return interval(number.value, number.ci95, number.unit, mark)
+
+
+def passing(every: Sequence[Agreement]) -> tuple[int, int, int]:
+    """How many numbers pass, how many were compared, how many one rotation alone gives."""
+    compared = [a for a in every if a.compared]
+    return sum(a.passes for a in compared), len(compared), len(every) - len(compared)
+
+
+def _summary(every: Sequence[Agreement]) -> list[str]:
+    good, compared, alone = passing(every)
+    lean = sum(a.passes and bool(a.untold) for a in every)
+    by_effect: dict[str, list[Agreement]] = {}
+    for a in every:
+        by_effect.setdefault(a.full.partition(".")[0], []).append(a)
+    whole = [f"`{e}`" for e, own in by_effect.items() if all(a.passes for a in own)]
+    return [
+        f"- Of {compared} numbers that more than one rotation gives, {good} pass, {lean} of them "
+        f"mostly by their prior; {alone} are given by one rotation alone.",
+        f"- Effects all of whose numbers pass: {len(whole)} of {len(by_effect)} named or listed in "
+        f"any rotation: {', '.join(whole) or 'none'}.",
+    ]
+
+
+def _alike(cases: Sequence[Case]) -> list[str]:
+    """What something acts like, in each rotation."""
+    lines = [
+        f"- {c['holdout']} held out: something acts like `{effect}`: {why}"
+        for c in cases
+        for effect, why in alike_of(c).items()
+    ]
+    return lines or ["- Nothing merely acts like an effect."]
+
+
+# -- bands and constants of a held-out flight -----------------------------------------------
+
+
+def by_band(case: Case) -> list[str]:
+    """Angular acceleration of one held-out flight by band."""
+    lines = [
+        (
+            f"`{row['name']}`",
+            band,
+            *(_shown(row["bands"].get(k), i) for k in CORRECTIONS),
+        )
+        for row in _turning(case)
+        for i, band in enumerate((*NAMES, "**> 0.8 Hz**"))
+    ]
+    if not lines:
+        return []
+    head = ("channel, rad/s²", "band", *CORRECTIONS.values())
+    return ["", "By band:", "", *table(head, lines)]
+
+
+def _shown(bands: Sequence[float] | None, i: int) -> str:
+    """Rms of a band; of all but the slowest for the line after the last."""
+    if bands is None:
+        return "-"
+    return figure(bands[i] if i < len(bands) else above(bands))
+
+
+def _turning(case: Case) -> list[Mapping[str, Any]]:
+    return [r for r in case["channels"] if r["name"].startswith(TURNING)]
+
+
+def constants(case: Case) -> list[str]:
+    """Mean of every channel of one held-out flight, and what is left about it."""
+    shown = {k: v for k, v in CORRECTIONS.items() if k != "own_mean"}
+    lines = []
+    for row in case["channels"]:
+        unit = in_shown_unit(1.0, row["unit"])[1]
+        means = [_scaled(row["mean"].get(k), row["unit"]) for k in shown]
+        left = [_scaled(v, row["unit"]) for v in (row["own_mean"], _about(row, "effects"))]
+        lines.append((f"`{row['name']}`", unit, *means, *left))
+    if not lines:
+        return []
+    heads = [f"mean, {name}" for name in shown.values()]
+    head = ("channel", "unit", *heads, "rms about own mean, none", "the same, effects")
+    return ["", "Constants:", "", *table(head, lines)]
+
+
+def _about(row: Mapping[str, Any], correction: str) -> float:
+    return about_mean(row[correction], row["mean"][correction])
+
+
+def _scaled(value: float | None, unit: str) -> str:
+    return "-" if value is None else figure(in_shown_unit(value, unit)[0])
+
+
+# -- beside the prototype -------------------------------------------------------------------
+
+
+def beside_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
+    """Rms of held-out flights beside those of the prototype, where it has any."""
+    if scenario.name != prototype.SCENARIO:
+        return []
+    found = {c["holdout"]: {r["name"]: r for r in c["channels"]} for c in cases}
+    lines = []
+    for name, theirs in prototype.RMS.items():
+        rows = [found.get(f, {}).get(name) for f in prototype.FLIGHTS]
+        ours = [None if r is None else r["effects"] for r in rows]
+        unit = next((r["unit"] for r in rows if r is not None), "")
+        lines.append((f"`{name}`", in_shown_unit(1.0, unit)[1], *_pairs(ours, theirs, unit)))
+    for name, bands in prototype.BANDS.items():
+        rows = [found.get(f, {}).get(name) for f in prototype.FLIGHTS]
+        ours = [None if r is None else above(r["bands"]["effects"]) for r in rows]
+        unit = next((r["unit"] for r in rows if r is not None), "")
+        fast = [above(b) for b in bands]
+        lines.append((f"`{name}` > 0.8 Hz", unit, *_pairs(ours, fast, unit)))
+    head = ("channel", "unit", *prototype.FLIGHTS)
+    text = (
+        "Rms that effects leave of the held-out flight, then that of the prototype from which the "
+        "inference was built: numpy alone, the same flights and file, measured once (constants in "
+        "`benchmarks/real_flights/prototype.py`). Bold: less than the prototype, by 3 % or more; "
+        "*: more by as much."
+    )
+    return [*section("Beside the prototype"), text, "", *table(head, lines), "", *_tally(lines)]
+
+
+def _pairs(ours: Sequence[float | None], theirs: Sequence[float], unit: str) -> list[str]:
+    cells = []
+    for own, other in zip(ours, theirs, strict=True):
+        after = _scaled(other, unit)
+        if own is None:
+            cells.append(f"- / {after}")
+        elif own < (1 - ALIKE) * other:
+            cells.append(f"**{_scaled(own, unit)}** / {after}")
+        else:
+            cells.append(
+                f"{_scaled(own, unit)}{'*' if own > (1 + ALIKE) * other else ''} / {after}"
+            )
+    return cells
+
+
+def _tally(lines: Sequence[Sequence[str]]) -> list[str]:
+    cells = [c for line in lines for c in line[2:] if not c.startswith("- /")]
+    better = sum(c.startswith("**") for c in cells)
+    worse = sum("* /" in c and not c.startswith("**") for c in cells)
+    return [f"- Better in {better}, worse in {worse}, the same in {len(cells) - better - worse}."]
+
+
+# -- what is wished for ---------------------------------------------------------------------
+
+
+def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
+    """Drag and angular acceleration about its mean, where a scenario has a goal for them."""
+    goal = scenario.turning_goal_rad_s2
+    if goal is None:
+        return []
+    axes = [f"{TURNING}{a}" for a in "xyz"]
+    lines = []
+    for case in cases:
+        rows = {r["name"]: r for r in _turning(case)}
+        left = [_about(rows[a], "effects") if a in rows else None for a in axes]
+        said = ["-" if v is None else f"{figure(v)}{'' if v <= goal else '*'}" for v in left]
+        inclusion = case["said"].get("inclusion", {})
+        own = numbers_of(case, {d.partition(".")[0] for d in DRAG})
+        parts = [
+            f"{_in_1_s(own[full], k)}, probability {inclusion.get(full.partition('.')[0], 0):.2f}"
+            if full in own
+            else "-"
+            for full, k in DRAG.items()
+        ]
+        lines.append((case["holdout"], figure(drag_1_s(case)), *parts, *said))
+    names = [full.partition(".")[0] for full in DRAG]
+    head = (
+        *("held out", "drag, 1/s"),
+        *(f"`{n}`, where it is there" for n in names),
+        *(f"`{a}` about its mean, rad/s²" for a in axes),
+    )
+    text = (
+        f"Drag is `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
+        f"means over all sets, 0 where an effect is not there. Wished for: at most {goal:g} rad/s² "
+        f"about the flight's own mean; *: more."
+    )
+    return [
+        *section("Drag, and angular acceleration about its mean"),
+        text,
+        "",
+        *table(head, lines),
+    ]
+
+
+def drag_1_s(case: Case) -> float:
+    """Drag linear in the speed that predicts best, 1/s."""
+    return float(sum(k * case["predicted"].get(full, 0.0) for full, k in DRAG.items()))
+
+
+def _in_1_s(number: Number, k: float) -> str:
+    ci95 = None if number.ci95 is None else (k * number.ci95[0], k * number.ci95[1])
+    return interval(k * number.value, ci95, "1/s")

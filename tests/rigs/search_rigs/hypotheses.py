@@ -1,0 +1,40 @@
+"""What the tests of the inference share: a flight against some effects, and sets fitted to it."""
+
+from collections.abc import Sequence
+
+from twin.effects import EFFECTS
+from twin.explain.inference.beliefs import beliefs_of, effect_of
+from twin.explain.inference.fit import Fit, fit_of
+from twin.explain.inference.refit import Problem, State
+from twin.explain.model.model import Model, candidates, model_of
+from twin.logs import Flight
+from twin.vehicle import Vehicle
+
+
+def problem_of(model: Model) -> Problem:
+    """What hypotheses about flights are fitted against."""
+    return Problem.of(model, beliefs_of(model))
+
+
+def against(flight: Flight, vehicle: Vehicle, *effects: str) -> Problem:
+    """A flight against a vehicle with some effects; none: all that it can show."""
+    known = [EFFECTS[e] for e in effects] or candidates([flight])
+    return problem_of(model_of([flight], vehicle, known))
+
+
+def state_of(problem: Problem, effects: Sequence[str]) -> State:
+    """A set of effects at its best, from the model as it stands or from what is expected."""
+    causes = [c for c in problem.beliefs.causes if effect_of(c) in effects]
+    nothing = problem.start((), 1.0)
+    starts = (
+        problem.start(causes, 1.0),
+        problem.settle(causes, 1.0, problem.rest, nothing.best.x),
+    )
+    return max(starts, key=lambda s: s.evidence)
+
+
+def fit_set(problem: Problem, effects: Sequence[str]) -> Fit:
+    """The same with its numbers, and what it gains over nothing."""
+    state = state_of(problem, effects)
+    gain = state.evidence - problem.start((), 1.0).evidence
+    return fit_of(problem, state.effects, state.best.x, state.best.deviations(), gain)

@@ -1,0 +1,85 @@
+"""Made-up linear problems for the evidence: rows, priors and noise written down, no flight."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.explain.inference.beliefs import Beliefs
+from twin.explain.inference.bounds import Bounds
+from twin.explain.inference.evidence import Judge, Noise
+from twin.explain.inference.spectrum import Rows, Spectrum
+from twin.explain.settings import EvidenceSettings
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Linear:
+    """Channels with slopes by one number per effect.
+
+    Attributes:
+        effects: One name per number.
+        channels: Per channel and flight: band of each row, residual, slopes of shape (n, k).
+        floor: Square of the noise level known before, by channel and band.
+        mean: Expected numbers.
+        slab: Their standard deviations.
+        file: Covariance where no effect is there.
+        day: Standard deviation between flights.
+        odds: Log odds of each effect.
+        own: Share of each channel's rows that counts.
+        silent: Channels and bands without a vote.
+        reach: Largest size of a number.
+    """
+
+    effects: Sequence[str]
+    channels: Sequence[Sequence[tuple[NDArray[np.intp], Array, Array]]]
+    floor: Mapping[tuple[int, int], float]
+    mean: Array | None = None
+    slab: Array | None = None
+    file: Array | None = None
+    day: Array | None = None
+    odds: Mapping[str, float] = field(default_factory=dict)
+    own: Array | None = None
+    silent: frozenset[tuple[int, int]] = frozenset()
+    reach: float = 1e9
+
+    @property
+    def beliefs(self) -> Beliefs:
+        k = len(self.effects)
+        zero, one = np.zeros(k), np.ones(k)
+        return Beliefs(
+            columns=tuple(range(k)),
+            names=tuple(f"{e}.number" for e in self.effects),
+            cause=tuple(self.effects),
+            shape=np.zeros(k, dtype=np.bool_),
+            now=zero,
+            mean=zero if self.mean is None else self.mean,
+            slab=one if self.slab is None else self.slab,
+            file=np.zeros((k, k)) if self.file is None else self.file,
+            held=zero,
+            low=-self.reach * one,
+            high=self.reach * one,
+            day=zero if self.day is None else self.day,
+            odds={e: 0.0 for e in self.effects} | dict(self.odds),
+        )
+
+    @property
+    def spectrum(self) -> Spectrum:
+        k, beliefs = len(self.effects), self.beliefs
+        rows = tuple(
+            tuple(Rows(b, r, np.arange(k), s.reshape(len(r), k)) for b, r, s in flights)
+            for flights in self.channels
+        )
+        days = np.zeros((len(self.channels[0]), len(beliefs.days)))
+        names = tuple(f"channel_{i}" for i in range(len(rows)))
+        return Spectrum(names, rows, np.zeros(k), days, beliefs.days)
+
+    @property
+    def judge(self) -> Judge:
+        k, beliefs = len(self.effects), self.beliefs
+        bounds = Bounds(beliefs.low, beliefs.high, np.zeros((0, k)), np.zeros(0))
+        own = np.ones(len(self.channels)) if self.own is None else self.own
+        noise = Noise(self.floor, own, self.silent)
+        return Judge(self.spectrum, noise, beliefs, bounds, EvidenceSettings())

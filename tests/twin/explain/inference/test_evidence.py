@@ -1,0 +1,204 @@
+"""The evidence of a set against integrals and normal distributions written down by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal
+from search_rigs.linear_judge import Linear
+
+from twin.explain.inference.evidence import Noise
+from twin.explain.settings import DEFAULT
+
+Array = NDArray[np.float64]
+LEVEL = DEFAULT.inference.evidence.level
+ONE_BAND = {(0, 0): 1.0, (0, 1): 0.3**2}
+
+
+def bands(n: int, band: int = 1) -> NDArray[np.intp]:
+    return np.full(n, band, dtype=np.intp)
+
+
+def one_number(n: int = 300, size: float = 0.4, seed: int = 0) -> Linear:
+    """One number of mean 0.2 and deviation 0.5, white noise of deviation 1."""
+    rng = np.random.default_rng(seed)
+    s = rng.standard_normal(n)
+    r = size * s + rng.standard_normal(n)
+    return Linear(
+        ["a"],
+        [[(bands(n), r, s[:, None])]],
+        ONE_BAND,
+        mean=np.array([0.2]),
+        slab=np.array([0.5]),
+        odds={"a": -2.5},
+    )
+
+
+# -- against integrals ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1, 0.4])
+def test_evidence_is_the_integral_over_number_and_noise_level(size: float) -> None:
+    """N(r; s x, v) N(x; 0.2, 0.5) Inv-chi2(v; 2, 0.3), summed on a grid of x and log v."""
+    problem = one_number(size=size)
+    ((_, r, s),) = problem.channels[0]
+    x, log_v = np.linspace(-2.8, 3.2, 4001), np.linspace(-1.5, 1.5, 601)
+    floor, n = ONE_BAND[0, 1], len(r)
+    rss = r @ r - 2 * x * (r @ s[:, 0]) + x**2 * (s[:, 0] @ s[:, 0])
+
+    def integral(sums: Array, weights: Array) -> float:
+        v = np.exp(log_v)[:, None]
+        log_p = -0.5 * (n * np.log(v) + sums / v)
+        log_p += -0.5 * (LEVEL * np.log(v) + LEVEL * floor / v)  # dv = v d log v
+        top = log_p.max()
+        return float(top + np.log(np.sum(np.exp(log_p - top) * weights)))
+
+    prior = np.exp(-0.5 * ((x - 0.2) / 0.5) ** 2)
+    with_number = integral(rss[None, :], prior[None, :] / prior.sum())
+    without = integral(np.array([[r @ r]]), np.ones((1, 1)))
+    judge = problem.judge
+    found = judge.best(["a"], 1.0).evidence - judge.best([], 1.0).evidence
+    assert found == pytest.approx(with_number - without - 2.5, abs=0.02)
+
+
+def normal(problem: Linear, on: str, kappa: float = 1.0) -> float:
+    """Log density of constants alone, whose noise is known, by their covariance."""
+    beliefs = problem.beliefs
+    k, f = len(problem.effects), len(problem.channels[0])
+    r, noise, shared, own = [], [], [], []
+    for c, flights in enumerate(problem.channels):
+        for i, (_, values, slopes) in enumerate(flights):
+            r.append(values[0])
+            noise.append(kappa**2 * problem.floor[c, 0])
+            shared.append(slopes[0])
+            row = np.zeros((f, k))
+            row[i] = slopes[0]
+            own.append(row.ravel())
+    there = np.array([e in on for e in problem.effects])
+    spread = np.where(np.outer(there, there), 0.0, beliefs.file)
+    spread[there] = spread[:, there] = 0.0
+    full = beliefs.file.copy()
+    full[np.diag_indices(k)] = np.where(there, beliefs.slab**2, np.diag(full))
+    days = np.kron(np.eye(f), np.diag((kappa * beliefs.day) ** 2))
+    s, d = np.array(shared), np.array(own)
+    covariance = np.diag(noise) + s @ full @ s.T + d @ days @ d.T
+    mean = s @ np.where(there, beliefs.mean, 0.0)
+    density = multivariate_normal(mean, covariance).logpdf(np.array(r))
+    return float(density) + 0.5 * len(r) * float(np.log(2 * np.pi))
+
+
+def constants(seed: int = 0, **changes: object) -> Linear:
+    """Five constants in each of two flights, three numbers."""
+    rng = np.random.default_rng(seed)
+    channels = [
+        [(bands(1, 0), rng.standard_normal(1), rng.standard_normal((1, 3))) for _ in range(2)]
+        for _ in range(5)
+    ]
+    floor = {(c, 0): 0.3 + 0.1 * c for c in range(5)}
+    made = Linear(list("abc"), channels, floor, np.array([0.3, -0.2, 0.5]), np.array([1, 0.5, 2]))
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("on", ["", "a", "bc", "abc"])
+def test_evidence_of_known_noise_is_the_normal_density(on: str) -> None:
+    problem = constants()
+    assert problem.judge.best(on, 1.0).evidence == pytest.approx(normal(problem, on), abs=1e-9)
+
+
+@pytest.mark.parametrize("kappa", [0.25, 1.0])
+@pytest.mark.parametrize("on", ["", "ac"])
+def test_numbers_of_days_and_constants_widen_by_kappa(on: str, kappa: float) -> None:
+    problem = constants(day=np.array([0.5, 0.0, 1.5]))
+    found = problem.judge.best(on, kappa).evidence
+    assert found == pytest.approx(normal(problem, on, kappa), abs=1e-9)
+
+
+def test_what_a_file_is_unsure_of_counts_with_its_covariance() -> None:
+    """Two numbers of the file that are off together; then one of them by an effect as well."""
+    file = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    problem = constants(file=file)
+    assert problem.judge.best("", 1.0).evidence == pytest.approx(normal(problem, ""), abs=1e-9)
+    alone = constants(file=np.diag(np.diag(file)))
+    assert abs(normal(problem, "") - normal(alone, "")) > 0.1
+    wider = constants(file=file, slab=np.array([1.5, 2.0, 2.0]), mean=np.zeros(3))
+    assert wider.judge.best("a", 1.0).evidence == pytest.approx(normal(wider, "a"), abs=1e-9)
+
+
+# -- what it does not depend on ---------------------------------------------------------------
+
+
+def test_gains_and_losses_count_alike() -> None:
+    """What a number takes from one channel it adds to another of the same kind."""
+    u = np.random.default_rng(2).standard_normal(200)[:, None]
+    channels = [[(bands(200), 2 * u[:, 0], u)], [(bands(200), u[:, 0], -u)]]
+    floor = {(c, b): 0.01 for c in (0, 1) for b in (0, 1)}
+    judge = Linear(["a"], channels, floor, mean=np.array([0.5])).judge
+    before, after = (judge.at(["a"], 1.0, np.array([x])) for x in (0.0, 1.0))
+    assert before == pytest.approx(after, abs=1e-9)
+
+
+def test_differences_do_not_depend_on_units() -> None:
+    """A channel in other units, its known levels with it."""
+    rng = np.random.default_rng(3)
+    n = 150
+    rows = [rng.standard_normal((n, 3)) for _ in range(2)]
+
+    def lead(scale: float) -> float:
+        factors = (1.0, scale)
+        channels = [
+            [(1 + np.arange(n) % 4, f * (v[:, 0] + 0.3 * v[:, 1]), f * v[:, 1:])]
+            for f, v in zip(factors, rows, strict=True)
+        ]
+        plain = Linear(["a", "b"], channels, {})
+        noise = Noise.of(plain.spectrum, [0.1, 0.1 * scale])
+        judge = replace(plain, floor=noise.floor, own=noise.own).judge
+        return judge.best(["a"], 1.0).evidence - judge.best(["b"], 1.0).evidence
+
+    assert lead(1e3) == pytest.approx(lead(1.0), abs=1e-6)
+    assert lead(1.0) > 3
+
+
+def test_a_band_that_does_not_vote_has_no_influence() -> None:
+    rng = np.random.default_rng(4)
+    n = 100
+    band = np.repeat([1, 2], n).astype(np.intp)
+    s = rng.standard_normal((2 * n, 1))
+    r = rng.standard_normal(2 * n) + np.where(band == 1, 0.5, -3.0) * s[:, 0]
+    floor = {(0, b): 0.01 for b in range(3)}
+    both = Linear(["a"], [[(band, r, s)]], floor)
+    gated = replace(both, silent=frozenset({(0, 2)}))
+    alone = Linear(["a"], [[(band[:n], r[:n], s[:n])]], floor)
+    assert gated.judge.best(["a"], 1.0).x == pytest.approx(alone.judge.best(["a"], 1.0).x)
+    leads = [
+        p.judge.best(["a"], 1.0).evidence - p.judge.best([], 1.0).evidence for p in (gated, alone)
+    ]
+    assert leads[0] == pytest.approx(leads[1], abs=1e-9)
+    assert abs(both.judge.best(["a"], 1.0).x[0] - gated.judge.best(["a"], 1.0).x[0]) > 0.1
+
+
+def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() -> None:
+    rng, samples = np.random.default_rng(5), DEFAULT.inference.evidence.samples
+    leads = []
+    for n in (2000, 20000):
+        s = rng.standard_normal((n, 1))
+        r = rng.standard_normal(n) + s[:, 0]
+        plain = Linear(["a"], [[(bands(n), r, s)]], {})
+        noise = Noise.of(plain.spectrum, [1.0])
+        assert noise.own[0] * n == pytest.approx(1 / (1 / n + 1 / samples))
+        judge = replace(plain, floor=noise.floor, own=noise.own).judge
+        leads.append(judge.best(["a"], 1.0).evidence - judge.best([], 1.0).evidence)
+    assert leads[1] == pytest.approx(leads[0], rel=0.2)
+    assert leads[1] < 0.5 * samples * np.log(2)  # half the power is explained
+
+
+def test_a_number_stays_inside_its_range_and_the_others_make_the_best_of_it() -> None:
+    rng = np.random.default_rng(6)
+    s = rng.standard_normal((400, 2))
+    s[:, 1] += 0.8 * s[:, 0]
+    r = s @ [2.0, 0.1] + 0.1 * rng.standard_normal(400)
+    problem = Linear(["a", "b"], [[(bands(400), r, s)]], ONE_BAND, reach=1.0)
+    x = problem.judge.best(["a", "b"], 1.0).x
+    assert x[0] == pytest.approx(1.0)
+    rest = r - s[:, 0]
+    assert x[1] == pytest.approx(min(1.0, s[:, 1] @ rest / (s[:, 1] @ s[:, 1])), rel=0.02)

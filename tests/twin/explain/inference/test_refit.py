@@ -1,0 +1,83 @@
+"""Gauss-Newton on the exact residuals: numbers that were planted come back, several at once."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from search_rigs.hypotheses import against, state_of
+
+from twin.explain.inference.refit import Problem
+from twin.logs import Flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+
+COPTER = load_vehicle("copter_default")
+LEGS: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("tour", 2.0, (3.0, 1.0, -1.5)),
+    ("tour", 2.0, (0.0, -2.0, -2.5)),
+    ("tour", 2.0, (0.0, 0.0, -1.5)),
+)
+PLANTED = {
+    "thrust_scale.scale": 0.85,
+    "rotor_drag.k_xy_1_s": 0.4,
+    "cog_offset.x_m": 0.06 * COPTER.arm_m,
+    "motor_lag.tau_s": 0.03,
+    "imu_lever_arm.x_m": 0.2 * COPTER.arm_m,
+}
+EFFECTS_AT_ONCE = tuple(dict.fromkeys(name.partition(".")[0] for name in PLANTED))
+
+
+@cache
+def flown() -> Flight:
+    changes: dict[str, dict[str, float]] = {}
+    for name, value in PLANTED.items():
+        effect, _, number = name.partition(".")
+        changes.setdefault(effect, {})[number] = value
+    return fly(COPTER, COPTER.with_effects(changes), 3, "five", LEGS)
+
+
+@cache
+def problem() -> Problem:
+    return against(flown(), COPTER, *EFFECTS_AT_ONCE)
+
+
+@pytest.mark.slow
+def test_five_effects_at_once_come_back_with_their_numbers() -> None:
+    state = state_of(problem(), EFFECTS_AT_ONCE)
+    b = problem().beliefs
+    sd = state.best.deviations()
+    for name, value in PLANTED.items():
+        i = b.names.index(name)
+        found = b.now[i] + state.best.x[i]
+        assert found == pytest.approx(value, rel=0.1, abs=3 * sd[i]), name
+        assert sd[i] < 0.5 * b.slab[i], name
+    nothing = problem().start((), 1.0)
+    assert state.evidence > nothing.evidence + 200
+
+
+@pytest.mark.slow
+def test_a_fit_ends_where_its_residuals_are_those_of_the_model() -> None:
+    """What the end of a fit says of itself is what the model says there."""
+    state = state_of(problem(), EFFECTS_AT_ONCE)
+    there = state.spectrum.moved(problem().channels(state.best.x), *problem().split(state.best.x))
+    for own, then in zip(state.spectrum.rows, there.rows, strict=True):
+        for a, b in zip(own, then, strict=True):
+            np.testing.assert_allclose(a.residual, b.residual, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_more_effects_never_fit_worse_and_numbers_stay_in_range() -> None:
+    few = state_of(problem(), EFFECTS_AT_ONCE[:2])
+    every = problem().settle(EFFECTS_AT_ONCE, 1.0, problem().rest, few.best.x)
+    judge = problem().judge(every.spectrum)
+    assert every.evidence > few.evidence
+    b = problem().beliefs
+    k = len(b.now)
+    values = b.now + every.best.x[:k]
+    on = b.of(EFFECTS_AT_ONCE)
+    assert np.all(values[on] >= b.low[on] - 1e-12) and np.all(values[on] <= b.high[on] + 1e-12)
+    assert judge.at(every.effects, 1.0) == pytest.approx(
+        judge.at(every.effects, 1.0, every.best.x), abs=1e-6
+    )

@@ -1,0 +1,101 @@
+"""Residuals by frequency: what the transform keeps, and where it puts what it keeps."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from twin.explain.inference.spectrum import BANDS_HZ, SHORTEST, Spectrum
+from twin.residuals.channels import CHANNEL_HZ, ChannelData
+
+Array = NDArray[np.float64]
+
+
+def channel(
+    residual: Array, slopes: Array | None = None, pieces: Sequence[int] = ()
+) -> ChannelData:
+    """A channel in pieces of these lengths; default: one."""
+    n = len(residual)
+    lengths = pieces or [n]
+    piece = np.repeat(np.arange(len(lengths)), lengths)
+    columns = np.zeros((n, 1)) if slopes is None else slopes
+    return ChannelData(
+        "acc_x", "m/s²", np.arange(n) / CHANNEL_HZ, residual, residual, columns, piece
+    )
+
+
+def of(*flights: ChannelData) -> Spectrum:
+    width = flights[0].slopes.shape[1]
+    none = np.zeros((len(flights), 0))
+    return Spectrum.of([[f] for f in flights], np.zeros(width), none, np.zeros(0, dtype=np.intp))
+
+
+def moving(spectrum: Spectrum) -> float:
+    """Power beside the constants."""
+    return sum(p for (_, band), (p, _) in spectrum.power().items() if band)
+
+
+def constant(spectrum: Spectrum) -> float:
+    return spectrum.power()[0, 0][0]
+
+
+@pytest.mark.parametrize("pieces", [(), (200, 100), (60, 90, 150)])
+def test_sums_of_squares_and_products_are_kept(pieces: Sequence[int]) -> None:
+    rng = np.random.default_rng(0)
+    r, s = rng.standard_normal((2, 300))
+    ends = np.cumsum(pieces or (300,))[:-1]
+    apart = [np.concatenate([p - p.mean() for p in np.split(v, ends)]) for v in (r, s)]
+    spectrum = of(channel(r, s[:, None], pieces))
+    assert moving(spectrum) == pytest.approx(apart[0] @ apart[0])
+    (rows,) = spectrum.rows[0]
+    inside = rows.band > 0
+    product = rows.residual[inside] @ rows.slopes[inside, 0]
+    assert product == pytest.approx(apart[0] @ apart[1])
+
+
+@pytest.mark.parametrize("pieces", [(), (200, 100), (60, 90, 150), (100, 100, 100)])
+def test_a_constant_of_a_flight_counts_once_whatever_its_pieces(pieces: Sequence[int]) -> None:
+    spectrum = of(channel(np.full(300, 0.7), None, pieces))
+    assert constant(spectrum) == pytest.approx(0.7**2)
+    assert moving(spectrum) == pytest.approx(0.0, abs=1e-20)
+
+
+def test_constants_of_flights_add_up() -> None:
+    spectrum = of(*(channel(np.full(n, 0.7)) for n in (100, 400)))
+    assert constant(spectrum) == pytest.approx(2 * 0.7**2)
+
+
+@pytest.mark.parametrize("row", [1, 5, 12, 40, 250, 499])
+def test_a_wave_is_in_the_band_of_its_frequency(row: int) -> None:
+    n = 500
+    wave = np.cos(np.pi * (np.arange(n) + 0.5) * row / n)
+    hz = row * CHANNEL_HZ / 2 / n
+    power = of(channel(wave)).power()
+    (band,) = (b for (_, b), (p, _) in power.items() if p > 1e-9)
+    assert BANDS_HZ[band - 1] <= hz < BANDS_HZ[band]
+    assert power[0, band][0] == pytest.approx(n / 2)
+    assert sum(count for _, count in power.values()) == n
+
+
+def test_a_piece_that_is_too_short_does_not_count() -> None:
+    short = SHORTEST - 1
+    residual = np.concatenate([np.ones(100), np.full(short, 50.0)])
+    assert constant(of(channel(residual, None, (100, short)))) == pytest.approx(1.0)
+    assert of(channel(np.ones(short))).power() == {}
+
+
+def test_slopes_of_columns_are_left_out_or_taken_anew() -> None:
+    rng = np.random.default_rng(1)
+    residual, slopes = rng.standard_normal(200), rng.standard_normal((200, 3))
+    slopes[:, 1] = 0.0
+    whole = of(channel(residual, slopes))
+    assert list(whole.rows[0][0].active) == [0, 2]
+    assert list(whole.only(np.array([1, 2])).rows[0][0].active) == [2]
+    other = rng.standard_normal((200, 1))
+    renewed = whole.renewed([[channel(residual, other)]], np.array([1]))
+    expected = of(channel(residual, np.column_stack([slopes[:, 0], other, slopes[:, 2]])))
+    np.testing.assert_allclose(renewed.rows[0][0].slopes, expected.rows[0][0].slopes)
+    moved = whole.moved([[channel(2 * residual, slopes)]], np.ones(3), np.zeros((1, 0)))
+    np.testing.assert_allclose(moved.rows[0][0].residual, 2 * whole.rows[0][0].residual)
+    np.testing.assert_array_equal(moved.rows[0][0].slopes, whole.rows[0][0].slopes)

@@ -1,0 +1,178 @@
+"""What is of a record and not of an aircraft: clocks that are apart, a pose that is smoothed."""
+
+from collections.abc import Iterable
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rig import fitted, rows_of
+from scipy.ndimage import gaussian_filter1d
+
+from twin.effects import EFFECTS
+from twin.explain.design.manoeuvres import Manoeuvre, plan
+from twin.explain.design.rehearsal import rehearse
+from twin.explain.model.model import Model, candidates, model_of
+from twin.explain.model.numbers import with_effects
+from twin.logs import Flight
+from twin.logs.columns import GYRO, QUAT, VEL
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import WAYPOINTS, fly
+
+VEHICLE = load_vehicle("copter_default")
+CLOCKS = {
+    "pose_s": ("pos", "vel"),
+    "attitude_s": ("q",),
+    "accelerometer_s": ("acc",),
+    "command_s": ("cmd",),
+}
+
+
+@cache
+def recorded() -> Flight:
+    return fly(VEHICLE, VEHICLE, 3, waypoints=WAYPOINTS[:5])
+
+
+def shifted(stems: Iterable[str], later_s: float) -> Flight:
+    """The flight with signals that are that much older than their time stamps say."""
+    table = recorded().table.copy()
+    time = table["time"].to_numpy()
+    for column in table:
+        if str(column).rpartition("_")[0] in stems:
+            known = table[column].notna().to_numpy()
+            values = table.loc[known, column].to_numpy()
+            table.loc[known, column] = np.interp(time[known] - later_s, time[known], values)
+    return Flight("shifted", table)
+
+
+def seen(flight: Flight, *effects: str) -> Model:
+    return model_of([flight], VEHICLE, [EFFECTS[e] for e in effects])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("later_s", [-0.04, 0.04])
+@pytest.mark.parametrize("number", CLOCKS)
+def test_a_clock_that_is_apart_is_found_with_its_sign(number: str, later_s: float) -> None:
+    """Against the same record with the clocks as they are, which are apart by what is held."""
+    name = f"clock_offset.{number}"
+    before, after = (
+        fitted(seen(flight, "clock_offset"), [name])[name]
+        for flight in (recorded(), shifted(CLOCKS[number], later_s))
+    )
+    assert before == pytest.approx(0.0, abs=0.006)
+    assert after - before == pytest.approx(later_s, abs=0.004)
+
+
+@pytest.mark.slow
+def test_a_gyroscope_that_is_old_makes_all_others_young() -> None:
+    names = [f"clock_offset.{n}" for n in CLOCKS]
+    before, after = (
+        fitted(seen(flight, "clock_offset"), names)
+        for flight in (recorded(), shifted(("gyro",), 0.02))
+    )
+    for name in names:
+        assert after[name] - before[name] == pytest.approx(-0.02, abs=0.004), name
+
+
+@pytest.mark.slow
+def test_clocks_move_what_the_delays_of_the_aircraft_move() -> None:
+    """A command that acts late was shown when it was young; all others are old in both."""
+    model = seen(recorded(), "clock_offset", "imu_delay", "position_delay", "command_delay")
+    names = [n.full for n in model.numbers]
+
+    def slopes(*numbers: str) -> NDArray[np.float64]:
+        columns = [names.index(n) for n in numbers]
+        flights = model.channels(columns)
+        return np.asarray(rows_of(flights, ["acc", "pose_acc"])[1].sum(axis=1))
+
+    delays = {
+        "imu_delay.delay_s": ("accelerometer_s",),
+        "position_delay.delay_s": ("pose_s",),
+        "position_delay.attitude_s": ("attitude_s",),
+    }
+    for delay, clocks in delays.items():
+        own = slopes(*(f"clock_offset.{c}" for c in clocks))
+        np.testing.assert_allclose(own, slopes(delay), rtol=1e-9, atol=1e-9)
+    for sign, name in ((1, "command_delay.delay_s"), (-1, "clock_offset.command_s")):
+        late = {name: sign * 0.02}
+        residuals = rows_of(model.channels([], late))[0]
+        np.testing.assert_allclose(
+            residuals, rows_of(model.channels([], {"command_delay.delay_s": 0.02}))[0]
+        )
+
+
+@pytest.mark.slow
+def test_a_signal_that_is_not_there_has_no_clock() -> None:
+    flight = recorded()
+    bare = Flight("bare", flight.table.drop(columns=[*QUAT, *VEL, "pos_x", "pos_y", "pos_z"]))
+    assert "clock_offset" in {e.name for e in candidates([bare])}
+    assert "pose_smoothing" not in {e.name for e in candidates([bare])}
+    model = seen(bare, "clock_offset")
+    assert {n.name for n in model.numbers} == {"accelerometer_s", "command_s"}
+    assert "rotor_s" not in {n.name for n in seen(flight, "clock_offset").numbers}
+    (rows, _) = rows_of(model.channels(range(len(model.numbers)), {"clock_offset.command_s": 0.01}))
+    assert np.all(np.isfinite(rows))
+
+
+@pytest.mark.parametrize("effect", ["clock_offset", "pose_smoothing"])
+def test_what_is_of_a_record_is_not_written_to_a_vehicle(effect: str) -> None:
+    values = {f"{effect}.{p.name}": p.start for p in EFFECTS[effect].of_logs}
+    values |= {"mass_offset.mass_kg": 0.1}
+    found = with_effects(VEHICLE, [effect, "mass_offset"], values)
+    assert found.effects == {"mass_offset": {"mass_kg": 0.1}}
+    assert not EFFECTS[effect].of_vehicle
+
+
+@cache
+def shaken(**numbers: float) -> Flight:
+    """To and fro, recorded without noise, the pose averaged: it is smooth, not what flies."""
+    plant = VEHICLE.with_effects({"pose_smoothing": numbers})
+    moves = plan(VEHICLE, [Manoeuvre("shaken", "", 10.0, shaking)])
+    return rehearse(moves, VEHICLE, plant, [recorded()])
+
+
+def averaged(flight: Flight, width_s: float) -> Flight:
+    """With an attitude that a Gaussian kernel averaged, and with noise on it and the gyroscope."""
+    table, rng = flight.table.copy(), np.random.default_rng(1)
+    for column in QUAT:
+        known = table[column].notna().to_numpy()
+        period = float(np.median(np.diff(table["time"].to_numpy()[known])))
+        values = table.loc[known, column].to_numpy()
+        if width_s:
+            values = gaussian_filter1d(values, width_s / period)
+        table.loc[known, column] = values + 5e-4 * rng.standard_normal(len(values))
+    for column in GYRO:
+        table[column] += 0.005 * rng.standard_normal(len(table))
+    return Flight("averaged", table)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width_s", [0.02, 0.03])
+def test_the_width_of_an_average_is_found(width_s: float) -> None:
+    """Beside that of an attitude that is taken at 100 Hz and interpolated."""
+    name = "pose_smoothing.attitude_s2"
+    before, after = (
+        fitted(seen(averaged(shaken(), w), "pose_smoothing"), [name], ["pose_gyro"])[name]
+        for w in (0.0, width_s)
+    )
+    assert before < 4e-5
+    assert after - before == pytest.approx(width_s**2, rel=0.1)
+
+
+@pytest.mark.slow
+def test_averages_of_attitude_and_velocity_are_told_apart() -> None:
+    names = ["pose_smoothing.attitude_s2", "pose_smoothing.position_s2"]
+    before, after = (
+        fitted(seen(flight, "pose_smoothing"), names, ["pose"])
+        for flight in (shaken(), shaken(attitude_s2=4e-4, position_s2=9e-4))
+    )
+    # The laws are of second order, and each takes the other's share of a product.
+    assert after[names[0]] - before[names[0]] == pytest.approx(4e-4, rel=0.15)
+    assert after[names[1]] - before[names[1]] == pytest.approx(9e-4, rel=0.1)
+
+
+def shaking(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """To and fro, about once per second."""
+    ramp, w = np.sin(np.pi * np.clip(t / 10.0, 0, 1)) ** 2, 2 * np.pi * t
+    x, y, z = (a * np.sin(f * w) for a, f in ((0.6, 0.7), (0.5, 0.9), (0.3, 0.6)))
+    return np.column_stack([ramp * x, ramp * y, ramp * z, ramp * 0.3 * np.sin(0.5 * w)])

@@ -1,0 +1,94 @@
+"""What a file says of its own uncertainty, and what is too far from what a number can be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from search_rigs.hypotheses import against
+
+from twin.explain.estimates import calibrated_effects
+from twin.explain.explanation import Explanation, explain
+from twin.explain.inference.fit import Fit
+from twin.explain.inference.selection import _resemblances, name_effects
+from twin.explain.result_json import explain_json
+from twin.explain.settings import DEFAULT
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
+from uavtwin.demo.flights import Waypoints, fly
+
+COPTER = load_vehicle("copter_default")
+LEGS: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("tour", 2.0, (3.0, 1.0, -1.5)),
+    ("tour", 2.0, (0.0, -2.0, -2.5)),
+    ("tour", 2.0, (0.0, 0.0, -1.5)),
+)
+MASS = 'mass = { value = 1.4, unit = "kg", '
+
+
+def unsure_of_mass(sd: str) -> Vehicle:
+    """The file with a deviation beside its mass."""
+    text, name = vehicle_text("copter_default")
+    assert MASS in text
+    return parse_vehicle(text.replace(MASS, f'{MASS}sd = "{sd}", '), name)
+
+
+def explained(vehicle: Vehicle, plant: Vehicle) -> Explanation:
+    """What a flight says, another being held out."""
+    flights = [fly(COPTER, plant, seed=n, name=f"flown_{n}", waypoints=LEGS) for n in (3, 4)]
+    return explain(flights[:1], flights[1:], vehicle, missions=[])
+
+
+@pytest.mark.slow
+def test_an_error_that_the_file_allows_for_is_no_name_but_a_better_number() -> None:
+    heavier = replace(COPTER, mass_kg=1.05 * COPTER.mass_kg)
+    found = explained(unsure_of_mass("5 %"), heavier)
+    assert found.verdict == "nothing"
+    assert calibrated_effects(found) == ["mass_offset"]
+    ((calibrated),) = explain_json(found)["calibrated"]
+    number = calibrated["parameters"]["mass_kg"]
+    assert number["value"] == pytest.approx(0.05 * COPTER.mass_kg, rel=0.2)
+    assert number["ci95"][0] < 0.05 * COPTER.mass_kg < number["ci95"][1]
+    assert found.added is not None
+    added = found.added.effects["mass_offset"]["mass_kg"]
+    assert added == pytest.approx(number["value"])
+
+
+@pytest.mark.slow
+def test_an_error_of_six_deviations_has_a_name() -> None:
+    heavier = replace(COPTER, mass_kg=1.12 * COPTER.mass_kg)
+    found = explained(unsure_of_mass("2 %"), heavier)
+    assert found.verdict == "named"
+    assert found.naming is not None
+    assert "mass_offset" in found.naming.named
+    assert found.values["mass_offset.mass_kg"] == pytest.approx(0.12 * COPTER.mass_kg, rel=0.2)
+    assert calibrated_effects(found) == []
+
+
+@pytest.mark.slow
+def test_what_no_such_number_can_be_only_acts_like_its_effect() -> None:
+    """A gyroscope whose scale is 8 % off."""
+    flight = fly(COPTER, COPTER, seed=3, name="flown", waypoints=LEGS)
+    table = flight.table.copy()
+    for a in "xyz":
+        table[f"gyro_{a}"] *= 1.08
+    naming = name_effects([replace(flight, table=table)], COPTER)
+    alike = {r.effect: r.why for r in naming.resemblances}
+    assert "deviations from what such a number" in alike["gyro_scale"]
+    assert "gyro_scale" not in naming.named
+    assert "gyro_scale" not in naming.undecided
+    assert naming.verdict in ("unnamed", "named")
+
+
+def test_a_number_at_its_edge_is_of_something_that_acts_like_its_effect() -> None:
+    flight = fly(COPTER, COPTER, seed=3, name="flown", waypoints=LEGS)
+    problem = against(flight, COPTER, "gyro_scale")
+    rules = DEFAULT.inference.selection
+    for value, why in ((1.2, "at the edge"), (1.06, "6.0 deviations"), (1.02, "")):
+        numbers = tuple(n for n in problem.model.numbers if n.effect == "gyro_scale")
+        values = {n.full: 1.0 for n in numbers} | {"gyro_scale.x": value}
+        told = Fit(("gyro_scale",), values, numbers, np.zeros(3), 0.0)
+        found = _resemblances(problem, told, told, {}, rules)
+        assert [r.effect for r in found] == ["gyro_scale"] * bool(why)
+        assert all(why in r.why for r in found)

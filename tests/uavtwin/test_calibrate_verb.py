@@ -1,0 +1,326 @@
+"""`uavtwin calibrate` and `explain --since`: what a normal aircraft is, and what has changed."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from cli_rig import run
+
+import uavtwin as ut
+from twin.errors import TwinError
+from twin.explain.calibration import Calibrated
+from twin.explain.explanation import Explanation
+from twin.explain.inference.selection import Naming
+from twin.explain.result_json import explain_json
+from twin.logs import read_flight, write_flight
+from twin.vehicle import Calibration, Vehicle
+from uavtwin.calibration import CalibrateResult
+from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.report.spoken import said
+from uavtwin.report.words import claim
+
+COPTER = ut.load_vehicle("copter_default")
+DRAG_1_S = 0.5
+NORMAL = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m
+    + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+LOADED_KG = 0.15
+Place = tuple[float, float, float]
+
+
+def legs(first: Place, second: Place) -> Waypoints:
+    """Take off, fly to two places, hover."""
+    return (
+        ("ground", 0.5, (0.0, 0.0, 0.0)),
+        ("takeoff", 3.0, (0.0, 0.0, -1.0)),
+        ("forward", 2.0, first),
+        ("forward", 2.0, second),
+        ("hover", 1.5, second),
+    )
+
+
+ACROSS = legs((2.0, 1.0, -1.0), (0.0, 0.0, -1.3))
+BACK = legs((-1.0, 2.0, -1.0), (0.0, 0.0, -1.3))
+NOTE = "# as weighed on Monday"
+
+
+def written(
+    folder: Path, name: str, plant: Vehicle, seed: int, waypoints: Waypoints = ACROSS
+) -> Path:
+    path = folder / f"{name}.parquet"
+    write_flight(fly(COPTER, plant, seed, name, waypoints), path)
+    return path
+
+
+# -- words ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effect", "change", "words"),
+    [
+        (
+            "rotor_efficiency_loss",
+            {"loss_1": 0.002, "loss_3": 0.14},
+            "rotor 3 has lost 14 % of its thrust",
+        ),
+        ("mass_offset", {"mass_kg": 0.1}, "it carries 0.1 kg more"),
+        ("mass_offset", {"mass_kg": -0.1}, "it is 0.1 kg lighter"),
+        (
+            "cog_offset",
+            {"x_m": 0.004, "y_m": -0.002, "z_m": 0.0},
+            "its centre of mass has moved 4 mm forward and 2 mm left",
+        ),
+        ("slung_load", {"mass_kg": 0.2}, "0.2 kg hang below it on a rope"),
+        (
+            "command_delay",
+            {"delay_s": 0.012},
+            "its motors get their commands 12 ms later than then",
+        ),
+        ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by 10° more"),
+        ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more forward than then"),
+        ("parasitic_drag", {"c_1_m": 0.1}, "parasitic drag (c_1_m 0.1 1/m)"),
+    ],
+)
+def test_a_change_is_said_as_a_pilot_says_it(
+    effect: str, change: dict[str, float], words: str
+) -> None:
+    assert said(effect, change, COPTER, since=True) == words
+
+
+def test_a_number_of_this_aircraft_is_held_against_its_file() -> None:
+    assert said("thrust_scale", {"scale": -0.07}, COPTER, since=False) == (
+        "its rotors give 7 % less than its file says"
+    )
+    assert said("inertia_error", {"scale_x": 0.2, "scale_y": 0.19}, COPTER, since=False) == (
+        "its inertia is 20 % more in roll and 19 % more in pitch than its file says"
+    )
+
+
+# -- what is refused --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("given", [[], ["--vehicle", "crazyflie", "--since", "mine.toml"]])
+def test_one_of_vehicle_and_since(
+    given: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = run(capsys, "explain", "one.ulg", *given, "--out", tmp_path / "out")
+    assert code == 2
+    assert "--since FILE, a file of `uavtwin calibrate`" in err
+    with pytest.raises(TwinError, match="to ask what has changed since then"):
+        ut.explain([], [], *([COPTER] if given else []), since=COPTER if given else None)
+
+
+def test_since_takes_what_was_calibrated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = written(tmp_path, "one", COPTER, 1)
+    out = tmp_path / "out"
+    code, _, err = run(capsys, "explain", path, "--since", "copter_default", "--out", out)
+    assert code == 2
+    assert "copter_default: holds no [calibration]" in err
+    assert "uavtwin calibrate" in err
+    assert not out.exists()
+    with pytest.raises(TwinError, match="holds no"):
+        ut.explain(read_flight(path), [], since=COPTER)
+
+
+def test_what_cannot_be_calibrated_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, "one", COPTER, 1)
+    flight = read_flight(path)
+    with pytest.raises(TwinError, match="no flight to calibrate on"):
+        ut.calibrate([], COPTER)
+    with pytest.raises(TwinError, match="two flights have this name"):
+        ut.calibrate([flight, flight], COPTER)
+    with pytest.raises(TwinError, match="there is no flight 'two'"):
+        ut.calibrate(flight, COPTER, payloads={"two": 0.1})
+    upward = replace(flight, table=flight.table.assign(acc_z=-flight.table["acc_z"]))
+    with pytest.raises(TwinError, match=r"none of the flights can be used: .*check the axes"):
+        ut.calibrate(upward, COPTER)
+    there = tmp_path / "there.toml"
+    there.write_text("mine")
+    arguments = ("calibrate", path, "--vehicle", "copter_default", "--out", there)
+    code, _, err = run(capsys, *arguments)
+    assert (code, there.read_text()) == (2, "mine")
+    assert "exists. Choose another --out or add --force." in err
+
+
+# -- what to fly ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("untold", "says"),
+    [
+        ("rotor_drag.k_xy_1_s", "fast straight legs"),
+        ("yaw_torque_scale.scale", "yaw steps"),
+        ("inertia_error.scale_z", "yaw steps"),
+        ("inertia_error.scale_x", "doublets"),
+        ("motor_lag.tau_s", "doublets"),
+        ("battery_sag.slope", "from full to low"),
+        ("thrust_scale.scale", "known mass aboard"),
+    ],
+)
+def test_what_is_untold_is_flown_next(untold: str, says: str) -> None:
+    flights = ("a", "b", "c")
+    vehicle = replace(COPTER, calibration=Calibration(flights, (), np.zeros((0, 0)), {}, {}))
+    details = cast(Calibrated, SimpleNamespace(untold=(untold,), vehicle=vehicle))
+    (only,) = CalibrateResult(details, COPTER).fly_next()
+    assert says in only
+
+
+# -- the whole way ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Normal flights, an unusable one, and a draft."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    for seed, name in enumerate(("one", "two", "three"), start=1):
+        written(folder, name, NORMAL, seed, ACROSS if seed == 1 else BACK)
+    flight = read_flight(folder / "three.parquet")
+    table = flight.table.assign(acc_z=-flight.table["acc_z"])
+    write_flight(replace(flight, name="flipped", table=table), folder / "flipped.parquet")
+    text = COPTER.text.replace("[body]", f"[body]  {NOTE}")
+    (folder / "draft.toml").write_text(text, "utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def calibrated(folder: Path) -> dict[str, Any]:
+    """What `calibrate --json` says; the vehicle file lies in the folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        kept: list[Any] = []
+        patch.setattr("uavtwin.cli.calibrate.print_json", kept.append)
+        patch.chdir(folder)
+        names = ["one.parquet", "two.parquet", "three.parquet", "flipped.parquet"]
+        options = ["--vehicle", "draft.toml", "--out", "mine.toml", "--json", "--outdoor"]
+        patch.setattr("sys.argv", ["uavtwin", "calibrate", *names, *options])
+        from uavtwin.cli.main import main
+
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == 1  # the reader itself doubts the flight that is left out
+    content = json.loads(json.dumps(kept[0], allow_nan=False))
+    assert isinstance(content, dict)
+    return content
+
+
+@pytest.mark.slow
+def test_the_numbers_of_the_aircraft(calibrated: dict[str, Any]) -> None:
+    first = calibrated["numbers"][0]
+    assert first["name"] == "rotor_drag.k_xy_1_s"
+    assert first["value"] == pytest.approx(DRAG_1_S, rel=0.03)
+    assert first["ci95"][0] < first["value"] < first["ci95"][1]
+    assert first["told"]
+    assert calibrated["flights"] == ["one", "two", "three"]
+    assert calibrated["days"]["told"]
+    assert calibrated["days"]["sd"]["cog_offset.x_m"] > 0
+    (warning,) = calibrated["warnings"]
+    assert warning.startswith("left out: flipped: ")
+    rooms = [n["name"].startswith("clock_offset") for n in calibrated["numbers"]]
+    assert rooms == sorted(rooms)
+
+
+@pytest.mark.slow
+def test_the_vehicle_file(calibrated: dict[str, Any], folder: Path) -> None:
+    text = (folder / "mine.toml").read_text("utf-8")
+    mine = ut.load_vehicle(folder / "mine.toml")
+    assert NOTE in text
+    assert mine.toml() == text
+    told = {n["name"]: n for n in calibrated["numbers"]}
+    key = "rotor_drag.k_xy_1_s"
+    assert mine.effects["rotor_drag"]["k_xy_1_s"] == pytest.approx(told[key]["value"], rel=1e-8)
+    sd = mine.deviations[f"effects.{key}"].numbers
+    low, high = told[key]["ci95"]
+    assert sd is not None
+    assert sd[0] == pytest.approx((high - low) / 2 / 1.96, rel=1e-3)
+    assert mine.sources[f"effects.{key}"] == "uavtwin calibrate, one, two, three"
+    assert "[effects.clock_offset]" not in text
+    known = mine.calibration
+    assert known is not None
+    assert known.flights == ("one", "two", "three")
+    assert key in known.numbers
+    assert np.linalg.eigvalsh(known.covariance).min() > 0
+    record = json.loads((folder / "mine.run.json").read_text())
+    assert record["verb"] == "calibrate"
+    assert record["options"]["left_out"] == ["flipped"]
+    assert [i["name"] for i in record["inputs"]][-1] == "draft.toml"
+    assert not list(folder.glob(".uavtwin*"))
+
+
+@pytest.mark.slow
+def test_every_key_is_in_the_documentation(calibrated: dict[str, Any]) -> None:
+    text = (Path(__file__).parents[2] / "docs/reference/json.md").read_text("utf-8")
+    lines = text.partition("## calibrate --json")[2].partition("\n## ")[0].splitlines()
+    told = {k for line in lines for k in re.findall(r"`(\w+)`", line.split(" | ")[0])}
+    assert told == set(calibrated)
+
+
+def since(folder: Path, name: str, plant: Vehicle) -> ut.ExplainResult:
+    flight = read_flight(written(folder, name, plant, 9))
+    mine = ut.load_vehicle(folder / "mine.toml")
+    return ut.explain(flight, [], since=mine, missions=("takeoff",), indoors=False)
+
+
+@pytest.fixture(scope="module")
+def loaded(calibrated: dict[str, Any], folder: Path) -> ut.ExplainResult:
+    """What has changed on an aircraft that carries something."""
+    assert calibrated
+    plant = replace(NORMAL, mass_kg=NORMAL.mass_kg + LOADED_KG)
+    return since(folder, "loaded", plant)
+
+
+@pytest.mark.slow
+def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
+    assert loaded.effects == ("mass_offset",)
+    told = re.fullmatch(
+        r"Since the calibration on one, two and three: it carries (0\.\d+) kg more, sure to .*",
+        loaded.sentence,
+    )
+    assert told is not None, loaded.sentence
+    assert float(told[1]) == pytest.approx(LOADED_KG, rel=0.1)
+    assert loaded.json()["since"] == ["one", "two", "three"]
+    assert "rotor_drag.k_xy_1_s" in str(loaded.calibrated_table())
+    assert "told by the calibration" in str(loaded.calibrated_table())
+    assert loaded.vehicle.calibration is None
+    assert "[calibration]" not in loaded.vehicle.toml()
+
+
+@pytest.mark.slow
+def test_the_page_says_what_has_changed(loaded: ut.ExplainResult, tmp_path: Path) -> None:
+    page = loaded.report(tmp_path / "report.html").read_text("utf-8")
+    assert "What has changed on copter_default" in page
+    order = ("<h1>Since the calibration on", "Mass offset</h2>", "Numbers that were in doubt")
+    places = [page.index(words) for words in order]
+    assert places == sorted(places)
+
+
+@pytest.mark.slow
+def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
+    naming = loaded.details.naming
+    assert isinstance(naming, Naming)
+    chances = (0.6, 0.4, *(0.0 for _ in naming.probabilities[2:]))
+    tied = replace(
+        loaded.details, verdict="cannot_tell", naming=replace(naming, probabilities=chances)
+    )
+    assert isinstance(tied, Explanation)
+    text = claim(tied)
+    assert text.startswith("Since the calibration on one, two and three: either it carries 0.1")
+    assert text.endswith("(40 %): these flights cannot tell.")
+    assert explain_json(tied)["since"] == ["one", "two", "three"]
+
+
+@pytest.mark.slow
+def test_a_normal_flight_has_not_changed(calibrated: dict[str, Any], folder: Path) -> None:
+    assert calibrated
+    quiet = since(folder, "quiet", NORMAL)
+    assert quiet.verdict == "nothing"
+    assert "nothing has changed that these flights can show" in quiet.sentence
+    assert quiet.details.added is None
+    assert quiet.vehicle.calibration is not None

@@ -1,0 +1,60 @@
+"""Progress goes to stderr, whatever is asked for on stdout."""
+
+import io
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from twin.logs import write_flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.cli import main, printing
+from uavtwin.demo.flights import fly
+
+LEGS = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("hover", 1.5, (0.0, 0.0, -1.5)),
+)
+
+
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """Stderr as a terminal."""
+    seen = io.StringIO()
+    console = Console(file=seen, force_terminal=True, width=80)
+    monkeypatch.setattr(printing, "STDERR", console)
+    return seen
+
+
+def test_the_bar_is_on_stderr_and_stdout_holds_the_json_alone(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen = terminal(monkeypatch)
+    with printing.progress("explaining") as step:
+        step(0.5)
+    printing.print_json({"verdict": "named"})
+    assert "explaining" in seen.getvalue()
+    assert json.loads(capsys.readouterr().out) == {"verdict": "named"}
+
+
+def test_explain_shows_it_with_json_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """On a flight that is refused: how it is shown does not depend on what is found."""
+    vehicle = load_vehicle("copter_default")
+    flight = fly(vehicle, vehicle, 1, "short", LEGS)
+    flight.table["phase"] = "ground"
+    write_flight(flight, tmp_path / "short.parquet")
+    seen = terminal(monkeypatch)
+    words = ["explain", tmp_path / "short.parquet", "--vehicle", "copter_default", "--json"]
+    words += ["--indoor", "--no-fmus", "--out", tmp_path / "out"]
+    monkeypatch.setattr(sys, "argv", ["uavtwin", *map(str, words)])
+    with pytest.raises(SystemExit) as stop:
+        main.main()
+    assert stop.value.code == 1
+    assert json.loads(capsys.readouterr().out)["verdict"] == "unusable"
+    assert "explaining" in seen.getvalue()
+    options = json.loads((tmp_path / "out" / "run.json").read_text())["options"]
+    assert options["indoors"] == {"short": {"indoors": True, "source": "as told"}}

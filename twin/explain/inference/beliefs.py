@@ -1,0 +1,236 @@
+"""What is believed of every number of a model before its flights are looked at.
+
+A number that a vehicle file gives with a standard deviation is off by so much with no effect there:
+its spike. An effect that is there adds its own spread: its slab. What a day moves differs between
+flights on top of that.
+
+Spike and slab: Mitchell & Beauchamp, J. Am. Stat. Assoc. 83 (1988); George & McCulloch, J. Am.
+Stat. Assoc. 88 (1993).
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS, EffectParameter, Shift
+from ...effects.priors import CHANGES, ONLY_MORE, prior_of
+from ...errors import ModelError
+from ...representation import short_repr
+from ...vehicle import Vehicle, relative_deviation
+from ...vehicle.thrust_map import hover_level
+from ..model.model import Model
+from ..model.numbers import Number
+
+Array = NDArray[np.float64]
+
+UNCALIBRATED = (
+    "{}: holds no [calibration], so what has changed since cannot be told; make one by `uavtwin "
+    "calibrate FLIGHT... --vehicle DRAFT --out FILE`."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Beliefs:
+    """Priors of the numbers that a search may change, shapes included. Arrays have shape (k,).
+
+    Attributes:
+        columns: Positions among the numbers of the model.
+        names: "effect.number" of each.
+        cause: What each belongs to: an effect, or the part of it that one rotor or one clock has,
+            "effect:part".
+        shape: Whether it is a shape: there with its effect alone.
+        now: Value in the model as it stands.
+        mean: Expected value where the effect is there.
+        slab: Standard deviation of that.
+        file: Covariance where no effect is there, shape (k, k).
+        low: Smallest value.
+        high: Largest value.
+        held: Expected change from `now` where no effect is there.
+        day: Standard deviation between flights; 0: all flights share it.
+        odds: Log prior odds by cause.
+    """
+
+    columns: tuple[int, ...]
+    names: tuple[str, ...]
+    cause: tuple[str, ...]
+    shape: NDArray[np.bool_]
+    now: Array
+    mean: Array
+    slab: Array
+    file: Array
+    low: Array
+    high: Array
+    held: Array
+    day: Array
+    odds: Mapping[str, float]
+
+    __repr__ = short_repr
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Those that may be there, in the order of the columns; a shape is none."""
+        pairs = zip(self.cause, self.shape, strict=True)
+        return tuple(dict.fromkeys(c for c, shape in pairs if not shape and c in self.odds))
+
+    @property
+    def spike(self) -> Array:
+        """Standard deviation about `now` where no effect is there, shape (k,)."""
+        return np.asarray(np.sqrt(np.diag(self.file)))
+
+    @property
+    def days(self) -> NDArray[np.intp]:
+        """Columns that differ between flights."""
+        return np.flatnonzero(self.day > 0)
+
+    def of(self, causes: Iterable[str]) -> NDArray[np.intp]:
+        """Columns of some causes, shapes of their effects among them."""
+        wanted = set(causes)
+        wanted |= {effect_of(c) for c in wanted}
+        return np.array([i for i, c in enumerate(self.cause) if c in wanted], dtype=np.intp)
+
+    def tension(self, values: Mapping[str, float]) -> dict[str, float]:
+        """By number, how many prior deviations a value is away from what was expected."""
+        place = {n: i for i, n in enumerate(self.names)}
+        return {
+            n: abs(v - self.mean[place[n]]) / self.slab[place[n]]
+            for n, v in values.items()
+            if n in place
+        }
+
+
+def _about(number: Number) -> tuple[EffectParameter, str]:
+    """A number's parameter before it was sized for a vehicle, and its name."""
+    effect = EFFECTS[number.effect]
+    known = {p.name: p for p in (*effect.parameters, *effect.of_logs)}
+    stem = number.name if number.name in known else number.name.rpartition("_")[0]
+    return known[stem], stem
+
+
+def effect_of(cause: str) -> str:
+    """Effect that a cause is, or is a part of."""
+    return cause.partition(":")[0]
+
+
+def _cause_of(number: Number) -> str:
+    """Single rotors and single clocks are causes of their own."""
+    if number.about.per_rotor:
+        return f"{number.effect}:{number.name.removeprefix(number.about.name).lstrip('_')}"
+    effect = EFFECTS[number.effect]
+    several = len(effect.parameters) + len(effect.of_logs) > 1
+    if several and isinstance(effect.seen_as, Shift):
+        return f"{number.effect}:{number.name}"
+    return number.effect
+
+
+def _unsure(number: Number, vehicle: Vehicle, trusted: bool) -> float:
+    """Standard deviation of a number by the vehicle file, with no effect there; 0: exact."""
+    own = vehicle.deviations.get(f"effects.{number.full}")
+    if own is not None and own.numbers is not None:
+        return own.numbers[0]
+    key = prior_of(EFFECTS[number.effect]).corrects
+    known = None if key is None else relative_deviation(vehicle, key)
+    if key is None or known is None or (trusted and not known.stated):
+        return 0.0
+    return known.sd * _whole(key, number, vehicle)
+
+
+def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
+    """What a number of an effect is a share of, where the share is that of a key of the file."""
+    rotors = vehicle.rotors
+    if key == "rotors.lag":
+        return rotors.lag_up_s
+    if key in ("rotors.reaction_inertia", "rotors.spin_inertia"):
+        reaction = key == "rotors.reaction_inertia"
+        inertia = rotors.reaction_inertia_kg_m2 if reaction else rotors.spin_inertia_kg_m2
+        return inertia * hover_level(vehicle) if rotors.from_speed else 0.0
+    scale = next(p for p in EFFECTS[number.effect].parameters if p.unit == number.about.unit).scale
+    return 1.0 if scale is None else scale(vehicle)
+
+
+def beliefs_since(model: Model) -> Beliefs:
+    """Priors of what may have changed on an aircraft that flights have calibrated.
+
+    Args:
+        model: Of new flights, with the calibrated vehicle.
+
+    Raises:
+        ModelError: The vehicle holds no calibration.
+    """
+    known = model.vehicle.calibration
+    if known is None:
+        raise ModelError(UNCALIBRATED.format(model.vehicle.name))
+    usual = beliefs_of(model)
+    indoors = all(f.flight.indoors for f in model.flights)
+    place = {n: i for i, n in enumerate(usual.names)}
+    inside = [i for i, n in enumerate(known.numbers) if n in place]
+    at = np.array([place[known.numbers[i]] for i in inside], dtype=np.intp)
+    file = np.zeros_like(usual.file)
+    file[np.ix_(at, at)] = known.covariance[np.ix_(inside, inside)]
+    held = np.array(
+        [known.records.get(n, v) - v for n, v in zip(usual.names, usual.now, strict=True)]
+    )
+    day, mean, low = usual.day.copy(), usual.now + held, usual.low.copy()
+    slab = np.sqrt(np.diag(file))
+    for i, (name, cause) in enumerate(zip(usual.names, usual.cause, strict=True)):
+        day[i] = known.days.get(name, day[i])
+        effect = effect_of(cause)
+        if effect not in CHANGES:
+            continue
+        number = model.numbers[usual.columns[i]]
+        about, stem = _about(number)
+        expected = CHANGES[effect].of(stem, indoors).sized(about, model.vehicle)
+        mean[i] = expected.mean if usual.shape[i] else mean[i] + expected.mean
+        slab[i] = np.hypot(slab[i], expected.sd)
+        if effect in ONLY_MORE and not usual.shape[i]:
+            low[i] = usual.now[i]
+    odds = {c: CHANGES[effect_of(c)].odds for c in usual.cause if effect_of(c) in CHANGES}
+    return replace(usual, mean=mean, slab=slab, file=file, low=low, held=held, day=day, odds=odds)
+
+
+def _least(number: Number, vehicle: Vehicle) -> float:
+    """Smallest value of a number."""
+    least = prior_of(EFFECTS[number.effect]).least(vehicle)
+    return number.about.bounds[0] if least is None or number.shape else least
+
+
+def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
+    """Priors of a model's numbers.
+
+    Args:
+        model: Flights and vehicle.
+        trusted: Whether a number is believed to be as the vehicle file says, but for the standard
+            deviation that is written beside it; else words of its source count as well.
+    """
+    vehicle, numbers = model.vehicle, model.numbers
+    indoors = all(f.flight.indoors for f in model.flights)
+    effects = list(model.effects)
+    columns = [i for i, n in enumerate(numbers) if n.effect in effects]
+    own = [numbers[i] for i in columns]
+    priors = {e: prior_of(EFFECTS[e]) for e in effects}
+    mean, slab, day, spike = (np.zeros(len(own)) for _ in range(4))
+    for i, n in enumerate(own):
+        about, stem = _about(n)
+        expected = priors[n.effect].of(stem, indoors).sized(about, vehicle)
+        if n.shape and n.about.unit == "V":
+            expected = priors[n.effect].of(stem, indoors).scaled(n.now)
+        in_file = n.effect in vehicle.effects
+        mean[i] = n.now if in_file else expected.mean
+        slab[i], day[i] = expected.sd, expected.day
+        spike[i] = 0.0 if n.shape else _unsure(n, vehicle, trusted)
+    return Beliefs(
+        tuple(columns),
+        tuple(n.full for n in own),
+        tuple(_cause_of(n) for n in own),
+        np.array([n.shape for n in own], dtype=np.bool_),
+        np.array([n.now for n in own]),
+        mean,
+        np.hypot(slab, spike),
+        np.diag(spike**2),
+        np.array([_least(n, vehicle) for n in own]),
+        np.array([n.about.bounds[1] for n in own]),
+        np.zeros(len(own)),
+        day,
+        {_cause_of(n): priors[n.effect].odds_for(vehicle) for n in own},
+    )

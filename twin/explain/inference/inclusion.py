@@ -1,0 +1,192 @@
+"""How probable each effect is: all sets that matter about the end of a search, weighed.
+
+The chain of Gibbs (George & McCulloch, J. Am. Stat. Assoc. 88, 1993), with exchanges of one effect
+for another (Metropolis), only finds the sets; each one that it meets counts by its evidence, so
+that nothing of the draw is left in what is said but which sets were met. Those that differ from
+the end by one exchange are all met. What the linearisation gets wrong about an effect of the end is
+put right by fitting the set without it again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...representation import short_repr
+from .evidence import Best, Judge
+from .refit import Problem
+from .search import Found, is_time, worth
+
+Array = NDArray[np.float64]
+Set = tuple[str, ...]
+SWEEPS = 12
+"""Of the chain."""
+WINDOW = 12.0
+"""Nats below the best set from which on a set does not matter."""
+HOPELESS, SURE, TWICE = 7.0, 30.0, 2
+"""Nats that an effect costs, or earns, from which on it is asked no more, once it said so twice."""
+EXCHANGED = -0.3
+"""Correlation of two inclusions from which on one stands for the other."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A set of effects.
+
+    Attributes:
+        effects: Sorted.
+        probability: Among all sets that matter.
+        best: Its numbers in the linearisation.
+    """
+
+    effects: Set
+    probability: float
+    best: Best
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Posterior:
+    """All sets that matter.
+
+    Attributes:
+        sets: The most probable first.
+        inclusion: Probability of each effect of the search.
+        without: Of each effect of the best set, evidence that it adds, nats, fitted again.
+    """
+
+    sets: tuple[Weighed, ...]
+    inclusion: Mapping[str, float]
+    without: Mapping[str, float]
+
+    __repr__ = short_repr
+
+    def exchangeable(self, effect: str) -> tuple[str, ...]:
+        """Other effects that are there where this one is not."""
+        p = np.array([s.probability for s in self.sets])
+        own = np.array([effect in s.effects for s in self.sets], dtype=np.float64)
+        found = []
+        for other in self.inclusion:
+            there = np.array([other in s.effects for s in self.sets], dtype=np.float64)
+            if other != effect and _correlation(own, there, p) < EXCHANGED:
+                found.append(other)
+        return tuple(found)
+
+    def mean(self) -> tuple[Array, Array]:
+        """Mean and deviation of every number over all sets, as `Best.x`."""
+        p = np.array([s.probability for s in self.sets])
+        x = np.array([s.best.x for s in self.sets])
+        sd = np.array([s.best.deviations() for s in self.sets])
+        mean = p @ x
+        return mean, np.sqrt(p @ (sd**2 + (x - mean) ** 2))
+
+
+def weigh(
+    problem: Problem,
+    found: Found,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Posterior:
+    """Probabilities about the end of a search.
+
+    Args:
+        problem: What was fitted.
+        found: The end.
+        seed: Of the chain.
+        progress: Called with the share done.
+    """
+    judge, state = found.judge, found.state
+    kappa, rng = state.kappa, np.random.default_rng(seed)
+    free = [e for e in problem.beliefs.causes if not judge.silent(e) and not is_time(e)]
+    met: dict[Set, float] = {}
+
+    def evidence(effects: Sequence[str]) -> float:
+        key = tuple(sorted(effects))
+        if key not in met:
+            met[key] = judge.best(key, kappa).evidence
+        return met[key]
+
+    on = list(state.effects)
+    evidence(on)
+    for old in on:
+        for new in _rivals(judge, old, on, free):
+            evidence([*(a for a in on if a != old), new])
+    settled: dict[str, int] = {}
+    for sweep in range(SWEEPS):
+        open_ = [e for e in free if settled.get(e, 0) < TWICE]
+        for e in (open_[i] for i in rng.permutation(len(open_))):
+            without = [a for a in on if a != e]
+            lead = evidence([*without, e]) - evidence(without)
+            settled[e] = settled.get(e, 0) + 1 if lead < -HOPELESS or lead > SURE else 0
+            on = (
+                [*without, e]
+                if rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
+                else without
+            )
+        for old in list(on):
+            rivals = _rivals(judge, old, on, free)
+            if rivals:
+                new = rivals[int(rng.integers(len(rivals)))]
+                there = [*(a for a in on if a != old), new]
+                if np.log(rng.random()) < evidence(there) - evidence(on):
+                    on = there
+        progress((sweep + 1) / (SWEEPS + 2))
+    gained, shift = {}, {}
+    for e in state.effects:
+        rest = tuple(a for a in state.effects if a != e)
+        linear = evidence(state.effects) - evidence(rest)
+        gained[e] = _gained(found, e, rest) if (rest, kappa) in found.tried else linear
+        shift[e] = linear - gained[e]
+    whole = evidence(state.effects)
+
+    def corrected(effects: Set) -> float:
+        """Its evidence with what the linearisation gets wrong about absent effects, but for the
+        share of their lead that others in their place take."""
+        rest = evidence([e for e in effects if e in shift])
+        taken = (evidence(effects) - rest) / (whole - rest) if whole > rest else 0.0
+        wrong = sum(v for e, v in shift.items() if e not in effects)
+        return evidence(effects) + (1 - min(max(taken, 0.0), 1.0)) * wrong
+
+    weights = {k: corrected(k) for k in [*met]}
+    top = max(weights.values())
+    kept = sorted((k for k, v in weights.items() if v > top - WINDOW), key=lambda k: -weights[k])
+    share = np.exp([weights[k] - top for k in kept])
+    share = share / share.sum()
+    sets = tuple(
+        Weighed(k, float(p), judge.best(k, kappa)) for k, p in zip(kept, share, strict=True)
+    )
+    inclusion = {
+        e: float(sum(s.probability for s in sets if e in s.effects)) for e in problem.beliefs.causes
+    }
+    return Posterior(sets, inclusion, gained)
+
+
+def _gained(found: Found, effect: str, rest: Set) -> float:
+    """Nats that an effect of the end adds to the others, as fitted; of a delay or a lag, to them
+    with any other in its place."""
+    others = [found.tried[rest, found.state.kappa]]
+    if is_time(effect):
+        others += [
+            v
+            for (k, _), v in found.tried.items()
+            if effect not in k and set(rest) <= set(k) and len(k) == len(found.state.effects)
+        ]
+    return worth(found.state) - max(others)
+
+
+def _rivals(judge: Judge, old: str, on: Sequence[str], free: Sequence[str]) -> list[str]:
+    """Effects that may stand in the place of one; of clocks and lags, see `_gained`."""
+    if old not in free:
+        return []
+    return [e for e in free if e not in on and judge.share_a_channel(old, e)]
+
+
+def _correlation(a: Array, b: Array, p: Array) -> float:
+    """Weighted correlation; 0 where one of them is sure."""
+    ma, mb = p @ a, p @ b
+    va, vb = p @ (a - ma) ** 2, p @ (b - mb) ** 2
+    if min(va, vb) < 0.02 * 0.98:
+        return 0.0
+    return float(p @ ((a - ma) * (b - mb)) / np.sqrt(va * vb))

@@ -1,0 +1,280 @@
+"""A set of effects at its own best numbers: Gauss-Newton on the exact residuals.
+
+What the linearisation promises is checked by the model itself; a step that does not keep the
+promise is halved, and slopes are taken anew where the model has turned out to bend.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS
+from ...effects.priors import prior_of
+from ...representation import short_repr
+from ...residuals.channels import ChannelData
+from ..model.model import Model
+from ..model.numbers import DRIVES, Number
+from ..settings import DEFAULT, EvidenceSettings
+from .beliefs import Beliefs, effect_of
+from .bounds import Bounds
+from .coherence import silent_bands
+from .constants import constants_of_days
+from .evidence import Best, Judge, Noise
+from .spectrum import Spectrum
+
+Array = NDArray[np.float64]
+ROUNDS, SHORTEST_STEP = 15, 0.04
+"""Of Gauss-Newton at most; a step that has been halved below this share ends it."""
+KEPT = 0.1
+"""Share of what a step promises that it has to keep: Armijo, Pacific J. Math. 16 (1966)."""
+AHEAD, MARGIN = 3.0, 30.0
+"""A fit is on its way to a goal that so many rounds like the last reach, and so many nats."""
+FARTHEST_S = 0.005
+"""A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
+FARTHEST_POSE_S = 0.02
+"""The same of a sensor or of the pose, whose band is lower."""
+SETTLED = 0.2
+"""A round that gains less, in nats, is the last."""
+STRAIGHT = 0.02
+"""Share of the power of a step that the model may deviate from a straight line on it."""
+
+
+KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
+"""By how much days may differ less than is usual. That they differ more takes more flights than
+are ever there: two that may differ as they like would explain nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A set of effects at its best.
+
+    Attributes:
+        effects: Sorted.
+        best: Numbers and evidence.
+        spectrum: Residuals there; slopes of the numbers that could move.
+    """
+
+    effects: tuple[str, ...]
+    best: Best
+    spectrum: Spectrum
+
+    __repr__ = short_repr
+
+    @property
+    def evidence(self) -> float:
+        """Log of its probability, up to a constant."""
+        return self.best.evidence
+
+    @property
+    def kappa(self) -> float:
+        """By how much days differ more than is usual."""
+        return self.best.kappa
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What hypotheses are fitted against.
+
+    Attributes:
+        model: Flights.
+        beliefs: Priors of its numbers.
+        bounds: Of these, as changes.
+        noise: What is known of the noise.
+        rest: The model as it stands, with slopes by every number.
+        settings: See `evidence`.
+    """
+
+    model: Model
+    beliefs: Beliefs
+    bounds: Bounds
+    noise: Noise
+    rest: Spectrum
+    settings: EvidenceSettings = DEFAULT.inference.evidence
+
+    __repr__ = short_repr
+
+    @property
+    def kappas(self) -> tuple[float, ...]:
+        """By how much days may differ over what is usual: of one flight, nobody can tell."""
+        return KAPPAS if len(self.model.flights) > 1 else (1.0,)
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        beliefs: Beliefs,
+        settings: EvidenceSettings = DEFAULT.inference.evidence,
+        gated: bool = False,
+        constants: Mapping[str, float] | None = None,
+    ) -> "Problem":
+        """Flights with every number of their model.
+
+        Args:
+            model: Flights.
+            beliefs: Priors of its numbers.
+            settings: See `evidence`.
+            gated: Whether bands in which command and motion do not go together have no vote.
+            constants: Deviation between days of a channel's constant, where it is known.
+        """
+        numbers = [model.numbers[i] for i in beliefs.columns]
+        bounds = Bounds.of(numbers, model.vehicle).around(beliefs.now)
+        theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(beliefs.days)))
+        flights = model.channels(beliefs.columns)
+        rest = Spectrum.of(flights, theta, days, beliefs.days)
+        usual = constants_of_days(rest.channels, model.vehicle, settings)
+        sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
+        silent = silent_bands(flights, settings.coherent) if gated else frozenset()
+        noise = Noise.of(rest, sizes, settings, silent)
+        return cls(model, beliefs, bounds, noise, rest, settings)
+
+    def judge(self, spectrum: Spectrum) -> Judge:
+        """Sets of effects in a linearisation."""
+        return Judge(spectrum, self.noise, self.beliefs, self.bounds, self.settings)
+
+    def values(self, x: Array, flight: int | None = None) -> dict[str, float]:
+        """Numbers that differ from the model as it stands, "effect.number" -> value.
+
+        Args:
+            x: As `Best.x`.
+            flight: Whose day counts as well; None: what all share.
+        """
+        k, d = len(self.beliefs.now), len(self.beliefs.days)
+        theta = self.beliefs.now + x[:k]
+        moved = x[:k] != 0
+        if flight is not None:
+            own = x[k + flight * d : k + (flight + 1) * d]
+            theta[self.beliefs.days] += own
+            moved[self.beliefs.days] |= own != 0
+        acting = {effect_of(self.beliefs.cause[i]) for i in np.flatnonzero(moved)}
+        moved |= self.beliefs.shape & np.isin(np.array(self.beliefs.cause), [*acting])
+        return {self.beliefs.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
+
+    def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
+        """Channels of each flight at some numbers, with slopes by some of them."""
+        at = [self.beliefs.columns[i] for i in columns]
+        rows = [f.channels(at, self.values(x, i)) for i, f in enumerate(self.model.flights)]
+        wanted = self.rest.channels
+        return [[next(c for c in r if c.name == name) for name in wanted] for r in rows]
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Numbers that all flights share, and those of the days."""
+        k = len(self.beliefs.now)
+        return x[:k], x[k:].reshape(len(self.model.flights), len(self.beliefs.days))
+
+    def linearised(self, state: State) -> Judge:
+        """All sets about one, slopes by every number taken there."""
+        flights = self.channels(state.best.x, range(len(self.beliefs.now)))
+        return self.judge(Spectrum.of(flights, *self.split(state.best.x), self.beliefs.days))
+
+    def start(self, effects: Sequence[str], kappa: float) -> State:
+        """A set from its expected numbers on."""
+        x = np.zeros(len(self.beliefs.now) + self.rest.days.size)
+        own = self.beliefs.of(effects)
+        b = self.beliefs
+        x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
+        return self.settle(effects, kappa, self.rest, x)
+
+    def settle(
+        self,
+        effects: Sequence[str],
+        kappa: float,
+        spectrum: Spectrum,
+        start: Array,
+        least: float = -np.inf,
+    ) -> State:
+        """The best numbers of a set.
+
+        Args:
+            effects: Identifiers.
+            kappa: By how much days differ more than is usual.
+            spectrum: Slopes to begin with.
+            start: Numbers to begin with, as `Best.x`.
+            least: Evidence below which the set is of no interest: a fit that is not on its way
+                there is given up.
+        """
+        on = tuple(sorted(effects))
+        columns = self._moving(on)
+        x = self._begun(on, columns, start)
+        if not np.array_equal(x, np.concatenate([spectrum.theta, spectrum.days.ravel()])):
+            spectrum = self._renewed(spectrum, x, columns)
+        spectrum = spectrum.only(columns)
+        judge = self.judge(spectrum)
+        now = judge.at(on, kappa)
+        shaped = bool(np.any(self.beliefs.shape[columns]))
+        for n in range(ROUNDS):
+            wanted = judge.best(on, kappa, self._reach()).x
+            promised = judge.at(on, kappa, wanted) - now
+            step, better = 1.0, None
+            while step > SHORTEST_STEP:
+                y = x + step * (wanted - x)
+                there = spectrum.moved(self.channels(y), *self.split(y))
+                over = self.judge(there)
+                value = over.at(on, kappa)
+                if np.isfinite(value) and value > now + KEPT * step * promised:
+                    better = y, there, over, value
+                    break
+                step *= 0.5
+            if better is None:
+                break
+            bent = _bend(spectrum, better[1])
+            gain = better[3] - now
+            x, spectrum, judge, now = better
+            if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:
+                break
+            if bent > STRAIGHT or (shaped and n == 0):
+                spectrum = self._renewed(spectrum, x, columns)
+                judge = self.judge(spectrum)
+        return State(on, judge.here_as(on, kappa), spectrum)
+
+    def _reach(self) -> Array:
+        """How far a step may move each number: what shifts signals in time is far from linear."""
+        shared = np.array([_farthest(self.model.numbers[i]) for i in self.beliefs.columns])
+        return np.concatenate([shared, np.tile(shared[self.beliefs.days], len(self.model.flights))])
+
+    def _begun(self, on: Sequence[str], columns: NDArray[np.intp], start: Array) -> Array:
+        """Numbers of a set inside their ranges, those of others at rest, new shapes as expected."""
+        b, k = self.beliefs, len(self.beliefs.now)
+        x = start.copy()
+        x[np.setdiff1d(np.arange(k), columns)] = 0.0
+        own = b.of(on)
+        new = [e for e in on if not np.any(start[b.of([e])])]
+        enter = np.intersect1d(b.of(new), np.flatnonzero(b.shape))
+        x[enter] = b.mean[enter] - b.now[enter]
+        x[own] = np.clip(x[own], b.low[own] - b.now[own], b.high[own] - b.now[own])
+        return x
+
+    def _moving(self, on: Sequence[str]) -> NDArray[np.intp]:
+        """Columns that a set can move."""
+        spiked = np.flatnonzero((self.beliefs.spike > 0) & ~self.beliefs.shape)
+        return np.unique(np.concatenate([self.beliefs.of(on), self.beliefs.days, spiked]))
+
+    def _renewed(self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]) -> Spectrum:
+        """Residuals and slopes of some columns taken anew."""
+        flights = self.channels(x, columns.tolist())
+        return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
+
+
+def _farthest(number: Number) -> float:
+    """How far a step may move a number."""
+    if number.moves:
+        return FARTHEST_S if {*number.moves} & {*DRIVES} else FARTHEST_POSE_S
+    timed = prior_of(EFFECTS[number.effect]).timed and not number.shape
+    return FARTHEST_S if timed else float("inf")
+
+
+def _bend(before: Spectrum, after: Spectrum) -> float:
+    """How far residuals are from where slopes had them, over how far they moved: power."""
+    bend, moved = 0.0, 1e-300
+    step = after.theta - before.theta
+    for own, then in zip(before.rows, after.rows, strict=True):
+        scale = sum(float(r.residual @ r.residual) for r in own) + 1e-300
+        for f, (a, b) in enumerate(zip(own, then, strict=True)):
+            full = step.copy()
+            full[before.day_columns] += after.days[f] - before.days[f]
+            change = a.slopes @ full[a.active]
+            miss = b.residual - (a.residual - change)
+            bend += float(miss @ miss) / scale
+            moved += float(change @ change) / scale
+    return bend / moved

@@ -1,0 +1,164 @@
+"""Residuals by frequency: sums per channel and band, in which any set of numbers can be judged.
+
+The orthonormal discrete cosine transform (Ahmed, Natarajan & Rao, IEEE Trans. Computers C-23, 1974)
+of each uninterrupted piece keeps sums of squares, and parts what is slow from what is fast. The
+constant of a flight is a band of its own, of one sample: what a trim or a day does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from ...representation import short_repr
+from ...residuals.channels import CHANNEL_HZ, ChannelData
+
+Array = NDArray[np.float64]
+Flights = Sequence[Sequence[ChannelData]]
+BANDS_HZ = np.array([0.0, 0.3, 0.8, 2.0, 4.5, 7.0, 10.0, 13.0, 16.0, 20.0, CHANNEL_HZ / 2 + 0.1])
+"""Edges of the bands; the constant is apart."""
+SHORTEST = 8
+"""Samples of a piece at least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """One channel of one flight, transformed.
+
+    Attributes:
+        band: Of each row, shape (n,); 0: the constants, one per piece, weighted so that all of
+            them count as one sample.
+        residual: Shape (n,).
+        active: Columns that the channel answers to, shape (m,).
+        slopes: Of these, shape (n, m).
+    """
+
+    band: NDArray[np.intp]
+    residual: Array
+    active: NDArray[np.intp]
+    slopes: Array
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrum:
+    """All channels of all flights about some values of the numbers.
+
+    Attributes:
+        channels: Names.
+        rows: Per channel, per flight.
+        theta: Values of the numbers less those of the model as it stands, shape (k,).
+        days: Of each flight beyond these, shape (flights, d).
+        day_columns: Which numbers these are of, shape (d,).
+    """
+
+    channels: tuple[str, ...]
+    rows: tuple[tuple[Rows, ...], ...]
+    theta: Array
+    days: Array
+    day_columns: NDArray[np.intp]
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls, flights: Flights, theta: Array, days: Array, day_columns: NDArray[np.intp]
+    ) -> "Spectrum":
+        """Transform channels with their slopes.
+
+        Args:
+            flights: Channels of each flight, the same ones in the same order.
+            theta: See above; where the channels were taken.
+            days: See above.
+            day_columns: See above.
+        """
+        names = tuple(c.name for c in flights[0])
+        rows = tuple(tuple(_rows(f[i]) for f in flights) for i in range(len(names)))
+        return cls(names, rows, theta, days, day_columns)
+
+    def moved(self, flights: Flights, theta: Array, days: Array) -> "Spectrum":
+        """The same slopes with residuals taken elsewhere."""
+        rows = tuple(
+            tuple(
+                replace(r, residual=_transformed(f[i], f[i].residual[:, None])[0][:, 0])
+                for r, f in zip(own, flights, strict=True)
+            )
+            for i, own in enumerate(self.rows)
+        )
+        return replace(self, rows=rows, theta=theta, days=days)
+
+    def renewed(self, flights: Flights, columns: NDArray[np.intp]) -> "Spectrum":
+        """The same residuals with the slopes of some columns taken anew.
+
+        Args:
+            flights: Channels with the slopes by these columns.
+            columns: Which.
+        """
+        rows = tuple(
+            tuple(
+                _with_slopes(r, len(self.theta), columns, _transformed(f[i], f[i].slopes)[0])
+                for r, f in zip(own, flights, strict=True)
+            )
+            for i, own in enumerate(self.rows)
+        )
+        return replace(self, rows=rows)
+
+    def only(self, columns: NDArray[np.intp]) -> "Spectrum":
+        """The same with the slopes of some columns alone."""
+        rows = tuple(
+            tuple(
+                replace(r, active=r.active[keep], slopes=r.slopes[:, keep])
+                for r in own
+                for keep in [np.isin(r.active, columns)]
+            )
+            for own in self.rows
+        )
+        return replace(self, rows=rows)
+
+    def power(self) -> dict[tuple[int, int], tuple[float, int]]:
+        """Sum of squares of the residual and number of rows, by channel and band."""
+        found = {}
+        for c, own in enumerate(self.rows):
+            for b in range(len(BANDS_HZ)):
+                inside = [r.residual[r.band == b] for r in own]
+                n = sum(map(len, inside))
+                if n:
+                    found[c, b] = sum(float(v @ v) for v in inside), n
+        return found
+
+
+def _rows(channel: ChannelData) -> Rows:
+    both = np.column_stack([channel.residual, channel.slopes])
+    values, band = _transformed(channel, both)
+    active = np.flatnonzero(np.any(values[:, 1:] != 0, axis=0))
+    return Rows(band, values[:, 0], active, values[:, 1 + active])
+
+
+def _with_slopes(rows: Rows, width: int, columns: NDArray[np.intp], slopes: Array) -> Rows:
+    full = np.zeros((len(rows.residual), width))
+    full[:, rows.active] = rows.slopes
+    full[:, columns] = slopes
+    active = np.flatnonzero(np.any(full != 0, axis=0))
+    return replace(rows, active=active, slopes=full[:, active])
+
+
+def _transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Rows of all long enough pieces, and their bands."""
+    out, bands = [], []
+    pieces = [p for p in np.unique(channel.piece) if np.sum(channel.piece == p) >= SHORTEST]
+    total = sum(int(np.sum(channel.piece == p)) for p in pieces)
+    for p in pieces:
+        part = values[channel.piece == p]
+        n = len(part)
+        y = dct(part, axis=0, norm="ortho")
+        band = np.searchsorted(BANDS_HZ, np.arange(n) * CHANNEL_HZ / 2 / n, side="right")
+        band[0] = 0
+        y[0] /= np.sqrt(total)  # sqrt(n) for the mean, sqrt(n / total) for its share of the flight
+        out.append(y)
+        bands.append(band)
+    if not out:
+        return np.zeros((0, values.shape[1])), np.zeros(0, dtype=np.intp)
+    return np.concatenate(out), np.concatenate(bands)

@@ -1,0 +1,137 @@
+"""What is compared of a flight: readings, and what predicts them, whatever measured them."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...component import Component
+from ...effects import EFFECTS
+from ...frames import to_body
+from ...logs import Flight
+from ...logs.columns import ACC_NED
+from ...representation import short_repr
+from ...residuals.aligned import AlignedFlight
+from ...residuals.channels import Measured, on_grid
+from ...residuals.measured import Signal
+from ...vehicle import Vehicle
+from .numbers import Number
+from .prediction import SensorBatch
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A flight and its twin.
+
+    Attributes:
+        flight: As read.
+        vehicle: The model as it stands.
+        aligned: On the grid.
+        effects: Effects in the equations, all switched on.
+        numbers: Every number, in the order of the prediction's.
+    """
+
+    flight: Flight
+    vehicle: Vehicle
+    aligned: AlignedFlight
+    effects: Sequence[str]
+    numbers: Sequence[Number]
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One sensor of a flight: readings, and what predicts them from rows on the grid.
+
+    Attributes:
+        readings: Measured.
+        batch: Prediction; None: that of airframe and IMU, or of the airframe alone.
+        rows: Its inputs, shape (n, n_u).
+        at: Inputs at which its slopes are taken, shape (n, n_u).
+        outputs: Which of its outputs.
+        late: Sign with which ages, "effect.number", shift the prediction.
+        effects: Effects that reach the prediction.
+        rate: Whether the readings are rates of change, of what the sensor reads.
+        turning: Body rates, shape (n, 3), where position and attitude both make the prediction.
+        older: Rows with position and attitude from so many seconds later, where they do.
+        as_logged: Where the pose is what is compared with the airframe alone, no IMU in between:
+            `(values on the grid, numbers) -> values` as a pose of that age and heading shows them.
+        averaged: Signals of the pose in whose place the motion itself would be predicted from.
+    """
+
+    readings: Measured
+    batch: SensorBatch | None
+    rows: Array
+    at: Array
+    outputs: slice
+    late: Mapping[str, float]
+    effects: frozenset[str]
+    rate: bool = False
+    turning: Array | None = None
+    older: Callable[[float, float], Array] | None = None
+    as_logged: Callable[[Array, Array], Array] | None = None
+    averaged: frozenset[str] = frozenset()
+
+    __repr__ = short_repr
+
+
+def pull_of_pose(seen: Seen) -> Array | None:
+    """Acceleration that the pose shows less gravity, NED, on the grid, shape (n, 3).
+
+    That of the record where it has one, else of the velocity; None without either.
+    """
+    t, motion = seen.aligned.inputs.t_s, seen.aligned.motion
+    if seen.flight.has(*ACC_NED):
+        pull = on_grid(Signal(*seen.flight.signal(ACC_NED)), t)
+    elif motion.velocity is not None:
+        pull = np.gradient(motion.velocity.at(t), t, axis=0)
+    else:
+        return None
+    pull[:, 2] -= seen.vehicle.gravity_m_s2
+    return pull
+
+
+def late_by(seen: Seen, shown: Collection[str], told_from: Collection[str]) -> dict[str, float]:
+    """Sign with which each age shifts a prediction: later where what is shown is old, earlier where
+    what it is told from is."""
+    late = {}
+    for n in seen.numbers:
+        if set(n.moves) & set(shown):
+            late[n.full] = 1.0
+        elif set(n.moves) & set(told_from):
+            late[n.full] = -1.0
+    return late
+
+
+def moving(seen: Seen, signals: Collection[str]) -> frozenset[str]:
+    """Effects that shift some signals."""
+    return frozenset(n.effect for n in seen.numbers if set(n.moves) & set(signals))
+
+
+def reaching(*components: str) -> frozenset[str]:
+    """Effects that act on some components."""
+    return frozenset(e.name for e in EFFECTS.values() if e.component in components)
+
+
+def named(stem: str, values: Array, axes: str = "xyz") -> dict[str, Array]:
+    """Columns of a signal by name, `stem_x` and so on."""
+    return {f"{stem}_{a}": values[:, i] for i, a in enumerate(axes)}
+
+
+def rows_of(sensor: Component, inputs: Mapping[str, Array], n: int) -> Array:
+    """Inputs of a sensor in its order; what is not given stays at its start."""
+    rows = np.tile(sensor.input_values(), (n, 1))
+    for i, name in enumerate(sensor.input_names):
+        if name in inputs:
+            rows[:, i] = inputs[name]
+    return rows
+
+
+def in_body(q_nb: Array, pull_n: Array) -> Array:
+    """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
+    q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
+    return np.stack(to_body(list(q.T), list(pull_n.T)), axis=-1)

@@ -1,0 +1,79 @@
+"""Attitude given as Euler angles: turned into the quaternion of the flight table at reading."""
+
+import numpy as np
+import pandas as pd
+
+from ..errors import LogError
+from ..frames import from_euler, rotation_vector
+from .columns import EULER, QUAT
+from .flight import Array, Finding
+
+_FARTHEST_RAD = 2 * np.pi
+_APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of axes
+
+
+def with_quaternion(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
+    """The table with q_* in place of roll, pitch and yaw.
+
+    Args:
+        name: File name, for messages.
+        table: Numbers as float64, a column for each of what the file gives.
+
+    Returns:
+        The table without Euler angles, and findings. Where there are both, the quaternion counts.
+
+    Raises:
+        LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
+    """
+    given = [c for c in EULER if c in table]
+    if not given:
+        return table, []
+    rest = table.drop(columns=given)
+    missing = [c for c in EULER if c not in table]
+    if missing:
+        return rest, [
+            Finding("warning", "attitude", f"not used, the Euler angles lack {', '.join(missing)}")
+        ]
+    angles = table[[*EULER]].to_numpy()
+    _check_radians(name, angles)
+    there = np.isfinite(angles)
+    whole = there.all(axis=1)
+    findings = []
+    partial = int(np.count_nonzero(there.any(axis=1) & ~whole))
+    if partial:
+        message = "rows with NaN in a part of the Euler angles; they are left out there"
+        findings.append(Finding("error", "attitude", message, partial))
+    told = np.full((len(table), 4), np.nan)
+    told[whole] = from_euler(*angles[whole].T).T
+    if all(c in table for c in QUAT) and table[[*QUAT]].notna().all(axis=1).any():
+        _check_same(name, table[[*QUAT]].to_numpy(), told)
+        return rest, findings
+    rest[[*QUAT]] = told
+    return rest, findings
+
+
+def _check_radians(name: str, angles: Array) -> None:
+    """No angle beyond a whole turn."""
+    rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
+    if len(rows):
+        value, column = angles[rows[0], columns[0]], EULER[columns[0]]
+        raise LogError(
+            f"{name}: {column} in data row {rows[0] + 1} is {value:.6g}, beyond a whole turn "
+            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad."
+        )
+
+
+def _check_same(name: str, q_nb: Array, told: Array) -> None:
+    """Both attitudes are the same wherever both are there."""
+    size = np.linalg.norm(q_nb, axis=1)
+    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(told[:, 0]))
+    unit = q_nb[both] / size[both, None]
+    apart = np.linalg.norm(rotation_vector(unit, told[both]), axis=1)
+    off = np.flatnonzero(apart > _APART_RAD)
+    if len(off):
+        k = off[0]
+        raise LogError(
+            f"{name}: in data row {both[k] + 1} the quaternion and roll, pitch, yaw are "
+            f"{apart[k]:.3g} rad apart ({len(off)} such rows). Both turn the body into NED, yaw "
+            f"first, then pitch, then roll; give one of them."
+        )

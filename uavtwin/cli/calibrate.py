@@ -1,0 +1,68 @@
+"""`uavtwin calibrate`: the numbers of one aircraft, from normal flights of it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .explain import flight_payloads, site_record
+from .options import Exit, Force, Indoor, Json, Payload, VehicleName
+from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
+
+if TYPE_CHECKING:
+    from ..calibration import CalibrateResult
+
+
+def calibrate(
+    flights: Annotated[
+        list[Path],
+        typer.Argument(help="PX4 ULogs or flight tables in which nothing is wrong."),
+    ],
+    vehicle: VehicleName,
+    payload: Payload = None,
+    indoor: Indoor = None,
+    out: Annotated[Path, typer.Option("--out", help="Vehicle file to write.")] = Path(
+        "calibrated.toml"
+    ),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Fit all numbers of one aircraft to normal flights of it, and write its vehicle file."""
+    from twin.logs import read_flight
+
+    from .. import calibration
+    from ..output import check_file, results_folder, write_run
+    from ..vehicles import load_vehicle
+
+    record = out.with_name(f"{out.stem}.run.json")
+    for path in (out, record):
+        check_file(path, force)
+    draft = load_vehicle(vehicle)
+    read = [read_flight(path) for path in flights]
+    payloads = flight_payloads(payload or [], [f.name for f in read])
+    with progress("calibrating") as step:
+        found = calibration.calibrate(read, draft, payloads=payloads, indoors=indoor, progress=step)
+    options = {
+        "vehicle": Path(vehicle).name,
+        "payload": payload or [],
+        "indoors": {f.name: site_record(f, indoor) for f in read},
+        "left_out": [f.name for f in read if f.name not in found.flights],
+    }
+    inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
+    with results_folder(out.parent, force=True) as folder:
+        write_run(folder, "calibrate", options, inputs, file=record.name)
+        found.vehicle.save(folder / out.name)
+    if as_json:
+        print_json(found.json())
+    else:
+        _print(found, out, record)
+    if print_damage(read):
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def _print(found: "CalibrateResult", out: Path, record: Path) -> None:
+    """Everything that was found, warnings on stderr, and where the files are."""
+    for warning in found.warnings:
+        STDERR.print(warning, style="yellow", markup=False)
+    print_sections(found.told())
+    STDOUT.print(f"written: {out}, {record.name}", markup=False)

@@ -1,0 +1,186 @@
+"""What is different about an aircraft, as one pilot says it to another."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from twin.effects import EFFECTS
+from twin.vehicle import Vehicle
+
+from .figures import pretty_unit
+from .gap import number, percent
+
+Changes = Mapping[str, float]
+"""By number of an effect, by how much it differs."""
+SMALL = 0.25
+"""Share of the largest change of its kind below which one is not spoken of."""
+AXES = (("x", "forward", "backward"), ("y", "right", "left"), ("z", "down", "up"))
+
+
+def said(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
+    """What an effect amounts to, a clause with its own subject.
+
+    Args:
+        effect: Identifier.
+        change: Of its numbers, from no effect or from a calibration.
+        vehicle: Which has it.
+        since: Whether something has changed; else that is how the aircraft is, compared with its
+            file.
+    """
+    clause = _CLAUSES.get(effect)
+    return clause(change, vehicle, since) if clause else _plain(effect, change)
+
+
+def told_number(effect: str, name: str, value: float) -> str:
+    """A number with its unit."""
+    unit = next(
+        (
+            p.unit
+            for p in (*EFFECTS[effect].parameters, *EFFECTS[effect].of_logs)
+            if name == p.name or (p.per_rotor and name.startswith(p.name))
+        ),
+        "1",
+    )
+    return number(value) if unit == "1" else f"{number(value)} {pretty_unit(unit)}"
+
+
+def joined(parts: list[str], word: str = "and") -> str:
+    """Parts of a sentence in a row."""
+    if len(parts) < 2:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
+
+
+def _plain(effect: str, change: Changes) -> str:
+    large = max(change.items(), key=lambda item: abs(item[1]), default=None)
+    words = effect.replace("_", " ")
+    return words if large is None else f"{words} ({large[0]} {told_number(effect, *large)})"
+
+
+def _large(change: Changes) -> dict[str, float]:
+    most = max((abs(v) for v in change.values()), default=0.0)
+    return {k: v for k, v in change.items() if abs(v) > SMALL * most}
+
+
+def _rotors(change: Changes, _: Vehicle, since: bool) -> str:
+    losses = {k: v for k, v in change.items() if k.startswith("loss_")}
+    parts = [
+        f"rotor {k.removeprefix('loss_')} "
+        + (
+            f"has {'lost' if v > 0 else 'gained'} {percent(abs(v))} of its thrust"
+            if since
+            else f"gives {percent(abs(v))} {'less' if v > 0 else 'more'} thrust than its map says"
+        )
+        for k, v in sorted(_large(losses).items(), key=lambda item: -abs(item[1]))
+    ]
+    return joined(parts)
+
+
+def _mass(change: Changes, _: Vehicle, since: bool) -> str:
+    kg = change.get("mass_kg", 0.0)
+    if since:
+        return f"it carries {number(kg)} kg more" if kg > 0 else f"it is {number(-kg)} kg lighter"
+    return f"it is {number(abs(kg))} kg {'heavier' if kg > 0 else 'lighter'} than its file says"
+
+
+def _place(change: Changes, _: Vehicle, since: bool) -> str:
+    parts = []
+    for axis, ahead, back in AXES:
+        shift = _large(change).get(f"{axis}_m", 0.0)
+        if shift:
+            parts.append(f"{number(1e3 * abs(shift))} mm {ahead if shift > 0 else back}")
+    verb = "has moved" if since else "sits"
+    more = "" if since else " of where its file has it"
+    return f"its centre of mass {verb} {joined(parts)}{more}"
+
+
+def _load(change: Changes, _: Vehicle, since: bool) -> str:
+    del since
+    return f"{number(change.get('mass_kg', 0.0))} kg hang below it on a rope"
+
+
+def _wind(change: Changes, _: Vehicle, since: bool) -> str:
+    more = "more " if since else ""
+    speed = float(np.linalg.norm(list(change.values())))
+    return f"{more}wind blows: {number(speed)} m/s"
+
+
+def _reads(what: str, unit: str) -> Callable[[Changes, Vehicle, bool], str]:
+    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        parts = []
+        for axis, ahead, _back in AXES:
+            v = next((v for k, v in _large(change).items() if k.startswith(f"{axis}_")), 0.0)
+            if v:
+                more = "more" if v > 0 else "less"
+                parts.append(f"{number(abs(v))} {unit} {more} {ahead}")
+        return f"its {what} reads {joined(parts)}" + (" than then" if since else " than is there")
+
+    return clause
+
+
+def _late(what: str) -> Callable[[Changes, Vehicle, bool], str]:
+    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        delay = max(change.values(), key=abs, default=0.0)
+        way = "later" if delay > 0 else "earlier"
+        return f"{what} {number(1e3 * abs(delay))} ms {way} than " + (
+            "then" if since else "the log and its file say"
+        )
+
+    return clause
+
+
+def _heading(change: Changes, _: Vehicle, since: bool) -> str:
+    turn = np.degrees(max(change.values(), key=abs, default=0.0))
+    return f"its heading is off by {number(float(turn))}°" + (" more" if since else "")
+
+
+def _factor(what: str, verb: str) -> Callable[[Changes, Vehicle, bool], str]:
+    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        v = max(change.values(), key=abs, default=0.0)
+        return f"{what} {verb} {percent(abs(v))} {'more' if v > 0 else 'less'} than " + (
+            "then" if since else "its file says"
+        )
+
+    return clause
+
+
+def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
+    axes = {"scale_x": "roll", "scale_y": "pitch", "scale_z": "yaw"}
+    parts = [
+        f"{percent(abs(v))} {'more' if v > 0 else 'less'} in {axes[k]}"
+        for k, v in _large(change).items()
+    ]
+    return f"its inertia is {joined(parts)} than " + ("then" if since else "its file says")
+
+
+def _drag(change: Changes, _: Vehicle, since: bool) -> str:
+    k = change.get("k_xy_1_s", 0.0)
+    if abs(k) <= 0:
+        return _plain("rotor_drag", change)
+    return f"drag brakes it by {number(k)} m/s² per m/s" + (" more" if since else "")
+
+
+def _sag(change: Changes, _: Vehicle, since: bool) -> str:
+    del since
+    return f"a battery 1 % lower costs {number(change.get('slope', 0.0))} % of its thrust"
+
+
+_CLAUSES: dict[str, Callable[[Changes, Vehicle, bool], str]] = {
+    "rotor_efficiency_loss": _rotors,
+    "mass_offset": _mass,
+    "cog_offset": _place,
+    "slung_load": _load,
+    "steady_wind": _wind,
+    "accel_bias": _reads("accelerometer", "m/s²"),
+    "gyro_bias": _reads("gyroscope", "rad/s"),
+    "imu_delay": _late("its IMU reads"),
+    "position_delay": _late("its position comes"),
+    "command_delay": _late("its motors get their commands"),
+    "motor_lag": _late("its rotors follow"),
+    "heading_offset": _heading,
+    "thrust_scale": _factor("its rotors", "give"),
+    "yaw_torque_scale": _factor("its yaw torque", "is"),
+    "inertia_error": _inertia,
+    "rotor_drag": _drag,
+    "battery_sag": _sag,
+}
