@@ -20,7 +20,8 @@ def _weight_on_arm(vehicle: Vehicle) -> float:
 
 def _rotor_drag(w: Wrench, p: Block) -> Wrench:
     spin = sum(w.rotors.spin, start=ca.SX(0)) / len(w.rotors.spin)
-    m, air = w.motion.body.mass * w.motion.density * spin, w.motion.air_b
+    grown = 1 + p["spin_share"] * (spin - 1)
+    m, air = w.motion.body.mass * w.motion.density * grown, w.motion.air_b
     k = [p["k_xy_1_s"], p["k_xy_1_s"], p["k_z_1_s"]]
     drag = [-m * c * v for c, v in zip(k, air, strict=True)]
     hubs = w.motion.body.hubs
@@ -97,8 +98,8 @@ def _ground_effect(r: Thrust, p: Block) -> Thrust:
 
 ROTOR_DRAG = Effect(
     "rotor_drag",
-    "drag of the turning rotors, about the middle of their hubs, proportional to their speed and "
-    "to that through the air",
+    "drag of the turning rotors, about the middle of their hubs, proportional to the speed through "
+    "the air, and to that of the rotors as far as it answers to it",
     "airframe",
     Wrench,
     (
@@ -110,6 +111,14 @@ ROTOR_DRAG = Effect(
         ),
         EffectParameter(
             "height_m", "m", "where it attacks, over the middle of the hubs", 0.0, (-0.15, 0.15)
+        ),
+        EffectParameter(
+            "spin_share",
+            "1",
+            "share that grows with rotor speed; the rest does not answer to it",
+            1.0,
+            (0, 1),
+            neutral=None,
         ),
     ),
     ("acc", "vel", "q"),

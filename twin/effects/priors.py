@@ -161,8 +161,13 @@ PRIORS: dict[str, Prior] = {
     # -- air -------------------------------------------------------------------------------
     "rotor_drag": Prior(
         COMMON,
-        "0.1 to 0.5 1/s published; attacks within the height of motors and propellers",
-        {"": Normal(0.2, 0.2), "height_m": Normal(0.0, 0.02)},
+        "0.1 to 0.5 1/s published; attacks within the height of motors and propellers; theory has "
+        "it grow with rotor speed, identified models and simulators often leave that out",
+        {
+            "": Normal(0.2, 0.2),
+            "height_m": Normal(0.0, 0.02),
+            "spin_share": Normal(0.7, 0.4),
+        },
     ),
     "parasitic_drag": Prior(RARE, "0.5 rho Cd A / m", {"": Normal(0.0, 0.03)}),
     "induced_inflow": Prior(

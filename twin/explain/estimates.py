@@ -141,6 +141,8 @@ def where_felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[
 def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
     """Other explanations than an effect, the most probable first, and how far they fell behind.
 
+    Of those that are all but impossible, nothing at all comes last.
+
     An effect that changes no mean has one, `nothing`, and only its probability is known.
 
     `behind`: log probability below the best set with the effect, of the best set with the rival in
@@ -163,5 +165,8 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
             if fitted.gain - f.gain < entry["behind"]:
                 partners = [e for e in f.effects if e != name]
                 entry |= {"behind": fitted.gain - f.gain, "with": partners}
-    ranked = sorted(others.values(), key=lambda r: (-r["probability"], r["behind"]))
+    ranked = sorted(
+        others.values(),
+        key=lambda r: (-round(r["probability"], 6), r["name"] == "nothing", r["behind"]),
+    )
     return ranked[:MOST_RIVALS]

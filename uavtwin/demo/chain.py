@@ -55,12 +55,7 @@ class Demo:
     @property
     def right(self) -> bool:
         """Whether the name is that of the hidden effect, alone."""
-        shown = self.found.details.shown
-        return (
-            self.found.verdict == "named"
-            and shown is not None
-            and shown.effects == (self.hidden.effect,)
-        )
+        return self.found.verdict == "named" and self.found.effects == (self.hidden.effect,)
 
     @property
     def ending(self) -> str:

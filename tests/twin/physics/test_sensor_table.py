@@ -7,6 +7,7 @@ import pytest
 
 import twin.physics.sensors as physics_sensors
 from twin.effects import EFFECTS
+from twin.effects.definition import RECORD
 from twin.logs.columns import COLUMNS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor, sensor_of
 from twin.vehicle.file import load_vehicle
@@ -51,7 +52,7 @@ def test_every_key_of_a_sensor_is_read() -> None:
 
 
 def test_every_effect_stands_in_a_component_that_exists() -> None:
-    known = {"airframe", "environment", "position"} | {s.component for s in SENSORS}
+    known = {"airframe", "environment", "position", RECORD} | {s.component for s in SENSORS}
     assert {e.component for e in EFFECTS.values()} <= known
 
 

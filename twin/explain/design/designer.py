@@ -21,6 +21,7 @@ from scipy.optimize import lsq_linear
 from ...effects import EFFECTS
 from ...errors import TwinError
 from ...logs import Flight
+from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
 from ..inference.fit import Fit
@@ -55,6 +56,8 @@ class Suggestion:
     separates: tuple[tuple[str, ...], tuple[str, ...]]
     separation: float
     present: float
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)

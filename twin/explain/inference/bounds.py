@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Limit
+from ...representation import short_repr
 from ...vehicle import Vehicle
 from ..model.numbers import Number
 
@@ -31,6 +32,8 @@ class Bounds:
     high: Array
     rows: Array
     least: Array
+
+    __repr__ = short_repr
 
     @classmethod
     def of(cls, numbers: Sequence[Number], vehicle: Vehicle) -> "Bounds":

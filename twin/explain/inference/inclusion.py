@@ -52,7 +52,8 @@ class Posterior:
     """All sets that matter.
 
     Attributes:
-        sets: The most probable first.
+        sets: The most probable first; the best without each effect of the first, and with another
+            in its place, are among them, however improbable.
         inclusion: Probability of each effect of the search.
         without: Of each effect of the best set, evidence that it adds, nats, fitted again.
     """
@@ -150,8 +151,13 @@ def weigh(
         return evidence(effects) + (1 - min(max(taken, 0.0), 1.0)) * wrong
 
     weights = {k: corrected(k) for k in [*met]}
-    top = max(weights.values())
-    kept = sorted((k for k, v in weights.items() if v > top - WINDOW), key=lambda k: -weights[k])
+    first = max(weights, key=lambda k: weights[k])
+    top = weights[first]
+    others = [[k for k in weights if e not in k] for e in first]
+    instead = [[k for k in own if len(k) == len(first)] for own in others]
+    best = {max(own, key=lambda k: weights[k]) for own in (*others, *instead) if own}
+    matter = best | {k for k, v in weights.items() if v > top - WINDOW}
+    kept = sorted(matter, key=lambda k: (-weights[k], k))
     share = np.exp([weights[k] - top for k in kept])
     share = share / share.sum()
     sets = tuple(

@@ -265,18 +265,17 @@ def _named(
 
 
 def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
-    """Causes of which the flights say nothing: they keep the odds that they had, which is no sign
-    that they are there."""
+    """Causes for which the flights do not speak: what odds they have are those that they had, or
+    less, which is no sign that they are there."""
     odds = problem.beliefs.odds
 
-    def unmoved(cause: str) -> bool:
+    def silent(cause: str) -> bool:
         chance = posterior.inclusion[cause]
-        if not 0 < chance < 1:
-            return False
-        now = math.log(chance / (1 - chance))
-        return now < 0 and abs(now - odds[cause]) < math.log(rules.moved)
+        if not 0 < chance < 0.5:
+            return chance == 0
+        return math.log(chance / (1 - chance)) < odds[cause] + math.log(rules.moved)
 
-    return frozenset(c for c in problem.beliefs.causes if unmoved(c))
+    return frozenset(c for c in problem.beliefs.causes if silent(c))
 
 
 def _averaged(

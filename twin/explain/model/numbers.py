@@ -10,6 +10,7 @@ from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shif
 from ...logs import Flight
 from ...logs.columns import ACC_NED, POS, QUAT, VEL
 from ...physics.sensors.table import BODY, SENSORS
+from ...representation import short_repr
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]
@@ -49,6 +50,8 @@ class Number:
     name: str
     about: EffectParameter
     now: float
+
+    __repr__ = short_repr
 
     @property
     def full(self) -> str:

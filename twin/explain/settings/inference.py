@@ -92,7 +92,7 @@ class SelectionSettings(Group):
     moved: float = setting(
         3.0,
         "1",
-        "factor on the odds of an effect from which on flights say something of it",
+        "factor on the odds of an effect from which on flights speak for it",
         "made up: evidence that is worth more than a bare mention, Kass & Raftery, J. Am. Stat. "
         "Assoc. 90 (1995)",
     )

@@ -304,6 +304,7 @@ def weighed(
     return Naming(
         tuple(fitted),
         tuple(chances),
+        {},
         fitted[0],
         fitted[0],
         credible,
