@@ -242,11 +242,14 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     assert named.found is not None
     naming = named.found.naming
     assert naming is not None
-    chances = (0.6, 0.4, *(0.0 for _ in naming.probabilities[2:]))
+    other = next(f for f in naming.fitted[1:] if f.effects and "rotor_drag" not in f.effects)
+    chances = {naming.best.effects: 0.6, other.effects: 0.4}
     tied = replace(
         named.found,
         verdict="cannot_tell",
-        naming=replace(naming, probabilities=chances),
+        naming=replace(
+            naming, probabilities=tuple(chances.get(f.effects, 0.0) for f in naming.fitted)
+        ),
         next_manoeuvre=Suggestion(
             "legs", "Fly fast and straight.", (("rotor_drag",), ("mass_offset",)), 50.0, 1.0
         ),
@@ -255,7 +258,8 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     assert content["effects"][0]["name"] == "rotor_drag"
     assert content["effects"][0]["rivals"][0]["probability"] == pytest.approx(0.4)
     assert {e["name"] for e in content["effects"]} == {
-        e for f in naming.fitted[:2] for e in f.effects
+        *naming.best.effects,
+        *other.effects,
     }
     assert claim(tied).startswith("These flights cannot tell what the model lacks: rotor drag")
     assert tied.added is None

@@ -391,7 +391,9 @@ def with_text(more: str) -> Vehicle:
 
 def test_a_vehicle_file_switches_effects_on() -> None:
     vehicle = with_text(RIGHT)
-    assert vehicle.effects == {"rotor_drag": {"k_xy_1_s": 0.5, "k_z_1_s": 0.0, "height_m": 0.0}}
+    assert vehicle.effects == {
+        "rotor_drag": EFFECTS["rotor_drag"].starts(vehicle) | {"k_xy_1_s": 0.5}
+    }
     assert vehicle.sources["effects.rotor_drag.k_xy_1_s"] == "made up"
     starts = {v.name: v.start for v in airframe(vehicle).parameters}
     assert (starts["rotor_drag.enabled"], starts["rotor_drag.k_xy_1_s"]) == (1.0, 0.5)

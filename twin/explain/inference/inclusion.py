@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...representation import short_repr
 from .evidence import Best, Judge
+from .fit import fit_of, worth_a_name
 from .refit import Problem
 from .search import Found, is_time, worth
 
@@ -153,8 +154,15 @@ def weigh(
     weights = {k: corrected(k) for k in [*met]}
     first = max(weights, key=lambda k: weights[k])
     top = weights[first]
+
+    def replaces(effects: Set) -> bool:
+        """Whether another effect, of a size to speak of, is in the place of one of the first."""
+        there, new = judge.best(effects, kappa), {*effects} - {*first}
+        own = fit_of(problem, [*new], there.x, there.deviations(), 0.0)
+        return len(effects) == len(first) and bool(worth_a_name(own))
+
     others = [[k for k in weights if e not in k] for e in first]
-    instead = [[k for k in own if len(k) == len(first)] for own in others]
+    instead = [[k for k in own if replaces(k)] for own in others]
     best = {max(own, key=lambda k: weights[k]) for own in (*others, *instead) if own}
     matter = best | {k for k, v in weights.items() if v > top - WINDOW}
     kept = sorted(matter, key=lambda k: (-weights[k], k))

@@ -271,8 +271,8 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
 
     def silent(cause: str) -> bool:
         chance = posterior.inclusion[cause]
-        if not 0 < chance < 0.5:
-            return chance == 0
+        if not rules.least <= chance < 0.5:
+            return False
         return math.log(chance / (1 - chance)) < odds[cause] + math.log(rules.moved)
 
     return frozenset(c for c in problem.beliefs.causes if silent(c))
