@@ -120,7 +120,7 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
     """Baked into the fused FMU and into the FMUs of the `.ssp`; descriptions alone are read."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
     starts = ["airframe.mass=0.03", "imu.seed=4", "mission.wait=0.5"]
-    plan = export_components(["corrected-twin"], Choice("crazyflie", starts=starts, mission="tour"))
+    plan = export_components(["corrected-twin"], Choice("crazyflie", start=starts, mission="tour"))
     plan(tmp_path, lambda _: None)
     whole = read_interface(tmp_path / "corrected_twin.fmu").description
     values = {v.name: v.start for v in whole.modelVariables}
@@ -143,8 +143,8 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
         (("mission",), Choice(mission="tuor"), "tuor"),
         (("position",), Choice(position="gps"), "Did you mean 'gnss'?"),
         (("corrected-twin",), Choice(controller="lqg"), "Did you mean 'lqr'?"),
-        (("corrected-twin",), Choice(starts=["mass=1"]), "there is no parameter or input 'mass'"),
-        (("corrected-twin",), Choice(starts=["airframe.mass=-1"]), "outside its range"),
+        (("corrected-twin",), Choice(start=["mass=1"]), "there is no parameter or input 'mass'"),
+        (("corrected-twin",), Choice(start=["airframe.mass=-1"]), "outside its range"),
         (("battery",), Choice(vehicle="copter_default"), "[battery]"),
         (("replay",), Choice(), "--flight"),
     ],

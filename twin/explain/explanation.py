@@ -162,30 +162,20 @@ def explain(
     warnings = [f"left out: {reason}" for reason in reasons + left_out]
     if unknown := [f.name for f in (*fit, *held) if f.indoors is None]:
         warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
-    hidden_from: list[str] = []
-    away = tuple(HeldOut(f.name) for f in held)
-    if not held:
-        spans = [held_out_spans(f, settings.holdout) for f in fit]
-        held = [hidden(f, s, inside=False) for f, s in zip(fit, spans, strict=True)]
-        fit = [hidden(f, s, inside=True) for f, s in zip(fit, spans, strict=True)]
-        away = tuple(HeldOut(f.name, tuple(s)) for f, s in zip(fit, spans, strict=True))
-        warnings.append(WEAKER.format(settings.holdout.spared_every))
-        (fit, hidden_from), (held, none_left) = (
-            with_readings(some, vehicle, payloads) for some in (fit, held)
-        )
-        warnings += [f"left out: {reason}" for reason in hidden_from]
-        warnings += [f"left out of what is held out: {reason}" for reason in none_left]
+    parts = _parts(fit, held, vehicle, payloads, settings)
+    fit, held = parts.fit, parts.held
+    warnings += parts.warnings
     found = Explanation(
         "unusable",
         vehicle,
         tuple(f.name for f in fit),
         warnings=tuple(warnings),
-        holdout=away,
+        holdout=parts.away,
         settings=settings,
         since=asked,
     )
     if not fit:
-        return replace(found, reasons=tuple(hidden_from))
+        return replace(found, reasons=tuple(parts.unread))
     try:
         naming = name_effects(
             fit,
@@ -224,6 +214,50 @@ def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:
     if vehicle.calibration is None:
         raise ModelError(UNCALIBRATED.format(vehicle.name))
     return vehicle.calibration.flights
+
+
+@dataclass(frozen=True, slots=True)
+class _Parts:
+    """What is fitted, and what is held out.
+
+    Attributes:
+        fit: Flights to fit on.
+        held: Flights held out.
+        away: The same, for the report.
+        unread: Why flights to fit on were left out.
+        warnings: What to keep in mind of the split.
+    """
+
+    fit: list[Flight]
+    held: list[Flight]
+    away: tuple[HeldOut, ...]
+    unread: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+
+
+def _parts(
+    flights: list[Flight],
+    holdout: list[Flight],
+    vehicle: Vehicle,
+    payloads: Payloads | None,
+    settings: SearchSettings,
+) -> _Parts:
+    """The flights as they were given; where none is held out, blocks of time of each are."""
+    if holdout:
+        return _Parts(flights, holdout, tuple(HeldOut(f.name) for f in holdout))
+    spans = [held_out_spans(f, settings.holdout) for f in flights]
+    both = list(zip(flights, spans, strict=True))
+    (fit, unread), (held, none_left) = (
+        with_readings([hidden(f, s, inside) for f, s in both], vehicle, payloads)
+        for inside in (True, False)
+    )
+    warnings = [
+        WEAKER.format(settings.holdout.spared_every),
+        *(f"left out: {reason}" for reason in unread),
+        *(f"left out of what is held out: {reason}" for reason in none_left),
+    ]
+    away = tuple(HeldOut(f.name, tuple(s)) for f, s in both)
+    return _Parts(fit, held, away, unread, warnings)
 
 
 def sited(flight: Flight, indoors: bool | None) -> Flight:

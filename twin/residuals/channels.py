@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import shift
+from scipy.ndimage import spline_filter1d
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from ..representation import short_repr
@@ -23,6 +23,8 @@ GRID_HZ = 200.0
 """Rate of the grid on which components are evaluated."""
 CHANNEL_HZ = 50.0
 """Rate of the channels."""
+PADDED = 14
+"""Grid points by which ends are carried on in a shift: cubic splines have forgotten them there."""
 BAND_HZ = 18.0
 """Low-pass of measured and predicted: the body moves below it, rotors vibrate above it."""
 POSE_BAND_HZ = 6.0
@@ -216,13 +218,41 @@ def shifted(values: Array, later_s: float) -> Array:
     rate, where they are shifted by half a step, and feign that an age between two samples fits
     noise better than any other.
     """
-    grid, moved = np.arange(len(values)), np.array(values)
-    for column, v in zip(moved.T, values.T, strict=True):
-        known = np.isfinite(v)
-        if known.any():
-            bridged = np.interp(grid, grid[known], v[known])
-            column[:] = shift(bridged, later_s * GRID_HZ, order=3, mode="nearest")
+    steps = -later_s * GRID_HZ
+    whole = int(np.floor(steps))
+    room = abs(whole) + PADDED
+    bridged, known = _bridged(values)
+    padded = np.pad(bridged, [(room, room), (0, 0)], mode="edge")
+    weights = spline_filter1d(padded, order=3, axis=0, mode="nearest")
+    moved = np.zeros_like(bridged)
+    for k, share in enumerate(_cubic(steps - whole)):
+        first = room + whole - 1 + k
+        moved += share * weights[first : first + len(values)]
+    moved[:, ~known] = np.nan
     return moved
+
+
+def _bridged(values: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Columns with straight lines over what is unknown, and which of them are known anywhere."""
+    finite = np.isfinite(values)
+    known = np.asarray(finite.any(axis=0))
+    bridged = np.where(known, values, 0.0)
+    grid = np.arange(len(values))
+    for i in np.flatnonzero(known & ~finite.all(axis=0)):
+        inside = finite[:, i]
+        bridged[:, i] = np.interp(grid, grid[inside], values[inside, i])
+    return bridged, known
+
+
+def _cubic(t: float) -> tuple[float, float, float, float]:
+    """Weights of the four cubic B-splines around a point between two knots, at a share of the way
+    from one to the next."""
+    return (
+        (1 - t) ** 3 / 6,
+        (4 - 6 * t**2 + 3 * t**3) / 6,
+        (1 + 3 * t + 3 * t**2 - 3 * t**3) / 6,
+        t**3 / 6,
+    )
 
 
 def _pieces(known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:

@@ -1,9 +1,9 @@
 """`uavtwin export`: components, the whole twin, a replay, a compensator, as FMUs."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -84,9 +84,8 @@ def export(
     from ..output import check_folder, results_folder, write_run
 
     check_folder(out, force)
-    vehicle = vehicle or default_vehicle(model)
     choice = Choice(
-        vehicle,
+        vehicle or default_vehicle(model),
         fmi,
         platform,
         drive,
@@ -100,24 +99,11 @@ def export(
         python_slave,
     )
     plan = export_components(components, choice)
-    options = {
-        "components": components,
-        "vehicle": Path(vehicle).name,
-        "fmi": fmi,
-        "drive": drive,
-        "linear": linear,
-        "mission": mission,
-        "controller": controller,
-        "position": position,
-        "python_slave": python_slave,
-        "platform": platform,
-        "start": start or [],
-    }
     trained = None if model is None else model / FILE
-    inputs = [p for p in (Path(vehicle), flight, trained) if p is not None and p.is_file()]
+    inputs = [p for p in (Path(choice.vehicle), flight, trained) if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
-        write_run(folder, "export", options, inputs)
+        write_run(folder, "export", {"components": components, **choice.told()}, inputs)
     if as_json:
         print_json([row.as_json() for row in written])
     else:
@@ -133,7 +119,7 @@ class Choice:
         fmi: FMI versions, comma-separated.
         platform: Platforms, comma-separated, or "all".
         drive: Inputs of the airframe; None: what the vehicle describes.
-        starts: "NAME=VALUE" texts; "part.name" for the corrected twin.
+        start: "NAME=VALUE" texts; "part.name" for the corrected twin.
         flight: To replay.
         linear: Columns of the replay to interpolate, comma-separated.
         mission: Of the components `mission` and `corrected-twin`.
@@ -147,7 +133,7 @@ class Choice:
     fmi: str = "2"
     platform: str = "linux64"
     drive: str | None = None
-    starts: Sequence[str] = ()
+    start: Sequence[str] = ()
     flight: Path | None = None
     linear: str = ""
     mission: str = "hover"
@@ -155,6 +141,12 @@ class Choice:
     model: Path | None = None
     position: str = "gnss"
     python_slave: bool = False
+
+    def told(self) -> dict[str, Any]:
+        """For `run.json`, which lists files that were read among its inputs."""
+        read = {f.name: getattr(self, f.name) for f in fields(self)}
+        told = {k: v for k, v in read.items() if k not in ("flight", "model")}
+        return {**told, "vehicle": Path(self.vehicle).name}
 
 
 def export_components(
@@ -181,7 +173,7 @@ def export_components(
     network = _network(choice, vehicle)
     parts = [_part(name, choice, vehicle, network) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
-    starts = start_values(choice.starts)
+    starts = start_values(choice.start)
     return export_parts(parts, versions, platforms, starts, choice.python_slave)
 
 

@@ -151,6 +151,33 @@ AIRCRAFT = {
 }
 
 
+class _File:
+    """A vehicle file in the making."""
+
+    def __init__(self, deviations: Mapping[str, str]) -> None:
+        self.lines: list[str] = []
+        self._section, self._deviations = "", deviations
+
+    def section(self, name: str) -> None:
+        """Begin a section."""
+        self._section = name
+        self.lines += ["", f"[{name}]"]
+
+    def add(self, key: str, value: object, unit: str) -> None:
+        """Add a number or a list."""
+        self._entry(key, f'value = {_text(value)}, unit = "{unit}"')
+
+    def polynomial(self, key: str, coefficients: Sequence[float], unit: str, of: str = "") -> None:
+        """Add a map with its coefficients."""
+        argument = f', of = "{of}"' if of else ""
+        self._entry(key, f'coefficients = {_text([*coefficients])}, unit = "{unit}"{argument}')
+
+    def _entry(self, key: str, told: str) -> None:
+        known = self._deviations.get(f"{self._section}.{key}")
+        deviation = f", sd = {known}" if known else ""
+        self.lines.append(f'{key} = {{ {told}, source = "{_MADE_UP}"{deviation} }}')
+
+
 def vehicle_toml(
     aircraft: Aircraft, noise: Noise, sd: Mapping[str, str] | None = None, by_speed: bool = False
 ) -> str:
@@ -162,84 +189,72 @@ def vehicle_toml(
         sd: Standard deviations of entries as TOML, by "section.key".
         by_speed: Whether measured rotor speeds drive it: nothing is said about commands.
     """
-    p, deviations = aircraft.nominal, sd or {}
-    lines = [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"', "", "[body]"]
-
-    def deviation(key: str) -> str:
-        """What is said about the standard deviation of an entry of the section begun last."""
-        section = next(line for line in reversed(lines) if line.startswith("["))
-        known = deviations.get(f"{section[1:-1]}.{key}")
-        return f", sd = {known}" if known else ""
-
-    def add(key: str, value: object, unit: str) -> None:
-        """Add a number or a list."""
-        lines.append(
-            f'{key} = {{ value = {_text(value)}, unit = "{unit}", '
-            f'source = "{_MADE_UP}"{deviation(key)} }}'
-        )
-
-    def polynomial(key: str, coefficients: Sequence[float], unit: str, of: str = "") -> None:
-        """Add a map with its coefficients."""
-        argument = f'of = "{of}", ' if of else ""
-        lines.append(
-            f'{key} = {{ coefficients = {_text([*coefficients])}, unit = "{unit}", {argument}'
-            f'source = "{_MADE_UP}"{deviation(key)} }}'
-        )
-
-    add("mass", p.mass, "kg")
-    add("inertia", p.inertia, "kg*m^2")
-    add("drag_linear", p.drag_linear, "N*s/m")
-    add("drag_quadratic", p.drag_quadratic, "N*s^2/m^2")
-    add("leg_height", p.leg, "m")
-    lines += ["", "[rotors]"]
-    add("position", p.hubs, "m")
-    names = ["cw" if d > 0 else "ccw" for d in p.direction]
-    lines.append(f'direction = {{ value = {_text(names)}, source = "{_MADE_UP}" }}')
-    k, q, a, b = float(p.thrust_k[0]), float(p.torque_k[0]), p.speed_0, p.speed_1
-    if aircraft.by_command and not by_speed:
-        polynomial("thrust_from_command", [k * a * a, 2 * k * a * b, k * b * b], "N")
-        add("torque_per_thrust", q / k, "m")
-    elif aircraft.thrust_of_rpm and aircraft.torque_of_rpm:
-        polynomial("thrust_from_speed", aircraft.thrust_of_rpm, "N", of="rpm")
-        polynomial("torque_from_speed", aircraft.torque_of_rpm, "N*m", of="rpm")
-        if not by_speed:
-            polynomial("speed_from_command", [a, b], "rad/s")
-    else:
-        add("thrust_from_speed", k, "N*s^2/rad^2")
-        add("torque_from_speed", q, "N*m*s^2/rad^2")
-        if not by_speed:
-            polynomial("speed_from_command", aircraft.speed_of_command or [a, b], "rad/s")
-    if not by_speed:
-        add("lag", p.lag, "s")
-    lines += ["", "[imu]"]
-    add("position", p.imu_arm, "m")
-    add("accel_cutoff", p.accel_cutoff_hz, "Hz")
-    add("accel_noise", noise.accel, "m/s^2")
-    add("gyro_noise", noise.gyro, "rad/s")
-    lines += ["", "[battery]"]
-    add("full_voltage", p.full_v, "V")
-    add("empty_voltage", p.empty_v, "V")
-    add("capacity", p.capacity, "A*s")
-    add("resistance", p.resistance, "ohm")
-    add("hover_current", p.hover_current, "A")
-    lines += ["", "[magnetometer]"]
-    add("field", list(FIELD_T), "T")
-    add("noise", noise.mag, "T")
-    lines += ["", "[barometer]"]
-    add("noise", noise.baro, "Pa")
-    lines += ["", "[position]"]
-    add("period", 0.01, "s")
-    add("delay", 0.0, "s")
-    add("noise", [noise.position] * 3, "m")
-    add("velocity_noise", [noise.velocity] * 3, "m/s")
-    add("attitude_noise", noise.attitude, "rad")
-    lines += ["", "[site]"]
-    add("pressure", GROUND_PRESSURE_PA, "Pa")
+    p, file = aircraft.nominal, _File(sd or {})
+    file.lines += [f'name = "{aircraft.name}"', 'description = "Aircraft of a benchmark"']
+    file.section("body")
+    file.add("mass", p.mass, "kg")
+    file.add("inertia", p.inertia, "kg*m^2")
+    file.add("drag_linear", p.drag_linear, "N*s/m")
+    file.add("drag_quadratic", p.drag_quadratic, "N*s^2/m^2")
+    file.add("leg_height", p.leg, "m")
+    _add_rotors(file, aircraft, by_speed)
+    _add_sensors(file, p, noise)
     momentum = p.spin_inertia_yaw * p.hover_speed
     for effect in aircraft.known:
-        lines += ["", f"[effects.{effect}]"]
-        add("momentum_n_m_s", momentum, "N*m*s")
-    return "\n".join(lines) + "\n"
+        file.section(f"effects.{effect}")
+        file.add("momentum_n_m_s", momentum, "N*m*s")
+    return "\n".join(file.lines) + "\n"
+
+
+def _add_rotors(file: _File, aircraft: Aircraft, by_speed: bool) -> None:
+    p = aircraft.nominal
+    file.section("rotors")
+    file.add("position", p.hubs, "m")
+    names = ["cw" if d > 0 else "ccw" for d in p.direction]
+    file.lines.append(f'direction = {{ value = {_text(names)}, source = "{_MADE_UP}" }}')
+    k, q, a, b = float(p.thrust_k[0]), float(p.torque_k[0]), p.speed_0, p.speed_1
+    if aircraft.by_command and not by_speed:
+        file.polynomial("thrust_from_command", [k * a * a, 2 * k * a * b, k * b * b], "N")
+        file.add("torque_per_thrust", q / k, "m")
+    elif aircraft.thrust_of_rpm and aircraft.torque_of_rpm:
+        file.polynomial("thrust_from_speed", aircraft.thrust_of_rpm, "N", of="rpm")
+        file.polynomial("torque_from_speed", aircraft.torque_of_rpm, "N*m", of="rpm")
+        if not by_speed:
+            file.polynomial("speed_from_command", [a, b], "rad/s")
+    else:
+        file.add("thrust_from_speed", k, "N*s^2/rad^2")
+        file.add("torque_from_speed", q, "N*m*s^2/rad^2")
+        if not by_speed:
+            file.polynomial("speed_from_command", aircraft.speed_of_command or [a, b], "rad/s")
+    if not by_speed:
+        file.add("lag", p.lag, "s")
+
+
+def _add_sensors(file: _File, p: Parameters, noise: Noise) -> None:
+    file.section("imu")
+    file.add("position", p.imu_arm, "m")
+    file.add("accel_cutoff", p.accel_cutoff_hz, "Hz")
+    file.add("accel_noise", noise.accel, "m/s^2")
+    file.add("gyro_noise", noise.gyro, "rad/s")
+    file.section("battery")
+    file.add("full_voltage", p.full_v, "V")
+    file.add("empty_voltage", p.empty_v, "V")
+    file.add("capacity", p.capacity, "A*s")
+    file.add("resistance", p.resistance, "ohm")
+    file.add("hover_current", p.hover_current, "A")
+    file.section("magnetometer")
+    file.add("field", list(FIELD_T), "T")
+    file.add("noise", noise.mag, "T")
+    file.section("barometer")
+    file.add("noise", noise.baro, "Pa")
+    file.section("position")
+    file.add("period", 0.01, "s")
+    file.add("delay", 0.0, "s")
+    file.add("noise", [noise.position] * 3, "m")
+    file.add("velocity_noise", [noise.velocity] * 3, "m/s")
+    file.add("attitude_noise", noise.attitude, "rad")
+    file.section("site")
+    file.add("pressure", GROUND_PRESSURE_PA, "Pa")
 
 
 def _text(value: object) -> str:

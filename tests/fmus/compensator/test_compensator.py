@@ -421,8 +421,8 @@ def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None
         (["imu"], Choice(VEHICLE, model=fine), "--model goes with"),
         (["compensator"], Choice(VEHICLE, model=two), "trained with 2 motors, crazyflie has 4"),
         (["compensator"], Choice(VEHICLE, model=tmp_path), "holds no model.onnx"),
-        (["compensator"], Choice(VEHICLE, model=fine, starts=["gyro_w=1"]), "mean 'gyro_"),
-        (["compensator"], Choice(VEHICLE, model=fine, starts=["phase=9"]), "outside its range"),
+        (["compensator"], Choice(VEHICLE, model=fine, start=["gyro_w=1"]), "mean 'gyro_"),
+        (["compensator"], Choice(VEHICLE, model=fine, start=["phase=9"]), "outside its range"),
     ):
         with pytest.raises(TwinError, match=words):
             export_components(names, choice)

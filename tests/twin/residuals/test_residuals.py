@@ -9,10 +9,12 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import shift
 
 from twin.errors import ModelError
 from twin.logs import Flight
 from twin.physics.airframe import airframe
+from twin.residuals.channels import GRID_HZ, shifted
 from twin.residuals.gap import Channel, FlightGap, gap_json, pool, rank, summarise
 from twin.residuals.spectra import slow_part, spectrum
 from twin.residuals.teacher_forced import airframe_inputs
@@ -190,3 +192,21 @@ def test_rotors_accelerate_as_their_measured_speeds_say() -> None:
     found = inputs.u[:, body.input_names.index("spin_rate_3")]
     exact = 50 * 2 * np.pi * np.cos(2 * np.pi * grid_s)
     assert np.abs(found - exact).max() < 0.02 * np.abs(exact).max()
+
+
+# -- shifts in time --------------------------------------------------------------------------
+
+
+@given(later_s=st.floats(-0.2, 0.2), seed=st.integers(0, 2**16))
+def test_a_shift_is_that_of_a_second_implementation(later_s: float, seed: int) -> None:
+    values = np.random.default_rng(seed).standard_normal((300, 2)).cumsum(axis=0)
+    own = [shift(v, later_s * GRID_HZ, order=3, mode="nearest") for v in values.T]
+    assert shifted(values, later_s) == pytest.approx(np.stack(own, axis=1), abs=1e-5)
+
+
+def test_a_shift_bridges_what_is_unknown_and_leaves_what_nobody_knows() -> None:
+    values = np.tile(np.arange(100.0)[:, None], (1, 2))
+    values[40:50, 0], values[:, 1] = np.nan, np.nan
+    moved = shifted(values, 2.5 / GRID_HZ)
+    assert moved[20:80, 0] == pytest.approx(np.arange(20, 80) - 2.5)
+    assert np.all(np.isnan(moved[:, 1]))
