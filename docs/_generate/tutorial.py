@@ -80,6 +80,7 @@ def with_outputs(page: str, printed: list[str]) -> str:
     rest = iter(printed)
 
     def fill(match: re.Match[str]) -> str:
+        """A block with its next output."""
         if match["language"] != "text":
             return match[0]
         lines = [line.rstrip() for line in next(rest).splitlines()]

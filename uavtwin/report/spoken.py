@@ -12,6 +12,8 @@ from .gap import number, percent
 
 Changes = Mapping[str, float]
 """By number of an effect, by how much it differs."""
+Clause = Callable[[Changes, Vehicle, bool], str]
+"""A change of an effect as a clause; whether it is one since a calibration."""
 SMALL = 0.25
 """Share of the largest change of its kind below which one is not spoken of."""
 AXES = (("x", "forward", "backward"), ("y", "right", "left"), ("z", "down", "up"))
@@ -105,8 +107,9 @@ def _wind(change: Changes, _: Vehicle, since: bool) -> str:
     return f"{more}wind blows: {number(speed)} m/s"
 
 
-def _reads(what: str, unit: str) -> Callable[[Changes, Vehicle, bool], str]:
+def _reads(what: str, unit: str) -> Clause:
     def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        """See `Clause`."""
         parts = []
         for axis, ahead, _back in AXES:
             v = next((v for k, v in _large(change).items() if k.startswith(f"{axis}_")), 0.0)
@@ -118,8 +121,9 @@ def _reads(what: str, unit: str) -> Callable[[Changes, Vehicle, bool], str]:
     return clause
 
 
-def _late(what: str) -> Callable[[Changes, Vehicle, bool], str]:
+def _late(what: str) -> Clause:
     def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        """See `Clause`."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
         return f"{what} {number(1e3 * abs(delay))} ms {way} than " + (
@@ -134,8 +138,9 @@ def _heading(change: Changes, _: Vehicle, since: bool) -> str:
     return f"its heading is off by {number(float(turn))}°" + (" more" if since else "")
 
 
-def _factor(what: str, verb: str) -> Callable[[Changes, Vehicle, bool], str]:
+def _factor(what: str, verb: str) -> Clause:
     def clause(change: Changes, _: Vehicle, since: bool) -> str:
+        """See `Clause`."""
         v = max(change.values(), key=abs, default=0.0)
         return f"{what} {verb} {percent(abs(v))} {'more' if v > 0 else 'less'} than " + (
             "then" if since else "its file says"
@@ -165,7 +170,7 @@ def _sag(change: Changes, _: Vehicle, since: bool) -> str:
     return f"a battery 1 % lower costs {number(change.get('slope', 0.0))} % of its thrust"
 
 
-_CLAUSES: dict[str, Callable[[Changes, Vehicle, bool], str]] = {
+_CLAUSES: dict[str, Clause] = {
     "rotor_efficiency_loss": _rotors,
     "mass_offset": _mass,
     "cog_offset": _place,

@@ -226,7 +226,10 @@ def test_a_section_is_replaced_and_the_others_are_kept(head: str, tail: str) -> 
     new = parse_vehicle(
         with_effect_sections(text, vehicle, {"rotor_drag": numbers}), "mine.toml"
     ).effects
-    assert new["rotor_drag"] == {"k_xy_1_s": 0.39, "k_z_1_s": 0.1, "height_m": 0.0}
+    assert new["rotor_drag"] == EFFECTS["rotor_drag"].starts(vehicle) | {
+        "k_xy_1_s": 0.39,
+        "k_z_1_s": 0.1,
+    }
     assert set(new) == {"rotor_drag", "mass_offset"}
 
 

@@ -85,7 +85,7 @@ CHANGES: dict[str, Change] = {
 """What a user may change in Python."""
 
 
-def same(a: Vehicle, b: Vehicle) -> None:
+def assert_same(a: Vehicle, b: Vehicle) -> None:
     """All numbers, to the last bit."""
     for x, y in ((a, b), (a.rotors, b.rotors)):
         for name in x.__dataclass_fields__:
@@ -105,10 +105,12 @@ def test_nothing_changed_nothing_written(name: str) -> None:
 def test_a_changed_vehicle_is_read_back(name: str, change: str) -> None:
     vehicle = CHANGES[change](load_vehicle(name))
     text = update_text(vehicle, TEXTS[name])
-    same(parse_vehicle(text, "new.toml"), vehicle)
+    assert_same(parse_vehicle(text, "new.toml"), vehicle)
     comments = [line for line in TEXTS[name].splitlines() if line.startswith("#")]
     assert [line for line in text.splitlines() if line.startswith("#")] == comments
-    same(parse_vehicle(update_text(vehicle), "new.toml"), vehicle)  # without a text to start from
+    assert_same(
+        parse_vehicle(update_text(vehicle), "new.toml"), vehicle
+    )  # without a text to start from
 
 
 @pytest.mark.parametrize("name", builtin_vehicles())
@@ -168,7 +170,7 @@ def test_any_numbers_survive(mass: float, drag: list[float], scale: float) -> No
     )
     vehicle = replace(base, mass_kg=mass, drag_linear_n_s_m=np.array(drag), rotors=rotors)
     for text in (TEXTS["crazyflie"], ""):
-        same(parse_vehicle(update_text(vehicle, text), "new.toml"), vehicle)
+        assert_same(parse_vehicle(update_text(vehicle, text), "new.toml"), vehicle)
 
 
 def test_every_key_of_a_file_is_written() -> None:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ...representation import short_repr
 from .evidence import Best, Judge
-from .fit import fit_of, worth_a_name
 from .refit import Problem
 from .search import Found, is_time, worth
 
@@ -53,8 +52,8 @@ class Posterior:
     """All sets that matter.
 
     Attributes:
-        sets: The most probable first; the best without each effect of the first, and with another
-            in its place, are among them, however improbable.
+        sets: The most probable first; the first without each of its effects, and with each other
+            in its place, is among them, however improbable.
         inclusion: Probability of each effect of the search.
         without: Of each effect of the best set, evidence that it adds, nats, fitted again.
     """
@@ -105,6 +104,7 @@ def weigh(
     met: dict[Set, float] = {}
 
     def evidence(effects: Sequence[str]) -> float:
+        """Of a set, remembered."""
         key = tuple(sorted(effects))
         if key not in met:
             met[key] = judge.best(key, kappa).evidence
@@ -154,17 +154,8 @@ def weigh(
     weights = {k: corrected(k) for k in [*met]}
     first = max(weights, key=lambda k: weights[k])
     top = weights[first]
-
-    def replaces(effects: Set) -> bool:
-        """Whether another effect, of a size to speak of, is in the place of one of the first."""
-        there, new = judge.best(effects, kappa), {*effects} - {*first}
-        own = fit_of(problem, [*new], there.x, there.deviations(), 0.0)
-        return len(effects) == len(first) and bool(worth_a_name(own))
-
-    others = [[k for k in weights if e not in k] for e in first]
-    instead = [[k for k in own if replaces(k)] for own in others]
-    best = {max(own, key=lambda k: weights[k]) for own in (*others, *instead) if own}
-    matter = best | {k for k, v in weights.items() if v > top - WINDOW}
+    near = {k for k in weights if len({*first} - {*k}) == 1 >= len({*k} - {*first})}
+    matter = near | {k for k, v in weights.items() if v > top - WINDOW}
     kept = sorted(matter, key=lambda k: (-weights[k], k))
     share = np.exp([weights[k] - top for k in kept])
     share = share / share.sum()

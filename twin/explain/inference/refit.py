@@ -203,6 +203,7 @@ class Problem:
         judge = self.judge(spectrum)
         now = judge.at(on, kappa)
         shaped = bool(np.any(self.beliefs.shape[columns]))
+        fresh = True
         for n in range(ROUNDS):
             wanted = judge.best(on, kappa, self._reach()).x
             promised = judge.at(on, kappa, wanted) - now
@@ -216,15 +217,20 @@ class Problem:
                     better = y, there, over, value
                     break
                 step *= 0.5
-            if better is None:
+            if better is None and (fresh or not shaped):
                 break
+            if better is None:
+                spectrum, fresh = self._renewed(spectrum, x, columns), True
+                judge = self.judge(spectrum)
+                continue
             bent = _bend(spectrum, better[1])
             gain = better[3] - now
             x, spectrum, judge, now = better
+            fresh = False
             if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:
                 break
             if bent > STRAIGHT or (shaped and n == 0):
-                spectrum = self._renewed(spectrum, x, columns)
+                spectrum, fresh = self._renewed(spectrum, x, columns), True
                 judge = self.judge(spectrum)
         return State(on, judge.here_as(on, kappa), spectrum)
 

@@ -256,6 +256,7 @@ def _ahead(problem: Problem, judge: Judge, on: Sequence[str], first: Sequence[Mo
     """
 
     def best(moves: Sequence[Move], known: Sequence[str]) -> Move | None:
+        """The first that may follow."""
         timed = any(is_time(e) for e in known)
         return next(
             (m for m in moves if not timed or not any(map(is_time, {*m.effects} - {*known}))), None

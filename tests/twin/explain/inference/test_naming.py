@@ -54,7 +54,6 @@ def late(flight: Flight, columns: list[str], rows: int) -> Flight:
     return replace(flight, table=table)
 
 
-@pytest.mark.xfail(reason="steps of 5 ms end at the first of several maxima", strict=False)
 def test_age_of_position_and_of_attitude_are_told_apart(quiet: Flight) -> None:
     """The table has 200 rows a second: ten rows are 50 ms."""
     place = [f"{stem}_{a}" for stem in ("pos", "vel") for a in "xyz"]
@@ -204,7 +203,7 @@ def compass(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(search, "candidates", lambda _: known)
 
 
-@pytest.mark.xfail(reason="what flights cannot tell is named by priors alone", strict=False)
+@pytest.mark.xfail(reason="what flights cannot tell is named by priors alone", strict=True)
 @pytest.mark.slow
 def test_hard_and_soft_iron_are_one_while_the_nose_stays_north(compass: None) -> None:
     naming = name_effects([turned(0)], COPTER)

@@ -93,7 +93,6 @@ def planted(effect: Effect) -> Vehicle:
     return COPTER.with_effects({effect.name: effect.starts(COPTER)})
 
 
-@pytest.mark.xfail(reason="slopes by a shape stay 0 where its effect began at 0", strict=False)
 @pytest.mark.slow
 def test_a_new_effect_with_a_state_is_the_best_explanation(added: Effect) -> None:
     flight = flown(planted(added))

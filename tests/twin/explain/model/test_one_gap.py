@@ -40,7 +40,7 @@ def gap_of(flight: Flight, vehicle: Vehicle) -> dict[str, dict[str, object]]:
     return {k: v for k, v in channels.items() if v["horizon_s"] == 0}
 
 
-def compared(flight: Flight, vehicle: Vehicle) -> None:
+def assert_same_gap(flight: Flight, vehicle: Vehicle) -> None:
     before = {g.name: g for g in compare_holdout([flight], vehicle, [], {}).gaps}
     ours = gap_of(flight, vehicle)
     assert list(ours) == OF_IMU
@@ -52,12 +52,12 @@ def compared(flight: Flight, vehicle: Vehicle) -> None:
 
 @pytest.mark.slow
 def test_the_gap_of_a_held_out_flight_is_what_explain_says_before() -> None:
-    compared(simulated(), COPTER)
+    assert_same_gap(simulated(), COPTER)
 
 
 @pytest.mark.slow
 def test_the_gap_of_a_real_flight_is_what_explain_says_before(data_dir: Path) -> None:
-    compared(read_flight(data_dir / "rflysimdt" / "real_3.ulg"), FEISI)
+    assert_same_gap(read_flight(data_dir / "rflysimdt" / "real_3.ulg"), FEISI)
 
 
 @pytest.mark.slow

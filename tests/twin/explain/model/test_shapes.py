@@ -28,6 +28,7 @@ SIZES = {
 SHAPES = {
     "ground_effect.height_m": 0.01,
     "rotor_drag.height_m": 0.01,
+    "rotor_drag.spin_share": 0.1,
     "rotor_efficiency_loss.torque_share": 0.1,
     "slung_load.length_m": 0.002,
     "slung_load.mass_kg": 1e-4,
