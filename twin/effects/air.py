@@ -119,6 +119,7 @@ ROTOR_DRAG = Effect(
             1.0,
             (0, 1),
             neutral=None,
+            ends=True,
         ),
     ),
     ("acc", "vel", "q"),

@@ -42,6 +42,8 @@ class EffectParameter:
         per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
         trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
         floor: Smallest value that a vehicle allows, absolute, where that is below the bounds.
+        ends: Whether it may well be at a bound, as a share may be none or all: that is no hint that
+            another effect is meant.
     """
 
     name: str
@@ -54,6 +56,7 @@ class EffectParameter:
     per_rotor: bool = False
     trifle: float | None = None
     floor: Callable[[Vehicle], float] | None = None
+    ends: bool = False
 
     @property
     def smallest(self) -> float:

@@ -116,8 +116,9 @@ PRIORS: dict[str, Prior] = {
     ),
     "rotor_efficiency_loss": Prior(
         RARE,
-        "propellers of one bag differ by 2 to 5 %; slower rotors lose torque as they lose thrust",
-        {"loss": Normal(0.0, 0.05), "torque_share": Normal(1.0, 0.3)},
+        "propellers of one bag differ by 2 to 5 %; slower rotors lose torque as they lose thrust, "
+        "damaged blades less of it, rotors of many simulators none",
+        {"loss": Normal(0.0, 0.05), "torque_share": Normal(0.8, 0.5)},
     ),
     "rotor_inertia_torque": Prior(
         COMMON,

@@ -193,6 +193,7 @@ ROTOR_EFFICIENCY_LOSS = Effect(
             1.0,
             (0, 1.5),
             neutral=None,
+            ends=True,
         ),
     ),
     ("acc", "gyro"),

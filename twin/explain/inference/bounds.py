@@ -96,7 +96,7 @@ def edges(
     for n in numbers:
         value = values[n.full]
         at = np.isclose(value, n.about.bounds, rtol=EDGE, atol=0)
-        if np.any(at) and value != n.about.neutral:
+        if np.any(at) and value != n.about.neutral and not n.about.ends:
             yield (
                 n.effect,
                 f"{n.full} = {value:.4g} is at the edge of the range that is considered, "

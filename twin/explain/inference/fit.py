@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ...effects import EFFECTS
+from ...effects.priors import prior_of
 from ...representation import short_repr
 from ..model.numbers import Number
 from .beliefs import effect_of
@@ -71,5 +73,18 @@ def fit_of_best(problem: Problem, causes: Sequence[str], best: Best, nothing: fl
 
 def worth_a_name(fitted: Fit) -> tuple[str, ...]:
     """Effects of a set that are large enough to speak of."""
-    sizes = fitted.sizes()
-    return tuple(e for e in fitted.effects if sizes[e] >= 1)
+    sizes, same = fitted.sizes(), _same_in_sum(fitted)
+    return tuple(e for e in fitted.effects if sizes[e] >= 1 and e not in same)
+
+
+def _same_in_sum(fitted: Fit) -> frozenset[str]:
+    """Effects by which motors answer later, where others by which they answer sooner take all of it
+    back: lag and delay of a response that is not quite of first order, as a file has it."""
+    late = {
+        n.effect: fitted.values[n.full] - n.now
+        for n in fitted.numbers
+        if n.acts or (prior_of(EFFECTS[n.effect]).timed and not n.shape)
+    }
+    smallest = [n.about.smallest for n in fitted.numbers if n.effect in late and not n.shape]
+    back = min(late.values(), default=0.0) < 0 < max(late.values(), default=0.0)
+    return frozenset(late) if back and abs(sum(late.values())) < max(smallest) else frozenset()

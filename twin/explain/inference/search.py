@@ -1,12 +1,14 @@
 """Look for the set of effects that flights make most probable, from several starts.
 
 Gains of sets are told by one linearisation; each move is fitted again before it is accepted. A move
-adds an effect, drops one, or puts one in the place of another; days may turn out to differ more or
-less than is usual. Where several moves in a row promise more, they are tried together first.
+adds an effect, drops one or two, or puts one in the place of another; days may turn out to differ
+more or less than is usual. Where several moves in a row promise more, they are tried together
+first.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +25,8 @@ Tried = dict[tuple[tuple[str, ...], float], float]
 """Worth of every set that was fitted, by its effects and its days."""
 MOVES, TRIED, AHEAD, RIVALS = 60, 4, 8, 4
 """Accepted moves at most; of each state so many are fitted; looked ahead; swapped in."""
+FEW = 8
+"""Effects of a set up to which two are dropped at once: they may stand for a third together."""
 CLEAR = 5.0
 """Nats that the linearisation gives an effect from which on it is not fitted without it again."""
 WORTH = 0.3
@@ -90,6 +94,7 @@ def search(
             _better(problem, judge, state, tried)
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
+            or _verified(problem, judge, state, tried, _alone(state))
         )
         if better is None:
             break
@@ -183,6 +188,18 @@ def _weak(judge: Judge, state: State) -> list[Trial]:
     return sets
 
 
+def _alone(state: State) -> list[Trial]:
+    """The set with one rotor in the place of several: opposite ones share what one of them does,
+    together with the place of the centre of mass."""
+    sets: list[Trial] = []
+    for effect in dict.fromkeys(effect_of(c) for c in state.effects):
+        own = [c for c in state.effects if effect_of(c) == effect and not is_time(c)]
+        if len(own) > 1:
+            rest = [c for c in state.effects if c not in own]
+            sets += [(tuple(sorted((*rest, c))), None) for c in own]
+    return sets
+
+
 def _verified(
     problem: Problem, judge: Judge, state: State, tried: Tried, sets: Sequence[Trial]
 ) -> State | None:
@@ -241,6 +258,9 @@ def _around(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> 
     yield from (m for _, m in more)
     for e in (e for e in on if not is_time(e)):
         yield move([a for a in on if a != e], kappa)
+    if len(on) <= FEW:
+        for pair in combinations([e for e in on if not is_time(e)], 2):
+            yield move([a for a in on if a not in pair], kappa)
     strongest = sorted(more, key=lambda m: -m[1].gain)[:RIVALS]
     for new, _ in strongest:
         for old in on:

@@ -245,7 +245,7 @@ def _named(
             fits[own] = fit_of(problem, causes, s.best.x, s.best.deviations(), whole.gain)
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
-    shown, told = _averaged(problem, posterior, silent, rules)
+    shown, told = _averaged(problem, posterior, rules)
     believable = _credible(problem, found, fitted[0], settings)
     return Naming(
         fitted,
@@ -278,14 +278,10 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
     return frozenset(c for c in problem.beliefs.causes if silent(c))
 
 
-def _averaged(
-    problem: Problem,
-    posterior: Posterior,
-    silent: Collection[str],
-    rules: SelectionSettings,
-) -> tuple[Fit, Fit]:
+def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> tuple[Fit, Fit]:
     """Effects that may be there, with the means of their numbers over all sets, and over those that
-    hold them."""
+    hold them: what is as likely as not, and of what is less likely whatever moves the mean of a
+    number by as much as is worth a name."""
     b, k = problem.beliefs, len(problem.beliefs.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
@@ -299,7 +295,14 @@ def _averaged(
     held = (weight * x).sum(axis=0) / total
     spread = np.sqrt((weight * (sd**2 + (x - held) ** 2)).sum(axis=0) / total)
     mean = np.where(b.shape, held, p @ x)
-    likely = {c for c in b.causes if posterior.inclusion[c] >= rules.least and c not in silent}
+
+    def moves(cause: str) -> bool:
+        """Whether it moves the prediction."""
+        chance = posterior.inclusion[cause]
+        large = fit_of(problem, [cause], mean, spread, 0.0).sizes()[effect_of(cause)] >= 1
+        return chance >= 0.5 or (chance >= rules.least and large)
+
+    likely = {c for c in b.causes if moves(c)}
     kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
     return tuple(fit_of(problem, kept, v, spread, 0.0) for v in (mean, held))  # type: ignore[return-value]
 
