@@ -39,7 +39,8 @@ class Estimate:
 
 
 def listed_effects(found: Explanation) -> list[str]:
-    """Effects that are told about, the most probable first."""
+    """Effects that are told about, the most probable first; of those that are as good as sure, the
+    one without which the flights are least probable."""
     naming = found.naming
     if naming is None or found.verdict not in ("named", "cannot_tell"):
         return []
@@ -49,7 +50,12 @@ def listed_effects(found: Explanation) -> list[str]:
         alike = {r.effect for r in naming.resemblances}
         effects |= {e for e in every - alike if probability_of(found, e) >= naming.settings.least}
     effects |= {u.effect for u in found.stochastic}
-    return sorted(effects, key=lambda e: (-probability_of(found, e), e))
+    added: dict[str, float] = {}
+    for cause, nats in naming.posterior.without.items():
+        added[effect_of(cause)] = max(nats, added.get(effect_of(cause), 0.0))
+    return sorted(
+        effects, key=lambda e: (-round(probability_of(found, e), 1), -added.get(e, 0.0), e)
+    )
 
 
 def calibrated_effects(found: Explanation) -> list[str]:

@@ -258,6 +258,24 @@ def test_a_delay_below_a_sample_is_no_name() -> None:
     assert worth_a_name(both) == ("mass_offset",)
 
 
+@pytest.mark.parametrize(
+    ("lag_s", "delay_s", "named"),
+    [
+        (-0.008, 0.0085, ()),
+        (-0.015, 0.0085, ("command_delay", "motor_lag")),
+        (0.008, 0.0085, ("command_delay", "motor_lag")),
+        (-0.008, 0.0, ("motor_lag",)),
+    ],
+)
+def test_a_lag_that_takes_a_delay_back_is_no_name(
+    lag_s: float, delay_s: float, named: tuple[str, ...]
+) -> None:
+    numbers = tuple(numbers_of([EFFECTS["command_delay"], EFFECTS["motor_lag"]], COPTER))
+    values = {"command_delay.delay_s": delay_s, "motor_lag.tau_s": lag_s}
+    both = Fit(("command_delay", "motor_lag"), values, numbers, np.zeros(2), 1.0)
+    assert worth_a_name(both) == named
+
+
 def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None:
     """Three sets: a bias; the same with a delay of 1 ms; the delay alone."""
     problem = against(quiet, COPTER, "accel_bias", "imu_delay")
@@ -313,6 +331,13 @@ def weighed(
         Ground(problem.model, (), DEFAULT.inference.likelihood),
         1.0,
     )
+
+
+def test_a_share_may_be_none_or_all() -> None:
+    numbers = tuple(numbers_of([EFFECTS["rotor_drag"]], COPTER))
+    values = {n.full: n.now for n in numbers} | {"rotor_drag.k_xy_1_s": 0.4}
+    for share in (0.0, 1.0):
+        assert not list(edges(numbers, values | {"rotor_drag.spin_share": share}, COPTER))
 
 
 def test_what_something_acts_like_is_never_named(quiet: Flight) -> None:
