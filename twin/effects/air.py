@@ -51,9 +51,9 @@ def _slowing(_: Vehicle) -> tuple[Limit, ...]:
 
 
 def _induced_inflow(r: Thrust, p: Block) -> Thrust:
-    climb = -r.motion.air_b[2]
-    factor = ca.fmax(1 - p["k_s_m"] * climb, 0.0)
-    return replace(r, thrust=[t * factor for t in r.thrust])
+    climb = [-down for _, _, down in r.motion.hubs_air_b]
+    factor = [ca.fmax(1 - p["k_s_m"] * c, 0.0) for c in climb]
+    return replace(r, thrust=[t * f for t, f in zip(r.thrust, factor, strict=True)])
 
 
 def _translational_lift(r: Thrust, p: Block) -> Thrust:
@@ -149,7 +149,7 @@ PARASITIC_DRAG = Effect(
 
 INDUCED_INFLOW = Effect(
     "induced_inflow",
-    "rotors lose thrust in a climb and gain it in a descent",
+    "rotors lose thrust in a climb and gain it in a descent, each by its own speed through the air",
     "airframe",
     Thrust,
     (EffectParameter("k_s_m", "s/m", "share of the thrust lost per climb speed", 0.05, (0, 0.3)),),
