@@ -453,7 +453,7 @@ def test_start_values_are_baked_in(
         tmp_path / "out",
         vehicle=VEHICLE,
         model=folder_of("track"),
-        starts=["phase=2", "valid.gyro=1"],
+        start=["phase=2", "valid.gyro=1"],
     )
     description = fmpy.read_model_description(str(tmp_path / "out" / "compensator.fmu"))
     starts = {v.name: v.start for v in description.modelVariables}

@@ -59,6 +59,7 @@ LOCAL = {
         "inference.refit.SHORTEST_STEP",
         "inference.refit.STRAIGHT",
         "inference.search.AHEAD",
+        "inference.search.FEW",
         "inference.search.MOVES",
         "inference.search.RIVALS",
         "inference.search.TRIED",
