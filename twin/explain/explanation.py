@@ -149,36 +149,24 @@ def explain(
     """
     asked = calibrated_on(vehicle) if since else None
     flights, holdout = ([sited(f, indoors) for f in some] for some in (flights, holdout))
-    names = tuple(f.name for f in flights)
     stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f, settings.stochastic.stuck)]
-    (fit, reasons), (held, left_out) = (
-        usable_of([without_stuck(f, stuck) for f in some], vehicle, payloads, settings)
-        for some in (flights, holdout)
-    )
-    if not fit:
-        return Explanation(
-            "unusable", vehicle, names, tuple(reasons), settings=settings, since=asked
-        )
-    warnings = [f"left out: {reason}" for reason in reasons + left_out]
-    if unknown := [f.name for f in (*fit, *held) if f.indoors is None]:
-        warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
+    fit, held = ([without_stuck(f, stuck) for f in some] for some in (flights, holdout))
     parts = _parts(fit, held, vehicle, payloads, settings)
-    fit, held = parts.fit, parts.held
-    warnings += parts.warnings
     found = Explanation(
         "unusable",
         vehicle,
-        tuple(f.name for f in fit),
-        warnings=tuple(warnings),
+        tuple(f.name for f in parts.fit or flights),
+        reasons=tuple(() if parts.fit else parts.unread),
+        warnings=tuple(parts.warnings),
         holdout=parts.away,
         settings=settings,
         since=asked,
     )
-    if not fit:
-        return replace(found, reasons=tuple(parts.unread))
+    if not parts.fit:
+        return found
     try:
         naming = name_effects(
-            fit,
+            parts.fit,
             vehicle,
             seed,
             lambda done: progress(0.6 * done),
@@ -188,12 +176,13 @@ def explain(
         )
     except LogError as error:
         return replace(found, reasons=(str(error),))
+    names = [f.name for f in flights]
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(found, warnings=(*found.warnings, *_not_felt(naming)))
     progress(0.65)
     found = _with_equations(found, seed)
     progress(0.75)
-    found = _with_gap(found, held, seed, payloads)
+    found = _with_gap(found, parts.held, seed, payloads)
     progress(0.85)
     if found.verdict in ("named", "cannot_tell"):
         found = replace(
@@ -221,43 +210,50 @@ class _Parts:
     """What is fitted, and what is held out.
 
     Attributes:
-        fit: Flights to fit on.
+        fit: Flights to fit on; none: they are of no use.
         held: Flights held out.
         away: The same, for the report.
         unread: Why flights to fit on were left out.
-        warnings: What to keep in mind of the split.
+        warnings: What to keep in mind.
     """
 
     fit: list[Flight]
-    held: list[Flight]
-    away: tuple[HeldOut, ...]
+    held: list[Flight] = field(default_factory=list)
+    away: tuple[HeldOut, ...] = ()
     unread: Sequence[str] = ()
     warnings: Sequence[str] = ()
 
 
 def _parts(
-    flights: list[Flight],
-    holdout: list[Flight],
+    flights: Sequence[Flight],
+    holdout: Sequence[Flight],
     vehicle: Vehicle,
     payloads: Payloads | None,
     settings: SearchSettings,
 ) -> _Parts:
-    """The flights as they were given; where none is held out, blocks of time of each are."""
-    if holdout:
-        return _Parts(flights, holdout, tuple(HeldOut(f.name) for f in holdout))
-    spans = [held_out_spans(f, settings.holdout) for f in flights]
-    both = list(zip(flights, spans, strict=True))
+    """The usable flights; where none is held out, blocks of time of each are."""
+    (fit, reasons), (held, left_out) = (
+        usable_of(some, vehicle, payloads, settings) for some in (flights, holdout)
+    )
+    if not fit:
+        return _Parts([], unread=reasons)
+    warnings = [f"left out: {reason}" for reason in reasons + left_out]
+    if unknown := [f.name for f in (*fit, *held) if f.indoors is None]:
+        warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
+    if held:
+        return _Parts(fit, held, tuple(HeldOut(f.name) for f in held), warnings=warnings)
+    spans = [held_out_spans(f, settings.holdout) for f in fit]
+    both = list(zip(fit, spans, strict=True))
     (fit, unread), (held, none_left) = (
         with_readings([hidden(f, s, inside) for f, s in both], vehicle, payloads)
         for inside in (True, False)
     )
-    warnings = [
+    warnings += [
         WEAKER.format(settings.holdout.spared_every),
         *(f"left out: {reason}" for reason in unread),
         *(f"left out of what is held out: {reason}" for reason in none_left),
     ]
-    away = tuple(HeldOut(f.name, tuple(s)) for f, s in both)
-    return _Parts(fit, held, away, unread, warnings)
+    return _Parts(fit, held, tuple(HeldOut(f.name, tuple(s)) for f, s in both), unread, warnings)
 
 
 def sited(flight: Flight, indoors: bool | None) -> Flight:

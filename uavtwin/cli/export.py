@@ -23,17 +23,31 @@ if TYPE_CHECKING:
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
 """What can be exported beside the components."""
+Components = Annotated[
+    list[str],
+    typer.Argument(
+        help="airframe, imu, magnetometer, barometer, position, battery, environment, mission, "
+        "controller, controller_px4, replay, compensator; or corrected-twin: all of them fused "
+        "into one FMU, and as .ssp."
+    ),
+]
+Platforms = Annotated[
+    str,
+    typer.Option(
+        help="linux64, aarch64-linux, win64, darwin64, darwin-arm64, separated by commas, or all. "
+        "Anything but linux64 alone is built by zig, the extra `cross`."
+    ),
+]
+Starts = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Start value baked into the FMU: NAME=VALUE, in the corrected twin PART.NAME=VALUE."
+    ),
+]
 
 
 def export(
-    components: Annotated[
-        list[str],
-        typer.Argument(
-            help="airframe, imu, magnetometer, barometer, position, battery, environment, "
-            "mission, controller, controller_px4, replay, compensator; or corrected-twin: all of "
-            "them fused into one FMU, and as .ssp."
-        ),
-    ],
+    components: Components,
     vehicle: Annotated[
         str | None,
         typer.Option(
@@ -60,20 +74,8 @@ def export(
         bool,
         typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
     ] = False,
-    platform: Annotated[
-        str,
-        typer.Option(
-            help="linux64, aarch64-linux, win64, darwin64, darwin-arm64, separated by commas, or "
-            "all. Anything but linux64 alone is built by zig, the extra `cross`."
-        ),
-    ] = "linux64",
-    start: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Start value baked into the FMU: NAME=VALUE, in the corrected twin "
-            "PART.NAME=VALUE."
-        ),
-    ] = None,
+    platform: Platforms = "linux64",
+    start: Starts = None,
     out: Out = Path("fmus_out"),
     force: Force = False,
     as_json: Json = False,

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against
 
 from twin.explain.estimates import calibrated_effects
@@ -14,16 +15,9 @@ from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle, parse_vehicle, vehicle_text
-from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.demo.flights import fly
 
 COPTER = load_vehicle("copter_default")
-LEGS: Waypoints = (
-    ("ground", 0.5, (0.0, 0.0, 0.0)),
-    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
-    ("tour", 2.0, (3.0, 1.0, -1.5)),
-    ("tour", 2.0, (0.0, -2.0, -2.5)),
-    ("tour", 2.0, (0.0, 0.0, -1.5)),
-)
 MASS = 'mass = { value = 1.4, unit = "kg", '
 
 

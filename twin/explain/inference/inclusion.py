@@ -75,14 +75,6 @@ class Posterior:
                 found.append(other)
         return tuple(found)
 
-    def mean(self) -> tuple[Array, Array]:
-        """Mean and deviation of every number over all sets, as `Best.x`."""
-        p = np.array([s.probability for s in self.sets])
-        x = np.array([s.best.x for s in self.sets])
-        sd = np.array([s.best.deviations() for s in self.sets])
-        mean = p @ x
-        return mean, np.sqrt(p @ (sd**2 + (x - mean) ** 2))
-
 
 def weigh(
     problem: Problem,
@@ -98,22 +90,52 @@ def weigh(
         seed: Of the chain.
         progress: Called with the share done.
     """
-    judge, state = found.judge, found.state
-    kappa, rng = state.kappa, np.random.default_rng(seed)
-    free = [e for e in problem.beliefs.causes if not judge.silent(e) and not is_time(e)]
-    met: dict[Set, float] = {}
+    judge, kappa = found.judge, found.state.kappa
+    causes = problem.beliefs.causes
+    free = [e for e in causes if not judge.silent(e) and not is_time(e)]
+    met = _Met(judge, kappa)
+    _walk(met, found.state.effects, free, np.random.default_rng(seed), progress)
+    gained, weights = _corrected(met, found)
+    first = max(weights, key=lambda k: weights[k])
+    near = {k for k in weights if len({*first} - {*k}) == 1 >= len({*k} - {*first})}
+    matter = near | {k for k, v in weights.items() if v > weights[first] - WINDOW}
+    kept = sorted(matter, key=lambda k: (-weights[k], k))
+    share = np.exp([weights[k] - weights[first] for k in kept])
+    share = share / share.sum()
+    sets = tuple(
+        Weighed(k, float(p), judge.best(k, kappa)) for k, p in zip(kept, share, strict=True)
+    )
+    inclusion = {e: float(sum(s.probability for s in sets if e in s.effects)) for e in causes}
+    return Posterior(sets, inclusion, gained)
 
-    def evidence(effects: Sequence[str]) -> float:
-        """Of a set, remembered."""
+
+class _Met:
+    """Sets that were met about one, with their evidence."""
+
+    def __init__(self, judge: Judge, kappa: float) -> None:
+        self.judge, self._kappa = judge, kappa
+        self.sets: dict[Set, float] = {}
+
+    def evidence(self, effects: Sequence[str]) -> float:
+        """Log of the probability of a set, remembered."""
         key = tuple(sorted(effects))
-        if key not in met:
-            met[key] = judge.best(key, kappa).evidence
-        return met[key]
+        if key not in self.sets:
+            self.sets[key] = self.judge.best(key, self._kappa).evidence
+        return self.sets[key]
 
-    on = list(state.effects)
+
+def _walk(
+    met: _Met,
+    start: Set,
+    free: Sequence[str],
+    rng: np.random.Generator,
+    progress: Callable[[float], None],
+) -> None:
+    """Meet the sets that matter: every exchange of one effect first, then the chain's."""
+    on, evidence = list(start), met.evidence
     evidence(on)
     for old in on:
-        for new in _rivals(judge, old, on, free):
+        for new in _rivals(met.judge, old, on, free):
             evidence([*(a for a in on if a != old), new])
     settled: dict[str, int] = {}
     for sweep in range(SWEEPS):
@@ -122,50 +144,40 @@ def weigh(
             without = [a for a in on if a != e]
             lead = evidence([*without, e]) - evidence(without)
             settled[e] = settled.get(e, 0) + 1 if lead < -HOPELESS or lead > SURE else 0
-            on = (
-                [*without, e]
-                if rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
-                else without
-            )
+            there = rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
+            on = [*without, e] if there else without
         for old in list(on):
-            rivals = _rivals(judge, old, on, free)
+            rivals = _rivals(met.judge, old, on, free)
             if rivals:
                 new = rivals[int(rng.integers(len(rivals)))]
-                there = [*(a for a in on if a != old), new]
-                if np.log(rng.random()) < evidence(there) - evidence(on):
-                    on = there
+                other = [*(a for a in on if a != old), new]
+                if np.log(rng.random()) < evidence(other) - evidence(on):
+                    on = other
         progress((sweep + 1) / (SWEEPS + 2))
-    gained, shift = {}, {}
-    for e in state.effects:
-        rest = tuple(a for a in state.effects if a != e)
-        linear = evidence(state.effects) - evidence(rest)
-        gained[e] = _gained(found, e, rest) if (rest, kappa) in found.tried else linear
-        shift[e] = linear - gained[e]
-    whole = evidence(state.effects)
 
-    def corrected(effects: Set) -> float:
-        """Its evidence with what the linearisation gets wrong about absent effects, but for the
-        share of their lead that others in their place take."""
+
+def _corrected(met: _Met, found: Found) -> tuple[dict[str, float], dict[Set, float]]:
+    """What each effect of the end adds as fitted, and the evidence of every set with what the
+    linearisation gets wrong about absent effects, but for the share of their lead that others in
+    their place take."""
+    end, evidence = found.state.effects, met.evidence
+    gained, shift = {}, {}
+    for e in end:
+        rest = tuple(a for a in end if a != e)
+        linear = evidence(end) - evidence(rest)
+        fitted = (rest, found.state.kappa) in found.tried
+        gained[e] = _gained(found, e, rest) if fitted else linear
+        shift[e] = linear - gained[e]
+    whole = evidence(end)
+
+    def weight(effects: Set) -> float:
+        """Of one set."""
         rest = evidence([e for e in effects if e in shift])
         taken = (evidence(effects) - rest) / (whole - rest) if whole > rest else 0.0
         wrong = sum(v for e, v in shift.items() if e not in effects)
         return evidence(effects) + (1 - min(max(taken, 0.0), 1.0)) * wrong
 
-    weights = {k: corrected(k) for k in [*met]}
-    first = max(weights, key=lambda k: weights[k])
-    top = weights[first]
-    near = {k for k in weights if len({*first} - {*k}) == 1 >= len({*k} - {*first})}
-    matter = near | {k for k, v in weights.items() if v > top - WINDOW}
-    kept = sorted(matter, key=lambda k: (-weights[k], k))
-    share = np.exp([weights[k] - top for k in kept])
-    share = share / share.sum()
-    sets = tuple(
-        Weighed(k, float(p), judge.best(k, kappa)) for k, p in zip(kept, share, strict=True)
-    )
-    inclusion = {
-        e: float(sum(s.probability for s in sets if e in s.effects)) for e in problem.beliefs.causes
-    }
-    return Posterior(sets, inclusion, gained)
+    return gained, {k: weight(k) for k in [*met.sets]}
 
 
 def _gained(found: Found, effect: str, rest: Set) -> float:

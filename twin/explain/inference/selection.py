@@ -270,6 +270,7 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
     odds = problem.beliefs.odds
 
     def silent(cause: str) -> bool:
+        """Whether they do not speak for one."""
         chance = posterior.inclusion[cause]
         if not rules.least <= chance < 0.5:
             return False

@@ -67,9 +67,9 @@ def test_what_explains_much_is_sure_and_what_explains_nothing_is_not_there() -> 
     assert found.inclusion["gyro_bias"] < 0.05
     assert found.sets[0].effects == ("accel_bias", "mass_offset")
     assert found.without["accel_bias"] > 20
-    mean, sd = found.mean()
-    assert mean[:3] == pytest.approx([0.7, 0.0, -0.6], abs=0.15)
-    assert sd[0] == pytest.approx(1 / np.sqrt(400), rel=0.15)
+    best = found.sets[0].best
+    assert best.x[:3] == pytest.approx([0.7, 0.0, -0.6], abs=0.15)
+    assert best.deviations()[0] == pytest.approx(1 / np.sqrt(400), rel=0.15)
 
 
 def test_probabilities_add_up_and_are_those_of_all_sets() -> None:

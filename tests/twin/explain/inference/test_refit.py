@@ -4,21 +4,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against, state_of
 
 from twin.explain.inference.refit import Problem
 from twin.logs import Flight
 from twin.vehicle.file import load_vehicle
-from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.demo.flights import fly
 
 COPTER = load_vehicle("copter_default")
-LEGS: Waypoints = (
-    ("ground", 0.5, (0.0, 0.0, 0.0)),
-    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
-    ("tour", 2.0, (3.0, 1.0, -1.5)),
-    ("tour", 2.0, (0.0, -2.0, -2.5)),
-    ("tour", 2.0, (0.0, 0.0, -1.5)),
-)
 PLANTED = {
     "thrust_scale.scale": 0.85,
     "rotor_drag.k_xy_1_s": 0.4,
