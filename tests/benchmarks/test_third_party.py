@@ -5,11 +5,11 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from places import needs_package
 
 from benchmarks.hidden_effects.plants.jsbsim import JsbsimFlights
 from benchmarks.hidden_effects.plants.kinds import EFFECTS, PLANTS
@@ -48,8 +48,6 @@ print(json.dumps(rms))
 
 def residual_rms(plant: str) -> dict[str, float]:
     """Teacher-forced residuals of the twin over a noise-free flight of each aircraft of a plant."""
-    if not find_spec(plant) and not os.environ.get("CI"):
-        pytest.skip(f"{PLANTS[plant].package} is not installed")
     run = subprocess.run(
         [sys.executable, "-c", CHECK, plant],
         cwd=Path(__file__).parents[2],
@@ -65,6 +63,7 @@ def residual_rms(plant: str) -> dict[str, float]:
 
 
 @pytest.mark.slow
+@needs_package("drone_models")
 def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
     """The dynamics of drone-models and the twin's, two implementations, one aircraft."""
     rms = residual_rms("drone_models")
@@ -73,6 +72,7 @@ def test_twin_matches_a_quiet_flight_of_drone_models() -> None:
 
 
 @pytest.mark.slow
+@needs_package("jsbsim")
 def test_twin_matches_a_quiet_flight_of_jsbsim() -> None:
     """Motors of JSBSim follow no first-order lag: a residual stays, but below low noise."""
     rms = residual_rms("jsbsim")
@@ -80,9 +80,7 @@ def test_twin_matches_a_quiet_flight_of_jsbsim() -> None:
     assert max(v for k, v in rms.items() if " gyro_rate_" in k) < 0.025  # low noise is 0.05
 
 
-@pytest.mark.skipif(
-    not find_spec("jsbsim") and not os.environ.get("CI"), reason="jsbsim is not installed"
-)
+@needs_package("jsbsim")
 def test_propeller_of_jsbsim_loses_thrust_in_a_climb_as_the_truth_says() -> None:
     aircraft, _ = PLANTS["jsbsim"].load("F450")
     hidden, truth = EFFECTS["induced_inflow"].hide(

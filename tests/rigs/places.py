@@ -1,7 +1,11 @@
-"""Where things are: the root of the checkout, what the tests share, the host written in C."""
+"""Where things are: the root of the checkout, what the tests share, the host written in C; and what
+to do where something is missing."""
 
 import os
+from importlib.util import find_spec
 from pathlib import Path
+
+import pytest
 
 RIGS = Path(__file__).resolve().parent
 ROOT = RIGS.parents[1]
@@ -9,3 +13,13 @@ HOST_SOURCE = RIGS / "host.c"
 """Loads an FMU of FMI 2 or 3 without Python."""
 IMPORT_PATH = os.pathsep.join(map(str, (RIGS, ROOT)))
 """`PYTHONPATH` of another process: this checkout and what its tests share."""
+
+
+def needs(present: bool, reason: str) -> pytest.MarkDecorator:
+    """Skip where something is missing, but never in CI: there the test runs and fails."""
+    return pytest.mark.skipif(not present and not os.environ.get("CI"), reason=reason)
+
+
+def needs_package(name: str) -> pytest.MarkDecorator:
+    """The same of a package, by the name that it is imported by."""
+    return needs(find_spec(name) is not None, f"{name} is not installed")

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 from instance import Instance, library, token, unzip
 from kinds import component, model
-from places import HOST_SOURCE
+from places import HOST_SOURCE, needs
 
 from fmus import build
 from fmus.platforms import PLATFORMS, select_platforms, universal_binary
@@ -37,11 +37,6 @@ KINDS = [
     ("battery", 3),
     ("replay", 2),
 ]
-
-
-def needs(present: bool, reason: str) -> pytest.MarkDecorator:
-    """Skip where a tool is missing, but never in CI: there the test runs and fails."""
-    return pytest.mark.skipif(not present and not os.environ.get("CI"), reason=reason)
 
 
 needs_zig = needs(

@@ -1,8 +1,6 @@
 """The compensator as an FMU: numbers of torch and onnxruntime, states, derivatives, refusals."""
 
 import hashlib
-import importlib.util
-import os
 import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -17,6 +15,7 @@ import pytest
 from compensator_rig import Rows, changed, compensator, exported, flight, rows_of, tiny
 from fmpy.validation import validate_fmu
 from instance import Array, Instance, library, unzip
+from places import needs_package
 
 from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
@@ -166,10 +165,7 @@ def test_other_forms_give_the_same(new: New) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    importlib.util.find_spec("ziglang") is None and not os.environ.get("CI"),
-    reason="no ziglang: pip install uavtwin[cross]",
-)
+@needs_package("ziglang")
 def test_other_compilers_give_the_same_bits(
     new: New, folder_of: Folder, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -1,12 +1,12 @@
 """Vehicles of other simulators: every number arrives, and flies as it does there."""
 
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from places import needs_package
 from rig import Rig, q, vec
 
 from twin.errors import ModelError
@@ -18,8 +18,6 @@ from twin.vehicle.file.convert import convert_vehicle
 
 FLIP = np.array([1.0, -1.0, -1.0])
 FOOT_M, POUND_N = 0.3048, 4.4482216152605
-needs_drone_models = pytest.mark.skipif(not find_spec("drone_models"), reason="not installed")
-needs_jsbsim = pytest.mark.skipif(not find_spec("jsbsim"), reason="not installed")
 
 
 def converted(path: Path, name: str | None = None) -> Vehicle:
@@ -277,7 +275,7 @@ def drone_models_file() -> Path:
     return Path(drone_models.__file__).parent / "data" / "params.toml"
 
 
-@needs_drone_models
+@needs_package("drone_models")
 @pytest.mark.parametrize("name", ["cf2x_L250", "cf2x_P250", "cf2x_T350", "cf21B_500"])
 def test_an_aircraft_of_drone_models_flies_as_it_does_there(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -329,7 +327,7 @@ def _rpm_of(vehicle: Vehicle, command: float) -> float:
     return float(np.polynomial.Polynomial(vehicle.rotors.speed_rad_s)(command)) * 60 / (2 * np.pi)
 
 
-@needs_drone_models
+@needs_package("drone_models")
 def test_limits_of_thrust_of_drone_models_are_limits_of_the_command() -> None:
     vehicle = converted(drone_models_file(), "cf21B_500")
     assert vehicle.rotors.speed_rad_s is not None
@@ -518,8 +516,6 @@ def test_a_yaml_without_its_urdf_is_refused(tmp_path: Path) -> None:
 @pytest.fixture(scope="module")
 def f450() -> tuple[Any, Vehicle]:
     """JSBSim with its F450, and the vehicle of the converted file."""
-    if not find_spec("jsbsim"):
-        pytest.skip("jsbsim is not installed")
     import jsbsim
 
     root = Path(jsbsim.__file__).parent
@@ -530,7 +526,7 @@ def f450() -> tuple[Any, Vehicle]:
     return fdm, converted(root / "aircraft" / "F450" / "F450.xml")
 
 
-@needs_jsbsim
+@needs_package("jsbsim")
 def test_the_f450_of_jsbsim_feels_what_it_does_there(f450: tuple[Any, Vehicle]) -> None:
     """Drag and thrust in a tumbling climb and fall, at the rotor speeds of JSBSim itself."""
     fdm, vehicle = f450
@@ -583,7 +579,7 @@ def _inputs_of(rig: Rig, fdm: Any, speeds: np.ndarray) -> np.ndarray:
     return rig.inputs(rotors, density=fdm["atmosphere/rho-slugs_ft3"] * 515.378818)
 
 
-@needs_jsbsim
+@needs_package("jsbsim")
 def test_numbers_of_the_f450_arrive(f450: tuple[Any, Vehicle]) -> None:
     _, v = f450
     assert v.mass_kg == 1.4
@@ -598,7 +594,7 @@ def test_numbers_of_the_f450_arrive(f450: tuple[Any, Vehicle]) -> None:
     assert v.rotors.spin_inertia_kg_m2 == 6.05e-5
 
 
-@needs_jsbsim
+@needs_package("jsbsim")
 @pytest.mark.parametrize(
     ("file", "old", "new", "says"),
     [
