@@ -10,7 +10,13 @@ from ..frames import to_body
 from ..vehicle import Vehicle
 from .definition import Block, Effect, EffectParameter, Limit
 from .seen import Array, Equation, Observer
-from .slung_load_observer import ROPE_HZ, Course, hang_load, observe_swing
+from .slung_load_observer import (
+    DIRECTION_GAIN_1_S,
+    ROPE_HZ,
+    Course,
+    hang_load,
+    observe_swing,
+)
 from .stages import Body, Wrench
 
 ROPE_DAMPING = 0.3
@@ -199,7 +205,9 @@ SLUNG_LOAD = Effect(
     "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
     "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
-    seen_as=Equation(Observer(_follow_load, _place_load)),
+    seen_as=Equation(
+        Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)
+    ),
 )
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

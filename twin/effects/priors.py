@@ -264,6 +264,7 @@ CHANGES: dict[str, Prior] = {
     ),
     "mass_offset": Prior(COMMON, "payload of 5 to 25 %", {"": Normal(0.1, 0.1)}),
     "cog_offset": Prior(COMMON, "where it is strapped on", {"": Normal(0.0, 0.15)}),
+    "inertia_error": Prior(COMMON, "it turns with the payload", {"": Normal(0.1, 0.1)}),
     "slung_load": Prior(
         RARE,
         "a load of 5 to 25 % on a rope",
@@ -286,7 +287,7 @@ CHANGES: dict[str, Prior] = {
 }
 """What may change on an aircraft whose numbers are known, as changes of its numbers; whatever is
 not here does not change from one flight to the next."""
-ONLY_MORE = ("rotor_efficiency_loss", "mass_offset", "slung_load")
+ONLY_MORE = ("rotor_efficiency_loss", "mass_offset", "inertia_error", "slung_load")
 """What broke or was strapped on only adds."""
 
 

@@ -41,10 +41,14 @@ class Observer:
             the numbers: those without a neutral value.
         place: `(states, names, course, free_n, numbers, vehicle) -> states`: the states of the
             airframe, shape (n, n_x), those of the effect filled in.
+        channels: Readings by which it follows.
+        gain_1_s: How fast what it follows answers to one of them.
     """
 
     follow: Callable[[Array, Array, Mapping[str, float], float], Any]
     place: Callable[[Array, Sequence[str], Any, Array, Mapping[str, float], Vehicle], Array]
+    channels: tuple[str, ...]
+    gain_1_s: float
 
 
 @dataclass(frozen=True, slots=True)

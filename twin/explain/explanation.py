@@ -3,6 +3,8 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ..effects import EFFECTS, RandomForce
 from ..errors import LogError, ModelError
 from ..flight.stability import Mission, fly_missions
@@ -16,6 +18,7 @@ from .inference.beliefs import UNCALIBRATED
 from .inference.fit import Fit
 from .inference.selection import Naming, Verdict, name_effects
 from .localization import Place, localize
+from .model.model import Model
 from .model.numbers import with_effects
 from .model.payload import Payloads
 from .settings import DEFAULT, SearchSettings
@@ -289,7 +292,7 @@ def usable_of(
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
     """The same with the effects that were found, and their numbers."""
     shown, settings = _shown(naming), found.settings.stochastic
-    model, steady = naming.problem.model, {} if shown is None else shown.values
+    model, steady = naming.ground.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
     beside = tuple(u for u in every if u.log_odds > 0)
     verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
@@ -336,6 +339,12 @@ def _shown(naming: Naming) -> Fit | None:
     return naming.shown if naming.shown.effects else None
 
 
+def _means(model: Model) -> dict[str, float]:
+    """Mean residual of the model as it stands, by channel."""
+    every = zip(*model.channels([]), strict=True)
+    return {c[0].name: float(np.mean(np.concatenate([f.residual for f in c]))) for c in every}
+
+
 def _with_gap(
     found: Explanation, held: Sequence[Flight], seed: int, payloads: Payloads | None
 ) -> Explanation:
@@ -355,6 +364,7 @@ def _with_gap(
             steady,
             seed,
             payloads,
+            _means(found.naming.problem.model),
             settings.holdout,
             settings.inference.evidence,
         )
@@ -365,7 +375,7 @@ def _with_gap(
         attribute_effect(e, comparison.model, steady, comparison.after, settings.attribution)
         for e in effects
     ]
-    where = localize(found.naming.problem.model, steady, comparison.floors, settings.localization)
+    where = localize(found.naming.ground.model, steady, comparison.floors, settings.localization)
     return replace(
         found,
         comparison=comparison,

@@ -4,6 +4,9 @@ Residuals are those of the search (`model.flight`). The noise floor of a channel
 is left of it when every effect of the library at once, with numbers fitted to these very flights,
 has taken what it can; where a model leaves less than that fit of all channels together, what it
 leaves.
+
+What differs from day to day is not to be known beforehand: beside the rms with the effects added
+there is that with the constants of these days as well, they alone fitted to these very flights.
 """
 
 import math
@@ -41,6 +44,10 @@ class ChannelGap:
         n: Samples.
         before: Rms of the residual with the model as it stood.
         after: Rms with the effects added.
+        on_its_day: Rms with the effects added, and with what differs between days as it was on
+            these days.
+        fit_mean: Rms of the residual with the model as it stood about the mean that the same has in
+            the flights that were fitted; None: they do not have the channel.
         noise_floor: Least rms that any model of the library leaves, as far as known.
         shrink_ci95: 95 % interval of `shrink`; NaN where there are too few blocks of time.
     """
@@ -50,6 +57,8 @@ class ChannelGap:
     n: int
     before: float
     after: float
+    on_its_day: float
+    fit_mean: float | None
     noise_floor: float
     shrink_ci95: tuple[float, float]
 
@@ -79,6 +88,7 @@ class Comparison:
         model: The held-out flights.
         before: Channels of each flight with the model as it stood.
         after: The same channels with the effects added.
+        on_its_day: These with the constants of the flights' own days.
         best: The same with every effect of the library, fitted to these very flights.
     """
 
@@ -86,6 +96,7 @@ class Comparison:
     model: Model
     before: Flights
     after: Flights
+    on_its_day: Flights
     best: Flights
 
     __repr__ = short_repr
@@ -112,6 +123,7 @@ def compare_holdout(
     values: Mapping[str, float],
     seed: int = 0,
     payloads: Payloads | None = None,
+    means: Mapping[str, float] | None = None,
     settings: HoldoutSettings = DEFAULT.holdout,
     evidence: EvidenceSettings = DEFAULT.inference.evidence,
 ) -> Comparison:
@@ -124,6 +136,7 @@ def compare_holdout(
         values: Their numbers, "effect.number" -> value.
         seed: Of the bootstrap.
         payloads: Known masses aboard.
+        means: By channel, of the residual in the flights that were fitted.
         settings: Of the bootstrap.
         evidence: Of the fit of all numbers.
 
@@ -133,27 +146,44 @@ def compare_holdout(
     seen = {e.name: e for e in candidates(flights)} | {e: EFFECTS[e] for e in effects}
     known = [e for e in EFFECTS.values() if e.name in seen]
     model = model_of(flights, vehicle, known, payloads=payloads)
+    problem = Problem.of(model, beliefs_of(model), evidence)
+    now = _numbers(problem, values)
     before, rows = model.channels([]), model.channels([], values)
-    best = _best(model, values, evidence)
     after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
-    gaps = [
-        _gap([f[i] for f in before], [f[i] for f in after], [f[i] for f in best], seed, settings)
-        for i in range(len(before[0]))
-    ]
-    return Comparison(tuple(sorted(gaps, key=lambda g: not g.worse)), model, before, after, best)
+    daily = replace(model, days=_days(problem, now)).channels([], values)
+    best = _best(problem, now)
+    gaps = []
+    for i, channel in enumerate(before[0]):
+        own = (tuple(f[i] for f in flights) for flights in (before, after, daily, best))
+        gaps.append(_gap(_Four(*own), (means or {}).get(channel.name), seed, settings))
+    gaps.sort(key=lambda g: not g.worse)
+    return Comparison(tuple(gaps), model, before, after, daily, best)
 
 
-def _best(
-    model: Model, values: Mapping[str, float], settings: EvidenceSettings
-) -> list[list[ChannelData]]:
-    """What all numbers leave of each channel, fitted to the flights themselves."""
-    problem = Problem.of(model, beliefs_of(model), settings)
+def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
+    """Numbers of a model as `Best.x`."""
     beliefs = problem.beliefs
-    place = {n: i for i, n in enumerate(beliefs.names)}
     x = np.zeros(len(beliefs.now) + problem.rest.days.size)
-    for name, value in values.items():
-        if name in place:
-            x[place[name]] = value - beliefs.now[place[name]]
+    for i, (name, now) in enumerate(zip(beliefs.names, beliefs.now, strict=True)):
+        x[i] = values.get(name, now) - now
+    return x
+
+
+def _days(problem: Problem, x: Array) -> tuple[dict[str, float], ...]:
+    """What the days of the flights add to numbers that differ between days, all others at `x`."""
+    b = problem.beliefs
+    flights = problem.channels(x, range(len(b.now)))
+    shared, none = problem.split(np.zeros_like(x))
+    held = replace(
+        problem, beliefs=replace(b, now=b.now + problem.split(x)[0], file=np.zeros_like(b.file))
+    )
+    judge = held.judge(Spectrum.of(flights, shared, none, b.days))
+    return held.days(judge.best((), 1.0).x)
+
+
+def _best(problem: Problem, x: Array) -> list[list[ChannelData]]:
+    """What all numbers leave of each channel, fitted to the flights themselves from `x` on."""
+    beliefs = problem.beliefs
     flights = problem.channels(x, range(len(beliefs.now)))
     judge = problem.judge(Spectrum.of(flights, *problem.split(x), beliefs.days))
     shared, days = problem.split(judge.best(beliefs.causes, 1.0).x - x)
@@ -170,21 +200,33 @@ def _best(
     return left
 
 
-def _gap(
-    before: Sequence[ChannelData],
-    after: Sequence[ChannelData],
-    best: Sequence[ChannelData],
-    seed: int,
-    settings: HoldoutSettings,
-) -> ChannelGap:
-    sums = [_block_sums(b, a, settings.block_s) for b, a in zip(before, after, strict=True)]
-    rms_before, rms_after, rms_best = (
-        _rms(np.concatenate([c.residual for c in channels])) for channels in (before, after, best)
+@dataclass(frozen=True, slots=True)
+class _Four:
+    """One channel of each flight, as `Comparison` has it."""
+
+    before: Sequence[ChannelData]
+    after: Sequence[ChannelData]
+    on_its_day: Sequence[ChannelData]
+    best: Sequence[ChannelData]
+
+
+def _gap(own: _Four, mean: float | None, seed: int, settings: HoldoutSettings) -> ChannelGap:
+    pairs = zip(own.before, own.after, strict=True)
+    sums = [_block_sums(b, a, settings.block_s) for b, a in pairs]
+    rms_before, rms_after = _rms(own.before), _rms(own.after)
+    rms_daily, rms_best = _rms(own.on_its_day), _rms(own.best)
+    about = [replace(c, residual=c.residual - (mean or 0.0)) for c in own.before]
+    return ChannelGap(
+        name=own.before[0].name,
+        unit=own.before[0].unit,
+        n=sum(len(b.t_s) for b in own.before),
+        before=rms_before,
+        after=rms_after,
+        on_its_day=rms_daily,
+        fit_mean=None if mean is None else _rms(about),
+        noise_floor=min(rms_best, rms_before, rms_after, rms_daily),
+        shrink_ci95=_shrink_interval(np.concatenate(sums), seed, settings.fewest_blocks),
     )
-    interval = _shrink_interval(np.concatenate(sums), seed, settings.fewest_blocks)
-    floor = min(rms_best, rms_before, rms_after)
-    name, unit, n = before[0].name, before[0].unit, sum(len(b.t_s) for b in before)
-    return ChannelGap(name, unit, n, rms_before, rms_after, floor, interval)
 
 
 def _block_sums(before: ChannelData, after: ChannelData, block_s: float) -> Array:
@@ -206,5 +248,6 @@ def _shrink_interval(sums: Array, seed: int, fewest: int) -> tuple[float, float]
     return float(low), float(high)
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _rms(flights: Sequence[ChannelData]) -> float:
+    """Of one channel over all flights."""
+    return float(np.sqrt(np.mean(np.concatenate([c.residual for c in flights]) ** 2)))

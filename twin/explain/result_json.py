@@ -116,6 +116,8 @@ def _gap(gap: ChannelGap) -> dict[str, Any]:
         "unit": gap.unit,
         "before": gap.before,
         "after": gap.after,
+        "on_its_day": gap.on_its_day,
+        "fit_mean": gap.fit_mean,
         "noise_floor": gap.noise_floor,
         "shrink": gap.shrink,
         "shrink_ci95": gap.shrink_ci95 if math.isfinite(gap.shrink_ci95[0]) else None,

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .outcomes import Outcome, plain
+from .outcomes import Outcome
 
 BINS = 10
 
@@ -23,23 +23,22 @@ class Forecast:
 
 
 def of_inclusion(outcomes: Sequence[Outcome]) -> list[Forecast]:
-    """Of every candidate effect, named or not; of single rotors the surest."""
-    forecasts = []
-    for o in _asked(outcomes):
-        sure: dict[str, float] = {}
-        for name, p in (o.said.get("inclusion") or {}).items():
-            sure[plain(name)] = max(p, sure.get(plain(name), 0.0))
-        forecasts += [Forecast(p, n in o.hidden) for n, p in sure.items() if n not in o.excused]
-    return forecasts
+    """Of every candidate effect, named or not."""
+    return [
+        Forecast(p, name in o.hidden)
+        for o in _asked(outcomes)
+        for name, p in (o.said.get("inclusion") or {}).items()
+        if name not in o.excused
+    ]
 
 
 def of_names(outcomes: Sequence[Outcome]) -> list[Forecast]:
     """Of the effects that were named."""
     return [
-        Forecast(e["probability"], plain(e["name"]) in o.hidden)
+        Forecast(e["probability"], e["name"] in o.hidden)
         for o in _asked(outcomes)
         for e in o.said["effects"]
-        if o.verdict == "named" and plain(e["name"]) not in o.excused
+        if o.verdict == "named" and e["name"] not in o.excused
     ]
 
 

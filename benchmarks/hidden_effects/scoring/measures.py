@@ -5,6 +5,8 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from .outcomes import Outcome
+
 CLEAR = 1.1
 """A gap counts when it is larger than its noise floor by this factor."""
 
@@ -49,35 +51,37 @@ def parameter_errors(
                 )
 
 
-def share_closed(said: dict[str, Any]) -> float:
+def share_closed(o: Outcome) -> float:
     """Share of what stood above the noise floor that is gone: mean of the channels with a gap."""
-    shares = [(b - a) / (b - floor) for b, a, floor in _gaps(said)]
+    shares = [(c["before"] - c["after"]) / (c["before"] - c["noise_floor"]) for c in _gaps(o)]
     return sum(shares) / len(shares) if shares else math.nan
 
 
-def after_over_floor(said: dict[str, Any]) -> float:
-    """Gap afterwards over the noise floor: root mean square of the channels that had a gap."""
-    squares = [(a / floor) ** 2 for _, a, floor in _gaps(said)]
-    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+def after_over_floor(o: Outcome, after: str = "after") -> float:
+    """Gap afterwards over the noise floor: root mean square of the channels that had a gap.
+
+    Args:
+        o: One case.
+        after: "after", or "on_its_day" for the constants of the day set apart.
+    """
+    return _root_mean_square([c[after] / c["noise_floor"] for c in _gaps(o)])
 
 
-def after_over_fit_mean(said: dict[str, Any]) -> float:
-    """Gap afterwards over what the mean of the fit flights' residual leaves, over the same
-    channels; NaN where the program does not tell."""
-    squares = [
-        (channel["after"] / channel["fit_mean"]) ** 2
-        for channel in said.get("gap", {}).values()
-        if channel.get("fit_mean") and channel.get("after") is not None
-    ]
-    return math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+def after_over_fit_mean(o: Outcome) -> float:
+    """Gap afterwards over what the mean of the fit flights' residual leaves, over the channels that
+    had a gap."""
+    return _root_mean_square([c["after"] / c["fit_mean"] for c in _gaps(o) if c["fit_mean"]])
 
 
-def _gaps(said: dict[str, Any]) -> Iterator[tuple[float, float, float]]:
-    """Before, after, floor of every channel with a gap."""
-    for channel in said.get("gap", {}).values():
-        before, after, floor = (channel.get(k) for k in ("before", "after", "noise_floor"))
-        if before and after is not None and floor and before > CLEAR * floor:
-            yield before, after, floor
+def _root_mean_square(ratios: Collection[float]) -> float:
+    return math.sqrt(sum(r * r for r in ratios) / len(ratios)) if ratios else math.nan
+
+
+def _gaps(o: Outcome) -> Iterator[dict[str, Any]]:
+    """Every channel that stood above its noise floor."""
+    for channel in o.said.get("gap", {}).values():
+        if channel["before"] > CLEAR * channel["noise_floor"] > 0:
+            yield channel
 
 
 def _size(parameters: dict[str, Any], unit: str) -> float:

@@ -1,7 +1,6 @@
 """Cases of which both are known: what was hidden and what was said."""
 
 import json
-import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,6 @@ from ..halves import half_of
 
 FAR = 2.0
 """A number of the file so many of its deviations off is one that may be named."""
-_ROTOR = re.compile(r"(\.loss_|[._])\d+$")
-"""What tells one rotor's loss from the loss of another."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +40,12 @@ class Outcome:
         if self.verdict != "named":
             return []
         effects = sorted(self.said["effects"], key=lambda e: -e["probability"])
-        return list(dict.fromkeys(plain(e["name"]) for e in effects))
+        return [e["name"] for e in effects]
+
+    @property
+    def resembled(self) -> set[str]:
+        """Effects that something acts like."""
+        return {r["name"] for r in self.said.get("acts_like") or ()}
 
     @property
     def half(self) -> str:
@@ -66,9 +68,10 @@ class Outcome:
         return (late | far) - self.hidden
 
     def cannot_be_told_from(self, name: str) -> set[str]:
-        """What the program says could stand for a name as well, the name with it."""
-        of_name = [e.get("one_of") or [] for e in self.said["effects"] if plain(e["name"]) == name]
-        return {name} | {plain(n) for names in of_name for n in names}
+        """Effects that the program says could stand for a name as well, the name with it; of one
+        rotor or clock, "effect:part", the effect counts."""
+        of_name = [e.get("one_of") or [] for e in self.said["effects"] if e["name"] == name]
+        return {name} | {n.partition(":")[0] for names in of_name for n in names}
 
     @property
     def right(self) -> bool:
@@ -89,11 +92,6 @@ class Outcome:
         listed = self.said["effects"]
         rivals = {r["name"] for e in listed for r in e.get("rivals", [])}
         return self.hidden <= rivals | {e["name"] for e in listed}
-
-
-def plain(name: str) -> str:
-    """An effect without the number of a rotor: `rotor_efficiency_loss.loss_3` is one of a rotor."""
-    return _ROTOR.sub("", name)
 
 
 def read_outcomes(

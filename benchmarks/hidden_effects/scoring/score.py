@@ -120,7 +120,7 @@ def _goals(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
         ("median error of a number", middle(e.relative for e in errors), ""),
         (
             "gap with the effect added over noise floor, median",
-            middle(after_over_floor(o.said) for o in named),
+            middle(after_over_floor(o) for o in named),
             "",
         ),
         (
@@ -163,7 +163,7 @@ def _more(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "outside the library: share explained, median",
             middle(sum(u["share"] for u in o.said.get("unnamed", [])) for o in unnamed),
         ),
-        ("share of the gap closed, median", middle(share_closed(o.said) for o in hidden)),
+        ("share of the gap closed, median", middle(share_closed(o) for o in hidden)),
         (
             "processor seconds per case, median",
             middle(o.said["cpu_seconds"] for o in outcomes if "cpu_seconds" in o.said),

@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.fft import dct
 from search_rigs.hypotheses import against, fit_set
 
+from twin.effects import EFFECTS
 from twin.effects.slung_load_observer import PLACE, SPEED, hang_load, observe_swing
 from twin.explain.inference.refit import Problem
 from twin.explain.model.numbers import with_effects
+from twin.residuals.channels import CHANNEL_HZ, GRID_HZ
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
@@ -54,6 +57,21 @@ def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
     late = slice(400, None)
     assert np.max(np.linalg.norm(blind[late] - truth[500:][late], axis=1)) > 0.3
     assert np.max(np.linalg.norm(found[late] - truth[500:][late], axis=1)) < 0.03
+
+
+@pytest.mark.parametrize("length_m", [0.3, 0.8, 2.0])
+def test_following_mere_noise_gains_what_the_integral_of_bode_says(length_m: float) -> None:
+    """A load at rest, and white noise: ln |S| over the band of the channels."""
+    n, share, observer = 40_000, 0.1, EFFECTS["slung_load"].seen_as.observer
+    noise = 0.01 * np.random.default_rng(0).standard_normal((n, 3))
+    force = np.array([0.0, 0.0, share * G])
+    along, _ = observe_swing(tilted(n, 0.0), force + noise, length_m, STEP_S)
+    left = noise[:, :2] - share * G * along[:, :2]
+    inside = n * int(CHANNEL_HZ) // int(GRID_HZ)  # of the frequencies up to half the rate
+    there, rest = (dct(v, axis=0, norm="ortho")[:inside] ** 2 for v in (noise[:, :2], left))
+    gained = 0.5 * float(np.sum(np.log(there) - np.log(rest))) / 2
+    said = 0.5 * observer.gain_1_s * n * STEP_S * (1 - CHANNEL_HZ / GRID_HZ)
+    assert gained == pytest.approx(said, rel=0.1)
 
 
 def test_the_swing_does_not_look_ahead() -> None:

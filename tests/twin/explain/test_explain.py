@@ -71,6 +71,27 @@ def test_the_true_effect_closes_the_gap_to_the_noise_floor(shown: Comparison) ->
     assert not shown.warnings
 
 
+@pytest.mark.slow
+def test_a_constant_of_the_day_is_set_apart_and_nothing_else() -> None:
+    plant = with_effects(dragged(COPTER), ["accel_bias"], {"accel_bias.x_m_s2": 0.12})
+    flown = fly(COPTER, plant, seed=2, name="biased", waypoints=LEGS)
+    with_drag, without = (
+        {g.name: g for g in compare_holdout([flown], COPTER, effects, values).gaps}["acc_x"]
+        for effects, values in ((["rotor_drag"], VALUES), ([], {}))
+    )
+    assert with_drag.after > 4 * with_drag.noise_floor
+    assert with_drag.on_its_day < 1.6 * with_drag.noise_floor  # drag of the body, not of rotors
+    assert without.on_its_day > 3 * without.noise_floor  # drag is no constant
+
+
+def test_the_mean_of_the_flights_that_were_fitted_is_a_baseline(flight: Flight) -> None:
+    plain = compare_holdout([flight], COPTER, [], {}, means={"acc_x": 0.3})
+    gaps = {g.name: g for g in plain.gaps}
+    residual = next(c.residual for c in plain.before[0] if c.name == "acc_x")
+    assert gaps["acc_x"].fit_mean == pytest.approx(np.sqrt(np.mean((residual - 0.3) ** 2)))
+    assert gaps["acc_y"].fit_mean is None
+
+
 def test_a_wrong_number_makes_channels_worse_and_that_is_said_first(flight: Flight) -> None:
     wrong = compare_holdout([flight], COPTER, ["mass_offset"], {"mass_offset.mass_kg": 0.2})
     assert wrong.gaps[0].name == "acc_z"
@@ -80,7 +101,15 @@ def test_a_wrong_number_makes_channels_worse_and_that_is_said_first(flight: Flig
 
 def test_the_interval_of_the_shrink_is_that_of_the_blocks() -> None:
     gap = ChannelGap(
-        "acc_x", "m/s²", 100, before=2.0, after=0.5, noise_floor=0.4, shrink_ci95=(0.7, 0.8)
+        name="acc_x",
+        unit="m/s²",
+        n=100,
+        before=2.0,
+        after=0.5,
+        on_its_day=0.5,
+        fit_mean=None,
+        noise_floor=0.4,
+        shrink_ci95=(0.7, 0.8),
     )
     assert gap.shrink == pytest.approx(0.75)
     assert gap.closed == pytest.approx(1.5 / 1.6)

@@ -5,15 +5,15 @@ promise is halved, and slopes are taken anew where the model has turned out to b
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS
+from ...effects import EFFECTS, Equation
 from ...effects.priors import prior_of
 from ...representation import short_repr
-from ...residuals.channels import ChannelData
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model
 from ..model.numbers import DRIVES, Number
 from ..settings import DEFAULT, EvidenceSettings
@@ -127,7 +127,8 @@ class Problem:
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
         silent = silent_bands(flights, settings.coherent) if gated else frozenset()
         noise = Noise.of(rest, sizes, settings, silent)
-        return cls(model, beliefs, bounds, noise, rest, settings)
+        odds = {c: v - _followed(c, rest, noise) for c, v in beliefs.odds.items()}
+        return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings)
 
     def judge(self, spectrum: Spectrum) -> Judge:
         """Sets of effects in a linearisation."""
@@ -162,6 +163,13 @@ class Problem:
         """Numbers that all flights share, and those of the days."""
         k = len(self.beliefs.now)
         return x[:k], x[k:].reshape(len(self.model.flights), len(self.beliefs.days))
+
+    def days(self, x: Array) -> tuple[dict[str, float], ...]:
+        """What the day of each flight adds to numbers that differ between days, as `Model.days`."""
+        names = [self.beliefs.names[i] for i in self.beliefs.days]
+        return tuple(
+            {n: float(v) for n, v in zip(names, own, strict=True) if v} for own in self.split(x)[1]
+        )
 
     def linearised(self, state: State) -> Judge:
         """All sets about one, slopes by every number taken there."""
@@ -260,6 +268,27 @@ class Problem:
         """Residuals and slopes of some columns taken anew."""
         flights = self.channels(x, columns.tolist())
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
+
+
+def _followed(cause: str, rest: Spectrum, noise: Noise) -> float:
+    """What an observer gains by following mere noise, in nats.
+
+    It predicts a reading from what the same reading was before. What is left is the innovation,
+    S(f) times what there was, so that the density of the latter is that of the former times |S|,
+    frequency by frequency. ln |S| over all angular frequencies sums to -pi/2 times the gain: Bode's
+    integral of a loop that falls with the first power. On a grid the same is lost again, evenly up
+    to half its rate (the discrete integral is zero), of which the channels see a part.
+    """
+    seen_as = EFFECTS[effect_of(cause)].seen_as
+    observer = seen_as.observer if isinstance(seen_as, Equation) else None
+    if observer is None:
+        return 0.0
+    gained = 0.0
+    for c, name in enumerate(rest.channels):
+        if name in observer.channels:
+            n = sum(int(np.count_nonzero(r.band)) for r in rest.rows[c])
+            gained += noise.own[c] * n / CHANNEL_HZ
+    return 0.5 * observer.gain_1_s * gained * (1 - CHANNEL_HZ / GRID_HZ)
 
 
 def _farthest(number: Number) -> float:

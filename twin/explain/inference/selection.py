@@ -10,7 +10,7 @@
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -65,7 +65,7 @@ class Naming:
         resemblances: Effects that something acts like.
         posterior: All sets.
         problem: What they were fitted against.
-        ground: The flights with the noise that `shown` leaves.
+        ground: The flights, each on its day, with the noise that `shown` leaves.
         kappa: By how much the days of these flights differ over what is usual.
         days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
             what all flights share, and its standard deviation.
@@ -246,7 +246,8 @@ def _named(
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
     shown, told = _averaged(problem, posterior, rules)
-    believable = _credible(problem, found, fitted[0], settings)
+    model = replace(problem.model, days=problem.days(found.state.best.x))
+    believable = _credible(problem, found, model, fitted[0], settings)
     return Naming(
         fitted,
         probabilities,
@@ -257,7 +258,7 @@ def _named(
         tuple(_resemblances(problem, told, fitted[0], believable, rules)),
         posterior,
         problem,
-        Ground.of(problem.model, shown.values, settings.likelihood),
+        Ground.of(model, shown.values, settings.likelihood),
         kappa,
         days_of(problem, found.state.best),
         rules,
@@ -309,14 +310,14 @@ def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) 
 
 
 def _credible(
-    problem: Problem, found: Found, best: Fit, settings: InferenceSettings
+    problem: Problem, found: Found, model: Model, best: Fit, settings: InferenceSettings
 ) -> dict[str, float]:
     """Of each effect of the best set what `adequacy.credible` says.
 
     Of a model that lacks many things at once it is not asked: what one law leaves is not to be told
     from what the others do.
     """
-    if len(best.effects) > MANY:
+    if len(best.effects) > settings.adequacy.most:
         return {}
     judge, state = found.judge, found.state
     whole = fit_of_best(problem, state.effects, judge.best(state.effects, state.kappa), 0.0)
@@ -324,7 +325,7 @@ def _credible(
     for e in best.effects:
         rest = [a for a in state.effects if effect_of(a) != e]
         without[e] = fit_of_best(problem, rest, judge.best(rest, state.kappa), 0.0)
-    left = misfits(problem.model, whole, without, settings.adequacy)
+    left = misfits(model, whole, without, settings.adequacy)
     return {e: credible(m, settings.adequacy) for e, m in left.items()}
 
 

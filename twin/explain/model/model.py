@@ -34,6 +34,8 @@ class Model:
         flights: One per flight.
         unfelt: Effects that have no place in the airframe of some flight, and so cannot be told:
             where measured rotor speeds drive it, nothing between command and rotor.
+        days: Per flight, what its day adds to numbers, "effect.number" -> difference; empty where
+            all flights share all numbers.
     """
 
     vehicle: Vehicle
@@ -41,6 +43,7 @@ class Model:
     numbers: tuple[Number, ...]
     flights: tuple[FlightModel, ...]
     unfelt: tuple[str, ...] = ()
+    days: tuple[Mapping[str, float], ...] = ()
 
     __repr__ = short_repr
 
@@ -53,9 +56,15 @@ class Model:
             columns: Numbers to differentiate by.
             change: "effect.number" -> value, for those that differ from the model as it stands.
         """
-        rows = [f.channels(columns, change) for f in self.flights]
+        rows = [f.channels(columns, self._of(i, change)) for i, f in enumerate(self.flights)]
         shared = [c.name for c in rows[0] if all(c.name in {d.name for d in r} for r in rows)]
         return [[next(c for c in r if c.name == name) for name in shared] for r in rows]
+
+    def _of(self, flight: int, change: Mapping[str, float] | None) -> Mapping[str, float] | None:
+        """Numbers of one flight, its day with them."""
+        day = self.days[flight] if self.days else {}
+        now = {n.full: n.now for n in self.numbers if n.full in day} | dict(change or {})
+        return now | {name: now[name] + more for name, more in day.items()} if day else change
 
 
 def candidates(flights: Sequence[Flight]) -> list[Effect]:

@@ -141,6 +141,9 @@ class AdequacySettings(Group):
         "of the highest frequency of a channel, in which its noise is forgotten",
         "made up",
     )
+    most: int = setting(
+        4, "effects", "of a model that lacks more, what one law leaves is not to be told", "made up"
+    )
 
 
 @dataclass(frozen=True, slots=True)
