@@ -154,7 +154,8 @@ class ExplainResult(Shown):
         import pandas as pd
 
         compared = self.details.comparison
-        columns = ["channel", "unit", "n", "before", "after", "noise_floor", "shrink"]
+        rms = ["before", "after", "on_its_day", "fit_mean", "noise_floor"]
+        columns = ["channel", "unit", "n", *rms, "shrink"]
         rows = [
             {**{c: getattr(g, c) for c in columns[1:]}, "channel": g.name}
             | {"shrink_low": g.shrink_ci95[0], "shrink_high": g.shrink_ci95[1]}
@@ -164,9 +165,9 @@ class ExplainResult(Shown):
 
     def gap_table(self) -> TextTable:
         """The gap of the held-out flights before and after, in words."""
-        compared = self.details.comparison
+        compared, names = self.details.comparison, ("before", "after", "on its day")
         return TextTable(
-            ("channel", "unit", "n", "before", "after", "noise floor", "shrink, 95 %"),
+            ("channel", "unit", "n", *names, "noise floor", "shrink, 95 %"),
             tuple(
                 (
                     g.name,
@@ -174,6 +175,7 @@ class ExplainResult(Shown):
                     str(g.n),
                     f"{g.before:.4g}",
                     f"{g.after:.4g}",
+                    f"{g.on_its_day:.4g}",
                     f"{g.noise_floor:.4g}",
                     shrink_words(g),
                 )

@@ -205,9 +205,7 @@ SLUNG_LOAD = Effect(
     "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
     "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
-    seen_as=Equation(
-        Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)
-    ),
+    seen_as=Equation(Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)),
 )
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

@@ -24,8 +24,6 @@ from .model.payload import Payloads
 from .settings import DEFAULT, InferenceSettings
 
 Array = NDArray[np.float64]
-BEFORE = 2.0
-"""Days that the table of priors counts for, beside the flights' own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +99,8 @@ def calibrate(
         tuple(f.name for f in flights),
         tuple(beliefs.names[i] for i in free),
         _shared_covariance(state, free),
-        _days(problem, state),
-        _constants(problem, state),
+        problem.between_days(state),
+        problem.constants_between_days(state),
         _of_records(fit),
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=told)
@@ -130,27 +128,3 @@ def _shared_covariance(state: State, free: Sequence[int]) -> Array:
     place = {int(i): k for k, i in enumerate(state.best.free)}
     at = [place[i] for i in free]
     return np.asarray(state.best.covariance[np.ix_(at, at)])
-
-
-def _days(problem: Problem, state: State) -> dict[str, float]:
-    """Deviation between flights of each number of a day: the table's, and what these show."""
-    beliefs, best = problem.beliefs, state.best
-    _, days = problem.split(best.x)
-    _, doubts = problem.split(best.deviations())
-    n = len(days)
-    found = {}
-    for j, i in enumerate(beliefs.days):
-        shown = float(np.sum(days[:, j] ** 2 + doubts[:, j] ** 2))
-        usual = (state.kappa * beliefs.day[i]) ** 2
-        found[beliefs.names[i]] = float(np.sqrt((BEFORE * usual + shown) / (BEFORE + n)))
-    return found
-
-
-def _constants(problem: Problem, state: State) -> dict[str, float]:
-    """The same of what nothing explains, by channel."""
-    found = {}
-    for c, (name, rows) in enumerate(zip(problem.rest.channels, state.spectrum.rows, strict=True)):
-        left = [float(np.sum(r.residual[r.band == 0] ** 2)) for r in rows]
-        usual = state.kappa**2 * problem.noise.floor[c, 0]
-        found[name] = float(np.sqrt((BEFORE * usual + sum(left)) / (BEFORE + len(left))))
-    return found

@@ -70,6 +70,7 @@ LOCAL = {
         "inference.inclusion.TWICE",
         "inference.inclusion.SWEEPS",
         "inference.inclusion.WINDOW",
+        "inference.selection.DAYS_SHOWN",
         "inference.selection.MANY",  # where a search begins
         "holdout.DRAWS",
         "design.designer.SHAPE_STEP",
@@ -81,7 +82,7 @@ LOCAL = {
     "what is believed before any flight, beside the table of priors": {
         "inference.constants.FAST_RAD_S",
         "inference.refit.KAPPAS",
-        "calibration.BEFORE",
+        "inference.refit.BEFORE",
     },
     "frequencies in which channels are taken apart": {
         "inference.coherence.WINDOW",

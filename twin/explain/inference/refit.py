@@ -40,6 +40,9 @@ SETTLED = 0.2
 STRAIGHT = 0.02
 """Share of the power of a step that the model may deviate from a straight line on it."""
 
+BEFORE = 2.0
+"""Days that the table of priors counts for, beside the flights' own."""
+
 
 KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
 """By how much days may differ less than is usual. That they differ more takes more flights than
@@ -171,6 +174,37 @@ class Problem:
             {n: float(v) for n, v in zip(names, own, strict=True) if v} for own in self.split(x)[1]
         )
 
+    def between_days(self, state: State) -> dict[str, float]:
+        """Deviation between flights of each number of a day: the table's, and what these show."""
+        best = state.best
+        days, doubts = self.split(best.x)[1], self.split(best.deviations())[1]
+        found = {}
+        for j, i in enumerate(self.beliefs.days):
+            shown = days[:, j] ** 2 + doubts[:, j] ** 2
+            found[self.beliefs.names[i]] = _deviation(state.kappa * self.beliefs.day[i], shown)
+        return found
+
+    def constants_between_days(self, state: State) -> dict[str, float]:
+        """The same of what nothing explains, by channel."""
+        found = {}
+        pairs = zip(self.rest.channels, state.spectrum.rows, strict=True)
+        for c, (name, rows) in enumerate(pairs):
+            left = np.array([float(np.sum(r.residual[r.band == 0] ** 2)) for r in rows])
+            found[name] = _deviation(state.kappa * np.sqrt(self.noise.floor[c, 0]), left)
+        return found
+
+    def accustomed(self, state: State) -> "Problem":
+        """The same with days that differ as those of its flights do, number by number."""
+        shown, left = self.between_days(state), self.constants_between_days(state)
+        pairs = zip(self.beliefs.names, self.beliefs.day, strict=True)
+        day = np.array([shown.get(n, usual) for n, usual in pairs])
+        constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
+        return replace(
+            self,
+            beliefs=replace(self.beliefs, day=day),
+            noise=replace(self.noise, floor={**self.noise.floor, **constants}),
+        )
+
     def linearised(self, state: State) -> Judge:
         """All sets about one, slopes by every number taken there."""
         flights = self.channels(state.best.x, range(len(self.beliefs.now)))
@@ -268,6 +302,11 @@ class Problem:
         """Residuals and slopes of some columns taken anew."""
         flights = self.channels(x, columns.tolist())
         return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
+
+
+def _deviation(usual: float, shown: Array) -> float:
+    """Of a zero-mean normal variable that is expected to have the usual one, given squares."""
+    return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
 def _followed(cause: str, rest: Spectrum, noise: Noise) -> float:

@@ -85,8 +85,14 @@ def search(
         kappa: Of the days at first.
         progress: Called with the share done, roughly.
     """
-    state = problem.start(start, kappa)
-    tried = {(state.effects, kappa): worth(state)}
+    return search_on(problem, problem.start(start, kappa), progress)
+
+
+def search_on(
+    problem: Problem, state: State, progress: Callable[[float], None] = lambda _: None
+) -> Found:
+    """The same from a set that is fitted already."""
+    tried = {(state.effects, state.kappa): worth(state)}
     judge = problem.linearised(state)
     for n in range(MOVES):
         progress(1 - 0.9**n)

@@ -29,7 +29,7 @@ from .evidence import Best
 from .fit import Fit, fit_of, fit_of_best, worth_a_name
 from .inclusion import Posterior, weigh
 from .refit import Problem
-from .search import Found, asked_for, calibration_start, search, worth
+from .search import Found, asked_for, calibration_start, search, search_on, worth
 from .whitening import Ground
 
 Array = NDArray[np.float64]
@@ -183,7 +183,11 @@ def name_effects(
         flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
     problem = since_problem(model, settings) if since else usual_problem(model, settings)
-    found = climb(problem, lambda done: progress(0.1 + 0.6 * done))
+    found = climb(problem, lambda done: progress(0.1 + 0.5 * done))
+    if len(model.flights) >= DAYS_SHOWN:
+        problem = problem.accustomed(found.state)
+        state = problem.settle(found.state.effects, 1.0, found.judge.spectrum, found.state.best.x)
+        found = search_on(problem, state, lambda done: progress(0.6 + 0.1 * done))
     posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
     return _named(problem, found, posterior, settings)
 
@@ -218,6 +222,8 @@ def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) 
     return max(found, other, key=lambda f: worth(f.state))
 
 
+DAYS_SHOWN = 3
+"""Flights from which on it is told how much their days differ: two show a single difference."""
 MANY = 4
 """Effects that a model may lack to be called nearly right."""
 
