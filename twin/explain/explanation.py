@@ -317,8 +317,8 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
     ground, settings = naming.ground, found.settings.unnamed
-    stands = _calibrated(naming)
-    alone = find_equations(ground, replace(naming.nothing, values=stands), seed, settings)
+    stands = replace(naming.nothing, values=_calibrated(naming))
+    alone = find_equations(ground, stands, seed, settings)
     if alone is None or not explains_better(ground, naming.likely, alone, settings, stands):
         return found
     return replace(

@@ -41,9 +41,9 @@ def misfits(
         without: The same without one of its effects, by that effect.
         settings: What counts as left.
     """
-    after, found = model.channels([], fitted.values), {}
+    after, found = fitted.on_its_days(model).channels([], fitted.values), {}
     for effect, rest in without.items():
-        before = model.channels([], rest.values)
+        before = rest.on_its_days(model).channels([], rest.values)
         i = int(
             np.argmax(
                 [

@@ -1,7 +1,7 @@
 """A set of effects with its numbers, as everybody beyond the inference sees it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...effects import EFFECTS
 from ...effects.priors import prior_of
 from ...representation import short_repr
+from ..model.model import Model
 from ..model.numbers import Number
 from .beliefs import effect_of
 from .evidence import Best
@@ -29,7 +30,7 @@ class Fit:
         numbers: Those with an interval.
         half_widths: Of the 95 % intervals of `numbers`, shape (k,).
         gain: Log of its probability over that of nothing, numbers and noise integrated out.
-        edges: Effects with a number at the edge of its range, and what that is.
+        days: What the day of each flight adds then, as `Model.days`.
     """
 
     effects: tuple[str, ...]
@@ -37,9 +38,13 @@ class Fit:
     numbers: tuple[Number, ...]
     half_widths: Array
     gain: float
-    edges: tuple[tuple[str, str], ...] = ()
+    days: tuple[Mapping[str, float], ...] = ()
 
     __repr__ = short_repr
+
+    def on_its_days(self, model: Model) -> Model:
+        """Flights, each on its day."""
+        return replace(model, days=self.days)
 
     def sizes(self) -> dict[str, float]:
         """Of each effect the largest change of one of its numbers, over one worth a name."""
@@ -58,12 +63,12 @@ def fit_of(
     deviations: Array,
     gain: float,
 ) -> Fit:
-    """Some causes with numbers and their deviations, as `Best.x` has them."""
+    """Some causes with numbers, days among them, and their deviations, as `Best.x` has them."""
     on = tuple(sorted({effect_of(c) for c in causes}))
     own = problem.beliefs.of(causes)
     numbers = tuple(problem.model.numbers[problem.beliefs.columns[i]] for i in own)
     values = {n.full: n.now + float(x[i]) for n, i in zip(numbers, own, strict=True)}
-    return Fit(on, values, numbers, INTERVAL * deviations[own], gain)
+    return Fit(on, values, numbers, INTERVAL * deviations[own], gain, problem.days(x))
 
 
 def fit_of_best(problem: Problem, causes: Sequence[str], best: Best, nothing: float) -> Fit:

@@ -252,8 +252,7 @@ def _named(
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
     shown, told = _averaged(problem, posterior, rules)
-    model = replace(problem.model, days=problem.days(found.state.best.x))
-    believable = _credible(problem, found, model, fitted[0], settings)
+    believable = _credible(problem, found, fitted[0], settings)
     return Naming(
         fitted,
         probabilities,
@@ -264,7 +263,7 @@ def _named(
         tuple(_resemblances(problem, told, fitted[0], believable, rules)),
         posterior,
         problem,
-        Ground.of(model, shown.values, settings.likelihood),
+        Ground.of(shown.on_its_days(problem.model), shown.values, settings.likelihood),
         kappa,
         days_of(problem, found.state.best),
         rules,
@@ -293,6 +292,7 @@ def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) 
     b, k = problem.beliefs, len(problem.beliefs.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
+    days = p @ np.array([s.best.x[k:] for s in posterior.sets])
     sd = np.array([s.best.deviations()[:k] for s in posterior.sets])
     there = np.zeros(x.shape, dtype=np.bool_)
     for row, s in zip(there, posterior.sets, strict=True):
@@ -307,16 +307,22 @@ def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) 
     def moves(cause: str) -> bool:
         """Whether it moves the prediction."""
         chance = posterior.inclusion[cause]
-        large = fit_of(problem, [cause], mean, spread, 0.0).sizes()[effect_of(cause)] >= 1
+        alone = fit_of(problem, [cause], np.concatenate([mean, days]), spread, 0.0)
+        large = alone.sizes()[effect_of(cause)] >= 1
         return chance >= 0.5 or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
     kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
-    return tuple(fit_of(problem, kept, v, spread, 0.0) for v in (mean, held))  # type: ignore[return-value]
+
+    def over_sets(numbers: Array) -> Fit:
+        """With the days' own."""
+        return fit_of(problem, kept, np.concatenate([numbers, days]), spread, 0.0)
+
+    return over_sets(mean), over_sets(held)
 
 
 def _credible(
-    problem: Problem, found: Found, model: Model, best: Fit, settings: InferenceSettings
+    problem: Problem, found: Found, best: Fit, settings: InferenceSettings
 ) -> dict[str, float]:
     """Of each effect of the best set what `adequacy.credible` says.
 
@@ -325,13 +331,15 @@ def _credible(
     """
     if len(best.effects) > settings.adequacy.most:
         return {}
-    judge, state = found.judge, found.state
-    whole = fit_of_best(problem, state.effects, judge.best(state.effects, state.kappa), 0.0)
-    without = {}
-    for e in best.effects:
-        rest = [a for a in state.effects if effect_of(a) != e]
-        without[e] = fit_of_best(problem, rest, judge.best(rest, state.kappa), 0.0)
-    left = misfits(model, whole, without, settings.adequacy)
+    state = found.state
+
+    def whole(on: Sequence[str]) -> Fit:
+        """A set with every number that moves with it, those that the file is unsure of too."""
+        made = found.judge.best(on, state.kappa)
+        return replace(fit_of_best(problem, on, made, 0.0), values=problem.values(made.x))
+
+    without = {e: whole([a for a in state.effects if effect_of(a) != e]) for e in best.effects}
+    left = misfits(problem.model, whole(state.effects), without, settings.adequacy)
     return {e: credible(m, settings.adequacy) for e, m in left.items()}
 
 

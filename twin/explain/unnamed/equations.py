@@ -110,7 +110,7 @@ def find_equations(
         seed: Draws which blocks of time are left out together.
         settings: Terms, their price, and when an equation is worth having.
     """
-    left = ground.model.channels([], fitted.values)
+    left = fitted.on_its_days(ground.model).channels([], fitted.values)
     keys = list(blocks_of(left, ground.noise, ground.settings))
     search = _Search(fold_of(keys, seed, settings), settings, ground.settings)
     known = _shared([quantities(f) for f in ground.model.flights], left)
@@ -324,7 +324,7 @@ def explains_better(
     named: Sequence[Fit],
     alone: Unnamed | None,
     settings: UnnamedSettings = DEFAULT.unnamed,
-    stands: Mapping[str, float] | None = None,
+    stands: Fit | None = None,
 ) -> bool:
     """Whether something outside the library is the better account of the flights.
 
@@ -334,7 +334,7 @@ def explains_better(
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
         settings: What is enough, and what covers it.
-        stands: Numbers that the file was unsure of, with which the model stands.
+        stands: Numbers that the file was unsure of, with which the model stands, and its days.
     """
     return (
         alone is not None
@@ -343,16 +343,15 @@ def explains_better(
     )
 
 
-def covered(
-    ground: Ground, named: Fit, alone: Unnamed, stands: Mapping[str, float] | None = None
-) -> float:
+def covered(ground: Ground, named: Fit, alone: Unnamed, stands: Fit | None = None) -> float:
     """Share of what equations explain, in their channels, that a hypothesis explains as well.
 
     Both in log likelihood, under the noise that the equations leave: the noise of the ground has
     learnt what the library cannot explain, and would forgive it.
     """
-    now = dict(stands or {})
-    before, after = (ground.model.channels([], v) for v in (now, now | dict(named.values)))
+    now = stands or replace(named, values={}, days=())
+    before = now.on_its_days(ground.model).channels([], now.values)
+    after = named.on_its_days(ground.model).channels([], {**now.values, **named.values})
     taken = 0.0
     for i, channel in enumerate(before[0]):
         if channel.name in alone.noise:
