@@ -7,6 +7,7 @@ import numpy as np
 
 from .cases import Case
 from .hiding.effect import Number, Truth
+from .life.days import mean_deviations
 from .life.file_errors import seen_from
 from .life.shown import shown
 from .planning import Plan, aircraft_of, hidden, missions_of, sizes
@@ -51,6 +52,7 @@ def life_json(
         ratios[name] = shown(
             aircraft_of(case), alone, trace, last, NOISE[case.noise], case.life, dynamics
         )
+    fitted = [day for name, day in planned.days.items() if name.startswith("fit")]
     content: dict[str, Any] = {
         "life": case.life.as_json,
         "class": (*case.effects, "none")[0] if case.kind == "since" else None,
@@ -58,6 +60,7 @@ def life_json(
         "shown": ratios,
         "material": [name for name, ratio in ratios.items() if ratio >= MATERIAL],
         "days": {name: day.as_json for name, day in planned.days.items()},
+        "day_means": mean_deviations(fitted, aircraft_of(case)) if fitted else {},
         "file": [
             {**asdict(error), "z": error.z}
             for error in (planned.file.errors if planned.file else ())
@@ -65,8 +68,8 @@ def life_json(
     }
     believed = planned.file.believed if planned.file else aircraft_of(case)
     seen = seen_from(believed.nominal, planned.plant)
-    late = [d.delay_steps * STEP_S for name, d in planned.days.items() if name.startswith("fit")]
-    if late:
+    if fitted:
+        late = [day.delay_steps * STEP_S for day in fitted]
         steps = planned.plant.position_delay * STEP_S
         seen["position_delay"] = {"delay_s": Number(steps + float(np.mean(late)), "s")}
     content["seen_from_file"] = {

@@ -15,7 +15,7 @@ from benchmarks.hidden_effects.cases import Case, cases
 from benchmarks.hidden_effects.generate import _DEVIATION, batches
 from benchmarks.hidden_effects.halves import HALVES, half_of
 from benchmarks.hidden_effects.life.conditions import SENSORS, Conditions
-from benchmarks.hidden_effects.life.days import draw_day, on_day
+from benchmarks.hidden_effects.life.days import draw_day, mean_deviations, on_day
 from benchmarks.hidden_effects.life.defects import DEFECTS
 from benchmarks.hidden_effects.life.file_errors import seen_from, wrong_file
 from benchmarks.hidden_effects.life.log import as_logged
@@ -260,6 +260,21 @@ def test_days_differ_and_are_recorded() -> None:
     assert biases == [d.accel_bias_m_s2.tolist() for d in planned.days.values()]
     assert len({tuple(b) for b in biases}) == 4
     assert all(d.delay_steps >= 0 for d in planned.days.values())
+
+
+def test_means_of_days_are_normal_in_their_own_deviations() -> None:
+    rng = np.random.default_rng(0)
+    sets = [mean_deviations([draw_day(QUAD, rng) for _ in range(4)], QUAD) for _ in range(2000)]
+    over = {e: float(np.mean([s[e] > 2 for s in sets])) for e in sets[0]}
+    two_sided = 0.0455
+    for effect, axes in {
+        "baro_bias": 1,
+        "heading_offset": 1,
+        "cog_offset": 2,
+        "accel_bias": 3,
+    }.items():
+        assert over[effect] == pytest.approx(1 - (1 - two_sided) ** axes, abs=0.02), effect
+    assert over["steady_wind"] == pytest.approx(over["cog_offset"], abs=0.02)
 
 
 def test_only_the_flight_after_the_normal_ones_has_a_defect() -> None:

@@ -139,6 +139,27 @@ def test_a_calibrated_number_is_compared_with_the_same_of_the_truth() -> None:
     assert (inside["good"], inside["n"]) == (0, 1)
 
 
+def test_days_whose_mean_happens_to_stand_out_are_no_wrong_name() -> None:
+    life = {**LIFE, "off": False, "days": True}
+    figures = score(
+        [
+            Outcome(
+                truth("nothing", life=life, days={"fit_1": {}}, day_means={"accel_bias": z}),
+                said("named", name("accel_bias")),
+            )
+            for z in (1.9, 2.1)
+        ]
+    )
+    quiet = row(figures, "days that differ: quiet")
+    assert (quiet["good"], quiet["n"]) == (1, 2)
+
+
+def test_what_is_undecided_is_no_name() -> None:
+    answer = said("named", name("drag"), name("tilt"), undecided=["tilt"])
+    figures = score([Outcome(truth("many", "drag"), answer)])
+    assert row(figures, "many: precision")["value"] == 1.0
+
+
 def test_a_late_clock_of_the_day_is_no_wrong_name() -> None:
     life = {**LIFE, "off": False, "days": True}
     quiet = truth("nothing", life=life, days={"fit_1": {}})

@@ -5,6 +5,7 @@ accelerometer is warmer, the weather has changed, the motion capture was calibra
 that of a calm day outdoors; a clock is late by half a normal distribution, never early.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -65,6 +66,21 @@ def draw_day(aircraft: Aircraft, rng: np.random.Generator) -> Day:
         WIND_M_S * aircraft.pace * flat * rng.standard_normal(3),
         round(DELAY_S * abs(float(rng.standard_normal())) / STEP_S),
     )
+
+
+def mean_deviations(days: Sequence[Day], aircraft: Aircraft) -> dict[str, float]:
+    """How far the mean of some days is from what it is expected to be, in its own standard
+    deviations, by the effect that has such a constant: of several numbers the farthest."""
+    flat = slice(0, 2)
+    drawn = {
+        "accel_bias": [d.accel_bias_m_s2 / ACCEL_BIAS_M_S2 for d in days],
+        "cog_offset": [d.centre_m[flat] / (CENTRE_ARMS * aircraft.arm) for d in days],
+        "baro_bias": [np.array([d.pressure_pa / PRESSURE_PA]) for d in days],
+        "heading_offset": [np.array([d.heading_rad / HEADING_RAD]) for d in days],
+        "steady_wind": [d.wind_m_s[flat] / (WIND_M_S * aircraft.pace) for d in days],
+    }
+    root = float(np.sqrt(len(days)))
+    return {k: root * float(np.abs(np.mean(v, axis=0)).max()) for k, v in drawn.items()}
 
 
 def on_day(plant: Parameters, day: Day) -> Parameters:

@@ -36,11 +36,13 @@ class Outcome:
 
     @property
     def named(self) -> list[str]:
-        """Effects that the program added, the surest first; none unless the verdict is "named"."""
+        """Effects that the program is sure of, the surest first; none unless the verdict is
+        "named"."""
         if self.verdict != "named":
             return []
+        unsure = self.said.get("undecided") or ()
         effects = sorted(self.said["effects"], key=lambda e: -e["probability"])
-        return [e["name"] for e in effects]
+        return [e["name"] for e in effects if e["name"] not in unsure]
 
     @property
     def resembled(self) -> set[str]:
@@ -61,9 +63,11 @@ class Outcome:
 
     @property
     def excused(self) -> set[str]:
-        """Names that are neither right nor wrong: a late clock is never early, so that its days
-        have a mean; and what puts a number of the file right that is far off."""
+        """Names that are neither right nor wrong: what puts a number of the file right that is far
+        off, or days whose mean happens to be; and a late clock is never early, so that its days
+        have a mean."""
         late = {"position_delay"} if self.truth.get("days") else set()
+        late |= {e for e, z in self.truth.get("day_means", {}).items() if z > FAR}
         far = {e["effect"] for e in self.truth.get("file", ()) if abs(e["z"]) > FAR}
         return (late | far) - self.hidden
 

@@ -327,10 +327,10 @@ def _credible(
     """Of each effect of the best set what `adequacy.credible` says.
 
     Of a model that lacks many things at once it is not asked: what one law leaves is not to be told
-    from what the others do.
+    from what the others do. Then what was believed before is all that is known.
     """
     if len(best.effects) > settings.adequacy.most:
-        return {}
+        return dict.fromkeys(best.effects, 1 - settings.adequacy.outside)
     state = found.state
 
     def whole(on: Sequence[str]) -> Fit:
