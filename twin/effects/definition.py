@@ -14,7 +14,7 @@ import casadi as ca
 
 from ..component import ComponentBuilder
 from ..vehicle import Vehicle
-from .seen import Equation, Seen
+from .seen import Equation, Observer, Seen
 
 ComponentName = str
 """Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
@@ -148,6 +148,11 @@ class Effect:
     def of_vehicle(self) -> bool:
         """Whether an aircraft can have it; else it is of a record alone."""
         return self.component != RECORD
+
+    @property
+    def observer(self) -> Observer | None:
+        """What follows its states, if something does."""
+        return self.seen_as.observer if isinstance(self.seen_as, Equation) else None
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""

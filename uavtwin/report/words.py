@@ -1,7 +1,6 @@
 """What was found about a model, in sentences that a pilot understands."""
 
-import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twin.effects import EFFECTS
@@ -49,10 +48,9 @@ def claim(found: Explanation) -> str:
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
         most = MOST_NUMBERS if len(effects) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
-        chance = naming.together([e for e in effects if beside_mean(found, e) is None])
-        chance *= math.prod(u.probability for u in found.stochastic)
-        lacks = f"The model lacks {joined(parts)}, sure to {certainty(chance)}."
-        return f"{lacks}{_what_else(found, effects)}"
+        return (
+            f"The model lacks {joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
+        )
     if found.verdict == "unnamed":
         return f"The model lacks something {_outside(found)}."
     tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
@@ -61,6 +59,12 @@ def claim(found: Explanation) -> str:
     if naming.outside > naming.settings.least:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {joined(tied, 'or')}."
+
+
+def _sure(found: Explanation, effects: Sequence[str]) -> str:
+    """How sure names are, a clause that ends in a stop: of several the least sure one counts."""
+    least = certainty(min(probability_of(found, e) for e in effects))
+    return f"sure to {least}." if len(effects) == 1 else f"each sure to {least} or more."
 
 
 def _outside(found: Explanation) -> str:
@@ -91,9 +95,7 @@ def _since(found: Explanation, naming: Naming) -> str:
             else _change(found, naming.told, e)
             for e in effects
         ]
-        chance = naming.together([e for e in effects if beside_mean(found, e) is None])
-        chance *= math.prod(u.probability for u in found.stochastic)
-        return f"{joined(parts)}, sure to {certainty(chance)}.{_what_else(found, effects)}"
+        return f"{joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
     tied = []
     for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
         if p >= naming.settings.least:

@@ -62,9 +62,10 @@ def test_a_load_is_found_again_from_the_force_that_it_makes() -> None:
 @pytest.mark.parametrize("length_m", [0.3, 0.8, 2.0])
 def test_following_mere_noise_gains_what_the_integral_of_bode_says(length_m: float) -> None:
     """A load at rest, and white noise: ln |S| over the band of the channels."""
-    n, share, observer = 40_000, 0.1, EFFECTS["slung_load"].seen_as.observer
+    n, share, observer = 40_000, 0.1, EFFECTS["slung_load"].observer
     noise = 0.01 * np.random.default_rng(0).standard_normal((n, 3))
     force = np.array([0.0, 0.0, share * G])
+    assert observer is not None
     along, _ = observe_swing(tilted(n, 0.0), force + noise, length_m, STEP_S)
     left = noise[:, :2] - share * G * along[:, :2]
     inside = n * int(CHANNEL_HZ) // int(GRID_HZ)  # of the frequencies up to half the rate

@@ -41,9 +41,10 @@ def misfits(
         without: The same without one of its effects, by that effect.
         settings: What counts as left.
     """
-    after, found = fitted.on_its_days(model).channels([], fitted.values), {}
+    model = fitted.on_its_days(model)  # a constant of the day may stand in for an effect
+    after, found = model.channels([], fitted.values), {}
     for effect, rest in without.items():
-        before = rest.on_its_days(model).channels([], rest.values)
+        before = model.channels([], rest.values)
         i = int(
             np.argmax(
                 [

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Equation
+from ...effects import EFFECTS
 from ...effects.priors import prior_of
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
@@ -318,8 +318,7 @@ def _followed(cause: str, rest: Spectrum, noise: Noise) -> float:
     integral of a loop that falls with the first power. On a grid the same is lost again, evenly up
     to half its rate (the discrete integral is zero), of which the channels see a part.
     """
-    seen_as = EFFECTS[effect_of(cause)].seen_as
-    observer = seen_as.observer if isinstance(seen_as, Equation) else None
+    observer = EFFECTS[effect_of(cause)].observer
     if observer is None:
         return 0.0
     gained = 0.0

@@ -101,6 +101,7 @@ def search_on(
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
             or _verified(problem, judge, state, tried, _alone(state))
+            or _verified(problem, judge, state, tried, _followed(problem, state))
         )
         if better is None:
             break
@@ -204,6 +205,17 @@ def _alone(state: State) -> list[Trial]:
             rest = [c for c in state.effects if c not in own]
             sets += [(tuple(sorted((*rest, c))), None) for c in own]
     return sets
+
+
+def _followed(problem: Problem, state: State) -> list[Trial]:
+    """The set with each effect whose states an observer follows: they are far from linear in its
+    shape, so that no linearisation tells what it explains."""
+    absent = [c for c in problem.beliefs.causes if c not in state.effects]
+    return [
+        (tuple(sorted((*state.effects, c))), c)
+        for c in absent
+        if EFFECTS[effect_of(c)].observer is not None
+    ]
 
 
 def _verified(

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...effects import EFFECTS, Equation, Observer
+from ...effects import EFFECTS
 from ...frames import to_ned
 from ...logs import Flight
 from ...logs.columns import ACC
@@ -56,7 +56,7 @@ class Trajectory:
         """Put the flight on the grid. Arguments as of `FlightModel`."""
         self._flight, self._vehicle, self._physics = flight, vehicle, physics
         self._effects, self._numbers = list(effects), list(numbers)
-        self._observers = {name: o for name in effects if (o := _observer(name)) is not None}
+        self._observers = {name: o for name in effects if (o := EFFECTS[name].observer) is not None}
         self._stateful = sorted(
             {n.effect for n in numbers if self._reached(n.full)} - self._observers.keys()
         )
@@ -199,12 +199,6 @@ class Trajectory:
         states[:, rotors] = shifted(states[:, rotors], delay_s)
         inputs[:, drives] = shifted(inputs[:, drives], delay_s)
         return states, inputs
-
-
-def _observer(effect: str) -> Observer | None:
-    """What follows the states of an effect, if something does."""
-    seen_as = EFFECTS[effect].seen_as
-    return seen_as.observer if isinstance(seen_as, Equation) else None
 
 
 def _owner(state: str) -> str:
