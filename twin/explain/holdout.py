@@ -148,10 +148,11 @@ def compare_holdout(
     model = model_of(flights, vehicle, known, payloads=payloads)
     problem = Problem.of(model, beliefs_of(model), evidence)
     now = _numbers(problem, values)
+    linear = problem.channels(now, range(len(problem.beliefs.now)))
     before, rows = model.channels([]), model.channels([], values)
     after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
-    daily = replace(model, days=_days(problem, now)).channels([], values)
-    best = _best(problem, now)
+    daily = replace(model, days=_days(problem, now, linear)).channels([], values)
+    best = _best(problem, now, linear)
     gaps = []
     for i, channel in enumerate(before[0]):
         own = (tuple(f[i] for f in flights) for flights in (before, after, daily, best))
@@ -169,26 +170,25 @@ def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
     return x
 
 
-def _days(problem: Problem, x: Array) -> tuple[dict[str, float], ...]:
-    """What the days of the flights add to numbers that differ between days, all others at `x`."""
+def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float], ...]:
+    """What the days of the flights add to numbers that differ between days, all others at `x`;
+    `linear`: channels there, with slopes by every number."""
     b = problem.beliefs
-    flights = problem.channels(x, range(len(b.now)))
     shared, none = problem.split(np.zeros_like(x))
     held = replace(
         problem, beliefs=replace(b, now=b.now + problem.split(x)[0], file=np.zeros_like(b.file))
     )
-    judge = held.judge(Spectrum.of(flights, shared, none, b.days))
+    judge = held.judge(Spectrum.of(linear, shared, none, b.days))
     return held.days(judge.best((), 1.0).x)
 
 
-def _best(problem: Problem, x: Array) -> list[list[ChannelData]]:
+def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]]:
     """What all numbers leave of each channel, fitted to the flights themselves from `x` on."""
     beliefs = problem.beliefs
-    flights = problem.channels(x, range(len(beliefs.now)))
-    judge = problem.judge(Spectrum.of(flights, *problem.split(x), beliefs.days))
+    judge = problem.judge(Spectrum.of(linear, *problem.split(x), beliefs.days))
     shared, days = problem.split(judge.best(beliefs.causes, 1.0).x - x)
     left = []
-    for flight, day in zip(flights, days, strict=True):
+    for flight, day in zip(linear, days, strict=True):
         step = shared.copy()
         step[beliefs.days] += day
         left.append(

@@ -130,7 +130,7 @@ class Problem:
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
         silent = silent_bands(flights, settings.coherent) if gated else frozenset()
         noise = Noise.of(rest, sizes, settings, silent)
-        odds = {c: v - _followed(c, rest, noise) for c, v in beliefs.odds.items()}
+        odds = {c: v - gained_by_following(c, rest, noise) for c, v in beliefs.odds.items()}
         return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings)
 
     def judge(self, spectrum: Spectrum) -> Judge:
@@ -309,7 +309,7 @@ def _deviation(usual: float, shown: Array) -> float:
     return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
 
 
-def _followed(cause: str, rest: Spectrum, noise: Noise) -> float:
+def gained_by_following(cause: str, rest: Spectrum, noise: Noise) -> float:
     """What an observer gains by following mere noise, in nats.
 
     It predicts a reading from what the same reading was before. What is left is the innovation,

@@ -18,7 +18,7 @@ from ...effects.priors import LAST, UNMEASURED, prior_of
 from ...representation import short_repr
 from .beliefs import Beliefs, effect_of
 from .evidence import Judge
-from .refit import Problem, State
+from .refit import Problem, State, gained_by_following
 
 Array = NDArray[np.float64]
 Tried = dict[tuple[tuple[str, ...], float], float]
@@ -101,7 +101,7 @@ def search_on(
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
             or _verified(problem, judge, state, tried, _alone(state))
-            or _verified(problem, judge, state, tried, _followed(problem, state))
+            or _verified(problem, judge, state, tried, _followed(problem, judge, state))
         )
         if better is None:
             break
@@ -207,15 +207,19 @@ def _alone(state: State) -> list[Trial]:
     return sets
 
 
-def _followed(problem: Problem, state: State) -> list[Trial]:
-    """The set with each effect whose states an observer follows: they are far from linear in its
-    shape, so that no linearisation tells what it explains."""
-    absent = [c for c in problem.beliefs.causes if c not in state.effects]
-    return [
-        (tuple(sorted((*state.effects, c))), c)
-        for c in absent
-        if EFFECTS[effect_of(c)].observer is not None
-    ]
+def _followed(problem: Problem, judge: Judge, state: State) -> list[Trial]:
+    """The set with each effect whose states an observer follows, if it promises anything beside
+    what it gains by following noise: its states are far from linear in its shape, so that the
+    linearisation, held against that, would rule it out too soon."""
+    sets: list[Trial] = []
+    for c in problem.beliefs.causes:
+        if c in state.effects or EFFECTS[effect_of(c)].observer is None:
+            continue
+        on = tuple(sorted((*state.effects, c)))
+        promised = judge.best(on, state.kappa).evidence - state.evidence
+        if promised + gained_by_following(c, problem.rest, problem.noise) > WORTH:
+            sets.append((on, c))
+    return sets
 
 
 def _verified(
