@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from instance import Instance, unzip
 from kinds import component
-from places import IMPORT_PATH
+from places import IMPORT_PATH, needs
 
 from fmus import build, component_model
 from twin.component import Component, ComponentBuilder
@@ -76,7 +76,7 @@ def test_versions_of_one_component_do_not_meet(tmp_path: Path) -> None:
     assert outputs(*reversed(folders)) == alone[::-1]
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="counts by /proc")
+@needs(Path("/proc/self/statm").exists(), "counts by /proc")
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_instances_leave_nothing_behind(fmu_folder: Callable[[str, int], Path], fmi: int) -> None:
     """Instantiated, started, stepped and freed again and again."""

@@ -137,30 +137,19 @@ class Problem:
         """Sets of effects in a linearisation."""
         return Judge(spectrum, self.noise, self.beliefs, self.bounds, self.settings)
 
-    def values(self, x: Array, flight: int | None = None) -> dict[str, float]:
-        """Numbers that differ from the model as it stands, "effect.number" -> value.
-
-        Args:
-            x: As `Best.x`.
-            flight: Whose day counts as well; None: what all share.
-        """
-        k, d = len(self.beliefs.now), len(self.beliefs.days)
-        theta = self.beliefs.now + x[:k]
-        moved = x[:k] != 0
-        if flight is not None:
-            own = x[k + flight * d : k + (flight + 1) * d]
-            theta[self.beliefs.days] += own
-            moved[self.beliefs.days] |= own != 0
+    def values(self, x: Array) -> dict[str, float]:
+        """Numbers that all flights share and that differ from the model as it stands,
+        "effect.number" -> value, given `Best.x`."""
+        shared = self.split(x)[0]
+        theta, moved = self.beliefs.now + shared, shared != 0
         acting = {effect_of(self.beliefs.cause[i]) for i in np.flatnonzero(moved)}
         moved |= self.beliefs.shape & np.isin(np.array(self.beliefs.cause), [*acting])
         return {self.beliefs.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
 
     def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
-        """Channels of each flight at some numbers, with slopes by some of them."""
+        """Channels of each flight on its day at some numbers, with slopes by some of them."""
         at = [self.beliefs.columns[i] for i in columns]
-        rows = [f.channels(at, self.values(x, i)) for i, f in enumerate(self.model.flights)]
-        wanted = self.rest.channels
-        return [[next(c for c in r if c.name == name) for name in wanted] for r in rows]
+        return replace(self.model, days=self.days(x)).channels(at, self.values(x))
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Numbers that all flights share, and those of the days."""

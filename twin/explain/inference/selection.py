@@ -302,23 +302,18 @@ def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) 
     total = np.maximum(weight.sum(axis=0), 1e-300)
     held = (weight * x).sum(axis=0) / total
     spread = np.sqrt((weight * (sd**2 + (x - held) ** 2)).sum(axis=0) / total)
-    mean = np.where(b.shape, held, p @ x)
+    mean = np.concatenate([np.where(b.shape, held, p @ x), days])
 
     def moves(cause: str) -> bool:
         """Whether it moves the prediction."""
         chance = posterior.inclusion[cause]
-        alone = fit_of(problem, [cause], np.concatenate([mean, days]), spread, 0.0)
-        large = alone.sizes()[effect_of(cause)] >= 1
+        large = fit_of(problem, [cause], mean, spread, 0.0).sizes()[effect_of(cause)] >= 1
         return chance >= 0.5 or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
     kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
-
-    def over_sets(numbers: Array) -> Fit:
-        """With the days' own."""
-        return fit_of(problem, kept, np.concatenate([numbers, days]), spread, 0.0)
-
-    return over_sets(mean), over_sets(held)
+    own = np.concatenate([held, days])
+    return fit_of(problem, kept, mean, spread, 0.0), fit_of(problem, kept, own, spread, 0.0)
 
 
 def _credible(

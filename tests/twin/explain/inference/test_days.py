@@ -1,0 +1,57 @@
+"""What differs from day to day: each flight on its own, and how much days differ."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from search_rigs.courses import LEGS
+from search_rigs.hypotheses import problem_of
+
+from twin.effects import EFFECTS
+from twin.explain.inference.refit import Problem
+from twin.explain.model.model import model_of
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import fly
+
+COPTER = load_vehicle("copter_default")
+BIASES = (-0.25, 0.02, 0.23)
+"""Of the accelerometer's x axis in three flights, m/s²; its other constants stay."""
+X, Z = "accel_bias.x_m_s2", "accel_bias.z_m_s2"
+
+
+@cache
+def problem() -> Problem:
+    """Three flights, each with its bias, against bias and thrust."""
+    flights = [
+        fly(COPTER, COPTER.with_effects({"accel_bias": {"x_m_s2": b}}), seed, f"day_{seed}", LEGS)
+        for seed, b in enumerate(BIASES)
+    ]
+    effects = [EFFECTS[e] for e in ("accel_bias", "thrust_scale")]
+    return problem_of(model_of(flights, COPTER, effects))
+
+
+def test_a_model_on_its_days_is_each_flight_with_its_numbers() -> None:
+    model, shared = problem().model, {X: 0.1, "thrust_scale.scale": 0.9}
+    days = ({X: 0.2}, {}, {X: -0.1, Z: 0.3})
+    alone = ({X: 0.1 + 0.2}, {}, {X: 0.1 - 0.1, Z: 0.3})
+    together = replace(model, days=days).channels([], shared)
+    for flight, own, rows in zip(model.flights, alone, together, strict=True):
+        for a, b in zip(flight.channels([], {**shared, **own}), rows, strict=True):
+            np.testing.assert_array_equal(a.residual, b.residual)
+
+
+@pytest.mark.slow
+def test_flights_teach_by_how_much_their_days_differ_number_by_number() -> None:
+    usual = problem()
+    state = usual.start((), 1.0)
+    told = np.array([day.get(X, 0.0) for day in usual.days(state.best.x)])
+    planted = np.array(BIASES)
+    # A fifth of each is pulled back to what days usually bring.
+    np.testing.assert_allclose(told - told.mean(), planted - planted.mean(), atol=0.05)
+    b, learned = usual.beliefs, usual.accustomed(state).beliefs
+    place = {n: i for i, n in enumerate(b.names)}
+    assert learned.day[place[X]] > 1.3 * b.day[place[X]]
+    assert learned.day[place[Z]] < 0.8 * b.day[place[Z]]
+    untold = [i for i in range(len(b.names)) if i not in b.days]
+    np.testing.assert_array_equal(learned.day[untold], b.day[untold])
