@@ -23,18 +23,19 @@ X, Z = "accel_bias.x_m_s2", "accel_bias.z_m_s2"
 @cache
 def problem() -> Problem:
     """Three flights, each with its bias, against bias and thrust."""
-    flights = [
-        fly(COPTER, COPTER.with_effects({"accel_bias": {"x_m_s2": b}}), seed, f"day_{seed}", LEGS)
-        for seed, b in enumerate(BIASES)
+    plants = [
+        COPTER.with_effects({"accel_bias": {"x_m_s2": bias, "y_m_s2": 0.0, "z_m_s2": 0.0}})
+        for bias in BIASES
     ]
+    flights = [fly(COPTER, p, seed, f"day_{seed}", LEGS) for seed, p in enumerate(plants)]
     effects = [EFFECTS[e] for e in ("accel_bias", "thrust_scale")]
     return problem_of(model_of(flights, COPTER, effects))
 
 
 def test_a_model_on_its_days_is_each_flight_with_its_numbers() -> None:
     model, shared = problem().model, {X: 0.1, "thrust_scale.scale": 0.9}
-    days = ({X: 0.2}, {}, {X: -0.1, Z: 0.3})
-    alone = ({X: 0.1 + 0.2}, {}, {X: 0.1 - 0.1, Z: 0.3})
+    days: tuple[dict[str, float], ...] = ({X: 0.2}, {}, {X: -0.1, Z: 0.3})
+    alone: tuple[dict[str, float], ...] = ({X: 0.1 + 0.2}, {}, {X: 0.1 - 0.1, Z: 0.3})
     together = replace(model, days=days).channels([], shared)
     for flight, own, rows in zip(model.flights, alone, together, strict=True):
         for a, b in zip(flight.channels([], {**shared, **own}), rows, strict=True):
