@@ -31,5 +31,6 @@ def ask_calibrated(folder: Path) -> dict[str, Any]:
 
     normal = [read_flight(f) for f in found_in(folder, NORMAL)]
     known = calibrate(normal, load_vehicle(str(folder / VEHICLE))).vehicle
-    found = explain([read_flight(folder / SINCE)], [], known, missions=(), since=True)
+    flight = read_flight(folder / SINCE)
+    found = explain([flight], [], known, missions=(), since=True, suggest=False)
     return explain_json(found)

@@ -30,7 +30,8 @@ def twin_state() -> str:
 
 
 def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Content of `explain.json` and the time it took, without missions of the new model.
+    """Content of `explain.json` and the time it took, without missions of the new model and without
+    a search for what to fly next.
 
     Args:
         folder: Of the case.
@@ -49,7 +50,9 @@ def explain_case(folder: Path, changed: Mapping[str, Any] | None = None) -> dict
         fit, away = ([read_flight(f) for f in found_in(folder, n)] for n in (FIT, HOLDOUT))
         settings = DEFAULT.with_values(changed or {})
         vehicle = load_vehicle(str(folder / VEHICLE))
-        said = explain_json(explain(fit, away, vehicle, missions=(), settings=settings))
+        said = explain_json(
+            explain(fit, away, vehicle, missions=(), settings=settings, suggest=False)
+        )
     return {
         **said,
         "seconds": round(time.perf_counter() - wall, 2),

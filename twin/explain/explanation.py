@@ -131,6 +131,7 @@ def explain(
     settings: SearchSettings = DEFAULT,
     indoors: bool | None = None,
     since: bool = False,
+    suggest: bool = True,
 ) -> Explanation:
     """Say what a model lacks, and prove it.
 
@@ -146,6 +147,7 @@ def explain(
         indoors: Whether all flights were within walls; None: as each flight says.
         since: Whether it is asked what has changed since the vehicle was calibrated, its numbers
             held as well as they are known; else everything that the model may lack.
+        suggest: Whether to look for what to fly next.
 
     Raises:
         ModelError: The vehicle holds no calibration to ask since.
@@ -187,7 +189,7 @@ def explain(
     progress(0.75)
     found = _with_gap(found, parts.held, seed, payloads)
     progress(0.85)
-    if found.verdict in ("named", "cannot_tell"):
+    if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(
             found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed, settings=settings.design)
         )

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import lsq_linear
 
 from ...representation import short_repr
 from ..settings import DEFAULT, EvidenceSettings
@@ -29,8 +31,8 @@ from .bounds import Bounds
 from .spectrum import BANDS_HZ, Rows, Spectrum
 
 Array = NDArray[np.float64]
-STEPS, CORRECTIONS, HALVINGS = 15, 6, 5
-"""Of the search for the best numbers: steps, of its active set, of one step's length."""
+STEPS, HALVINGS = 15, 5
+"""Of the search for the best numbers: steps, of one step's length."""
 SETTLED = 0.02
 """A step that gains less, in nats, is the last."""
 
@@ -316,7 +318,7 @@ class Judge:
         now = density(left, x)
         for _ in range(steps if m else 0):
             h, weight = curvature(left)
-            y = _inside(h, weight @ q + precision @ mean, x, low, high)
+            y = best_inside(h, weight @ q + precision @ mean, low, high)
             if limited:
                 y = self._allowed(y, free, h)
             length, gained = 1.0, False
@@ -351,17 +353,20 @@ class Judge:
         return y
 
 
-def _inside(h: Array, pull: Array, x: Array, low: Array, high: Array) -> Array:
-    """Where a quadratic is best inside ranges: what leaves its range is held there."""
-    y, free = x.copy(), np.ones(len(x), dtype=np.bool_)
-    for _ in range(CORRECTIONS):
-        inner, held = np.flatnonzero(free), np.flatnonzero(~free)
-        z = y.copy()
-        rest = pull[inner] - h[np.ix_(inner, held)] @ y[held]
-        z[inner] = np.linalg.solve(h[np.ix_(inner, inner)], rest)
-        out = free & ((z < low) | (z > high))
-        y = np.clip(z, low, high)
-        if not out.any():
-            break
-        free &= ~out
-    return y
+def best_inside(h: Array, pull: Array, low: Array, high: Array) -> Array:
+    """Where a quadratic is best inside ranges: the least of x h x / 2 - pull x.
+
+    Args:
+        h: Symmetric, positive definite. Shape (m, m).
+        pull: Shape (m,).
+        low: Lower ends, below the upper ones. Shape (m,).
+        high: Upper ends. Shape (m,).
+    """
+    best = np.asarray(np.linalg.solve(h, pull), dtype=np.float64)
+    if np.all((best >= low) & (best <= high)):
+        return best
+    size = 1 / np.sqrt(np.diag(h))  # numbers of one curvature, whatever their units
+    root = np.linalg.cholesky(h * np.outer(size, size)).T
+    aim = solve_triangular(root, pull * size, trans="T")
+    inside = lsq_linear(root, aim, (low / size, high / size), method="bvls").x
+    return np.asarray(np.clip(inside * size, low, high), dtype=np.float64)

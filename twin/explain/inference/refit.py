@@ -35,6 +35,9 @@ FARTHEST_S = 0.005
 """A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
 FARTHEST_POSE_S = 0.02
 """The same of a sensor or of the pose, whose band is lower."""
+FARTHER = 2.0
+"""By how much farther a step may go after one that was straight; after one that was cut short it
+may go as far as that went: Conn, Gould & Toint, Trust-Region Methods, 2000, sec. 6.1."""
 SETTLED = 0.2
 """A round that gains less, in nats, is the last."""
 STRAIGHT = 0.02
@@ -234,9 +237,9 @@ class Problem:
         judge = self.judge(spectrum)
         now = judge.at(on, kappa)
         shaped = bool(np.any(self.beliefs.shape[columns]))
-        fresh = True
+        fresh, reach = True, self._reach()
         for n in range(ROUNDS):
-            wanted = judge.best(on, kappa, self._reach()).x
+            wanted = judge.best(on, kappa, reach).x
             promised = judge.at(on, kappa, wanted) - now
             step, better = 1.0, None
             while step > SHORTEST_STEP:
@@ -248,7 +251,7 @@ class Problem:
                     better = y, there, over, value
                     break
                 step *= 0.5
-            if better is None and (fresh or not shaped):
+            if better is None and fresh:
                 break
             if better is None:
                 spectrum, fresh = self._renewed(spectrum, x, columns), True
@@ -256,6 +259,7 @@ class Problem:
                 continue
             bent = _bend(spectrum, better[1])
             gain = better[3] - now
+            reach = reach * (FARTHER if step == 1 and bent < STRAIGHT else step)
             x, spectrum, judge, now = better
             fresh = False
             if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:

@@ -98,10 +98,11 @@ def search_on(
         progress(1 - 0.9**n)
         better = (
             _better(problem, judge, state, tried)
+            or _verified(problem, judge, state, tried, _without_clocks(state))
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
             or _verified(problem, judge, state, tried, _alone(state))
-            or _verified(problem, judge, state, tried, _followed(problem, judge, state))
+            or _followed(problem, judge, state, tried)
         )
         if better is None:
             break
@@ -166,8 +167,13 @@ Trial = tuple[tuple[str, ...], str | None]
 """A set, and what has come in to begin at its expected numbers."""
 
 
+def _without_clocks(state: State) -> list[Trial]:
+    """The set without each delay or lag: where it is not missed, no other is sought for it."""
+    return [(tuple(a for a in state.effects if a != e), None) for e in state.effects if is_time(e)]
+
+
 def _clocks(problem: Problem, judge: Judge, state: State) -> list[Trial]:
-    """The set without a delay or a lag, and with any other in the place of each.
+    """The set with any other delay or lag in the place of each.
 
     What moves signals in time is not linear over a few milliseconds, so that no linearisation tells
     which is meant. A record of several clocks is thought of last: they come in as other effects do.
@@ -180,7 +186,7 @@ def _clocks(problem: Problem, judge: Judge, state: State) -> list[Trial]:
     for old in present:
         rest = tuple(e for e in state.effects if e != old)
         known = [e for e in absent if judge.share_a_channel(old, e) and not judge.silent(e)]
-        sets += [(rest, None), *((tuple(sorted((*rest, new))), new) for new in known)]
+        sets += [(tuple(sorted((*rest, new))), new) for new in known]
     return sets
 
 
@@ -207,19 +213,25 @@ def _alone(state: State) -> list[Trial]:
     return sets
 
 
-def _followed(problem: Problem, judge: Judge, state: State) -> list[Trial]:
-    """The set with each effect whose states an observer follows, if it promises anything beside
-    what it gains by following noise: its states are far from linear in its shape, so that the
-    linearisation, held against that, would rule it out too soon."""
-    sets: list[Trial] = []
+def _followed(problem: Problem, judge: Judge, state: State, tried: Tried) -> State | None:
+    """The set with an effect whose states an observer follows, if it promises anything beside what
+    it gains by following noise; None where none is better.
+
+    Its states are far from linear in its shape, so that the linearisation, held against that, would
+    rule it out too soon. They follow what no other effect explains, so that they would follow
+    little where others stand in for this one already: all numbers begin as they are expected.
+    """
+    best = state
     for c in problem.beliefs.causes:
         if c in state.effects or EFFECTS[effect_of(c)].observer is None:
             continue
         on = tuple(sorted((*state.effects, c)))
         promised = judge.best(on, state.kappa).evidence - state.evidence
         if promised + gained_by_following(c, problem.rest, problem.noise) > WORTH:
-            sets.append((on, c))
-    return sets
+            there = problem.start(on, state.kappa)
+            tried[on, state.kappa] = max(worth(there), tried.get((on, state.kappa), -np.inf))
+            best = there if worth(there) > worth(best) + WORTH else best
+    return None if best is state else best
 
 
 def _verified(

@@ -127,7 +127,7 @@ class FlightModel:
             bare = part.as_logged is not None
             if part.batch is None and bare not in body:
                 body[bare] = self._body_answers(columns, change, bare)
-            predicted, slopes = self._answers(k, columns, change, body.get(bare))
+            predicted, slopes = self._answers(k, columns, change, body.get(bare), body.get(False))
             found += part.readings.channels(predicted, slopes)
         return found
 
@@ -146,6 +146,7 @@ class FlightModel:
         columns: Sequence[int],
         change: Mapping[str, float],
         body: tuple[Array, Array] | None,
+        felt: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
         """Prediction of a part on the grid, and its slopes.
 
@@ -154,6 +155,7 @@ class FlightModel:
             columns: Numbers to differentiate by.
             change: "effect.number" -> value.
             body: The same of airframe and IMU, or of the airframe alone, where the part is theirs.
+            felt: The same of airframe and IMU, where these numbers reach them.
         """
         part, theta = self.parts[k], values_of(self.numbers, change)
         if part.batch is None:
@@ -169,6 +171,8 @@ class FlightModel:
             at = part.batch.value(theta, part.at)
             predicted = self._clean(k, theta) + (at - self._standing(k, part.at))
             predicted, at = predicted[:, part.outputs], at[:, part.outputs]
+            if part.turning is not None and felt is not None:
+                at = felt[0][:, part.outputs]
             slopes = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
         return self._in_time(k, columns, theta, predicted, slopes, at)
 

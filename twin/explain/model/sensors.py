@@ -46,7 +46,9 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     """What the IMU reads against what the pose implies: no physics of the vehicle in between.
 
     The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
-    a regressor would shrink what is found with it, or feign it where the residual has it too.
+    a regressor would shrink what is found with it, or feign it where the residual has it too. It is
+    the force of the model as it stands; those by an age, which ask how it changes in time, take
+    that of the numbers in question.
     """
     t, motion, flight = seen.aligned.inputs.t_s, seen.aligned.motion, seen.flight
     accelerometer, gyroscope = OF_IMU

@@ -9,9 +9,10 @@ What is measured is given; beside it an effect may have
 | that are late, as commands may be | are shifted, and so is the pose by its age |
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +35,10 @@ from .numbers import DRIVES, PLACE, TURN, Number, age_of, lateness_of, values_of
 from .prediction import Physics
 
 Array = NDArray[np.float64]
+Key = TypeVar("Key")
+Made = TypeVar("Made")
 REMEMBERED = 16
-"""Courses of unmeasured states, by their numbers."""
+"""Courses of states that are not measured, and what they follow, by the numbers."""
 
 
 class Trajectory:
@@ -62,11 +65,12 @@ class Trajectory:
         )
         on = with_effects(vehicle, self._stateful, {})
         self.aligned = align_flight(flight, on, 1 / GRID_HZ, effects)
-        now = values_of(numbers, {})
-        self._forces = {name: self._felt_beyond(name, now) for name in self._observers}
-        self._courses: dict[tuple[str, tuple[float, ...]], Any] = {}
+        self._now = values_of(numbers, {})
+        self._forces: dict[tuple[str, bytes], tuple[Array, Array]] = {}
+        self._courses: dict[tuple[str, bytes, tuple[float, ...]], Any] = {}
         self._integrated: dict[tuple[tuple[str, float], ...], AlignedFlight] = {}
-        self.aligned = replace(self.aligned, states=self._observed(self.aligned.states, now))
+        states = self._observed(self.aligned.states, self.aligned.inputs.u, self._now)
+        self.aligned = replace(self.aligned, states=states)
 
     def at(self, change: Mapping[str, float]) -> tuple[Array, Array]:
         """States, shape (n, n_x), and inputs, shape (n, n_u), with some numbers changed.
@@ -79,17 +83,12 @@ class Trajectory:
         aligned = self.aligned
         if own:
             key = tuple(sorted(own.items()))
-            if key not in self._integrated:
-                while len(self._integrated) >= REMEMBERED:
-                    del self._integrated[next(iter(self._integrated))]
-                self._integrated[key] = self._integrated_with(own)
-            aligned = self._integrated[key]
+            aligned = _remembered(self._integrated, key, lambda: self._integrated_with(own))
         states, inputs = self._in_step(aligned.states, theta), aligned.inputs.u
-        states = self._observed(states, theta)
         for signal in DRIVES:
             if later := lateness_of(self._numbers, theta, signal):
                 states, inputs = self._late_drive(states, inputs, signal, later)
-        return states, inputs
+        return self._observed(states, inputs, theta), inputs
 
     def is_integrated(self, number: str, change: Mapping[str, float]) -> bool:
         """Whether a state that answers to a number matters: not of an effect that is at rest, and
@@ -142,17 +141,13 @@ class Trajectory:
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return replace(self.aligned, airframe=body, inputs=inputs, states=states)
 
-    def _felt_beyond(self, effect: str, now: Array) -> tuple[Array, Array]:
-        """Specific force without an effect, and what is felt beyond it, NED, (n, 3) each.
+    def _felt_beyond(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
+        """Specific force at some numbers, and what is felt beyond it, NED, (n, 3) each.
 
         Where the former is unknown, or on the ground, the vehicle counts as held.
         """
         aligned = self.aligned
-        bare = now.copy()
-        for i, n in enumerate(self._numbers):
-            if n.effect == effect and n.about.neutral is not None:
-                bare[i] = n.about.neutral
-        force = self._physics.value(bare, aligned.states, aligned.inputs.u)[:, :3]
+        force = self._physics.value(theta, states, inputs)[:, :3]
         felt = np.zeros_like(force)
         if self._flight.has(*ACC):
             felt = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - force
@@ -166,17 +161,27 @@ class Trajectory:
             np.where(there[:, None], felt_n, 0.0),
         )
 
-    def _observed(self, states: Array, theta: Array) -> Array:
-        """States with those of effects in place that an observer follows."""
+    def _observed(self, states: Array, inputs: Array, theta: Array) -> Array:
+        """States with those of effects in place that an observer follows, by what is felt beyond
+        everything else; of an effect at rest, beyond the model as it stands."""
         names = [s.name for s in self.aligned.airframe.states]
         for effect, observer in self._observers.items():
-            free, felt = self._forces[effect]
-            own = [(n, float(v)) for n, v in zip(self._numbers, theta, strict=True)]
-            numbers = {n.name: v for n, v in own if n.effect == effect}
-            key = effect, tuple(v for n, v in own if n.effect == effect and n.shape)
-            if key not in self._courses:
-                self._courses[key] = observer.follow(free, felt, numbers, 1 / GRID_HZ)
-            course = self._courses[key]
+            own = [i for i, n in enumerate(self._numbers) if n.effect == effect]
+            sizes = [i for i in own if not self._numbers[i].shape]
+            neutral = [float(self._numbers[i].about.neutral or 0.0) for i in sizes]
+            without = self._now.copy() if np.array_equal(theta[sizes], neutral) else theta.copy()
+            without[own] = self._now[own]
+            without[sizes] = neutral
+            at = effect, without.tobytes()
+            free, felt = _remembered(
+                self._forces, at, partial(self._felt_beyond, without, states, inputs)
+            )
+            numbers = {self._numbers[i].name: float(theta[i]) for i in own}
+            course = _remembered(
+                self._courses,
+                (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
+                partial(observer.follow, free, felt, numbers, 1 / GRID_HZ),
+            )
             states = observer.place(states, names, course, free, numbers, self._vehicle)
         return states
 
@@ -199,6 +204,15 @@ class Trajectory:
         states[:, rotors] = shifted(states[:, rotors], delay_s)
         inputs[:, drives] = shifted(inputs[:, drives], delay_s)
         return states, inputs
+
+
+def _remembered(kept: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
+    """What was made before, or is made now; the oldest goes where there are many."""
+    if key not in kept:
+        while len(kept) >= REMEMBERED:
+            del kept[next(iter(kept))]
+        kept[key] = make()
+    return kept[key]
 
 
 def _owner(state: str) -> str:

@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 from search_rigs.linear_judge import Linear
 
-from twin.explain.inference.evidence import Noise
+from twin.explain.inference.evidence import Noise, best_inside
 from twin.explain.settings import DEFAULT
 
 Array = NDArray[np.float64]
@@ -202,3 +204,20 @@ def test_a_number_stays_inside_its_range_and_the_others_make_the_best_of_it() ->
     assert x[0] == pytest.approx(1.0)
     rest = r - s[:, 0]
     assert x[1] == pytest.approx(min(1.0, s[:, 1] @ rest / (s[:, 1] @ s[:, 1])), rel=0.02)
+
+
+@given(st.integers(0, 10_000), st.integers(1, 12))
+def test_no_direction_is_better_than_the_best_inside_ranges(seed: int, m: int) -> None:
+    """Karush, Kuhn and Tucker: the slope is zero inside, and points outward at an end."""
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((m + 2, m)) * np.logspace(-2, 2, m)
+    h, pull = root.T @ root, root.T @ rng.standard_normal(m + 2) * 3.0
+    size = np.abs(np.linalg.solve(h, pull)) + 1e-3
+    low = np.where(rng.random(m) < 0.3, -np.inf, -rng.random(m) * size)
+    high = np.where(rng.random(m) < 0.3, np.inf, rng.random(m) * size)
+    x = best_inside(h, pull, low, high)
+    assert np.all((x >= low) & (x <= high))
+    down = pull - h @ x
+    scale = 1e-7 * (np.abs(h) @ np.abs(x) + np.abs(pull))
+    assert np.all((down <= scale) | np.isclose(x, high, rtol=1e-9, atol=0))
+    assert np.all((down >= -scale) | np.isclose(x, low, rtol=1e-9, atol=0))

@@ -1,5 +1,6 @@
 """Gauss-Newton on the exact residuals: numbers that were planted come back, several at once."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -75,3 +76,15 @@ def test_more_effects_never_fit_worse_and_numbers_stay_in_range() -> None:
     assert judge.at(every.effects, 1.0) == pytest.approx(
         judge.at(every.effects, 1.0, every.best.x), abs=1e-6
     )
+
+
+@pytest.mark.slow
+def test_a_lag_that_is_far_from_the_files_is_found() -> None:
+    """Steps along it are short where it bends and grow where it does not."""
+    rotors = replace(COPTER.rotors, lag_up_s=0.15, lag_down_s=0.15)
+    sluggish = replace(COPTER, rotors=rotors)
+    flight = fly(COPTER, COPTER, 3, "prompt", LEGS)
+    far = against(flight, sluggish, "motor_lag", "command_delay")
+    state = far.start(far.beliefs.causes, 1.0)
+    found = far.values(state.best.x)["motor_lag.tau_s"]
+    assert found == pytest.approx(COPTER.rotors.lag_up_s - 0.15, abs=0.005)

@@ -102,6 +102,20 @@ def test_clocks_move_what_the_delays_of_the_aircraft_move() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("age", ["delay_s", "attitude_s"])
+def test_the_answer_to_an_age_is_that_of_the_force_that_was_found(age: str) -> None:
+    """How it changes in time is told by the numbers in question, not by a file with half of it."""
+    weak = VEHICLE.with_effects({"thrust_scale": {"scale": 0.5}})
+    model = model_of([recorded()], weak, [EFFECTS[e] for e in ("position_delay", "thrust_scale")])
+    name, step, found = f"position_delay.{age}", 0.002, {"thrust_scale.scale": 1.0}
+    column = [n.full for n in model.numbers].index(name)
+    here, slopes = rows_of(model.channels([column], found), ["pose_acc"])
+    ahead, _ = rows_of(model.channels([], {**found, name: step}), ["pose_acc"])
+    moved, slope = (here - ahead) / step, slopes[:, 0]  # the former with the noise of the pose
+    assert moved @ slope / (slope @ slope) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.slow
 def test_a_signal_that_is_not_there_has_no_clock() -> None:
     flight = recorded()
     bare = Flight("bare", flight.table.drop(columns=[*QUAT, *VEL, "pos_x", "pos_y", "pos_z"]))
