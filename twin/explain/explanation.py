@@ -35,6 +35,8 @@ UNKNOWN_SITE = (
     "not known whether {} flew indoors or outdoors, taken for outdoors: say which by --indoor or "
     "--outdoor, in Python by indoors=True or False"
 )
+UNSTABLE = "the model with what was named does not fly {} in closed loop: {}"
+FARTHER = "flights that were held out are farther from the model with it than without"
 WEAKER = (
     "no flight was held out: one block of time in {} of the same flights stands in for one, "
     "which is weaker, because what one flight has in common is in both parts"
@@ -74,6 +76,7 @@ class Explanation:
         where: Places of disagreement.
         holdout: What took no part in the fit.
         missions: Closed-loop flights of the new model; none where no effect was added.
+        refuted: Why names were taken back, to be read behind "but"; "": they were not.
         unnamed: Equations for what no effect explains.
         next_manoeuvre: What to fly to learn more.
         settings: What decided all this.
@@ -95,6 +98,7 @@ class Explanation:
     where: tuple[Place, ...] = ()
     holdout: tuple[HeldOut, ...] = ()
     missions: tuple[Mission, ...] = ()
+    refuted: str = ""
     unnamed: tuple[Equation, ...] = ()
     next_manoeuvre: Suggestion | None = None
     settings: SearchSettings = DEFAULT
@@ -188,6 +192,8 @@ def explain(
     found = _with_equations(found, seed)
     progress(0.75)
     found = _with_gap(found, parts.held, seed, payloads)
+    if found.comparison is not None and found.comparison.worse:
+        found = _refuted(found, FARTHER)
     progress(0.85)
     if suggest and found.verdict in ("named", "cannot_tell"):
         found = replace(
@@ -196,7 +202,15 @@ def explain(
     if found.added is None:
         return found
     flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
-    return replace(found, missions=flown)
+    lost = [UNSTABLE.format(m.name, m.problem) for m in flown if not m.stable]
+    return replace(found, missions=flown, warnings=(*lost, *found.warnings))
+
+
+def _refuted(found: Explanation, why: str) -> Explanation:
+    """The same with names taken back."""
+    if found.verdict != "named":
+        return found
+    return replace(found, verdict="cannot_tell", refuted=why, warnings=(why, *found.warnings))
 
 
 def calibrated_on(vehicle: Vehicle) -> tuple[str, ...]:

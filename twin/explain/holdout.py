@@ -107,6 +107,14 @@ class Comparison:
         return {g.name: g.noise_floor for g in self.gaps}
 
     @property
+    def worse(self) -> bool:
+        """Whether the flights are farther from the model as a whole, every channel by its own rms
+        and with the constants of the day set apart: some grew beyond doubt, and more than others
+        shrank."""
+        ratios = [g.on_its_day / g.before for g in self.gaps if min(g.before, g.on_its_day) > 0]
+        return any(g.worse for g in self.gaps) and float(np.sum(np.log(ratios))) > 0
+
+    @property
     def warnings(self) -> list[str]:
         """A line for every channel that got worse."""
         return [

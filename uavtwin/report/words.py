@@ -39,6 +39,8 @@ def claim(found: Explanation) -> str:
     naming = found.naming
     if naming is None or found.verdict == "unusable":
         return f"These flights cannot be used: {'; '.join(found.reasons)}"
+    if found.refuted:
+        return f"These flights point to {joined(_candidates(found))}, but {found.refuted}."
     if found.since is not None:
         return f"Since the calibration on {joined(list(found.since))}: {_since(found, naming)}"
     if found.verdict == "nothing":
@@ -53,12 +55,17 @@ def claim(found: Explanation) -> str:
         )
     if found.verdict == "unnamed":
         return f"The model lacks something {_outside(found)}."
-    tied = [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
+    tied = _candidates(found)
     if nothing_probability(naming) > 0.01:
         tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
     if naming.outside > naming.settings.least:
         tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
     return f"These flights cannot tell what the model lacks: {joined(tied, 'or')}."
+
+
+def _candidates(found: Explanation) -> list[str]:
+    """Effects that are told about, each with its probability."""
+    return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:

@@ -11,6 +11,8 @@ import pytest
 from twin.effects import EFFECTS
 from twin.errors import ModelError
 from twin.explain.attribution import attribute_effect
+from twin.explain.estimates import listed_effects
+from twin.explain.explanation import explain
 from twin.explain.holdout import ChannelGap, Comparison, compare_holdout
 from twin.explain.localization import localize
 from twin.explain.model.numbers import with_effects
@@ -23,6 +25,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.write import Written, with_effect_sections
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.report.words import claim
 
 COPTER = load_vehicle("copter_default")
 LEGS: Waypoints = (
@@ -287,3 +290,21 @@ def test_a_vehicle_flies_with_an_effect_and_not_without_thrust() -> None:
     (mission,) = fly_missions(weak, ["takeoff"])
     assert not mission.stable
     assert mission.problem
+
+
+# -- taking back ----------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_name_that_held_out_flights_gainsay_is_taken_back() -> None:
+    weak = COPTER.with_effects({"thrust_scale": {"scale": 0.85}})
+    seen = fly(COPTER, weak, 1, "weak", LEGS)
+    for other, verdict in ((weak, "named"), (COPTER, "cannot_tell")):
+        found = explain(
+            [seen], [fly(COPTER, other, 2, "held", LEGS)], COPTER, missions=(), suggest=False
+        )
+        assert listed_effects(found)[0] == "thrust_scale"
+        assert found.verdict == verdict
+        assert (found.added is None) == bool(found.refuted) == (verdict == "cannot_tell")
+        assert (found.refuted in found.warnings) == bool(found.refuted)
+        assert claim(found).startswith("These flights point to") == bool(found.refuted)
