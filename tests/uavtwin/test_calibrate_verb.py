@@ -307,7 +307,9 @@ def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
     assert isinstance(naming, Naming)
     chances = (0.6, 0.4, *(0.0 for _ in naming.probabilities[2:]))
     tied = replace(
-        loaded.details, verdict="cannot_tell", naming=replace(naming, probabilities=chances)
+        loaded.details,
+        verdict="cannot_tell",
+        naming=replace(naming, probabilities=chances, credible={}),
     )
     assert isinstance(tied, Explanation)
     text = claim(tied)

@@ -62,6 +62,7 @@ LOCAL = {
         "inference.search.FEW",
         "inference.search.MOVES",
         "inference.search.RIVALS",
+        "inference.search.SHORT",
         "inference.search.TRIED",
         "inference.search.WORTH",
         "inference.search.CLEAR",

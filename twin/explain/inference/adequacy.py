@@ -19,12 +19,14 @@ from .fit import Fit
 def credible(misfit: float, settings: AdequacySettings = DEFAULT.inference.adequacy) -> float:
     """Probability that a cause is of the library, given the share of amplitude that is left.
 
-    By Bayes: what a right name leaves is normal about zero, with the deviation `law`; a wrong name
-    may leave anything.
+    By Bayes: what a right name leaves is normal about zero, with the deviation `law`. A wrong name
+    may leave anything, or as little as a right one: that little is left speaks for no name, that
+    much is speaks against it. (In the half of the benchmark that tunes all four wrong names of 24
+    left less than `law`.)
     """
     law, outside = settings.law, settings.outside
-    right = (1 - outside) * 2 / (law * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / law) ** 2)
-    return float(right / (right + outside))
+    right = 2 / (law * np.sqrt(2 * np.pi)) * np.exp(-0.5 * (misfit / law) ** 2)
+    return float((1 - outside) * right / ((1 - outside) * right + outside * max(right, 1.0)))
 
 
 def misfits(

@@ -27,10 +27,12 @@ MOVES, TRIED, AHEAD, RIVALS = 60, 4, 8, 4
 """Accepted moves at most; of each state so many are fitted; looked ahead; swapped in."""
 FEW = 8
 """Effects of a set up to which two are dropped at once: they may stand for a third together."""
-CLEAR = 5.0
+CLEAR = 15.0
 """Nats that the linearisation gives an effect from which on it is not fitted without it again."""
 WORTH = 0.3
 """Nats that a move has to gain."""
+SHORT = 3.0
+"""Nats that a fit has to have ended below what is promised to be tried again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +95,20 @@ def search_on(
 ) -> Found:
     """The same from a set that is fitted already."""
     tried = {(state.effects, state.kappa): worth(state)}
+    begun: set[tuple[str, ...]] = set()
+    again: set[tuple[tuple[str, ...], float]] = set()
     judge = problem.linearised(state)
     for n in range(MOVES):
         progress(1 - 0.9**n)
         better = (
-            _better(problem, judge, state, tried)
+            _better(problem, judge, state, tried, again)
+            or _followed(problem, judge, state, tried, begun, WORTH)
             or _verified(problem, judge, state, tried, _without_clocks(state))
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
             or _verified(problem, judge, state, tried, _alone(state))
-            or _followed(problem, judge, state, tried)
+            or _anew(problem, state, tried, begun)
+            or _followed(problem, judge, state, tried, begun, -np.inf)
         )
         if better is None:
             break
@@ -139,18 +145,46 @@ def _better(
     judge: Judge,
     state: State,
     tried: Tried,
+    again: set[tuple[tuple[str, ...], float]],
 ) -> State | None:
-    """A neighbour that is better once it is fitted; None where there is none."""
+    """A neighbour that is better once it is fitted; None where there is none.
+
+    One that was fitted already, and ended lower than is promised now, is fitted once again: what a
+    fit reaches depends on where it begins.
+    """
     candidates = neighbours(problem, judge, state.effects, state.kappa)
     ahead = _ahead(problem, judge, state.effects, candidates)
     queue = [*([ahead] if ahead else []), *_different(candidates, state.effects)]
-    fresh = [m for m in queue if (m.effects, m.kappa) not in tried]
-    for move in fresh[:TRIED]:
+    fitted = 0
+    for move in queue:
+        key = move.effects, move.kappa
+        if key in tried:
+            if key in again or tried[key] > worth(state) + move.gain - SHORT:
+                continue
+            again.add(key)
         there = problem.settle(move.effects, move.kappa, judge.spectrum, state.best.x)
-        tried[move.effects, move.kappa] = worth(there)
+        tried[key] = max(worth(there), tried.get(key, -np.inf))
         if worth(there) > worth(state) + WORTH:
             return there
+        fitted += 1
+        if fitted == TRIED:
+            break
     return None
+
+
+def _anew(
+    problem: Problem, state: State, tried: Tried, begun: set[tuple[str, ...]]
+) -> State | None:
+    """The set itself from what is expected of its numbers, once: on the way numbers of days may
+    have stood in for what was not there yet, and stay where they are."""
+    if state.effects in begun:
+        return None
+    begun.add(state.effects)
+    there = problem.start(state.effects, state.kappa)
+    if worth(there) <= worth(state) + WORTH:
+        return None
+    tried[state.effects, state.kappa] = worth(there)
+    return there
 
 
 def _different(moves: Sequence[Move], on: Sequence[str]) -> Iterator[Move]:
@@ -213,23 +247,40 @@ def _alone(state: State) -> list[Trial]:
     return sets
 
 
-def _followed(problem: Problem, judge: Judge, state: State, tried: Tried) -> State | None:
-    """The set with an effect whose states an observer follows, if it promises anything beside what
-    it gains by following noise; None where none is better.
+def _followed(
+    problem: Problem,
+    judge: Judge,
+    state: State,
+    tried: Tried,
+    begun: set[tuple[str, ...]],
+    least: float,
+) -> State | None:
+    """The set with an effect whose states an observer follows, if it promises at least so many nats
+    beside what it gains by following noise; None where none is better.
 
     Its states are far from linear in its shape, so that the linearisation, held against that, would
-    rule it out too soon. They follow what no other effect explains, so that they would follow
-    little where others stand in for this one already: all numbers begin as they are expected.
+    rule it out too soon. They follow what no other effect explains, so that they follow little
+    where others stand in for this one already: all numbers begin as they are expected, beside all
+    other effects and beside those alone that are not felt where this one is. `begun` holds the
+    sets that began so.
     """
     best = state
     for c in problem.beliefs.causes:
-        if c in state.effects or EFFECTS[effect_of(c)].observer is None:
+        if EFFECTS[effect_of(c)].observer is None:
             continue
-        on = tuple(sorted((*state.effects, c)))
+        on = tuple(sorted({*state.effects, c}))
         promised = judge.best(on, state.kappa).evidence - state.evidence
-        if promised + gained_by_following(c, problem.rest, problem.noise) > WORTH:
-            there = problem.start(on, state.kappa)
-            tried[on, state.kappa] = max(worth(there), tried.get((on, state.kappa), -np.inf))
+        noise = gained_by_following(c, problem.rest, problem.noise)
+        if c not in state.effects and promised + noise <= least:
+            continue
+        apart = tuple(e for e in on if e == c or not judge.share_a_channel(e, c))
+        for trial in dict.fromkeys((on, apart)):
+            if trial in begun:
+                continue
+            begun.add(trial)
+            there = problem.start(trial, state.kappa)
+            key = trial, state.kappa
+            tried[key] = max(worth(there), tried.get(key, -np.inf))
             best = there if worth(there) > worth(best) + WORTH else best
     return None if best is state else best
 
