@@ -32,7 +32,8 @@ CLEAR = 15.0
 WORTH = 0.3
 """Nats that a move has to gain."""
 SHORT = 3.0
-"""Nats that a fit has to have ended below what is promised to be tried again."""
+"""Nats that a fit has to have ended below what is promised, or beside another end of the same set,
+to be done again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +182,7 @@ def _anew(
         return None
     begun.add(state.effects)
     there = problem.start(state.effects, state.kappa)
-    if worth(there) <= worth(state) + WORTH:
+    if worth(there) <= worth(state) + SHORT:
         return None
     tried[state.effects, state.kappa] = worth(there)
     return there
@@ -261,8 +262,8 @@ def _followed(
     Its states are far from linear in its shape, so that the linearisation, held against that, would
     rule it out too soon. They follow what no other effect explains, so that they follow little
     where others stand in for this one already: all numbers begin as they are expected, beside all
-    other effects and beside those alone that are not felt where this one is. `begun` holds the
-    sets that began so.
+    other effects; where it is there already, too, beside those alone that are not felt where it is.
+    `begun` holds the sets that began so.
     """
     best = state
     for c in problem.beliefs.causes:
@@ -274,7 +275,7 @@ def _followed(
         if c not in state.effects and promised + noise <= least:
             continue
         apart = tuple(e for e in on if e == c or not judge.share_a_channel(e, c))
-        for trial in dict.fromkeys((on, apart)):
+        for trial in dict.fromkeys((on, apart) if c in state.effects else (on,)):
             if trial in begun:
                 continue
             begun.add(trial)
