@@ -327,9 +327,15 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
 
 
 def _with_equations(found: Explanation, seed: int) -> Explanation:
-    """The same with equations, where they say more than any effect of the library."""
+    """The same with equations, where they say more than any effect of the library.
+
+    A model that lacks many things at once is not asked for one: they would be written down together
+    with the constants of days.
+    """
     naming = found.naming
     assert naming is not None
+    if len(naming.best.effects) > found.settings.inference.adequacy.most:
+        return found
     if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
     ground, settings = naming.ground, found.settings.unnamed
