@@ -100,8 +100,8 @@ def answer(data: Path, rotation: Rotation) -> dict[str, Any]:
         traceback.print_exc()
         said = failure(f"{type(error).__name__}: {error}")
         name = Path(holdout).stem
-        empty: dict[str, Any] = {"numbers": {}, "predicted": {}, "channels": [], "seconds": 0.0}
-        return {"scenario": scenario.name, "holdout": name, "said": said, **empty}
+        empty: dict[str, Any] = {"numbers": {}, "predicted": {}, "channels": [], "spin": 1.0}
+        return {"scenario": scenario.name, "holdout": name, "said": said, "seconds": 0.0, **empty}
 
 
 def key(data: Path, scenario: Scenario, holdout: str, state: str) -> str:

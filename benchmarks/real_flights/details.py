@@ -1,6 +1,6 @@
 """Tables of the page beyond rms: what rotations agree on, bands, constants, what is wished for."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from . import prototype
@@ -18,7 +18,8 @@ CORRECTIONS = {
 }
 TURNING = "gyro_rate_"
 GRAVITY = 9.81
-DRAG = {"rotor_drag.k_xy_1_s": 1.0, "blade_flapping.k_rad_s_m": GRAVITY}
+ROTOR_DRAG, FLAPPING = "rotor_drag.k_xy_1_s", "blade_flapping.k_rad_s_m"
+DRAG = {ROTOR_DRAG: 1.0, FLAPPING: GRAVITY}
 """Numbers that are a drag linear in the speed, and what makes them one in 1/s."""
 ALIKE = 0.03
 """Share by which two rms may differ to be called the same."""
@@ -241,7 +242,10 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
     )
     text = (
         f"Drag is `rotor_drag.k_xy_1_s` and {GRAVITY:g} times `blade_flapping.k_rad_s_m` together, "
-        f"means over all sets, 0 where an effect is not there. Wished for: at most {goal:g} rad/s² "
+        f"means over all sets, 0 where an effect is not there, at the rotor speed that was flown: "
+        f"`k_xy_1_s` is that at which the vehicle file hovers, and `spin_share` of it grows with "
+        f"the speed. Rotors turned {_span(c['spin'] for c in cases)} times as fast as the file "
+        f"hovers. Wished for: at most {goal:g} rad/s² "
         f"about the flight's own mean; *: more."
     )
     return [
@@ -253,8 +257,20 @@ def wishes(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
 
 
 def drag_1_s(case: Case) -> float:
-    """Drag linear in the speed that predicts best, 1/s."""
-    return float(sum(k * case["predicted"].get(full, 0.0) for full, k in DRAG.items()))
+    """Drag linear in the speed that predicts best, 1/s, at the rotor speed of the fit flights."""
+    predicted = case["predicted"]
+    rotors = predicted.get(ROTOR_DRAG, 0.0) * grown(predicted, case["spin"])
+    return float(rotors + GRAVITY * predicted.get(FLAPPING, 0.0))
+
+
+def grown(numbers: Mapping[str, float], spin: float) -> float:
+    """By how much the drag of rotors is larger at a speed over that in hover."""
+    return 1 + numbers.get("rotor_drag.spin_share", 1.0) * (spin - 1)
+
+
+def _span(values: Iterable[float]) -> str:
+    every = [*values]
+    return f"{min(every):.2f} to {max(every):.2f}"
 
 
 def _in_1_s(number: Number, k: float) -> str:

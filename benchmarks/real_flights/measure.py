@@ -13,7 +13,10 @@ from twin.effects import EffectParameter
 from twin.explain.estimates import estimates_of, listed_effects
 from twin.explain.explanation import Explanation, explain
 from twin.explain.result_json import explain_json
-from twin.residuals.channels import CHANNEL_HZ, ChannelData
+from twin.logs import Flight
+from twin.residuals.aligned import align_flight
+from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
+from twin.vehicle import Vehicle
 
 from .bands import band_rms
 from .scenarios import Scenario, read
@@ -29,8 +32,8 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
     """Everything the page needs to know about one rotation, as JSON content."""
     start = time.perf_counter()
     fit = [read(data, f) for f in scenario.flights if f != holdout]
-    away = read(data, holdout)
-    found = explain(fit, [away], scenario.read_vehicle(), missions=(), indoors=scenario.indoors)
+    away, vehicle = read(data, holdout), scenario.read_vehicle()
+    found = explain(fit, [away], vehicle, missions=(), indoors=scenario.indoors)
     return {
         "scenario": scenario.name,
         "holdout": away.name,
@@ -38,8 +41,16 @@ def measure(data: Path, scenario: Scenario, holdout: str) -> dict[str, Any]:
         "numbers": numbers(found),
         "predicted": dict(found.values),
         "channels": channels(found),
+        "spin": float(np.mean([spin(f, vehicle) for f in fit])),
         "seconds": round(time.perf_counter() - start, 1),
     }
+
+
+def spin(flight: Flight, vehicle: Vehicle) -> float:
+    """Mean speed of the rotors in the air over that at which the vehicle file hovers."""
+    aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
+    (spins,) = aligned.predicted("spin_")
+    return float(np.nanmean(spins[aligned.airborne]))
 
 
 def numbers(found: Explanation) -> dict[str, dict[str, Any]]:

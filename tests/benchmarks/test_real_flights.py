@@ -16,6 +16,7 @@ from benchmarks.real_flights.details import drag_1_s, passing
 from benchmarks.real_flights.measure import baselines, held, spectra
 from benchmarks.real_flights.page import page
 from benchmarks.real_flights.scenarios import SCENARIOS, Change, read
+from twin.physics.airframe import airframe
 from twin.residuals.channels import ChannelData
 from twin.vehicle.file import load_vehicle
 
@@ -149,6 +150,7 @@ def case(holdout: str, effects: Mapping[str, Mapping[str, Any]], **more: Any) ->
         },
         "predicted": {f"{k}.n": e["value"] for k, e in effects.items()},
         "channels": [row | more],
+        "spin": 1.0,
         "seconds": 30.0,
         "twin": "0123456789ab",
     }
@@ -372,6 +374,23 @@ def test_drag_is_that_of_either_effect_in_1_s() -> None:
             row | {"name": f"gyro_rate_{axis}", "mean": row["mean"] | {"effects": mean}}
         )
     assert "| circle | 0.296 | - | - | 4.36 | 10* | 6 |" in page([(nano, [found])])
+
+
+def test_drag_is_told_at_the_rotor_speed_that_was_flown() -> None:
+    numbers = {"k_xy_1_s": 0.3, "k_z_1_s": 0.0, "spin_share": 0.6}
+    body = airframe(load_vehicle("crazyflie").with_effects({"rotor_drag": numbers}))
+    p = body.parameter_values()
+    fast = np.asarray(body.initial(body.input_values(), p)).ravel()
+    fast[[s.name.startswith(("rotor_", "effort_")) for s in body.states]] *= 1.3
+    still, windy = (
+        dict(zip(body.output_names, np.asarray(body.outputs(fast, u, p)).ravel(), strict=True))
+        for u in (body.input_values(), body.input_values({"wind_x": 1.0}))
+    )
+    found = case("circle", {}) | {"spin": still["spin_1"]}
+    found["predicted"] = {f"rotor_drag.{k}": v for k, v in numbers.items()}
+    assert still["spin_1"] > 1.1
+    force = windy["specific_force_x"] - still["specific_force_x"]
+    assert force == pytest.approx(drag_1_s(found), rel=1e-9)
 
 
 def test_page_tells_of_what_failed_or_could_not_be_used() -> None:
