@@ -116,21 +116,22 @@ PRIORS: dict[str, Prior] = {
     ),
     "rotor_efficiency_loss": Prior(
         RARE,
-        "propellers of one bag differ by 2 to 5 %; slower rotors lose torque as they lose thrust, "
-        "damaged blades less of it, rotors of many simulators none",
-        {"loss": Normal(0.0, 0.05), "torque_share": Normal(0.8, 0.5)},
+        "propellers of one bag differ by 2 to 5 %, damaged blades cost up to 30 %; slower rotors "
+        "lose torque as they lose thrust, damaged blades less of it, those of many simulators none",
+        {"loss": Normal(0.0, 0.12), "torque_share": Normal(0.8, 0.5)},
     ),
     "rotor_inertia_torque": Prior(
         COMMON,
-        "inertia of rotors 1e-7 to 1e-4 kg m2, from mass and radius",
-        {"": Normal(0.3, 0.5)},
+        "0.9 to 1.6 times the guess from thrust and arm: OS4 (Bouabdallah 2007), AR.Drone, "
+        "Hummingbird, an F450, a quadrotor of 1.8 kg; Crazyflie by mass and radius of its blades",
+        {"": Normal(1.0, 0.5)},
         corrects="rotors.reaction_inertia",
         unsaid=lambda v: not v.rotors.follows,
     ),
     "gyroscopic_torque": Prior(
         RARE,
         "the same momentum",
-        {"": Normal(0.0, 0.5)},
+        {"": Normal(1.0, 0.5)},
         corrects="rotors.spin_inertia",
     ),
     "yaw_torque_scale": Prior(
@@ -141,7 +142,9 @@ PRIORS: dict[str, Prior] = {
     ),
     "thrust_tilt": Prior(COMMON, "1 to 2 degrees of frame and board", {"": Normal(0.0, 0.03)}),
     # -- mass and its place ----------------------------------------------------------------
-    "mass_offset": Prior(COMMON, "battery, payload", {"": Normal(0.0, 0.08)}, corrects="body.mass"),
+    "mass_offset": Prior(
+        COMMON, "battery, payload of up to 30 %", {"": Normal(0.0, 0.12)}, corrects="body.mass"
+    ),
     "cog_offset": Prior(
         UNMEASURED,
         "place of the battery, put in anew before every flight",
@@ -185,8 +188,8 @@ PRIORS: dict[str, Prior] = {
     "flapping_moment": Prior(RARE, "hub moment of stiff rotors", {"": Normal(0.0, 0.01)}),
     "steady_wind": Prior(
         COMMON,
-        "no mean vertical wind near the ground; indoors a draught",
-        {"": Normal(0.0, 3.0, 2.0), "down_m_s": Normal(0.0, 0.3)},
+        "up to 12 m/s is flown in; no mean vertical wind near the ground; indoors a draught",
+        {"": Normal(0.0, 4.0, 2.0), "down_m_s": Normal(0.0, 0.3)},
         indoors={"": Normal(0.0, 0.1, 0.03), "down_m_s": Normal(0.0, 0.03)},
     ),
     "ground_effect": Prior(
@@ -273,7 +276,7 @@ CHANGES: dict[str, Prior] = {
     "steady_wind": Prior(
         COMMON,
         "weather",
-        {"": Normal(0.0, 3.0), "down_m_s": Normal(0.0, 0.3)},
+        {"": Normal(0.0, 4.0), "down_m_s": Normal(0.0, 0.3)},
         indoors={"": Normal(0.0, 0.3), "down_m_s": Normal(0.0, 0.05)},
     ),
     "accel_bias": Prior(COMMON, "a sensor that was hit or warm", {"": Normal(0.0, 0.5)}),
