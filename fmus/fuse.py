@@ -73,6 +73,7 @@ def _renamed(owner: str, name: str, of: FmuModel | Component) -> Part:
         state_names=tuple(f"{name}.{s}" for s in part.state_names),
         sampling=None if part.sampling is None else _renamed_sampling(name, part.sampling),
         folder=f"{name}/",
+        may_lack=frozenset(f"{name}.{v}" for v in part.may_lack),
     )
 
 

@@ -42,6 +42,7 @@ class Part:
         sampling: What happens at sample instants.
         resources: Files it reads.
         folder: Where they lie in the resources folder, "" or ending in a slash.
+        may_lack: Inputs and outputs that may be no number (NaN); any other stops the simulation.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Part:
     sampling: Sampling | None = None
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
+    may_lack: frozenset[str] = frozenset()
 
     __repr__ = short_repr
 

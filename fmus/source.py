@@ -53,7 +53,10 @@ def _part(part: Part) -> str:
             "",
             _table(
                 "static const Variable variables[]",
-                ['{"time", OUTPUT, 0, -HUGE_VAL, HUGE_VAL}', *map(_variable, part.variables)],
+                [
+                    '{"time", OUTPUT, 0, -HUGE_VAL, HUGE_VAL, 0}',
+                    *(_variable(v, v.name in part.may_lack) for v in part.variables),
+                ],
             ),
             f"static const char* const state_names[] = {{{states}0}};\n",
             *([] if part.sampling is None else [_sampling(part, part.sampling)]),
@@ -67,13 +70,13 @@ def _constant(value: Constant) -> str:
     return c_list(value) if isinstance(value, tuple) else c_number(value)
 
 
-def _variable(v: Variable) -> str:
+def _variable(v: Variable, may_lack: bool) -> str:
     """One line of the interface table."""
     name = c_string(check_name("variable of an FMU", v.name, LONGEST_VARIABLE))
     causality = "FIXED_PARAMETER" if v.fixed else check_identifier(v.name, v.causality.upper())
     low = "-HUGE_VAL" if v.minimum is None else c_number(float(v.minimum))
     high = "HUGE_VAL" if v.maximum is None else c_number(float(v.maximum))
-    return f"{{{name}, {causality}, {c_number(float(v.start))}, {low}, {high}}}"
+    return f"{{{name}, {causality}, {c_number(float(v.start))}, {low}, {high}, {may_lack:d}}}"
 
 
 def _sampling(part: Part, sampling: Sampling) -> str:

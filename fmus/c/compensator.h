@@ -2,15 +2,19 @@
  *
  * Included at the end of part_NAME.c, which holds the tables and `network`, the C that emx-onnx-cgen
  * makes of an ONNX file. Inputs: virtual signals, commands, phase and, with N_GROUPS > 0, measured signals
- * and a truth value per sensor. Outputs: correction, corrected signals, spread, anomaly, inside.
+ * and a truth value per sensor. Outputs: correction, corrected signals, spread, anomaly, inside, samples left out.
  *
- * States are those of the network, then what it put out, held until the next instant. The first instant is
- * a period after the start; until then the correction is zero. So an output never depends on an input
- * within an instant, apart from a corrected signal on its own: corrected = input + correction.
+ * States are those of the network, then what it put out, held until the next instant, then how many samples
+ * were left out. The first instant is a period after the start; until then the correction is zero. So an
+ * output never depends on an input within an instant, apart from a corrected signal on its own: corrected =
+ * input + correction.
+ *
+ * A sample with an input that is no number is left out: the network does not run, and its state stays.
  */
 #define SPREAD (N_NETWORK + N_CHANNELS) /* in the states, after the correction */
 #define ANOMALY (SPREAD + N_CHANNELS)
 #define INSIDE (ANOMALY + 1)
+#define LEFT_OUT (INSIDE + 1)
 
 /* The functions of the C library differ from platform to platform in the last bits, and are not compiled in
  * line. These are of float accuracy. exp: 2^n times a polynomial; Cephes, expf.c. */
@@ -69,6 +73,12 @@ static void widened(const float* from, double* to, int n) {
     for (int i = 0; i < n; i++) to[i] = from[i];
 }
 
+static int any_lacks(const float* values, int n) {
+    for (int i = 0; i < n; i++)
+        if (!isfinite(values[i])) return 1;
+    return 0;
+}
+
 static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
     static const unsigned char group[N_CHANNELS] = GROUP_OF_CHANNEL;
     const double* u = p->v + FIRST_INPUT;
@@ -82,7 +92,17 @@ static void model_update(const Part* p, const double* noise, const double* delay
     if (N_GROUPS) {
         narrowed(u += 1, measured[0], N_CHANNELS);
         u += N_CHANNELS;
-        for (int i = 0; i < N_CHANNELS; i++) valid[0][i] = (float)u[group[i]];
+        for (int i = 0; i < N_CHANNELS; i++) {
+            valid[0][i] = (float)u[group[i]];
+            if (!(valid[0][i] > 0.5f)) measured[0][i] = 0; /* never looked at */
+        }
+    }
+    if (any_lacks(signals[0], N_CHANNELS) || any_lacks(command[0], N_COMMANDS) || any_lacks(phase[0], 1) ||
+        any_lacks(measured[0], N_CHANNELS)) {
+        model_initial(p, x_next);
+        memcpy(x_next, p->x, N_NETWORK * sizeof *x_next);
+        x_next[LEFT_OUT] = p->x[LEFT_OUT] + 1;
+        return;
     }
     narrowed(p->x, before[0], N_NETWORK);
     network(signals, command, phase, measured, valid, before, correction, spread, anomaly, inside, after);
@@ -91,6 +111,7 @@ static void model_update(const Part* p, const double* noise, const double* delay
     widened(spread[0], x_next + SPREAD, N_CHANNELS);
     widened(anomaly[0], x_next + ANOMALY, 1);
     widened(inside[0], x_next + INSIDE, 1);
+    x_next[LEFT_OUT] = p->x[LEFT_OUT];
 }
 
 static void model_outputs(Part* p) {
@@ -103,6 +124,7 @@ static void model_outputs(Part* p) {
     }
     y[3 * N_CHANNELS] = p->x[ANOMALY];
     y[3 * N_CHANNELS + 1] = p->x[INSIDE];
+    y[3 * N_CHANNELS + 2] = p->x[LEFT_OUT];
 }
 
 /* What is held does not change with the inputs, at the start neither. */

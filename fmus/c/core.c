@@ -110,7 +110,7 @@ static int put_out(Instance* c, Part* p) {
     const Model* m = p->model;
     m->outputs(p);
     for (unsigned i = m->first_output; i < m->n_variables; i++)
-        if (!isfinite(p->v[i]))
+        if (!isfinite(p->v[i]) && !(m->variables[i].may_lack && isnan(p->v[i])))
             return fail(c, "output %s = %g at time %g s is not a finite number", m->variables[i].name,
                         p->v[i], p->v[0]);
     return 0;
@@ -282,7 +282,7 @@ int core_set(Instance* c, unsigned vr, double value) {
     if (k->causality == OUTPUT) return fail(c, "%s is an output and cannot be set", k->name, 0, 0);
     if (k->causality == FIXED_PARAMETER && c->state->mode >= STEPPING)
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);
-    if (!isfinite(value))
+    if (!isfinite(value) && !(k->may_lack && isnan(value)))
         return fail(c, "%s = %g at time %g s is not a finite number", k->name, value, c->state->time);
     if (value < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, value, k->minimum);
     if (value > k->maximum) return fail(c, "%s = %g is above its maximum %g", k->name, value, k->maximum);

@@ -25,6 +25,7 @@ typedef struct {
     const char* name;
     int causality;
     double start, minimum, maximum;
+    int may_lack; /* may be NaN */
 } Variable;
 
 typedef struct {

@@ -1,6 +1,6 @@
 """Interface table of a compensator: what its file says as variables of an FMU."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from twin.component import Variable
@@ -66,11 +66,12 @@ def interface_model(
         variables=variables,
         dependencies=dependencies,
         initial_dependencies=dependencies,
-        state_names=(*memory, *held, "anomaly", "inside"),
+        state_names=(*memory, *held, "anomaly", "inside", "left_out"),
         max_step_s=MAX_STEP_S,
         glue="compensator.h",
         kernels=kernels,
         defines=defines,
+        may_lack=_may_lack(variables),
     )
     name = f" of {network.vehicle}" if network.vehicle else ""
     sees = {"free": "sees no measurement", "reconstruct": "sees the present measurement"}.get(
@@ -116,4 +117,15 @@ def _outputs(network: NetworkFile) -> list[Variable]:
         Variable("anomaly", "output", "1", "Strangeness of the residual; above 1 is unusual")
     )
     inside = "Whether the flight is within the training's envelope; outside nothing is corrected"
-    return [*table, Variable("inside", "output", "1", inside, boolean=True)]
+    left_out = "Samples so far that were left out, as an input was no number"
+    table.append(Variable("inside", "output", "1", inside, boolean=True))
+    return [*table, Variable("left_out", "output", "1", left_out)]
+
+
+def _may_lack(variables: Iterable[Variable]) -> frozenset[str]:
+    """Signals, which may be no number for a while, and each of them with its correction."""
+    return frozenset(
+        v.name
+        for v in variables
+        if (v.causality == "input" and not v.boolean) or v.name.startswith("corrected.")
+    )

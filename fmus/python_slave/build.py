@@ -143,6 +143,7 @@ def _network_text(network: NetworkFile, model: FmuModel) -> str:
         "n_commands": len(network.commands),
         "sensors": network.group_of_channel if network.sees_measurements else None,
         "uncorrected_rms": network.uncorrected_rms,
+        "may_lack": sorted(part.may_lack),
     }
     return json.dumps(content, allow_nan=False, indent=1)
 

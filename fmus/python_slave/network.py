@@ -34,6 +34,7 @@ class Network:
     sensors: tuple[int, ...] | None
     uncorrected_rms: tuple[float, ...]
     session: Any
+    may_lack: frozenset[str]
 
     sampling = SimpleNamespace(period="sample_period", lines=())
 
@@ -64,19 +65,24 @@ class Network:
         return x
 
     def sampled(self, x: Array, u: Array) -> Array:
-        """State after a sample: the network's own, then what it put out."""
+        """State after a sample: the network's own, then what it put out, then samples left out."""
         n, m = len(self.uncorrected_rms), self.n_commands
         measured = valid = np.zeros(n)
         if self.sensors is not None:
             measured, valid = u[n + m + 1 :][:n], u[2 * n + m + 1 :][list(self.sensors)]
+            measured = np.where(valid > 0.5, measured, 0.0)
+        if np.isnan([*u[: n + m + 1], *measured]).any():
+            return np.concatenate(
+                [x[: self.state_size], self.start()[self.state_size : -1], [x[-1] + 1]]
+            )
         rows = (u[:n], u[n : n + m], u[n + m : n + m + 1], measured, valid, x[: self.state_size])
         names = ("virtual", "command", "phase", "measured", "valid", "state")
         fed = {k: v[None].astype(np.float32) for k, v in zip(names, rows, strict=True)}
         *said, state = self.session.run(None, fed)
-        return np.concatenate([state[0], *(s[0] for s in said)]).astype(np.float64)
+        return np.concatenate([state[0], *(s[0] for s in said), x[-1:]]).astype(np.float64)
 
     def outputs(self, x: Array, u: Array) -> Array:
-        """Held correction, corrected inputs, spread, anomaly, inside."""
+        """Held correction, corrected inputs, spread, anomaly, inside, samples left out."""
         n = len(self.uncorrected_rms)
         correction, rest = x[self.state_size :][:n], x[self.state_size + n :]
         return np.concatenate([correction, u[:n] + correction, rest])
@@ -108,6 +114,11 @@ class NetworkSlave(ComponentSlave):
 
     run_type = NetworkRun
 
+    @property
+    def may_lack(self) -> frozenset[str]:
+        """Of the network."""
+        return _network().may_lack
+
     @staticmethod
     def described() -> Any:
         """What runs here."""
@@ -128,6 +139,7 @@ def _network() -> Network:
         n_commands=fields["n_commands"],
         sensors=None if fields["sensors"] is None else tuple(fields["sensors"]),
         uncorrected_rms=tuple(fields["uncorrected_rms"]),
+        may_lack=frozenset(fields["may_lack"]),
         session=onnxruntime.InferenceSession(
             Path(__file__).with_name("model.onnx").read_bytes(),
             options,

@@ -69,6 +69,12 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     run_type = Run
     """What steps it."""
 
+    @property
+    def may_lack(self) -> frozenset[str]:
+        """Variables that may be no number: none."""
+        return frozenset()
+
+
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         with contextlib.suppress(ValueError):  # of no use any more, and a trap once it is deleted
@@ -151,7 +157,8 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
                 self._refuse(
                     f"{variable.name} is fixed once initialization has ended; reset the FMU first"
                 )
-            check_range(self._component.name, variable, value)
+            if not (variable.name in self.may_lack and np.isnan(value)):
+                check_range(self._component.name, variable, value)
             self._v[vr - 1] = value
         self._stale = True
 
@@ -214,8 +221,12 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
             self._refuse(otherwise)
 
     def _check_finite(self, kind: str, table: tuple[Any, ...], values: Array) -> None:
-        if not np.isfinite(values).all():
-            i = int(np.flatnonzero(~np.isfinite(values))[0])
+        wrong = ~np.isfinite(values)
+        if wrong.any():
+            allowed = [v.name in self.may_lack for v in table]
+            wrong &= ~(np.isnan(values) & allowed)
+        if wrong.any():
+            i = int(np.flatnonzero(wrong)[0])
             self._refuse(
                 f"{kind} {table[i].name} = {values[i]} at time {self._time_s:g} s: "
                 f"the simulation has diverged"

@@ -6,6 +6,8 @@
 Few and wide operators, since most of the time of a small network goes into their calls.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import onnx
 import torch
@@ -24,6 +26,7 @@ Array = NDArray[np.float64]
 INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
 _N = len(CHANNELS)
+_FLOAT = onnx.TensorProto.FLOAT
 
 
 def streaming_model(compensator: Compensator) -> onnx.ModelProto:
@@ -41,17 +44,49 @@ def streaming_model(compensator: Compensator) -> onnx.ModelProto:
     )
 
 
+@dataclass(frozen=True)
+class _Sample:
+    """Names of what came in, zero throughout where a number is none.
+
+    Attributes:
+        whole: Whether every number is one, Boolean of shape (1, 1).
+        measured: "" where nothing measured is looked at, as `valid`.
+    """
+
+    whole: str
+    virtual: str
+    command: str
+    phase: str
+    measured: str = ""
+    valid: str = ""
+
+
+def _sample(g: Graph, model: Compensator) -> _Sample:
+    names, widths = ["virtual", "command", "phase"], [_N, model.info.n_commands, 1]
+    if model.info.protocol != "free":
+        fresh = g.op("Greater", "valid", g.floats([[0.5]]))
+        names += [g.op("Where", fresh, "measured", "virtual"), "valid"]
+        widths += [_N, _N]
+    given = g.concat(*names, axis=1)
+    none = g.op("IsNaN", g.op("Sub", given, given))  # of an infinite number, too
+    lost = g.op("ReduceMax", g.op("Cast", none, to=_FLOAT), axes=[1], keepdims=1)
+    whole = g.op("Less", lost, g.floats([[0.5]]))
+    parts = g.split(g.op("Where", whole, given, g.floats([np.zeros(sum(widths))])), widths, axis=1)
+    return _Sample(whole, *parts)
+
+
 def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
     rows, protocol = model.history, model.info.protocol
     past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
-    here = _one_hot(g)
+    sample = _sample(g, model)
+    here = _one_hot(g, sample)
     mean, scale, expected = _tables(g, model, here)
     limited = protocol != "reconstruct"  # which looks at no feature
-    raw = _raw_features(g, model) if limited else ""
+    raw = _raw_features(g, model, sample) if limited else ""
     features = _features(g, model, raw) if model.network.sees_features else ""
     if rows:
-        past = _remembered(g, past, mean, scale, rows)
+        past = _remembered(g, sample, past, mean, scale, rows)
     if protocol == "free":  # elsewhere nothing looks at them, and their state stays as it is
         slow = _smoothed(g, model, features, slow)
     first = model.info.horizon * _N
@@ -61,8 +96,8 @@ def _step(g: Graph, model: Compensator) -> None:
     said = y
     if protocol == "track":
         lags = g.reshape(g.columns(past, first, rows * _N), -1, _N)
-        then, readings, begun = _read_then(g, model, readings, begun)
-        change = g.op("Div", g.op("Sub", then, "virtual"), scale)
+        then, readings, begun = _read_then(g, model, sample, readings, begun)
+        change = g.op("Div", g.op("Sub", then, sample.virtual), scale)
         seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
         products = g.op("Mul", seen, g.floats(numbers(model.base).T))
         said = g.op("Add", y, g.op("ReduceSum", products, g.integers(0), keepdims=1))
@@ -72,29 +107,26 @@ def _step(g: Graph, model: Compensator) -> None:
     correction = g.op("Add", mean, g.op("Mul", scale, said))
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
-    inside = _inside(g, model, raw) if limited else g.floats([[1.0]])
-    if limited:
-        g.output("correction", _N, "Where", inside, correction, g.floats(np.zeros((1, _N))))
-        g.output("spread", _N, "Where", inside, expected, g.floats(_row(model.rms)))
-    else:
-        g.output("correction", _N, "Identity", correction)
-        g.output("spread", _N, "Identity", expected)
-    g.output("anomaly", 1, "ReduceMax", alarm, axes=[0], keepdims=0)
-    g.output("inside", 1, "Cast", inside, to=onnx.TensorProto.FLOAT)
-    state = [v for v in (past, readings, begun, slow, cells) if v]
-    g.output("state_out", model.state_size, "Concat", *state, axis=1)
+    inside = g.op("And", sample.whole, _inside(g, model, raw)) if limited else sample.whole
+    g.output("correction", _N, "Where", inside, correction, g.floats(np.zeros((1, _N))))
+    g.output("spread", _N, "Where", inside, expected, g.floats(_row(model.rms)))
+    alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
+    g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
+    g.output("inside", 1, "Cast", inside, to=_FLOAT)
+    later = g.concat(past, readings, begun, slow, cells, axis=1)
+    g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
-def _one_hot(g: Graph) -> str:
+def _one_hot(g: Graph, sample: _Sample) -> str:
     """1 at the phase's code, shape (1, phases)."""
-    code = g.op("Clip", "phase", g.floats(0.0), g.floats(N_PHASES - 1))
+    code = g.op("Clip", sample.phase, g.floats(0.0), g.floats(N_PHASES - 1))
     away = g.op("Abs", g.op("Sub", code, g.floats([np.arange(N_PHASES)])))
     return g.op("Relu", g.op("Sub", g.floats([[1.0]]), away))
 
 
-def _raw_features(g: Graph, model: Compensator) -> str:
+def _raw_features(g: Graph, model: Compensator, sample: _Sample) -> str:
     """Virtual signals and commands that are features, in their units, shape (1, F)."""
-    both = g.op("Concat", "virtual", "command", axis=1)
+    both = g.op("Concat", sample.virtual, sample.command, axis=1)
     places = [*FEATURE_CHANNELS, *range(_N, _N + model.info.n_commands)]
     return g.op("Gather", both, g.integers(*places), axis=1)
 
@@ -115,22 +147,24 @@ def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
     return g.split(row, [_N] * 3, axis=1)
 
 
-def _remembered(g: Graph, past: str, mean: str, scale: str, rows: int) -> str:
+def _remembered(g: Graph, sample: _Sample, past: str, mean: str, scale: str, rows: int) -> str:
     """Standardised residuals, newest first, with the present one in front; (1, rows 15)."""
-    residual = g.op("Sub", g.op("Sub", "measured", "virtual"), mean)
+    residual = g.op("Sub", g.op("Sub", sample.measured, sample.virtual), mean)
     new = g.op("Div", residual, scale)
-    fresh = g.op("Greater", "valid", g.floats([[0.5]]))
+    fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
     held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, _N))
     return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * _N), axis=1)
 
 
-def _read_then(g: Graph, model: Compensator, readings: str, begun: str) -> tuple[str, str, str]:
+def _read_then(
+    g: Graph, model: Compensator, sample: _Sample, readings: str, begun: str
+) -> tuple[str, str, str]:
     """What the twin read at the newest known residual (1, 15); next state of the readings."""
     kept = g.op("Greater", begun, g.floats([[0.5]]))
-    rows = g.op("Where", kept, g.reshape(readings, -1, _N), "virtual")  # (readings, 15)
+    rows = g.op("Where", kept, g.reshape(readings, -1, _N), sample.virtual)  # (readings, 15)
     place, last = g.integers(0), model.readings - 1
     newest = g.op("Slice", rows, g.integers(0), g.integers(1), place)
-    newest = g.op("Where", g.op("Greater", "valid", g.floats([[0.5]])), "virtual", newest)
+    newest = g.op("Where", g.op("Greater", sample.valid, g.floats([[0.5]])), sample.virtual, newest)
     rows = g.concat(newest, g.op("Slice", rows, g.integers(0), g.integers(last), place), axis=0)
     then = g.op("Slice", rows, g.integers(last), g.integers(last + 1), place)
     return then, g.reshape(rows, 1, -1), g.floats([[1.0]])

@@ -138,6 +138,9 @@ class Compensator(nn.Module):
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """One sample.
 
+        A sample with a number that is none counts as not having been: nothing is corrected, it is
+        not inside, and the state stays as it is.
+
         Args:
             virtual: What the twin's sensors read, shape (1, 15).
             command: Motor commands, shape (1, m).
@@ -149,6 +152,31 @@ class Compensator(nn.Module):
         Returns:
             correction (1, 15), spread (1, 15), anomaly (1, 1), inside (1, 1), next state.
         """
+        if self.info.protocol == "free":
+            valid = torch.zeros_like(valid)  # nothing measured is looked at
+        measured = torch.where(valid > 0.5, measured, virtual)
+        given = torch.cat([virtual, command, phase, measured, valid], dim=-1)
+        whole = torch.isfinite(given).amin(-1, keepdim=True)
+        given = torch.where(whole, given, torch.zeros_like(given))
+        widths = [t.shape[-1] for t in (virtual, command, phase, measured, valid)]
+        parts = (*torch.split(given, widths, dim=-1), state)
+        *said, later = self._step(*parts)
+        nothing = (torch.zeros_like(said[0]), self.rms[None], *map(torch.zeros_like, said[2:]))
+        correction, spread, anomaly, inside = (
+            torch.where(whole, a, b) for a, b in zip(said, nothing, strict=True)
+        )
+        return correction, spread, anomaly, inside, torch.where(whole, later, state)
+
+    def _step(
+        self,
+        virtual: Tensor,
+        command: Tensor,
+        phase: Tensor,
+        measured: Tensor,
+        valid: Tensor,
+        state: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """One sample of finite numbers."""
         n, rows = len(CHANNELS), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
         past, readings, begun, slow, network_state = parts

@@ -238,7 +238,10 @@ PRIORS: dict[str, Prior] = {
         COMMON, "motion capture 36 to 100 ms, GNSS 100 to 200 ms", {"": Normal(0.0, 0.05)}
     ),
     "command_delay": Prior(
-        COMMON, "a loop and a frame of PWM", {"": Normal(0.004, 0.006)}, start=True
+        COMMON,
+        "a loop and a frame of PWM; 10 to 30 ms where commands come by radio",
+        {"": Normal(0.004, 0.012)},
+        start=True,
     ),
     "clock_offset": Prior(
         LAST,

@@ -339,7 +339,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
     ground, settings = naming.ground, found.settings.unnamed
-    stands = replace(naming.nothing, values=_calibrated(naming))
+    stands = _stands(naming)
     alone = find_equations(ground, stands, seed, settings)
     if alone is None or not explains_better(ground, naming.likely, alone, settings, stands):
         return found
@@ -348,12 +348,17 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     )
 
 
-def _calibrated(naming: Naming) -> dict[str, float]:
-    """Numbers that the file was unsure of, but for those of effects that are missing."""
+def _stands(naming: Naming) -> Fit:
+    """The model with what puts it right without a name: numbers that the file was unsure of, and
+    effects that are there and too small to be worth one."""
     b = naming.problem.beliefs
-    pairs = zip(b.names, b.spike, strict=True)
-    unsure = [n for n, sd in pairs if sd > 0 and n.partition(".")[0] not in naming.best.effects]
-    return {n: naming.shown.values[n] for n in unsure if n in naming.shown.values}
+    there = {c for c, p in naming.posterior.inclusion.items() if p >= 0.5}
+    rows = zip(b.names, b.spike, b.cause, strict=True)
+    known = [n for n, sd, cause in rows if sd > 0 or cause in there]
+    named, shown = naming.best.effects, naming.shown
+    values = {n: shown.values[n] for n in known if n in shown.values}
+    values = {n: v for n, v in values.items() if n.partition(".")[0] not in named}
+    return replace(naming.nothing, values=values, days=(naming.nothing if named else shown).days)
 
 
 def _shown(naming: Naming) -> Fit | None:

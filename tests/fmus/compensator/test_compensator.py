@@ -13,6 +13,7 @@ import numpy as np
 import onnx
 import pytest
 from compensator_rig import Rows, changed, compensator, exported, flight, rows_of, tiny
+from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from instance import Array, Instance, library, unzip
 from places import needs_package
@@ -227,6 +228,26 @@ def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
     np.testing.assert_array_equal(said["spread"][10:20], np.tile(model("free").rms, (10, 1)))
     assert said["inside"][20:].all()
     assert said["correction"][20:].all()
+
+
+@pytest.mark.parametrize("name", ["track", "slave track"])
+def test_a_sample_with_no_number_is_left_out_and_counted(new: New, name: str) -> None:
+    """The rest is that of a run without it, to the bit; what is not valid is never looked at."""
+    rows = rows_of(flight(model("track"), 30))
+    rows["measured"] = np.where(rows["valid"] > 0.5, rows["measured"], np.float32("nan"))
+    kept = [k for k in range(30) if k not in (10, 20)]
+    rest = {n: values[kept] for n, values in rows.items()}
+    right = outputs(fly(new(name).start(), rest, range(len(kept))))
+    rows["virtual"][10, 3] = rows["command"][20, 1] = np.float32("nan")
+    instance = new(name).start()
+    said = outputs(fly(instance, rows, range(30)))
+    for kind, values in right.items():
+        np.testing.assert_array_equal(said[kind][kept], values, kind)
+    assert not said["inside"][[10, 20]].any() and not said["correction"][[10, 20]].any()
+    assert list(np.flatnonzero(~np.isfinite(said["corrected"]).all(axis=1))) == [10]
+    assert instance.get("left_out") == 2
+    with pytest.raises(FMICallException):
+        instance.set({"gyro_x": float("inf")})
 
 
 # -- what FMI promises ----------------------------------------------------------------------

@@ -98,6 +98,22 @@ def test_state_of_the_graph_is_that_of_torch(protocol: Any) -> None:
     np.testing.assert_allclose(theirs, ours.numpy(), atol=1e-6)
 
 
+@pytest.mark.parametrize("protocol", ["reconstruct", "track", "free"])
+def test_a_sample_with_no_number_is_as_if_it_had_not_been(protocol: Any) -> None:
+    """To the bit; a measurement that is not said to be valid may be anything."""
+    model = compensator(protocol=protocol)
+    rows = rows_of(flight(model, 30))
+    rows["measured"] = np.where(rows["valid"] > 0.5, rows["measured"], np.float32("nan"))
+    graph, kept = streaming_model(model), [k for k in range(30) if k not in (10, 20)]
+    right = streamed(graph, {name: values[kept] for name, values in rows.items()})
+    rows["virtual"][10, 3], rows["command"][20, 1] = np.float32("nan"), np.float32("inf")
+    said = streamed(graph, rows)
+    for name, values in right.items():
+        assert np.isfinite(said[name]).all(), name
+        np.testing.assert_array_equal(said[name][kept], values, name)
+    assert not said["inside"][[10, 20]].any() and not said["correction"][[10, 20]].any()
+
+
 def test_outside_the_envelope_nothing_is_corrected() -> None:
     model = compensator()
     rows = rows_of(flight(model, 30))

@@ -115,6 +115,40 @@ def test_a_flight_cut_short_is_the_same_up_to_there(protocol: str, horizon: int,
     np.testing.assert_allclose(model.run(short).correction / UNITS, whole, atol=1e-5)
 
 
+@torch.no_grad()
+@pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
+@given(
+    which=st.sampled_from(["virtual", "command", "phase", "measured"]),
+    value=st.sampled_from([float("nan"), float("inf")]),
+)
+@settings(max_examples=8)
+def test_a_sample_with_no_number_is_as_if_it_had_not_been(
+    protocol: str, horizon: int, which: str, value: float
+) -> None:
+    model = untrained(protocol, horizon, tiny())
+    drawn = torch.Generator().manual_seed(0)
+    names = ("virtual", "command", "phase", "measured", "valid")
+    widths = (15, FLIGHT.commands.shape[1], 1, 15, 15)
+    samples = [
+        {n: torch.rand(1, w, generator=drawn) for n, w in zip(names, widths, strict=True)}
+        for _ in range(6)
+    ]
+    for sample in samples:
+        sample["valid"] = (sample["valid"] > 0.3).float()
+    broken = samples[3] | {"valid": torch.ones(1, 15), which: samples[3][which].clone()}
+    broken[which][0, 0] = value
+    one = torch.zeros(1, model.state_size)
+    for sample in samples[:3]:
+        *_, one = model.step(**sample, state=one)
+    *said, after = model.step(**broken, state=one)
+    if (protocol, which) == ("free", "measured"):
+        assert not torch.equal(after, one)  # it is not looked at
+        return
+    assert torch.equal(after, one)
+    assert not said[0].any() and not said[2].any() and not said[3].any()
+    assert torch.equal(said[1], model.rms[None])
+
+
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
 def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> None:
     """Each feature by itself; `reconstruct` only repeats what it is given and knows no envelope."""

@@ -8,6 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from search_rigs.hypotheses import against, fit_set
 
+from twin.component.sampled import noiseless_outputs
+from twin.explain.explanation import explain
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.whitening import Block, Ground
 from twin.explain.unnamed.equations import (
@@ -21,6 +23,8 @@ from twin.explain.unnamed.regression import fold_of, sparse
 from twin.explain.unnamed.terms import over
 from twin.frames import to_body
 from twin.logs import Flight
+from twin.logs.columns import MAG
+from twin.physics.sensors.magnetometer import magnetometer
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 
@@ -160,3 +164,21 @@ def test_power_by_frequency_is_the_power(n: int) -> None:
     assert _spectrum(values)[1].sum() == pytest.approx(values @ values)
     slow = np.sin(2 * np.pi * 1.5 * np.arange(n) / 50)
     assert _band([slow], 0.95) == pytest.approx(1.5, abs=0.2)
+
+
+@pytest.mark.slow
+def test_what_is_too_small_for_a_name_is_no_equation_either() -> None:
+    """A compass that nobody calibrated, 1.2 microtesla off, read without much noise."""
+    sensor, flights = magnetometer(COPTER), []
+    for seed in (1, 2):
+        flight = fly(COPTER, COPTER, seed=seed, name=f"compass_{seed}", waypoints=LEGS)
+        table, rng = flight.table.copy(), np.random.default_rng(seed)
+        rows = np.tile(sensor.input_values(), (len(table), 1))
+        for a in "wxyz":
+            turned = table[f"q_{a}"].interpolate(limit_direction="both")
+            rows[:, sensor.input_names.index(f"q_{a}")] = turned
+        field = noiseless_outputs(sensor, rows, 0.005) + np.array([8e-7, -8e-7, 4e-7])
+        noisy = field + 5e-8 * rng.standard_normal(field.shape)
+        flights.append(replace(flight, table=table.assign(**dict(zip(MAG, noisy.T, strict=True)))))
+    found = explain(flights[:1], flights[1:], COPTER, missions=(), suggest=False)
+    assert found.verdict == "nothing"

@@ -110,7 +110,8 @@ def find_equations(
         seed: Draws which blocks of time are left out together.
         settings: Terms, their price, and when an equation is worth having.
     """
-    left = fitted.on_its_days(ground.model).channels([], fitted.values)
+    days = fitted.on_its_days(ground.model).channels([], fitted.values)
+    left = [[_about_its_day(c) for c in flight] for flight in days]
     keys = list(blocks_of(left, ground.noise, ground.settings))
     search = _Search(fold_of(keys, seed, settings), settings, ground.settings)
     known = _shared([quantities(f) for f in ground.model.flights], left)
@@ -311,6 +312,11 @@ def smallest(channel: str, ground: Ground) -> float:
     sensor = sensor_of(channel)
     assert sensor is not None, channel
     return SMALLEST * sensor.size(ground.model.vehicle)[sensor.channels.index(channel)]
+
+
+def _about_its_day(c: ChannelData) -> ChannelData:
+    """Without its mean where that is the weather's, or the place's: no law says it."""
+    return c if _of_body(c.name) else replace(c, residual=c.residual - c.residual.mean())
 
 
 def _of_body(channel: str) -> bool:

@@ -16,6 +16,7 @@ from twin.explain.inference.bounds import Bounds, edges
 from twin.explain.inference.fit import Fit, worth_a_name
 from twin.explain.inference.inclusion import Posterior, Weighed
 from twin.explain.inference.search import Found
+from twin.explain.inference.search import search as climbed
 from twin.explain.inference.selection import Naming, Resemblance, _named, name_effects
 from twin.explain.inference.whitening import Ground
 from twin.explain.model.numbers import at_voltage, numbers_of
@@ -128,6 +129,16 @@ def test_an_aircraft_that_nobody_has_calibrated_lacks_more_than_three_effects() 
     assert naming.verdict == "named"
     assert {"thrust_scale", "baro_bias", "rotor_drag"} <= set(naming.best.effects)
     assert any(e.startswith("mag_") for e in naming.best.effects)
+
+
+@pytest.mark.parametrize("loss", [0.15, 0.3])
+def test_a_weak_rotor_is_found_where_others_stand_in_for_it(loss: float) -> None:
+    """It loses no torque, which no step from none lost can tell: a linear one rules it out."""
+    weak = {"rotor_efficiency_loss": {"loss_2": loss, "torque_share": 0.0}}
+    flight = fly(CRAZYFLIE, CRAZYFLIE.with_effects(weak), seed=4, name="weak", waypoints=ROUND)
+    pair = ("cog_offset", "thrust_scale")
+    found = climbed(against(flight, CRAZYFLIE, *pair, "rotor_efficiency_loss"), pair)
+    assert found.state.effects == ("rotor_efficiency_loss:2",)
 
 
 def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flight) -> None:
