@@ -74,7 +74,6 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         """Variables that may be no number: none."""
         return frozenset()
 
-
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         with contextlib.suppress(ValueError):  # of no use any more, and a trap once it is deleted
