@@ -154,6 +154,11 @@ class Effect:
         """What follows its states, if something does."""
         return self.seen_as.observer if isinstance(self.seen_as, Equation) else None
 
+    @property
+    def mistaken_for(self) -> tuple[str, ...]:
+        """See `Equation.mistaken_for`."""
+        return self.seen_as.mistaken_for if isinstance(self.seen_as, Equation) else ()
+
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""
         sized = [p.sized(vehicle) for p in self.parameters]

@@ -61,10 +61,14 @@ class Equation:
     Attributes:
         observer: Follows its states instead.
         turns_pose: Number that turns the logged attitude about the vertical.
+        mistaken_for: Effects that together do much of what one part of it does, so that no step
+            from none of it on leads to it; where one of them is, each part is tried in the place
+            of the first.
     """
 
     observer: Observer | None = None
     turns_pose: str | None = None
+    mistaken_for: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,6 +34,12 @@ def test_every_effect_of_a_module_is_in_its_list() -> None:
     assert not missing, f"in no list EFFECTS of twin/effects: {missing}"
 
 
+def test_what_an_effect_is_mistaken_for_is_an_effect() -> None:
+    named = {other for e in EFFECTS.values() for other in e.mistaken_for}
+    assert named <= {*EFFECTS}
+    assert named
+
+
 def literals(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Strings of a module that are no docstring, with their lines."""
     prose = {id(s.value) for s in ast.walk(tree) if isinstance(s, ast.Expr)}

@@ -29,7 +29,6 @@ FEW = 8
 """Effects of a set up to which two are dropped at once: they may stand for a third together."""
 CLEAR = 15.0
 """Nats that the linearisation gives an effect from which on it is not fitted without it again."""
-CENTRE, LIFT, ROTOR = "cog_offset", ("thrust_scale", "mass_offset"), "rotor_efficiency_loss"
 WORTH = 0.3
 """Nats that a move has to gain."""
 SHORT = 3.0
@@ -109,7 +108,7 @@ def search_on(
             or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
             or _verified(problem, judge, state, tried, _weak(judge, state))
             or _verified(problem, judge, state, tried, _alone(state))
-            or _verified(problem, judge, state, tried, _one_rotor(problem, state))
+            or _verified(problem, judge, state, tried, _mistaken(problem, state))
             or _anew(problem, state, tried, begun)
             or _followed(problem, judge, state, tried, begun, -np.inf)
         )
@@ -250,19 +249,23 @@ def _alone(state: State) -> list[Trial]:
     return sets
 
 
-def _one_rotor(problem: Problem, state: State) -> list[Trial]:
-    """The set with each rotor by itself, as it is expected, in the place of the centre of mass.
+def _mistaken(problem: Problem, state: State) -> list[Trial]:
+    """The set with each part of an effect by itself, as it is expected, in the place of what it is
+    mistaken for.
 
     A weak rotor lifts less and turns the aircraft, as a smaller thrust and another place of the
     centre of mass do together, were it that of the day. How much torque it loses with its thrust is
     no linear number while it loses none: where both stand in for it, the linearisation rules it out
     by its torque.
     """
-    rest = [e for e in state.effects if e != CENTRE]
-    if not {CENTRE, *LIFT} & {*state.effects} or any(effect_of(e) == ROTOR for e in rest):
-        return []
-    rotors = [c for c in problem.beliefs.causes if effect_of(c) == ROTOR]
-    return [(tuple(sorted((*rest, c))), c) for c in rotors]
+    on = {effect_of(c) for c in state.effects}
+    sets: list[Trial] = []
+    for c in problem.beliefs.causes:
+        others = EFFECTS[effect_of(c)].mistaken_for
+        if on & {*others} and effect_of(c) not in on:
+            rest = [e for e in state.effects if e != others[0]]
+            sets.append((tuple(sorted((*rest, c))), c))
+    return sets
 
 
 def _followed(
