@@ -99,11 +99,24 @@ def best_with(naming: Naming, effect: str) -> Fit:
     return next(f for f in naming.fitted if effect in f.effects)
 
 
-def intervals(fitted: Fit) -> dict[str, tuple[float, float]]:
-    """95 % intervals, "effect.number" -> low, high."""
+def told_together(found: Explanation) -> int:
+    """How many effects are told at once, those among them that something acts like."""
+    resembled = () if found.naming is None else found.naming.resemblances
+    return len(listed_effects(found)) + len(resembled)
+
+
+def intervals(found: Explanation) -> dict[str, tuple[float, float]]:
+    """95 % intervals of what is told, "effect.number" -> low, high.
+
+    Those of the posterior hold what noise and prior leave open. The more effects are told, the more
+    is open beside that, which `SelectionSettings.beside` counts.
+    """
+    assert found.naming is not None
+    told = found.naming.told
+    wider = math.sqrt(1 + found.naming.settings.beside * told_together(found))
     return {
-        n.full: (fitted.values[n.full] - float(w), fitted.values[n.full] + float(w))
-        for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)
+        n.full: (told.values[n.full] - wider * float(w), told.values[n.full] + wider * float(w))
+        for n, w in zip(told.numbers, told.half_widths, strict=True)
     }
 
 
@@ -120,7 +133,7 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
         ]
     assert found.naming is not None
     told, beliefs = found.naming.told, found.naming.problem.beliefs
-    tension, sure = beliefs.tension(told.values), intervals(told)
+    tension, sure = beliefs.tension(told.values), intervals(found)
     prior = dict(zip(beliefs.names, beliefs.slab, strict=True))
     return [
         Estimate(

@@ -7,7 +7,7 @@ import pytest
 from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against
 
-from twin.explain.estimates import calibrated_effects
+from twin.explain.estimates import calibrated_effects, estimates_of
 from twin.explain.explanation import Explanation, explain
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import _resemblances, name_effects
@@ -58,6 +58,13 @@ def test_an_error_of_six_deviations_has_a_name() -> None:
     assert "mass_offset" in found.naming.named
     assert found.values["mass_offset.mass_kg"] == pytest.approx(0.12 * COPTER.mass_kg, rel=0.2)
     assert calibrated_effects(found) == []
+    told = found.naming.told
+    width = dict(zip((n.full for n in told.numbers), told.half_widths.tolist(), strict=True))
+    n = len(found.naming.named) + len(found.naming.resemblances)
+    (mass,) = estimates_of(found, "mass_offset")
+    assert mass.ci95 is not None
+    low, high = mass.ci95  # a variance for itself and one for each effect that is told
+    assert (high - low) / 2 == pytest.approx((1 + n) ** 0.5 * width["mass_offset.mass_kg"])
 
 
 @pytest.mark.slow

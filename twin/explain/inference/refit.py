@@ -90,6 +90,7 @@ class Problem:
         noise: What is known of the noise.
         rest: The model as it stands, with slopes by every number.
         settings: See `evidence`.
+        kappas: By how much days may differ over what is usual: of one flight, nobody can tell.
     """
 
     model: Model
@@ -98,13 +99,9 @@ class Problem:
     noise: Noise
     rest: Spectrum
     settings: EvidenceSettings = DEFAULT.inference.evidence
+    kappas: tuple[float, ...] = (1.0,)
 
     __repr__ = short_repr
-
-    @property
-    def kappas(self) -> tuple[float, ...]:
-        """By how much days may differ over what is usual: of one flight, nobody can tell."""
-        return KAPPAS if len(self.model.flights) > 1 else (1.0,)
 
     @classmethod
     def of(
@@ -134,7 +131,8 @@ class Problem:
         silent = silent_bands(flights, settings.coherent) if gated else frozenset()
         noise = Noise.of(rest, sizes, settings, silent)
         odds = {c: v - gained_by_following(c, rest, noise) for c, v in beliefs.odds.items()}
-        return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings)
+        kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
+        return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings, kappas)
 
     def judge(self, spectrum: Spectrum) -> Judge:
         """Sets of effects in a linearisation."""
@@ -186,7 +184,10 @@ class Problem:
         return found
 
     def accustomed(self, state: State) -> "Problem":
-        """The same with days that differ as those of its flights do, number by number."""
+        """The same with days that differ as those of its flights do, number by number.
+
+        By how much is known then, and no common factor is asked for once more.
+        """
         shown, left = self.between_days(state), self.constants_between_days(state)
         pairs = zip(self.beliefs.names, self.beliefs.day, strict=True)
         day = np.array([shown.get(n, usual) for n, usual in pairs])
@@ -195,6 +196,7 @@ class Problem:
             self,
             beliefs=replace(self.beliefs, day=day),
             noise=replace(self.noise, floor={**self.noise.floor, **constants}),
+            kappas=(1.0,),
         )
 
     def linearised(self, state: State) -> Judge:

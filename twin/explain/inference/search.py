@@ -250,21 +250,23 @@ def _alone(state: State) -> list[Trial]:
 
 
 def _mistaken(problem: Problem, state: State) -> list[Trial]:
-    """The set with each part of an effect by itself, as it is expected, in the place of what it is
-    mistaken for.
+    """The set with each part of an effect by itself, as it is expected, in the place of one effect
+    that it is mistaken for.
 
     A weak rotor lifts less and turns the aircraft, as a smaller thrust and another place of the
     centre of mass do together, were it that of the day. How much torque it loses with its thrust is
     no linear number while it loses none: where both stand in for it, the linearisation rules it out
-    by its torque.
+    by its torque. Either may be there as well.
     """
     on = {effect_of(c) for c in state.effects}
     sets: list[Trial] = []
     for c in problem.beliefs.causes:
-        others = EFFECTS[effect_of(c)].mistaken_for
-        if on & {*others} and effect_of(c) not in on:
-            rest = [e for e in state.effects if e != others[0]]
-            sets.append((tuple(sorted((*rest, c))), c))
+        if effect_of(c) in on:
+            continue
+        for other in EFFECTS[effect_of(c)].mistaken_for:
+            if other in on:
+                rest = [e for e in state.effects if e != other]
+                sets.append((tuple(sorted((*rest, c))), c))
     return sets
 
 

@@ -141,6 +141,16 @@ def test_a_weak_rotor_is_found_where_others_stand_in_for_it(loss: float) -> None
     assert found.state.effects == ("rotor_efficiency_loss:2",)
 
 
+def test_a_weak_rotor_is_found_beside_another_centre_of_mass() -> None:
+    """A smaller thrust and a centre of mass that is moved a little more say nearly the same."""
+    moved = {"x_m": 0.1 * CRAZYFLIE.arm_m, "y_m": -0.06 * CRAZYFLIE.arm_m, "z_m": 0.0}
+    weak = {"rotor_efficiency_loss": {"loss_2": 0.1, "torque_share": 0.5}, "cog_offset": moved}
+    flight = fly(CRAZYFLIE, CRAZYFLIE.with_effects(weak), seed=4, name="both", waypoints=ROUND)
+    pair = ("cog_offset", "thrust_scale")
+    found = climbed(against(flight, CRAZYFLIE, *pair, "rotor_efficiency_loss"), pair)
+    assert found.state.effects == ("cog_offset", "rotor_efficiency_loss:2")
+
+
 def test_a_voltage_comes_from_the_flights_where_the_vehicle_has_none(quiet: Flight) -> None:
     (number,) = (n for n in numbers_of([EFFECTS["battery_sag"]], COPTER) if n.shape)
     flight = replace(quiet, table=quiet.table.assign(vbat_v=11.6))
