@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, ComponentBuilder
-from ..effects import Blocks, Effect, effects_of
+from ..effects import Blocks, Effect, Period, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
 from ..errors import ModelError
 from ..frames import carried, cross, quaternion_rate, to_body, to_ned
@@ -31,14 +31,30 @@ Array = NDArray[np.float64]
 AXES = ("x", "y", "z")
 _FRD = ("forward", "right", "down")
 _NED = ("north", "east", "down")
+RESTART_PERIOD_S = 1e-3
+"""The communication step of the co-simulation."""
+_RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
 START_HEIGHT_M = 10.0
 """Height at which the airframe starts, in hover, when no start value says otherwise."""
+_START = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
+_MOTION = (
+    *((f"pos_{a}", "m", f"position, NED {d}") for a, d in zip(AXES, _NED, strict=True)),
+    *((f"vel_{a}", "m/s", f"velocity, NED {d}") for a, d in zip(AXES, _NED, strict=True)),
+    *((f"q_{a}", "1", f"attitude quaternion body to NED, {a}") for a in "wxyz"),
+    *((f"omega_{a}", "rad/s", f"body rate about {d}") for a, d in zip(AXES, _FRD, strict=True)),
+)
+"""States of the rigid body: name, unit, meaning."""
 
 
 def airframe(
-    vehicle: Vehicle, drive: Drive | None = None, effects: Iterable[str] = ()
+    vehicle: Vehicle,
+    drive: Drive | None = None,
+    effects: Iterable[str] = (),
+    restart: bool = False,
 ) -> Component:
     """The airframe of a vehicle as a component; its start values are a hover at 10 m.
+
+    Inputs `force_*` and `moment_*` are what acts on it from outside; zero unless connected.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
@@ -47,27 +63,37 @@ def airframe(
         effects: Effects to build in, switched off, as blocks of parameters: identifiers of
             `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
             the vehicle are always in, and on.
+        restart: Whether it can be set anew while it runs: inputs `restart` and `restart.pos_x`
+            to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is
+            true its motion is the given one; rotors and memories go on as they are.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
     """
     wanted = {*effects, *vehicle.effects}
     chosen = [e for e in effects_of("airframe") if e.name in wanted]
-    component = _equations(vehicle, drive or vehicle.drive, chosen)
+    component = _equations(vehicle, drive or vehicle.drive, chosen, restart)
     return component.with_starts(hover_trim(component, vehicle))
 
 
-def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Component:
+def _equations(
+    vehicle: Vehicle, drive: Drive, effects: Sequence[Effect], restart: bool
+) -> Component:
     m = ComponentBuilder(
         "airframe", f"Six-degree-of-freedom airframe of {vehicle.name}, driven by {drive}"
     )
     blocks = Blocks(m, vehicle, effects)
     inputs = rotor_inputs(m, vehicle, drive)
     periods = sorted((e.period for e in effects if e.period), key=lambda p: p.seconds)
+    if restart:
+        periods.insert(0, _RESTARTS)
     if periods:
         m.sampled(periods[0].seconds, periods[0].description)
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     motion = _motion(m, vehicle, blocks, z_ground)
+    if restart:
+        _set_anew(m, motion)
+    outside = _outside(m)
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
     wrench = blocks.apply(_wrench(m, vehicle, rotors))
     contact = ground_contact(
@@ -77,14 +103,17 @@ def _equations(vehicle: Vehicle, drive: Drive, effects: Sequence[Effect]) -> Com
     m.idle_while(ca.logic_and(blocks.off(), contact.out_of_reach), contact.step, switches)
     blocks.idle()
 
-    specific_force_b = [
-        (f + c) / motion.body.mass for f, c in zip(wrench.force, contact.force, strict=True)
-    ]
+    force_b, moment_b = (
+        [a + b + c for a, b, c in zip(*parts, strict=True)]
+        for parts in (
+            (wrench.force, contact.force, outside[:3]),
+            (wrench.moment, contact.moment, outside[3:]),
+        )
+    )
+    specific_force_b = [f / motion.body.mass for f in force_b]
     acceleration_n = to_ned(motion.q_nb, specific_force_b)
     acceleration_n[2] += motion.gravity
-    angular_acceleration_b = _angular_acceleration(
-        motion, [a + b for a, b in zip(wrench.moment, contact.moment, strict=True)]
-    )
+    angular_acceleration_b = _angular_acceleration(motion, moment_b)
     for i, axis in enumerate(AXES):
         m.derivative(f"pos_{axis}", motion.vel_n[i])
         m.derivative(f"vel_{axis}", acceleration_n[i])
@@ -235,6 +264,33 @@ def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.
     )
 
 
+def _outside(m: ComponentBuilder) -> list[ca.SX]:
+    """What acts from outside: force and moment about the centre of mass, body FRD; zero alone."""
+    return [
+        m.input(f"{name}_{a}", unit, f"{meaning} {d}")
+        for name, unit, meaning in (
+            ("force", "N", "Force from outside, body"),
+            ("moment", "N.m", "Moment from outside about"),
+        )
+        for a, d in zip(AXES, _FRD, strict=True)
+    ]
+
+
+def _set_anew(m: ComponentBuilder, motion: Motion) -> None:
+    """Let inputs set position, velocity, attitude and rates while the component runs."""
+    now = m.input("restart", "1", "Whether the motion is the given one", boolean=True)
+    given = {
+        name: m.input(f"restart.{name}", unit, f"Given {meaning}", _START.get(name, 0.0))
+        for name, unit, meaning in _MOTION
+    }
+    q = [given[f"q_{a}"] for a in "wxyz"]
+    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
+    given |= {f"q_{a}": c / ca.fmax(length, 1e-12) for a, c in zip("wxyz", q, strict=True)}
+    states = (*motion.pos_n, *motion.vel_n, *motion.q_nb, *motion.omega_b)
+    for (name, _, _), state in zip(_MOTION, states, strict=True):
+        m.update(name, ca.if_else(now > 0.5, given[name], state))
+
+
 def _angular_acceleration(motion: Motion, moment_b: Sequence[ca.SX]) -> list[ca.SX]:
     """Euler's equation: `J domega/dt = M - omega x (J omega)`."""
     inertia, omega_b = motion.body.inertia, motion.omega_b
@@ -252,24 +308,17 @@ def _motion_states(
     m: ComponentBuilder,
 ) -> tuple[dict[str, ca.SX], list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
     """Start values by name; position and velocity NED, attitude, body rates."""
-    start = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
-    rows = (
-        [(f"pos_{a}", "m", f"position, NED {d}") for a, d in zip(AXES, _NED, strict=True)]
-        + [(f"vel_{a}", "m/s", f"velocity, NED {d}") for a, d in zip(AXES, _NED, strict=True)]
-        + [(f"q_{a}", "1", f"attitude quaternion body to NED, {a}") for a in "wxyz"]
-        + [(f"omega_{a}", "rad/s", f"body rate about {d}") for a, d in zip(AXES, _FRD, strict=True)]
-    )
     initial = {
         name: m.parameter(
-            f"initial.{name}", start.get(name, 0.0), unit, f"Initial {meaning}", fixed=True
+            f"initial.{name}", _START.get(name, 0.0), unit, f"Initial {meaning}", fixed=True
         )
-        for name, unit, meaning in rows
+        for name, unit, meaning in _MOTION
     }
     q0 = [initial[f"q_{a}"] for a in "wxyz"]
     norm = ca.sqrt(sum((c * c for c in q0), start=ca.SX(0)))
     for a in "wxyz":
         initial[f"q_{a}"] = initial[f"q_{a}"] / norm
-    x = {name: m.state(name, unit, meaning, initial[name]) for name, unit, meaning in rows}
+    x = {name: m.state(name, unit, meaning, initial[name]) for name, unit, meaning in _MOTION}
     q = [x[f"q_{a}"] for a in "wxyz"]
     length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
     for a, c in zip("wxyz", q, strict=True):
