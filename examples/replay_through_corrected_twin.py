@@ -1,6 +1,6 @@
-"""Replay a flight through the fused FMU, in FMPy: again and again it is set to the measured motion.
+"""Replay a flight through the fused FMU, in FMPy: it follows the aircraft, then flies alone.
 
-You will see how far the twin is off half a second after each of these restarts:
+You will see how far it is off half a second later, without what it learned meanwhile and with:
     python examples/replay_through_corrected_twin.py [LOG VEHICLE]
 Without a log, a built-in flight in which an effect is hidden.
 """
@@ -18,39 +18,41 @@ from twin.residuals.aligned import align_flight
 from twin.residuals.short_horizon import whole_windows
 from twin.residuals.teacher_forced import GRID_S, RIGID, choose_drive
 from uavtwin.demo.flights import fly, hide
-from uavtwin.driving import driving_inputs
+from uavtwin.driving import driving_inputs, true_motion
 
-ALONE = 500
-"""Steps of 1 ms between a restart and the moment at which the twin is looked at."""
+FOLLOW, ALONE = 1000, 500  # steps of 1 ms, again and again
 
 
 def main(flight: ut.Flight, vehicle: ut.Vehicle) -> None:
-    """Replay, print a line per quantity."""
+    """Replay twice, print a line per quantity."""
     aligned = align_flight(flight, vehicle)
-    restarts = whole_windows(aligned, ALONE + 1)
-    ends, given = restarts + ALONE, driving_inputs(aligned, restarts)
+    starts = whole_windows(aligned, FOLLOW + ALONE)
+    followed, ends = starts[:, None] + np.arange(1, FOLLOW + 1), starts + FOLLOW + ALONE
     twin = ut.twin(vehicle, drive=choose_drive(flight, vehicle))
+    runs = []
     with tempfile.TemporaryDirectory() as folder:
-        run = fmpy.simulate_fmu(
-            str(ut.export(twin, Path(folder, "twin.fmu")).paths[0]),
-            stop_time=given["time"][-1],
-            output_interval=GRID_S,
-            input=given,
-            output=[f"airframe.{s}" for s in RIGID],
-        )
-    names = [s.name for s in aligned.airframe.states]
-    print(f"{flight.name}: {len(ends)} restarts; {ALONE} ms later, root mean square")
+        fmu = ut.export(twin, Path(folder, "twin.fmu")).paths[0]
+        for learns in (False, True):
+            run = fmpy.simulate_fmu(
+                str(fmu),
+                stop_time=GRID_S * ends[-1],
+                output_interval=GRID_S,
+                start_values={"airframe.disturbance.enabled": learns},
+                input=driving_inputs(flight, vehicle, aligned, followed),
+                output=[f"airframe.{s}" for s in RIGID],
+            )
+            runs.append(np.column_stack([run[f"airframe.{s}"][ends] for s in RIGID]))
+    there = true_motion(vehicle, aligned)[ends]
+    print(f"{flight.name}, {len(ends)} times; {ALONE} ms later, rms without and with it")
     for stem, unit in (("pos", "m"), ("vel", "m/s"), ("q", "rad"), ("omega", "rad/s")):
-        parts = [s for s in RIGID if s.startswith(f"{stem}_")]
-        there = aligned.states[ends][:, [names.index(s) for s in parts]]
-        here = np.column_stack([run[f"airframe.{s}"][ends] for s in parts])
-        off = rotation_vector(here, there) if stem == "q" else here - there
-        print(f"{stem:6} {np.sqrt(np.mean(np.sum(off**2, axis=1))):8.4f} {unit}")
+        at = [i for i, s in enumerate(RIGID) if s.startswith(f"{stem}_")]
+        minus = rotation_vector if stem == "q" else np.subtract
+        off = [minus(run[:, at], there[:, at]) for run in runs]
+        rms = [np.sqrt(np.mean(np.sum(values**2, axis=1))) for values in off]
+        print(f"{stem:6} {rms[0]:8.4f} {rms[1]:8.4f} {unit}")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 3:
-        main(ut.read_flight(sys.argv[1]), ut.load_vehicle(sys.argv[2]))
-    else:
-        copter = ut.vehicle("copter_default")
-        main(fly(copter, hide(copter, seed=1).plant, seed=1), copter)
+    log, name = sys.argv[1:] or ("", "copter_default")
+    vehicle = ut.load_vehicle(name)
+    main(ut.read_flight(log) if log else fly(vehicle, hide(vehicle, 1).plant, seed=1), vehicle)

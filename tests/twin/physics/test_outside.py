@@ -88,10 +88,11 @@ def test_motion_becomes_the_given_one_and_rotors_go_on() -> None:
 
 
 def test_without_a_restart_it_is_the_airframe_as_ever() -> None:
-    run, _ = running()
+    run, rig = running()
     plain_rig = in_air(FREE)
     path = plain_rig.fly(plain_rig.state(), plain_rig.commands([0.5, 0.45, 0.47, 0.52]), 0.5)
-    np.testing.assert_array_equal(run.x, path[-1])
+    mine = run.x[[rig.names.index(n) for n in plain_rig.names]]
+    np.testing.assert_array_equal(mine, path[-1])
 
 
 def test_a_given_attitude_is_made_a_unit_quaternion() -> None:
@@ -100,3 +101,48 @@ def test_a_given_attitude_is_made_a_unit_quaternion() -> None:
     u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in given_now.items()}})
     run.step(0.5, 1e-3, u)
     assert np.linalg.norm(rig.vector(run.x, "q")) == pytest.approx(1, abs=1e-12)
+
+
+# -- disturbance ---------------------------------------------------------------------------
+
+LACKING = {**vec("force", (0.4, -0.3, 0.8)), **vec("moment", (0.02, -0.01, 0.005))}
+LAG_S, FADE_S = 0.1, 0.5
+
+
+def test_what_the_equations_lack_is_learned_and_fades() -> None:
+    """A plant that a constant force and moment push, in body axes; exponential both ways."""
+    plant, seconds = Rig(airframe(FREE), {"ground.enabled": 0.0, "initial.omega_z": 0.1}), 0.6
+    there = plant.fly(plant.state(), plant.inputs(LACKING), seconds)
+    component = airframe(FREE, restart=True)
+    switched = {"disturbance.enabled": 1.0}
+    for name in LACKING:
+        switched |= {f"disturbance.lag.{name}": LAG_S, f"disturbance.fade.{name}": FADE_S}
+    rig = Rig(component, {"ground.enabled": 0.0, "initial.omega_z": 0.1, **switched})
+    run = Run(component, rig.inputs(), rig.p)
+    for k in range(len(there) - 1):
+        given_now = dict(zip(plant.names, there[k + 1], strict=True))
+        u = rig.inputs({"restart": 1.0, **{f"restart.{n}": given_now[n] for n in GIVEN}})
+        run.step(1e-3 * k, 1e-3, u)
+    known = rig.outputs(run.x, rig.inputs())
+    # The first instant has nothing to compare with.
+    grown = 1 - (1 - 1e-3 / LAG_S) ** (len(there) - 2)
+    for name, value in LACKING.items():
+        assert known[f"disturbance.{name}"] == pytest.approx(grown * value, rel=2e-3), name
+    for k in range(500):
+        run.step(seconds + 1e-3 * k, 1e-3, rig.inputs())
+    later = rig.outputs(run.x, rig.inputs())
+    for name in LACKING:
+        left = later[f"disturbance.{name}"] / known[f"disturbance.{name}"]
+        assert left == pytest.approx(np.exp(-1), rel=2e-3)
+
+
+def test_a_restart_alone_teaches_nothing() -> None:
+    """However far it is from where the twin was; and nothing acts while it is switched off."""
+    run, rig = running()
+    u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in GIVEN.items()}})
+    run.step(0.5, 1e-3, u)
+    names = [n for n in rig.names if n.startswith("disturbance.")]
+    np.testing.assert_array_equal(rig.get(run.x, *names), np.zeros(6))
+    run.step(0.501, 1e-3, u)  # it was to stay where it had moved from
+    assert np.abs(rig.get(run.x, *names)).max() > 0
+    assert rig.outputs(run.x, u)["disturbance.force_z"] == 0
