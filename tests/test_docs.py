@@ -234,6 +234,7 @@ SAYS = {
     "ab_effect.py": r"False: nose 0\.\d+ degrees up(.|\n)*True : nose [89]\.\d+ degrees up",
     "swap_controller.py": r"lqr  0\.\d+ m rms(.|\n)*px4  0\.\d+ m rms",
     "replay_beside_twin.py": r"the twin is 0\.\d+ m off",
+    "replay_through_corrected_twin.py": r"15 times(.|\n)*pos +0\.1\d+ +0\.0\d+ m(.|\n)*omega +0\.0",
     "foreign_fmu.py": r"gust of 0 m/s: 0\.0\d+ m(.|\n)*gust of 8 m/s: 0\.[1-9]\d+ m",
 }
 

@@ -255,6 +255,7 @@ def test_wrong_use_of_options(
         ("export", "airframe", "--start", "mass", *out): "NAME=NUMBER",
         ("export", "replay", *out): "--flight",
         ("export", "airframe", "--drive", "magic", *out): "rotor_speed",
+        ("export", "airframe", "--drive", "mission", *out): "corrected-twin",
         (
             "export",
             "airframe",

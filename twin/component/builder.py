@@ -47,9 +47,12 @@ class ComponentBuilder:
         check_range(self._name, variable, start)
         return self._declare(variable, ca.SX.sym(name))
 
-    def input(self, name: str, unit: str, description: str, start: float = 0.0) -> ca.SX:
+    def input(
+        self, name: str, unit: str, description: str, start: float = 0.0, *, boolean: bool = False
+    ) -> ca.SX:
         """Declare an input and return its symbol."""
-        return self._declare(Variable(name, "input", unit, description, start), ca.SX.sym(name))
+        variable = Variable(name, "input", unit, description, start, boolean=boolean)
+        return self._declare(variable, ca.SX.sym(name))
 
     def output(self, name: str, unit: str, description: str, expression: ca.SX | float) -> None:
         """Declare an output and its equation."""

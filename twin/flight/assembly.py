@@ -13,6 +13,7 @@ from ..errors import ModelError
 from ..physics.airframe import airframe
 from ..physics.battery import battery
 from ..physics.environment import environment
+from ..physics.rotors import Drive
 from ..physics.sensors.position import position_sensor
 from ..physics.sensors.table import components_of_sensors
 from ..representation import short_repr
@@ -22,6 +23,8 @@ from .control.lqr_cascade import controller
 from .control.px4.cascade import px4_controller
 from .mission import mission, mission_duration_s
 
+DRIVEN_S = 10.0
+"""How long a twin that somebody else drives runs where nobody says."""
 CONTROLLERS: dict[str, Callable[[Vehicle], Component]] = {
     "lqr": controller,
     "px4": px4_controller,
@@ -99,18 +102,42 @@ def flying_twin(
     if control not in CONTROLLERS:
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
     effects = tuple(effects)
-    body = airframe(vehicle, effects=effects)
-    parts = {
+    pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
+    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects)
+    if vehicle.battery is not None:
+        parts["battery"] = battery(vehicle)
+    return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
+
+
+def driven_twin(
+    vehicle: Vehicle, drive: Drive, effects: Iterable[str] = tuple(EFFECTS)
+) -> Assembly:
+    """A vehicle with its sensors whose rotors somebody else drives, as a log does.
+
+    It stands on the ground at first. Commands or rotor speeds and the battery voltage are inputs,
+    and so are those by which `twin.physics.airframe.airframe` sets its motion anew.
+
+    Args:
+        vehicle: Numbers of the aircraft, and the effects that are switched on.
+        drive: What drives the rotors.
+        effects: Effects to build in, switched off, as blocks of parameters.
+
+    Raises:
+        ModelError: The vehicle's maps do not allow this drive.
+    """
+    effects = tuple(effects)
+    parts = _aircraft(vehicle, airframe(vehicle, drive, effects, restart=True), effects)
+    return Assembly(parts, connected_by_name(parts), DRIVEN_S)
+
+
+def _aircraft(vehicle: Vehicle, body: Component, effects: tuple[str, ...]) -> dict[str, Component]:
+    """The air, an airframe that stands in it, and its sensors."""
+    return {
         "environment": environment(vehicle),
-        "mission": mission(vehicle, scenario),
-        "controller": CONTROLLERS[control](vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),
         **{name: make(vehicle, effects) for name, make in components_of_sensors().items()},
         "position": position_sensor(vehicle, effects),
     }
-    if vehicle.battery is not None:
-        parts["battery"] = battery(vehicle)
-    return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
 
 
 class Ports(Protocol):

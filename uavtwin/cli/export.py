@@ -23,6 +23,15 @@ if TYPE_CHECKING:
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
 """What can be exported beside the components."""
+MISSION = "mission"
+DRIVES = {
+    "commands": "command",
+    "rotor_speeds": "rotor_speed",
+    MISSION: None,
+    "command": "command",
+    "rotor_speed": "rotor_speed",
+}
+"""Drives by the words of the option; None: no rotor is driven from outside."""
 Components = Annotated[
     list[str],
     typer.Argument(
@@ -65,7 +74,11 @@ def export(
         str, typer.Option(help="Columns of the replay to interpolate linearly; others hold.")
     ] = "",
     drive: Annotated[
-        str | None, typer.Option(help="Airframe inputs: command or rotor_speed.")
+        str | None,
+        typer.Option(
+            help="Who turns the rotors: inputs commands or rotor_speeds, of the airframe and of a "
+            "corrected-twin that replays a log; or, in the corrected-twin alone, the mission."
+        ),
     ] = None,
     mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
     controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
@@ -120,7 +133,7 @@ class Choice:
         vehicle: Vehicle file, or the name of a built-in vehicle.
         fmi: FMI versions, comma-separated.
         platform: Platforms, comma-separated, or "all".
-        drive: Inputs of the airframe; None: what the vehicle describes.
+        drive: Of `DRIVES`; None: of the airframe what the vehicle describes, else the mission.
         start: "NAME=VALUE" texts; "part.name" for the corrected twin.
         flight: To replay.
         linear: Columns of the replay to interpolate, comma-separated.
@@ -187,8 +200,10 @@ def default_vehicle(model: Path | None) -> str:
 
 def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:
     """Refuse options that do not go together."""
-    if choice.drive not in (None, "command", "rotor_speed"):
-        raise TwinError(f"--drive {choice.drive}: choose command or rotor_speed.")
+    if choice.drive not in (None, *DRIVES):
+        raise TwinError(f"--drive {choice.drive}: choose {', '.join(DRIVES)}.")
+    if choice.drive == MISSION and FUSED not in names:
+        raise TwinError(f"--drive {MISSION} goes with {FUSED}: a component flies none.")
     if REPLAY in names and choice.flight is None:
         raise TwinError("replay needs the flight to replay: --flight LOG.")
     if choice.python_slave and (list(versions) != [2] or {REPLAY, FUSED} & set(names)):
@@ -207,9 +222,10 @@ def _part(
 
     from ..exports import parts
 
+    drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
         controller = cast("Controller", choice.controller)
-        return parts.twin(vehicle, choice.mission, controller, network)
+        return parts.twin(vehicle, choice.mission, controller, network, drive)
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]
         return parts.replay(read_flight(choice.flight), linear)
@@ -218,7 +234,7 @@ def _part(
     return parts.component(
         name,
         vehicle,
-        drive=cast("Drive | None", choice.drive),
+        drive=drive,
         position=cast("Kind", choice.position),
         mission=choice.mission,
     )

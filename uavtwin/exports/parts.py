@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from cosim.whole_twin import COMPENSATOR
 from fmus import FmuModel, replay_model
@@ -12,7 +12,7 @@ from fmus.compensator import NetworkFile, read_network
 from twin.component import Component, unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
-from twin.flight.assembly import CONTROLLERS, Assembly, flying_twin
+from twin.flight.assembly import CONTROLLERS, Assembly, driven_twin, flying_twin
 from twin.flight.mission import mission
 from twin.logs import Flight
 from twin.physics.airframe import airframe
@@ -67,7 +67,7 @@ COMPONENTS: Mapping[str, Callable[[Vehicle, Choices], Component]] = {
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """A vehicle that flies a mission: components, connections, perhaps a compensator.
+    """A vehicle with its sensors: components, connections, perhaps a compensator.
 
     Attributes:
         name: Of the vehicle.
@@ -87,6 +87,7 @@ def twin(
     mission: str = "hover",
     controller: Controller = "lqr",
     compensator: NetworkFile | None = None,
+    drive: Drive | None = None,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -95,14 +96,19 @@ def twin(
         mission: That it flies.
         controller: That flies it.
         compensator: Of `uavtwin.compensator`, trained for this vehicle.
+        drive: Who replays a log gives commands or rotor speeds, and no mission and no controller
+            are in it; None: it flies the mission.
 
     Raises:
-        TwinError: An unknown mission or controller, or a compensator of another vehicle.
+        TwinError: An unknown mission, controller or drive, or a compensator of another vehicle.
     """
     model = checked_vehicle(vehicle, "twin")
     if compensator is not None:
         check_compensator(compensator, model)
-    return Twin(model.name, flying_twin(model, mission, controller), compensator)
+    if drive is None:
+        return Twin(model.name, flying_twin(model, mission, controller), compensator)
+    _check_drive("twin", drive)
+    return Twin(model.name, driven_twin(model, drive), compensator)
 
 
 def component(
@@ -129,11 +135,17 @@ def component(
     model = checked_vehicle(vehicle, "component")
     if name not in COMPONENTS:
         raise TwinError(unknown_name("component", "component", name, COMPONENTS))
-    if drive not in (None, "command", "rotor_speed"):
-        raise TwinError(unknown_name(name, "drive", drive, ("command", "rotor_speed")))
+    if drive is not None:
+        _check_drive(name, drive)
     if position not in PRESETS:
         raise TwinError(unknown_name(name, "position sensor", position, PRESETS))
     return COMPONENTS[name](model, Choices(drive, position, mission))
+
+
+def _check_drive(name: str, drive: str) -> None:
+    drives = get_args(Drive)
+    if drive not in drives:
+        raise TwinError(unknown_name(name, "drive", drive, drives))
 
 
 def replay(flight: Flight, linear: Iterable[str] = ()) -> FmuModel:

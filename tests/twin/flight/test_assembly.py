@@ -10,8 +10,9 @@ from twin.component import ComponentBuilder
 from twin.effects import EFFECTS
 from twin.effects.definition import RECORD
 from twin.errors import ModelError
-from twin.flight.assembly import CONTROLLERS, Assembly, connected_by_name, flying_twin
+from twin.flight.assembly import CONTROLLERS, Assembly, connected_by_name, driven_twin, flying_twin
 from twin.flight.mission import mission_names
+from twin.physics.rotors import Drive
 from twin.vehicle.file import load_vehicle
 
 
@@ -32,7 +33,20 @@ def test_every_input_has_a_source_of_its_name_and_unit(vehicle: str, control: st
     free = {k for k, v in variables.items() if v.causality == "input"} - fed
     # Without a battery nobody gives its voltage, and nobody draws its current.
     lone = () if "battery" in parts.parts else ("airframe.vbat_v", "magnetometer.ibat_a")
-    assert free == set(lone) & variables.keys()
+    outside = {f"airframe.{kind}_{a}" for kind in ("force", "moment") for a in "xyz"}
+    assert free == (set(lone) & variables.keys()) | outside
+
+
+@pytest.mark.parametrize("drive", ["command", "rotor_speed"])
+def test_a_driven_twin_wants_rotors_voltage_and_motion(drive: Drive) -> None:
+    parts = driven_twin(load_vehicle("copter_default"), drive, ["battery_sag"])
+    assert {"airframe", "imu", "position", "environment"} <= set(parts.parts)
+    assert not {"mission", "controller", "battery"} & set(parts.parts)
+    fed = {target for _, target in parts.connections}
+    free = {f"airframe.{n}" for n in parts.parts["airframe"].input_names} - fed
+    stem = "cmd" if drive == "command" else "rotor"
+    assert {f"airframe.{stem}_4", "airframe.vbat_v", "airframe.restart.q_w"} <= free
+    assert "airframe.density" not in free
 
 
 def test_a_battery_is_a_part_where_the_vehicle_has_one() -> None:

@@ -1,0 +1,148 @@
+"""What acts on the airframe from outside, and the airframe set anew while it runs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rig import FULL_INERTIA, Array, Rig, in_air, plain, q, vec
+
+from twin.component import Run
+from twin.frames import to_ned
+from twin.physics.airframe import airframe
+
+numbers = st.floats(-3.0, 3.0)
+three = st.tuples(numbers, numbers, numbers)
+FREE = plain(inertia_kg_m2=FULL_INERTIA)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return in_air(FREE)
+
+
+@settings(max_examples=20)
+@given(three, three, three, three)
+def test_force_and_moment_are_added_to_its_own(
+    rig: Rig, force: Array, moment: Array, omega: Array, vel: Array
+) -> None:
+    """By Newton and Euler alone, whatever else acts, at any attitude."""
+    x = rig.state({**q([0.5, -0.5, 0.5, 0.5]), **vec("omega", omega), **vec("vel", vel)})
+    before = rig.rates(x, rig.inputs())
+    after = rig.rates(x, rig.inputs({**vec("force", force), **vec("moment", moment)}))
+    more = {n: after[n] - before[n] for n in after}
+    push = [float(f) / FREE.mass_kg for f in force]
+    q_nb = [0.5, -0.5, 0.5, 0.5]
+    np.testing.assert_allclose([more[f"vel_{a}"] for a in "xyz"], to_ned(q_nb, push), atol=1e-12)
+    turn = np.linalg.solve(FULL_INERTIA, moment)
+    np.testing.assert_allclose([more[f"omega_{a}"] for a in "xyz"], turn, atol=1e-10)
+    felt = rig.outputs(x, rig.inputs(vec("force", force)))
+    alone = rig.outputs(x, rig.inputs())
+    gained = [felt[f"specific_force_{a}"] - alone[f"specific_force_{a}"] for a in "xyz"]
+    np.testing.assert_allclose(gained, push, atol=1e-12)
+
+
+def test_a_constant_force_gives_a_parabola(rig: Rig) -> None:
+    x = rig.state()
+    path = rig.fly(x, rig.inputs(force_x=0.6), 2.0)
+    t = np.linspace(0, 2, len(path))
+    np.testing.assert_allclose(rig.get(path, "pos_x")[:, 0], 0.25 * t**2, atol=1e-9)
+
+
+# -- set anew ------------------------------------------------------------------------------
+
+
+GIVEN = {
+    **{f"pos_{a}": v for a, v in zip("xyz", (1.0, -2.0, -7.0), strict=True)},
+    **{f"vel_{a}": v for a, v in zip("xyz", (3.0, 0.5, -1.0), strict=True)},
+    **q(np.array([0.9, 0.1, -0.3, 0.2]) / np.sqrt(0.95)),
+    **{f"omega_{a}": v for a, v in zip("xyz", (0.4, -0.6, 0.1), strict=True)},
+}
+
+
+def running() -> tuple[Run, Rig]:
+    """Half a second of a climb, with a restart in it as it runs."""
+    component = airframe(FREE, restart=True)
+    rig = Rig(component, {"ground.enabled": 0.0})
+    u = rig.commands([0.5, 0.45, 0.47, 0.52])
+    run = Run(component, u, rig.p)
+    for k in range(500):
+        run.step(1e-3 * k, 1e-3, u)
+    return run, rig
+
+
+def test_motion_becomes_the_given_one_and_rotors_go_on() -> None:
+    run, rig = running()
+    u = rig.commands([0.5, 0.45, 0.47, 0.52])
+    anew = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in GIVEN.items()}})
+    anew[:4] = u[:4]
+    before = run.x
+    run.step(0.5, 1e-3, anew)
+    np.testing.assert_allclose(rig.get(run.x, *GIVEN)[...], list(GIVEN.values()), atol=1e-15)
+    own = [n for n in rig.names if n.startswith("effort_")]
+    expected = before.copy()
+    alone = np.asarray(rig.component.step(expected, u, rig.p, 1e-3)).ravel()
+    np.testing.assert_array_equal(rig.get(run.x, *own), rig.get(alone, *own))
+    run.step(0.501, 1e-3, u)
+    free = rig.get(run.x, "pos_x")[0] - GIVEN["pos_x"]
+    assert free == pytest.approx(3e-3, rel=0.01)
+
+
+def test_without_a_restart_it_is_the_airframe_as_ever() -> None:
+    run, rig = running()
+    plain_rig = in_air(FREE)
+    path = plain_rig.fly(plain_rig.state(), plain_rig.commands([0.5, 0.45, 0.47, 0.52]), 0.5)
+    mine = run.x[[rig.names.index(n) for n in plain_rig.names]]
+    np.testing.assert_array_equal(mine, path[-1])
+
+
+def test_a_given_attitude_is_made_a_unit_quaternion() -> None:
+    run, rig = running()
+    given_now = {**GIVEN, **{f"q_{a}": 3 * GIVEN[f"q_{a}"] for a in "wxyz"}}
+    u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in given_now.items()}})
+    run.step(0.5, 1e-3, u)
+    assert np.linalg.norm(rig.vector(run.x, "q")) == pytest.approx(1, abs=1e-12)
+
+
+# -- disturbance ---------------------------------------------------------------------------
+
+LACKING = {**vec("force", (0.4, -0.3, 0.8)), **vec("moment", (0.02, -0.01, 0.005))}
+LAG_S, FADE_S = 0.1, 0.5
+
+
+def test_what_the_equations_lack_is_learned_and_fades() -> None:
+    """A plant that a constant force and moment push, in body axes; exponential both ways."""
+    plant, seconds = Rig(airframe(FREE), {"ground.enabled": 0.0, "initial.omega_z": 0.1}), 0.6
+    there = plant.fly(plant.state(), plant.inputs(LACKING), seconds)
+    component = airframe(FREE, restart=True)
+    switched = {"disturbance.enabled": 1.0}
+    for name in LACKING:
+        switched |= {f"disturbance.lag.{name}": LAG_S, f"disturbance.fade.{name}": FADE_S}
+    rig = Rig(component, {"ground.enabled": 0.0, "initial.omega_z": 0.1, **switched})
+    run = Run(component, rig.inputs(), rig.p)
+    for k in range(len(there) - 1):
+        given_now = dict(zip(plant.names, there[k + 1], strict=True))
+        u = rig.inputs({"restart": 1.0, **{f"restart.{n}": given_now[n] for n in GIVEN}})
+        run.step(1e-3 * k, 1e-3, u)
+    known = rig.outputs(run.x, rig.inputs())
+    # The first instant has nothing to compare with.
+    grown = 1 - (1 - 1e-3 / LAG_S) ** (len(there) - 2)
+    for name, value in LACKING.items():
+        assert known[f"disturbance.{name}"] == pytest.approx(grown * value, rel=2e-3), name
+    for k in range(500):
+        run.step(seconds + 1e-3 * k, 1e-3, rig.inputs())
+    later = rig.outputs(run.x, rig.inputs())
+    for name in LACKING:
+        left = later[f"disturbance.{name}"] / known[f"disturbance.{name}"]
+        assert left == pytest.approx(np.exp(-1), rel=2e-3)
+
+
+def test_a_restart_alone_teaches_nothing() -> None:
+    """However far it is from where the twin was; and nothing acts while it is switched off."""
+    run, rig = running()
+    u = rig.inputs({"restart": 1.0, **{f"restart.{k}": v for k, v in GIVEN.items()}})
+    run.step(0.5, 1e-3, u)
+    names = [n for n in rig.names if n.startswith("disturbance.")]
+    np.testing.assert_array_equal(rig.get(run.x, *names), np.zeros(6))
+    run.step(0.501, 1e-3, u)  # it was to stay where it had moved from
+    assert np.abs(rig.get(run.x, *names)).max() > 0
+    assert rig.outputs(run.x, u)["disturbance.force_z"] == 0

@@ -1,0 +1,74 @@
+"""A flight as inputs of a driven twin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig import plain
+
+from twin.logs import Flight
+from twin.residuals.aligned import AlignedFlight, align_flight
+from twin.residuals.measured import Signal
+from twin.residuals.teacher_forced import GRID_S, RIGID
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import fly
+from uavtwin.driving import driving_inputs, true_motion
+
+LEGS = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 2.0, (0.5, 0.0, -1.0)))
+DELAYED = plain().with_effects({"command_delay": {"delay_s": 0.02}})
+
+
+@pytest.fixture(scope="module")
+def flown() -> tuple[Flight, AlignedFlight]:
+    flight = fly(plain(), plain(), 3, waypoints=LEGS)
+    return flight, align_flight(flight, DELAYED)
+
+
+def test_commands_are_those_of_the_log(flown: tuple[Flight, AlignedFlight]) -> None:
+    """The airframe delays them itself: late ones would be late twice."""
+    flight, aligned = flown
+    table = driving_inputs(flight, DELAYED, aligned, np.zeros(0, dtype=np.intp))
+    t = aligned.inputs.t_s
+    for n in range(1, 5):
+        there = Signal(*flight.signal([f"cmd_{n}"])).held(t)[:, 0]
+        np.testing.assert_array_equal(table[f"airframe.cmd_{n}"], there)
+    late = aligned.inputs.u[:, aligned.airframe.input_names.index("cmd_1")]
+    assert np.abs(table["airframe.cmd_1"] - late).max() > 0.01
+    np.testing.assert_allclose(np.diff(table["time"]), GRID_S)
+    assert not table["airframe.restart"].any()
+
+
+def test_a_step_is_given_the_motion_at_its_end(flown: tuple[Flight, AlignedFlight]) -> None:
+    flight, aligned = flown
+    rows = np.array([700, 701, 900])
+    table = driving_inputs(flight, DELAYED, aligned, rows)
+    np.testing.assert_array_equal(np.flatnonzero(table["airframe.restart"]) + 1, rows)
+    for i, name in enumerate(RIGID):
+        there = true_motion(DELAYED, aligned)[rows, i]
+        np.testing.assert_array_equal(table[f"airframe.restart.{name}"][rows - 1], there)
+
+
+def test_unknown_motion_is_never_given(flown: tuple[Flight, AlignedFlight]) -> None:
+    flight, aligned = flown
+    states = aligned.states.copy()
+    states[800:810, 3] = np.nan
+    every = np.arange(1, len(states))
+    table = driving_inputs(flight, DELAYED, replace(aligned, states=states), every)
+    off = np.flatnonzero(~table["airframe.restart"]) + 1
+    assert set(range(800, 810)) <= set(off.tolist())
+    assert 790 not in off
+    assert all(np.isfinite(table[name]).all() for name in table.dtype.names or ())
+
+
+def test_rotor_speeds_come_with_their_rates() -> None:
+    """Where the twin asks for them."""
+    spun = load_vehicle("copter_default")
+    flight = fly(spun, spun, 3, waypoints=LEGS)
+    if not flight.has("rotor_1"):
+        speed_rad_s = 800.0 * flight.table["cmd_1"].to_numpy(dtype=np.float64)
+        speeds = {f"rotor_{n}": speed_rad_s for n in range(1, 5)}
+        flight = replace(flight, table=flight.table.assign(**speeds))
+    aligned = align_flight(flight, spun, effects=["rotor_inertia_torque"])
+    table = driving_inputs(flight, spun, aligned, np.zeros(0, dtype=np.intp))
+    assert "airframe.rotor_4" in (table.dtype.names or ())
+    assert np.abs(table["airframe.spin_rate_4"]).max() > 0
