@@ -13,6 +13,7 @@ from ..errors import ModelError
 from ..physics.airframe import airframe
 from ..physics.battery import battery
 from ..physics.environment import environment
+from ..physics.residual_force import ForceLaw, residual_force
 from ..physics.rotors import Drive
 from ..physics.sensors.position import position_sensor
 from ..physics.sensors.table import components_of_sensors
@@ -85,6 +86,7 @@ def flying_twin(
     scenario: str = "hover",
     control: str = "lqr",
     effects: Iterable[str] = tuple(EFFECTS),
+    law: ForceLaw | None = None,
 ) -> Assembly:
     """A vehicle with its sensors that flies a mission from standing on the ground.
 
@@ -95,6 +97,7 @@ def flying_twin(
         scenario: Name of the mission.
         control: Name of the controller, of `CONTROLLERS`.
         effects: Effects to build in, switched off, as blocks of parameters.
+        law: Of what its equations leave of force and moment; None: nothing is known of it.
 
     Raises:
         ModelError: There is no such mission or controller.
@@ -103,14 +106,17 @@ def flying_twin(
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
     effects = tuple(effects)
     pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
-    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects)
+    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects, law)
     if vehicle.battery is not None:
         parts["battery"] = battery(vehicle)
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
 
 
 def driven_twin(
-    vehicle: Vehicle, drive: Drive, effects: Iterable[str] = tuple(EFFECTS)
+    vehicle: Vehicle,
+    drive: Drive,
+    effects: Iterable[str] = tuple(EFFECTS),
+    law: ForceLaw | None = None,
 ) -> Assembly:
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
 
@@ -121,22 +127,27 @@ def driven_twin(
         vehicle: Numbers of the aircraft, and the effects that are switched on.
         drive: What drives the rotors.
         effects: Effects to build in, switched off, as blocks of parameters.
+        law: Of what its equations leave of force and moment; None: nothing is known of it.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
     """
     effects = tuple(effects)
-    parts = _aircraft(vehicle, airframe(vehicle, drive, effects, restart=True), effects)
+    parts = _aircraft(vehicle, airframe(vehicle, drive, effects, restart=True), effects, law)
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 
-def _aircraft(vehicle: Vehicle, body: Component, effects: tuple[str, ...]) -> dict[str, Component]:
-    """The air, an airframe that stands in it, and its sensors."""
+def _aircraft(
+    vehicle: Vehicle, body: Component, effects: tuple[str, ...], law: ForceLaw | None
+) -> dict[str, Component]:
+    """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
+    beyond = {} if law is None else {"residual_force": residual_force(vehicle, law)}
     return {
         "environment": environment(vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),
         **{name: make(vehicle, effects) for name, make in components_of_sensors().items()},
         "position": position_sensor(vehicle, effects),
+        **beyond,
     }
 
 

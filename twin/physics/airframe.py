@@ -164,6 +164,7 @@ def _equations(
         for i, spin in enumerate(rotors.spin, start=1):
             speed = spin * hover_level(vehicle)
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
+    m.output("voltage", "V", "Battery voltage at the motors", motion.voltage)
     for (name, unit, meaning), acts in zip(_OUTSIDE, disturbance, strict=restart):
         m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", acts)
     if vehicle.battery is not None:

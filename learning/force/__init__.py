@@ -1,0 +1,1 @@
+"""Force and moment that the equations lack, learned from flights and put into the equations."""

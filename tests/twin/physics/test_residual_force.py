@@ -1,0 +1,228 @@
+"""The law of what the equations leave: against its formula, by symmetry, at its ends, in an FMU."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from instance import Instance, unzip
+from numpy.typing import NDArray
+from rig import FULL_INERTIA, Rig, plain, q, vec
+from scipy.spatial.transform import Rotation
+
+from cosim.whole_twin import fused_model
+from fmus import build
+from twin.component import Run
+from twin.errors import ModelError
+from twin.flight.assembly import driven_twin
+from twin.physics.residual_force import (
+    FEATURES,
+    INPUTS,
+    LINEAR_END,
+    OUTPUTS,
+    WAVES_END,
+    ForceLaw,
+    power,
+    residual_force,
+)
+from twin.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+VEHICLE = plain(inertia_kg_m2=FULL_INERTIA)
+NAMES = [f"{kind}_{a}" for kind, a in OUTPUTS]
+
+
+def units(vehicle: Vehicle) -> Array:
+    found = np.zeros((6, 6))
+    found[:3, :3], found[3:, 3:] = vehicle.mass_kg * np.eye(3), vehicle.inertia_kg_m2
+    return found
+
+
+def law(n: int = 5, seed: int = 0) -> ForceLaw:
+    """Weights of every kind, an envelope of a metre per second and the like."""
+    rng = np.random.default_rng(seed)
+    d = len(INPUTS)
+    return ForceLaw(
+        linear=rng.normal(size=(6, len(FEATURES))),
+        waves=rng.normal(size=(6, n)),
+        frequencies=rng.normal(size=(n, d)) / 3,
+        phases=rng.uniform(0, 6, n),
+        centre=np.zeros(d),
+        scale=np.ones(d),
+        whitening=np.eye(d),
+        reach=1.0,
+        units=units(VEHICLE),
+    )
+
+
+def alone(n: int = 0, **weights: float) -> ForceLaw:
+    """A law of a few linear weights, "output feature" -> value."""
+    linear = np.zeros((6, len(FEATURES)))
+    for name, value in weights.items():
+        output, _, feature = name.partition("__")
+        linear[NAMES.index(output), FEATURES.index(feature)] = value
+    return replace(law(n), linear=linear)
+
+
+def motion(**values: float) -> dict[str, float]:
+    """Hover far above the ground, some of it changed."""
+    return {**{f"spin_{i}": 1.0 for i in range(1, 5)}, "pos_z": -1e6, **values}
+
+
+three = st.tuples(*[st.floats(-0.6, 0.6)] * 3)
+
+
+@settings(max_examples=25)
+@given(three, three, st.tuples(*[st.floats(0.9, 1.1)] * 4), st.integers(0, 99))
+def test_within_the_envelope_it_is_its_formula(
+    vel: Array, omega: Array, spin: Array, seed: int
+) -> None:
+    """Written again in numpy, for a level vehicle: velocity is that through the air."""
+    one, rig = law(seed=seed), Rig(residual_force(VEHICLE, law(seed=seed)))
+    given_now = motion(**vec("vel", vel), **vec("omega", omega))
+    given_now |= {f"spin_{i}": s for i, s in enumerate(spin, start=1)}
+    found = rig.outputs(np.zeros(0), rig.inputs(given_now))
+    square, hubs = np.square(spin), VEHICLE.rotors.position_m / VEHICLE.arm_m
+    turning = [
+        np.mean(-hubs[:, 1] * square),
+        np.mean(hubs[:, 0] * square),
+        np.mean(-VEHICLE.rotors.direction * square),
+    ]
+    mean = np.mean(square) - 1
+    x = np.array([*vel, *omega, mean, *turning, 0.0, 0.0])
+    (wx, wy, wz), v = omega, np.array(vel)
+    products = [*(mean * v), *(np.linalg.norm(v) * v), mean**2, wy * wz, wx * wz, wx * wy]
+    said = one.linear @ np.array([1.0, *x, *products])
+    said += one.waves @ np.cos(one.frequencies @ x + one.phases)
+    assert found["distance"] == pytest.approx(np.sqrt(np.mean(x**2)), abs=1e-9)
+    np.testing.assert_allclose(
+        [found[n] for n in NAMES], units(VEHICLE) @ said, rtol=1e-9, atol=1e-9
+    )
+
+
+@settings(max_examples=25)
+@given(st.floats(-3, 3), three, st.tuples(st.floats(-50, 50), st.floats(-50, 50)))
+def test_neither_heading_nor_place_takes_part(turn: float, vel: Array, place: Array) -> None:
+    """The same flight turned about the vertical and elsewhere, at the same height."""
+    rig = Rig(residual_force(VEHICLE, law()))
+    tilt = Rotation.from_euler("xyz", [0.2, -0.1, 0.0])
+    found = []
+    for about in (Rotation.identity(), Rotation.from_euler("z", turn)):
+        x, y, z, w = (about * tilt).as_quat()
+        now = motion(**q([w, x, y, z]), **vec("vel", about.apply(vel)), pos_z=-2.0)
+        answer = rig.outputs(np.zeros(0), rig.inputs(now))
+        found.append([answer[n] for n in NAMES])
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+    assert not {"pos_x", "pos_y"} & set(rig.component.input_names)
+    del place
+
+
+def test_it_fades_without_a_step_and_ends_at_zero() -> None:
+    rig = Rig(residual_force(VEHICLE, law()))
+    speeds = np.linspace(0, 1.2 * LINEAR_END * np.sqrt(len(INPUTS)), 4001)
+    u = np.tile(rig.inputs(motion())[:, None], len(speeds))
+    u[rig.component.input_names.index("vel_x")] = speeds
+    x = np.zeros((0, len(speeds)))
+    y = np.asarray(rig.component.outputs(x, u, np.tile(rig.p[:, None], len(speeds)))).T
+    acts = y[:, [rig.component.output_names.index(n) for n in NAMES]]
+    away = y[:, rig.component.output_names.index("distance")]
+    assert np.all(acts[away >= LINEAR_END] == 0)
+    assert np.abs(acts[away < 1]).max() > 1
+    steps = np.abs(np.diff(acts, axis=0)).max(axis=0)
+    assert np.all(steps < 0.01 * np.ptp(acts, axis=0))  # one of 4000 steps, not a jump
+
+
+def test_waves_end_before_the_linear_part() -> None:
+    only = replace(law(), linear=np.zeros((6, len(FEATURES))))
+    rig = Rig(residual_force(VEHICLE, only))
+    for away, acts in ((0.5, True), (WAVES_END + 0.01, False)):
+        vel = away * np.sqrt(len(INPUTS))
+        answer = rig.outputs(np.zeros(0), rig.inputs(motion(vel_y=vel)))
+        assert any(answer[n] != 0 for n in NAMES) == acts
+
+
+def test_wind_is_no_ground_speed() -> None:
+    rig = Rig(residual_force(VEHICLE, alone(force_x__air_x=-0.5)))
+    still = rig.outputs(np.zeros(0), rig.inputs(motion(vel_x=2.0)))
+    blown = rig.outputs(np.zeros(0), rig.inputs(motion(wind_x=-2.0)))
+    assert still["force_x"] == pytest.approx(-1.0 * VEHICLE.mass_kg)
+    assert blown["force_x"] == still["force_x"]
+
+
+def test_power_is_what_force_and_moment_do_per_second() -> None:
+    """About hover: force times velocity and moment times rate, by the component itself."""
+    rng = np.random.default_rng(2)
+    one = replace(law(0), linear=np.zeros((6, len(FEATURES))))
+    linear = one.linear.copy()
+    linear[:, 1:7] = rng.normal(size=(6, 6))
+    one = replace(one, linear=linear)
+    rig, y = Rig(residual_force(VEHICLE, one)), 0.1 * rng.normal(size=6)
+    now = motion(**vec("vel", y[:3]), **vec("omega", y[3:]))
+    found = rig.outputs(np.zeros(0), rig.inputs(now))
+    work = sum(found[n] * v for n, v in zip(NAMES, y, strict=True))
+    assert work == pytest.approx(float(y @ power(one) @ y), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"phases": np.zeros(4)}, "shape"),
+        ({"centre": np.full(len(INPUTS), np.nan)}, "finite"),
+        ({"scale": np.zeros(len(INPUTS))}, "above 0"),
+        ({"reach": np.inf}, "above 0"),
+    ],
+)
+def test_numbers_that_make_no_law_are_refused(change: dict[str, Array], text: str) -> None:
+    with pytest.raises(ModelError, match=text):
+        replace(law(), **change)  # type: ignore[arg-type]
+
+
+def test_its_arrays_make_it_again() -> None:
+    again = ForceLaw.of(law().arrays())
+    assert all(np.array_equal(a, law().arrays()[k]) for k, a in again.arrays().items())
+    with pytest.raises(ModelError, match="has"):
+        ForceLaw.of({"linear": law().linear})
+
+
+@pytest.mark.slow
+def test_fused_fmu_flies_by_the_law(tmp_path: Path) -> None:
+    """Against airframe and law in Python, outputs exchanged at each millisecond (Jacobi): in a step
+    the law answers what it was given at the start of the one before."""
+    one = replace(law(), linear=0.2 * law().linear, waves=0.2 * law().waves, reach=3.0)
+    parts = driven_twin(VEHICLE, "command", (), one).parts
+    body, beyond = parts["airframe"], Rig(parts["residual_force"])
+    path = build(
+        fused_model(driven_twin(VEHICLE, "command", (), one), "plain"), tmp_path / "twin.fmu"
+    )
+    instance = Instance(unzip(path, tmp_path / "twin"))
+    above = {"airframe.initial.pos_z": -20.0}
+    instance.start({**above, **{f"airframe.cmd_{i}": 0.4 for i in range(1, 5)}})
+    p = body.parameter_values({"initial.pos_z": -20.0})
+    index = {n: i for i, n in enumerate(body.input_names)}
+    u = body.input_values({f"cmd_{i}": 0.4 for i in range(1, 5)})
+    air = [n for n in body.input_names if n.startswith(("wind_", "density"))]
+    run = Run(body, u, p)
+
+    def answer() -> list[float]:
+        """Of the law to the airframe's present motion."""
+        y = dict(zip(body.output_names, run.outputs(u), strict=True))
+        known = {n: y[n] for n in beyond.component.input_names if n in y}
+        acts = beyond.outputs(np.zeros(0), beyond.inputs(known))
+        return [acts[n] for n in NAMES]
+
+    late = answer()
+    for k in range(300):
+        u[[index[n] for n in air]] = [instance.get(f"environment.{n}") for n in air]
+        u[[index[n] for n in NAMES]], late = late, answer()
+        turn = 0.4 + 0.01 * np.sin(0.05 * k + np.arange(4))
+        instance.set({f"airframe.cmd_{i + 1}": float(c) for i, c in enumerate(turn)})
+        u[:4] = turn
+        instance.step(1e-3 * k)
+        run.step(1e-3 * k, 1e-3, u)
+        for name in ("pos_x", "vel_y", "omega_z", "q_x"):
+            mine = run.x[[s.name for s in body.states].index(name)]
+            assert instance.get(f"airframe.{name}") == pytest.approx(mine, rel=1e-8, abs=1e-9)
+    assert abs(instance.get("residual_force.moment_x")) > 1e-4
+    instance.close()

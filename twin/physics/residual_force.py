@@ -1,0 +1,273 @@
+"""What the equations leave of force and moment, as a law of the motion that flights have taught.
+
+    [force, moment] = units * (near(d) * linear @ features(x) + close(d) * waves @ cos(k z + phase))
+    z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
+
+x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
+it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
+taught it; `close` fades to zero from there to `WAVES_END`, `near` from `LINEAR_BEGIN` to
+`LINEAR_END`, both without a step. So force and moment are bounded, however the vehicle moves.
+
+Source: random features, Rahimi & Recht, NIPS 2007; the fade, Perlin's smoothstep.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..component import Component, ComponentBuilder
+from ..component.portable import cosine
+from ..errors import ModelError
+from ..frames import to_body
+from ..representation import short_repr
+from ..vehicle import Vehicle
+from .airframe import AXES
+
+Array = NDArray[np.float64]
+INPUTS = (
+    *((f"air_{a}", "m/s") for a in AXES),
+    *((f"omega_{a}", "rad/s") for a in AXES),
+    ("thrust", "1"),
+    ("roll", "1"),
+    ("pitch", "1"),
+    ("yaw", "1"),
+    ("voltage", "1"),
+    ("ground", "1"),
+)
+"""Physical inputs: velocity through the air and body rates, body FRD; squared rotor speed over that
+in hover, its mean less one and its parts that turn about each axis; voltage over the nominal one
+less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
+OUTPUTS = (*(("force", a) for a in AXES), *(("moment", a) for a in AXES))
+FEATURES = (
+    "one",
+    *(name for name, _ in INPUTS),
+    *(f"thrust air_{a}" for a in AXES),
+    *(f"speed air_{a}" for a in AXES),
+    "thrust thrust",
+    *(f"omega omega_{a}" for a in AXES),
+)
+"""What the linear part is linear in: a constant, the inputs, and products that physics knows: drag
+of rotors and of the body, a curved thrust map, gyroscopic moments."""
+WAVES_END = 2.0
+LINEAR_BEGIN, LINEAR_END = 3.0, 6.0
+"""Ends of the fades, in distances up to which training has been. None was chosen on flights."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForceLaw:
+    """Numbers of a law; `n` random features, 0 without.
+
+    Attributes:
+        linear: Specific force, m/s2, and angular acceleration, rad/s2, per feature, shape
+            (6, len(FEATURES)).
+        waves: The same per random feature, shape (6, n).
+        frequencies: Of the random features over z, shape (n, len(INPUTS)).
+        phases: Shape (n,).
+        centre: Of the inputs, shape (len(INPUTS),).
+        scale: Of the inputs, above 0, the same shape.
+        whitening: Makes z uncorrelated, shape (len(INPUTS), len(INPUTS)).
+        reach: Distance up to which training has been, above 0.
+        units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
+    """
+
+    linear: Array
+    waves: Array
+    frequencies: Array
+    phases: Array
+    centre: Array
+    scale: Array
+    whitening: Array
+    reach: float
+    units: Array
+
+    __repr__ = short_repr
+
+    def __post_init__(self) -> None:
+        """Raise ModelError where shapes or numbers are none."""
+        n, d = len(self.phases), len(INPUTS)
+        shapes = {
+            "linear": (6, len(FEATURES)),
+            "waves": (6, n),
+            "frequencies": (n, d),
+            "phases": (n,),
+            "centre": (d,),
+            "scale": (d,),
+            "whitening": (d, d),
+            "units": (6, 6),
+        }
+        for name, shape in shapes.items():
+            values = getattr(self, name)
+            if values.shape != shape:
+                raise ModelError(f"force law: {name} has shape {values.shape}, not {shape}.")
+            if not np.isfinite(values).all():
+                raise ModelError(f"force law: {name} must be finite numbers.")
+        if not (self.scale > 0).all() or not 0 < self.reach < np.inf:
+            raise ModelError("force law: scale and reach must be above 0.")
+
+    def arrays(self) -> dict[str, Array]:
+        """All its numbers by name."""
+        return {f.name: np.asarray(getattr(self, f.name), dtype=np.float64) for f in fields(self)}
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, Array]) -> "ForceLaw":
+        """The law that has these numbers.
+
+        Raises:
+            ModelError: Some are missing, of another shape or not finite.
+        """
+        names = {f.name for f in fields(cls)}
+        if set(arrays) != names:
+            raise ModelError(f"force law: has {sorted(arrays)}, not {sorted(names)}.")
+        return cls(**{k: v if k != "reach" else float(v) for k, v in arrays.items()})  # type: ignore[arg-type]
+
+
+def motion_inputs(
+    vehicle: Vehicle,
+    air_b: Sequence[ca.SX],
+    omega_b: Sequence[ca.SX],
+    spin: Sequence[ca.SX],
+    voltage: ca.SX,
+    height: ca.SX,
+) -> ca.SX:
+    """`INPUTS` as expressions, shape (len(INPUTS), 1).
+
+    Args:
+        vehicle: Where its rotors are and which way they turn.
+        air_b: Velocity through the air, body FRD, m/s.
+        omega_b: Body rates, rad/s.
+        spin: Rotor speeds over that in hover.
+        voltage: V.
+        height: Of the centre of mass over the ground, m.
+    """
+    n, arm = len(spin), vehicle.arm_m
+    square = [s * s for s in spin]
+    hubs, turns = vehicle.rotors.position_m, vehicle.rotors.direction
+    weights = {
+        "roll": -hubs[:, 1] / arm,
+        "pitch": hubs[:, 0] / arm,
+        "yaw": -np.asarray(turns),
+    }
+    parts = [
+        sum((float(w) * s for w, s in zip(row, square, strict=True)), start=ca.SX(0)) / n
+        for row in weights.values()
+    ]
+    mean = sum(square, start=ca.SX(0)) / n - 1
+    near = 1 / (1 + (height / arm) ** 2)
+    return ca.vertcat(*air_b, *omega_b, mean, *parts, voltage / vehicle.voltage_v - 1, near)
+
+
+def features(x: ca.SX) -> ca.SX:
+    """`FEATURES` of inputs, shape (len(FEATURES), 1)."""
+    air, omega, mean = [x[i] for i in range(3)], [x[i] for i in range(3, 6)], x[6]
+    # Bounded below: the root has no derivative at rest.
+    speed = ca.sqrt(ca.fmax(sum((v * v for v in air), start=ca.SX(0)), 1e-30))
+    gyroscopic = [omega[1] * omega[2], omega[0] * omega[2], omega[0] * omega[1]]
+    products = [*(mean * v for v in air), *(speed * v for v in air), mean * mean, *gyroscopic]
+    return ca.vertcat(1, x, *products)
+
+
+def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
+    """Of inputs from those of the training, 1 where these end."""
+    white = ca.mtimes(ca.SX(law.whitening), (x - law.centre) / law.scale)
+    return ca.sqrt(ca.sumsqr(white) / len(INPUTS)) / law.reach
+
+
+def waves(law: ForceLaw, x: ca.SX) -> ca.SX:
+    """The random features of inputs, shape (n, 1)."""
+    angles = ca.mtimes(ca.SX(law.frequencies), (x - law.centre) / law.scale) + law.phases
+    return ca.vertcat(*[cosine(angles[i]) for i in range(len(law.phases))])
+
+
+def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, of_waves: ca.SX) -> ca.SX:
+    """Specific force, m/s2, and angular acceleration, rad/s2, that a law gives, shape (6, 1).
+
+    Args:
+        law: Envelope and random features.
+        x: `INPUTS`.
+        linear: Weights in the place of the law's.
+        of_waves: The same of the random features.
+    """
+    d = distance(law, x)
+    said = _fade(d, LINEAR_BEGIN, LINEAR_END) * ca.mtimes(linear, features(x))
+    if len(law.phases):
+        said += _fade(d, 1.0, WAVES_END) * ca.mtimes(of_waves, waves(law, x))
+    return said
+
+
+def weight_names(law: ForceLaw) -> tuple[list[list[str]], list[list[str]]]:
+    """Parameters of the component that are the law's weights: linear ones, and those of waves."""
+    outputs = [f"{kind}_{a}" for kind, a in OUTPUTS]
+    linear = [[f"linear.{o}.{f.replace(' ', '_')}" for f in FEATURES] for o in outputs]
+    return linear, [[f"wave.{o}.{i}" for i in range(1, len(law.phases) + 1)] for o in outputs]
+
+
+def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
+    """The law as a component: fed by the airframe's outputs, it feeds its forces and moments.
+
+    Its weights are tunable parameters (`weight_names`), so that anybody can read what it says.
+    """
+    m = ComponentBuilder("residual_force", f"What the equations of {vehicle.name} leave, as taught")
+    vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
+    wind_n = [m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {a}") for a in AXES]
+    q_nb = [m.input(f"q_{a}", "1", f"Attitude, {a}", float(a == "w")) for a in "wxyz"]
+    omega_b = [m.input(f"omega_{a}", "rad/s", f"Body rate about {a}") for a in AXES]
+    spin = [
+        m.input(f"spin_{i}", "1", f"Speed of rotor {i} over that in hover", 1.0)
+        for i in range(1, vehicle.rotors.count + 1)
+    ]
+    voltage = m.input("voltage", "V", "Battery voltage at the motors", vehicle.voltage_v)
+    down = m.input("pos_z", "m", "Position, NED down", -100.0)
+    ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
+    enabled = m.parameter(
+        "enabled", 1.0, "1", "Whether the law acts", boolean=True, minimum=0, maximum=1
+    )
+    air_b = to_body(q_nb, [v - w for v, w in zip(vel_n, wind_n, strict=True)])
+    x = motion_inputs(vehicle, air_b, omega_b, spin, voltage, ground - down)
+    linear, of_waves = (
+        _weights(m, names, values)
+        for names, values in zip(weight_names(law), (law.linear, law.waves), strict=True)
+    )
+    acts = enabled * ca.mtimes(ca.SX(law.units), accelerations(law, x, linear, of_waves))
+    for i, (kind, a) in enumerate(OUTPUTS):
+        unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
+        m.output(f"{kind}_{a}", unit, f"{meaning} body {a} that the equations lack", acts[i])
+    d = distance(law, x)
+    m.output("distance", "1", "Of the motion from that of the training, 1 where this ends", d)
+    return m.build()
+
+
+def power(law: ForceLaw) -> Array:
+    """What the linear part feeds in about hover, W, as a quadratic form, shape (6, 6).
+
+    power = y @ form @ y of y = [air velocity, body rates]; without an eigenvalue above 0 it takes
+    energy, however the vehicle moves there.
+    """
+    per_motion = law.units @ law.linear[:, 1:7]
+    return np.asarray((per_motion + per_motion.T) / 2)
+
+
+def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.SX:
+    """A matrix of parameters that start at a law's weights."""
+    rows = []
+    for (kind, _), row, starts in zip(OUTPUTS, names, values.tolist(), strict=True):
+        unit, what = ("m/s2", "Specific force") if kind == "force" else ("rad/s2", "Acceleration")
+        rows.append(
+            ca.horzcat(
+                *[
+                    m.parameter(
+                        name, start, unit, f"{what} per {name.split('.', 2)[2]} in SI units"
+                    )
+                    for name, start in zip(row, starts, strict=True)
+                ]
+            )
+        )
+    return ca.vertcat(*rows)
+
+
+def _fade(d: ca.SX, begin: float, end: float) -> ca.SX:
+    """1 up to `begin`, 0 from `end` on, in between a cubic without a kink."""
+    t = ca.fmin(ca.fmax((d - begin) / (end - begin), 0.0), 1.0)
+    return 1 - t * t * (3 - 2 * t)

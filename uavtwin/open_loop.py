@@ -1,0 +1,153 @@
+"""How far a driven twin is off some time after it was left alone: exported FMUs over flights.
+
+The FMU follows the measured motion (`uavtwin.driving`). Every `EVERY_S` its state is saved, it
+flies on the recorded commands alone for the longest horizon, and is taken back.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.slave.slave import Slave
+from twin.errors import LogError
+from twin.frames import rotation_vector
+from twin.logs import Flight
+from twin.physics.airframe import AXES
+from twin.representation import short_repr
+from twin.residuals.aligned import align_flight
+from twin.residuals.teacher_forced import GRID_S, RIGID
+from twin.vehicle import Vehicle
+
+from .driving import PREFIX, driving_inputs, true_motion
+
+Array = NDArray[np.float64]
+HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
+EVERY_S = 0.25
+WARM_S = 1.0
+"""So long it has followed before it is left alone."""
+QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
+
+
+@dataclass(frozen=True, slots=True)
+class OpenLoop:
+    """What an FMU made of one flight.
+
+    Attributes:
+        t_s: When it was left alone, shape (w,).
+        off: Twin less aircraft per horizon and quantity of `QUANTITIES`, x, y and z each: position
+            and velocity NED, attitude and rates in body axes; shape (w, horizons, 4, 3).
+        watched: Other outputs at the horizons, shape (w, horizons, k).
+    """
+
+    t_s: Array
+    off: Array
+    watched: Array
+
+    __repr__ = short_repr
+
+    @property
+    def rms(self) -> Array:
+        """Root mean square over the flight, shape (horizons, 4, 3)."""
+        return np.asarray(np.sqrt(np.mean(self.off**2, axis=0)))
+
+
+class Replay:
+    """A flight, ready to be replayed through driven twins."""
+
+    def __init__(
+        self, flight: Flight, vehicle: Vehicle, horizons_s: Sequence[float] = HORIZONS_S
+    ) -> None:
+        """Put the flight on the grid of its twin.
+
+        Raises:
+            LogError: It cannot be, or is nowhere long enough in the air.
+        """
+        aligned = align_flight(flight, vehicle)
+        whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
+        self._names = [n for n in whole.dtype.names or () if n != "time"]
+        self._given = np.column_stack([whole[n] for n in self._names])
+        self._there = true_motion(vehicle, aligned)
+        self._steps = [round(h / GRID_S) for h in horizons_s]
+        known = aligned.airborne & np.isfinite(self._there).all(axis=1)
+        self._left = _left_alone(known, self._steps[-1])
+        if not len(self._left):
+            raise LogError(
+                f"{flight.name}: nowhere {WARM_S + horizons_s[-1]:g} s in the air without a gap, "
+                f"which it takes to follow it and then to fly alone. Give a longer flight."
+            )
+
+    def through(
+        self,
+        fmu: Path,
+        starts: Mapping[str, float] | None = None,
+        watch: Sequence[str] = (),
+        progress: Callable[[float], None] = lambda _: None,
+    ) -> OpenLoop:
+        """Replay it.
+
+        Args:
+            fmu: Of `export corrected-twin --drive`.
+            starts: Start values of the FMU.
+            watch: Other outputs to be kept at the horizons.
+            progress: Called with the share done.
+        """
+        reads = (*(PREFIX + s for s in RIGID), *watch)
+        sent, received = np.zeros(len(self._names)), np.zeros(len(reads))
+        slave, found = Slave("driven", fmu), []
+        try:
+            slave.bind(self._names, reads, sent, received)
+            slave.initialize(0.0, starts or {})
+            slave.finish_initialization()
+            kept, due = slave.save(), set(self._left.tolist())
+            for row in range(int(self._left[-1]) + 1):
+                if row in due:
+                    slave.save(kept)
+                    found.append(self._alone(slave, row))
+                    slave.restore(kept)
+                    progress(len(found) / len(due))
+                self._step(slave, row, follow=True)
+        finally:
+            slave.close()
+        values = np.array(found)
+        there = np.stack([self._there[self._left + k] for k in self._steps], axis=1)
+        return OpenLoop(
+            GRID_S * self._left, _off(values[..., : len(RIGID)], there), values[..., len(RIGID) :]
+        )
+
+    def _alone(self, slave: Slave, row: int) -> list[Array]:
+        """Outputs at the horizons after a row."""
+        rows = []
+        for k in range(self._steps[-1]):
+            self._step(slave, row + k, follow=False)
+            if k + 1 in self._steps:
+                slave.read_outputs()
+                rows.append(slave.outputs.copy())
+        return rows
+
+    def _step(self, slave: Slave, row: int, follow: bool) -> None:
+        """From a row to the next."""
+        slave.inputs[:] = self._given[row]
+        slave.inputs[self._names.index(f"{PREFIX}restart")] *= follow
+        slave.write_inputs()
+        slave.step(row * GRID_S, GRID_S)
+
+
+def _left_alone(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
+    """Rows from which a twin flies alone: it has followed before, and can be compared after."""
+    warm = round(WARM_S / GRID_S)
+    missing = np.concatenate([[0], np.cumsum(~known)])
+    rows = np.arange(warm, len(known) - steps, round(EVERY_S / GRID_S))
+    return rows[missing[rows + steps + 1] == missing[rows - warm]]
+
+
+def _off(twin: Array, aircraft: Array) -> Array:
+    """Twin less aircraft, shapes (w, h, 13) to (w, h, 4, 3)."""
+    at = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
+    q = [RIGID.index(f"q_{a}") for a in "wxyz"]
+    pos, vel, omega = (twin[..., i] - aircraft[..., i] for i in at.values())
+    flat = (np.reshape(values[..., q], (-1, 4)) for values in (twin, aircraft))
+    turned = np.reshape(rotation_vector(*flat), pos.shape)
+    return np.stack([pos, vel, turned, omega], axis=-2)
