@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from .calibration import CalibrateResult, calibrate
     from .explanation import ExplainResult, explain
-    from .exports.parts import Twin, compensator, component, replay, twin
+    from .exports.parts import Twin, compensator, component, learned_force, replay, twin
     from .exports.write import export
     from .file_check import check_file as check
     from .flights import read_flights
@@ -58,6 +58,7 @@ __all__ = [
     "explain",
     "export",
     "gap",
+    "learned_force",
     "load_vehicle",
     "mission_names",
     "read_flight",
@@ -92,6 +93,7 @@ _HOME = {
     "explain": "uavtwin.explanation",
     "export": "uavtwin.exports.write",
     "gap": "uavtwin.gaps",
+    "learned_force": "uavtwin.exports.parts",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",
     "read_flight": "twin.logs",

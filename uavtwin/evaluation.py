@@ -20,7 +20,7 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
-from .output import output_file, write_json
+from .output import output_file
 from .report.figures import embedded, pretty_unit
 from .report.gap import number, percent
 from .report.learning_figures import anomaly_figure, correction_figure
@@ -225,12 +225,6 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
         "largest": float(score[worst]),
         "at_s": float(flight.t_s[worst]),
     }
-
-
-def write_evaluation(found: Evaluation, folder: Path) -> None:
-    """`evaluation.json` and the page."""
-    write_json(folder / "evaluation.json", evaluation_json(found))
-    write_evaluation_report(found, folder / "report.html")
 
 
 def write_evaluation_report(found: Evaluation, path: Path) -> None:

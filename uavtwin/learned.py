@@ -4,21 +4,24 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
 from .flights import checked_flights
+from .output import results_folder
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
 if TYPE_CHECKING:
+    from learning.force.model import ForceModel
     from learning.model.family import TrainedModel
     from learning.preset import Protocol
 
     from .evaluation import Evaluation
+    from .force.evaluate import ForceEvaluation
 
 Progress = Callable[[float], None]
 
@@ -37,8 +40,12 @@ class TrainResult(Shown):
     files: tuple[str, ...]
     claim: str
 
-    def model(self) -> "TrainedModel":
+    def model(self) -> "TrainedModel | ForceModel":
         """The model itself."""
+        from learning.force.model import is_force, load_force
+
+        if is_force(self.folder):
+            return load_force(self.folder)
         from learning.model.folder import load
 
         return load(self.folder)
@@ -59,7 +66,7 @@ def train(
     folder: str | Path,
     *,
     preset: str = "best",
-    protocol: "Protocol" = "track",
+    protocol: 'Protocol | Literal["force"]' = "track",
     horizon: int = 1,
     rate_hz: float = 100.0,
     epochs: int | None = None,
@@ -77,8 +84,8 @@ def train(
         folder: To write the model into.
         preset: `best`: ours; `paper`: the paper's text; `published`: its code; `linear`: no
             network; others in docs/guide/compensator.md.
-        protocol: `track`: it sees residuals as old as the horizon; `free`: none; `reconstruct`:
-            the present one.
+        protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
+            residuals as old as the horizon; `free`: none; `reconstruct`: the present one.
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer.
         epochs: Default: the preset's; none for a preset in closed form.
@@ -89,10 +96,17 @@ def train(
     Raises:
         TwinError: The extra `learn` is not installed, or an argument or a flight cannot be used.
     """
-    with extra_learn():
-        from . import training
     several, model = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
     out = Path(folder)
+    if protocol == "force":
+        from .force.train import check_force_options, force_claim, train_force
+
+        check_force_options(preset, horizon, rate_hz, epochs)
+        with results_folder(out, force) as place:
+            made = train_force(several, model, seed, place, progress)
+        return TrainResult(out, tuple(made), force_claim(out))
+    with extra_learn():
+        from . import training
     plan = training.plan_training(preset, protocol, horizon, epochs, seed, out, force)
     residuals = training.prepare(several, model, rate_hz, lambda done: progress(0.1 * done))
     written = training.run_training(
@@ -106,26 +120,43 @@ def evaluate(
     flights: Flight | Sequence[Flight],
     *,
     explained: Vehicle | None = None,
+    physics: Vehicle | None = None,
     progress: Progress = lambda _: None,
-) -> "Evaluation":
+) -> "Evaluation | ForceEvaluation":
     """Measure a compensator on other flights, beside trivial baselines.
 
     Args:
         model: What `train` returned, or the folder that it wrote.
         flights: That it was not trained on.
         explained: Vehicle that `explain` found, drawn beside the model's own.
+        physics: Of a learned force: the vehicle before it was explained, flown beside it.
         progress: Called with the share done, 0..1.
 
     Raises:
-        TwinError: The extra `learn` is not installed, the folder holds no model, or a flight was
-            trained on or cannot be compared.
+        TwinError: The extra `learn` is not installed, the folder holds no model, a flight was
+            trained on or cannot be compared, or a vehicle is given that has no part in it.
     """
+    from learning.force.model import is_force
+
+    several = checked_flights(flights, "evaluate")
+    folder = model.folder if isinstance(model, TrainResult) else Path(model)
+    if is_force(folder):
+        from .force.evaluate import evaluate_force
+
+        _refuse("explained", explained, "a learned force: its own vehicle is the explained one")
+        before = None if physics is None else checked_vehicle(physics, "evaluate")
+        return evaluate_force(folder, several, before, progress)
     with extra_learn():
         from .evaluation import evaluate_model
-    several = checked_flights(flights, "evaluate")
+    _refuse("physics", physics, "a compensator of the sensors: give the vehicle as explained")
     other = None if explained is None else checked_vehicle(explained, "evaluate")
-    folder = model.folder if isinstance(model, TrainResult) else Path(model)
     return evaluate_model(folder, several, other, progress)
+
+
+def _refuse(name: str, given: Vehicle | None, model: str) -> None:
+    """Refuse a vehicle that has no part in an evaluation."""
+    if given is not None:
+        raise TwinError(f"evaluate: {name} does not go with {model}.")
 
 
 @contextmanager

@@ -84,18 +84,18 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         output: 0 to 5.
     """
     folds = _folds(flights)
-    y, pieces = _stacked(flights, output)
-    features = np.vstack([f.features for f in flights])
     nothing = sum(_likelihood(fold, output, "none", 0.0) for fold in folds)
     found = {}
     for law in LAWS:
         tried = PENALTIES if law in ("linear", "waves") else (0.0,)
         said = [sum(_likelihood(fold, output, law, p) for fold in folds) for p in tried]
         best = int(np.argmax(said))
-        weights = np.zeros(features.shape[1])
+        weights = np.zeros(flights[0].features.shape[1])
         fit = _fitted(flights, output, law, tried[best])
         weights[: len(fit)] = fit
-        observer = observer_of(y - features @ weights, pieces)
+        observer = observer_of(
+            [(f.left[:, output] - f.features @ weights, pieces_of(f.piece)) for f in flights]
+        )
         found[law] = Candidate(law, tried[best], weights, said[best] - nothing, observer)
     return found
 

@@ -124,12 +124,13 @@ class _Steps:
 
     def ends(self, values: Array) -> Array:
         """Values at the ends of the steps."""
-        return values[self._rows]
+        return np.asarray(values[self._rows])
 
     def means(self, values: Array) -> Array:
         """Means over the steps, by trapezia."""
         middle = np.vstack([values[:1], (values[1:] + values[:-1]) / 2])
-        return np.mean([middle[np.maximum(self._rows - k, 0)] for k in range(self._every)], axis=0)
+        steps = [middle[np.maximum(self._rows - k, 0)] for k in range(self._every)]
+        return np.asarray(np.mean(steps, axis=0))
 
 
 def _passed(

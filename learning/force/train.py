@@ -99,8 +99,8 @@ def without_waves(law: ForceLaw) -> ForceLaw:
     """The law without random features where none of them has a weight."""
     if law.waves.any():
         return law
-    none = {"waves": np.zeros((6, 0)), "frequencies": np.zeros((0, len(INPUTS)))}
-    return replace(law, phases=np.zeros(0), **none)
+    frequencies = np.zeros((0, len(INPUTS)))
+    return replace(law, waves=np.zeros((6, 0)), frequencies=frequencies, phases=np.zeros(0))
 
 
 def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
@@ -124,7 +124,7 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
         scale=scale,
         whitening=whitening,
         reach=float(np.quantile(away, INSIDE)),
-        units=np.linalg.inv(_agility(vehicle)),
+        units=np.asarray(np.linalg.inv(_agility(vehicle))),
     )
 
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .options import Exit, Force, Json, Out
-from .printing import STDOUT, print_damage, print_json, print_table, progress
+from .printing import STDOUT, print_damage, print_json, print_sections, progress
 
 
 def evaluate(
@@ -18,38 +18,52 @@ def evaluate(
             help="Vehicle file that `uavtwin explain` wrote, drawn beside the model's own."
         ),
     ] = None,
+    physics: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a learned force: vehicle file before it was explained, flown beside it."
+        ),
+    ] = None,
     out: Out = Path("evaluation"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a compensator on other flights, beside trivial baselines."""
+    """Measure a compensator on other flights, beside trivial baselines.
+
+    A learned force is measured by replaying them through exported FMUs.
+    """
+    from learning.force.model import FILE, is_force
     from twin.logs import read_flight
 
-    from ..learned import extra_learn
-    from ..output import check_folder, results_folder, write_run
+    from ..learned import evaluate as evaluate_folder
+    from ..output import check_folder, results_folder, write_json, write_run
     from ..vehicles import load_vehicle
 
-    with extra_learn():
-        from ..evaluation import evaluate_model, evaluation_table, write_evaluation
     check_folder(out, force)
-    other = None if explained is None else load_vehicle(explained)
+    others = {
+        name: load_vehicle(path)
+        for name, path in (("explained", explained), ("physics", physics))
+        if path is not None
+    }
     read = [read_flight(path) for path in flights]
     with progress("comparing") as step:
-        found = evaluate_model(model, read, other, step)
+        found = evaluate_folder(model, read, **others, progress=step)
     options = {
         "model": model.name,
         "explained": None if explained is None else Path(explained).name,
+        "physics": None if physics is None else Path(physics).name,
     }
-    inputs = [*flights, model / "model.json", model / "weights.safetensors"]
-    inputs += [Path(explained)] if explained and Path(explained).is_file() else []
+    numbers = (FILE,) if is_force(model) else ("model.json", "weights.safetensors")
+    inputs = [*flights, *(model / n for n in numbers)]
+    inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
     with results_folder(out, force) as folder:
-        write_evaluation(found, folder)
+        write_json(folder / "evaluation.json", found.json())
+        found.report(folder / "report.html")
         write_run(folder, "evaluate", options, inputs)
     if as_json:
         print_json(found.json())
     else:
-        STDOUT.print(found.claim, style="bold", markup=False)
-        print_table(evaluation_table(found))
+        print_sections(found.sections())
         STDOUT.print(f"written: {out / 'report.html'}, evaluation.json, run.json")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)

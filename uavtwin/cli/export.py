@@ -14,6 +14,7 @@ from .printing import print_files, print_json, progress
 
 if TYPE_CHECKING:
     from fmus.compensator import NetworkFile
+    from learning.force.model import ForceModel
     from twin.physics.rotors import Drive
     from twin.physics.sensors.position import Kind
 
@@ -66,7 +67,7 @@ def export(
     ] = None,
     model: Annotated[
         Path | None,
-        typer.Option(help="Folder of a trained compensator, for compensator and corrected-twin."),
+        typer.Option(help="Folder that `train` wrote, for compensator and corrected-twin."),
     ] = None,
     fmi: Annotated[str, typer.Option(help="FMI versions: 2, 3 or 2,3.")] = "2",
     flight: Annotated[Path | None, typer.Option(help="Flight for the replay component.")] = None,
@@ -95,6 +96,7 @@ def export(
 ) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
     from fmus.compensator import FILE
+    from learning.force.model import FILE as FORCE_FILE
 
     from ..output import check_folder, results_folder, write_run
 
@@ -114,8 +116,9 @@ def export(
         python_slave,
     )
     plan = export_components(components, choice)
-    trained = None if model is None else model / FILE
-    inputs = [p for p in (Path(choice.vehicle), flight, trained) if p is not None and p.is_file()]
+    trained = [] if model is None else [model / FILE, model / FORCE_FILE]
+    given = (Path(choice.vehicle), flight, *trained)
+    inputs = [p for p in given if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
         write_run(folder, "export", {"components": components, **choice.told()}, inputs)
@@ -185,8 +188,8 @@ def export_components(
             raise TwinError(unknown_name("export", "component", name, known))
     versions = _versions(choice.fmi)
     _check_options(names, choice, versions)
-    network = _network(choice, vehicle)
-    parts = [_part(name, choice, vehicle, network) for name in dict.fromkeys(names)]
+    learned = _learned(names, choice, vehicle)
+    parts = [_part(name, choice, vehicle, learned) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
     return export_parts(parts, versions, platforms, starts, choice.python_slave)
@@ -215,17 +218,20 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
 
 
 def _part(
-    name: str, choice: Choice, vehicle: "Vehicle", network: "NetworkFile | None"
+    name: str, choice: Choice, vehicle: "Vehicle", learned: "NetworkFile | ForceModel | None"
 ) -> "Exportable":
     """What a name stands for."""
+    from learning.force.model import ForceModel
     from twin.logs import read_flight
 
     from ..exports import parts
 
+    force = learned if isinstance(learned, ForceModel) else None
+    network = None if isinstance(learned, ForceModel) else learned
     drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
         controller = cast("Controller", choice.controller)
-        return parts.twin(vehicle, choice.mission, controller, network, drive)
+        return parts.twin(vehicle, choice.mission, controller, network, drive, force)
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]
         return parts.replay(read_flight(choice.flight), linear)
@@ -240,12 +246,23 @@ def _part(
     )
 
 
-def _network(choice: Choice, vehicle: "Vehicle") -> "NetworkFile | None":
-    """The trained network, held against the vehicle."""
-    from ..exports.parts import check_compensator, compensator
+def _learned(
+    names: Sequence[str], choice: Choice, vehicle: "Vehicle"
+) -> "NetworkFile | ForceModel | None":
+    """What was trained, a compensator held against the vehicle; the twin holds a force so."""
+    from learning.force.model import is_force
+
+    from ..exports.parts import check_compensator, compensator, learned_force
 
     if choice.model is None:
         return None
+    if is_force(choice.model):
+        if COMPENSATOR in names:
+            raise TwinError(
+                f"{choice.model}: is a learned force, which acts inside the equations; it has no "
+                f"FMU of its own. Export {FUSED}."
+            )
+        return learned_force(choice.model)
     network = compensator(choice.model)
     check_compensator(network, vehicle)
     return network

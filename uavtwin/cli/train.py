@@ -8,7 +8,7 @@ import typer
 from .options import Exit, Force, Out, VehicleName
 from .printing import STDOUT, print_damage, progress
 
-Protocol = Literal["reconstruct", "track", "free"]
+Protocol = Literal["force", "reconstruct", "track", "free"]
 
 
 def train(
@@ -24,8 +24,9 @@ def train(
     protocol: Annotated[
         Protocol,
         typer.Option(
-            help="track: it sees residuals as old as the horizon; free: none; reconstruct: the "
-            "present one, for comparison with the paper."
+            help="force: force and moment inside the equations. Of the sensors: track: it sees "
+            "residuals as old as the horizon; free: none; reconstruct: the present one, for "
+            "comparison with the paper."
         ),
     ] = "track",
     horizon: Annotated[int, typer.Option(min=1, help="Of track, samples.")] = 1,
@@ -41,29 +42,36 @@ def train(
     """
     from twin.logs import read_flight
 
-    from ..learned import extra_learn
+    from ..learned import train as train_model
     from ..output import write_run
     from ..vehicles import load_vehicle
 
-    with extra_learn():
-        from ..training import plan_training, prepare, run_training, training_claim
-    plan = plan_training(preset, protocol, horizon, epochs, seed, out, force)
     model = load_vehicle(vehicle)
     read = [read_flight(path) for path in flights]
-    with progress("comparing") as step:
-        residuals = prepare(read, model, rate, step)
     with progress("training") as step:
-        written = run_training(plan, residuals, model, out, step)
+        trained = train_model(
+            read,
+            model,
+            out,
+            preset=preset,
+            protocol=protocol,
+            horizon=horizon,
+            rate_hz=rate,
+            epochs=epochs,
+            seed=seed,
+            force=force,
+            progress=step,
+        )
     options = {
         "vehicle": Path(vehicle).name,
         "preset": preset,
         "protocol": protocol,
-        "horizon": plan.horizon,
+        "horizon": horizon,
         "rate": rate,
-        "epochs": plan.epochs,
+        "epochs": epochs,
     }
     write_run(out, "train", options, [p for p in (*flights, Path(vehicle)) if p.is_file()], seed)
-    STDOUT.print(training_claim(out), style="bold", markup=False)
-    STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    STDOUT.print(trained.claim, style="bold", markup=False)
+    STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 from cosim.whole_twin import COMPENSATOR
 from fmus import FmuModel, replay_model
@@ -26,6 +26,9 @@ from twin.vehicle import Vehicle
 
 from ..flights import checked_flights
 from ..vehicles import checked_vehicle
+
+if TYPE_CHECKING:
+    from learning.force.model import ForceModel
 
 Controller = Literal["lqr", "px4"]
 
@@ -88,6 +91,7 @@ def twin(
     controller: Controller = "lqr",
     compensator: NetworkFile | None = None,
     drive: Drive | None = None,
+    force: "ForceModel | None" = None,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -98,17 +102,26 @@ def twin(
         compensator: Of `uavtwin.compensator`, trained for this vehicle.
         drive: Who replays a log gives commands or rotor speeds, and no mission and no controller
             are in it; None: it flies the mission.
+        force: Of `learned_force`, learned for this vehicle; its observer is in the driven twin
+            alone, which has a motion to follow.
 
     Raises:
-        TwinError: An unknown mission, controller or drive, or a compensator of another vehicle.
+        TwinError: An unknown mission, controller or drive, or a compensator or force of another
+            vehicle.
     """
     model = checked_vehicle(vehicle, "twin")
     if compensator is not None:
         check_compensator(compensator, model)
+    if force is not None:
+        _check_taught("the learned force", force.vehicle, force.vehicle_sha256, model)
+    law = None if force is None else force.law
     if drive is None:
-        return Twin(model.name, flying_twin(model, mission, controller), compensator)
+        return Twin(model.name, flying_twin(model, mission, controller, law=law), compensator)
     _check_drive("twin", drive)
-    return Twin(model.name, driven_twin(model, drive), compensator)
+    assembly = driven_twin(model, drive, law=law)
+    if force is not None:
+        assembly = assembly.with_starts(force.observer_starts)
+    return Twin(model.name, assembly, compensator)
 
 
 def component(
@@ -188,16 +201,31 @@ def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
             f"{folder}: the model was trained with {len(network.commands)} motors, "
             f"{vehicle.name} has {vehicle.rotors.count}. Give the vehicle it was trained for."
         )
-    if network.vehicle and network.vehicle != vehicle.name:
+    _check_taught(str(folder), network.vehicle, network.vehicle_sha256, vehicle)
+
+
+def learned_force(folder: str | Path) -> "ForceModel":
+    """A learned force from the folder that `train` wrote under the protocol `force`.
+
+    Raises:
+        ModelError: The folder holds none.
+    """
+    from learning.force.model import load_force
+
+    return load_force(Path(folder))
+
+
+def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:
+    """Hold what was learned for a vehicle, "" where not said, against the one that is given."""
+    if name and name != vehicle.name:
         raise TwinError(
-            f"{folder}: the model corrects the twin of {network.vehicle}, not of "
-            f"{vehicle.name}. Give the vehicle {network.vehicle}, or train on flights of "
-            f"{vehicle.name}."
+            f"{model}: the model corrects the twin of {name}, not of {vehicle.name}. Give the "
+            f"vehicle {name}, or train on flights of {vehicle.name}."
         )
     text = checked_vehicle(vehicle, COMPENSATOR).toml()
-    if network.vehicle_sha256 not in ("", hashlib.sha256(text.encode()).hexdigest()):
+    if sha256 not in ("", hashlib.sha256(text.encode()).hexdigest()):
         raise TwinError(
-            f"{folder}: the model was trained on other numbers of {vehicle.name} than those "
+            f"{model}: the model was trained on other numbers of {vehicle.name} than those "
             f"given, and would correct what is no longer wrong. Give the vehicle file it was "
             f"trained with, or train anew."
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from .figures import pretty_unit
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Array = NDArray[np.float64]
 MAX_POINTS = 4000
@@ -21,6 +24,11 @@ _LINES = {  # colour, dash, width: the same in every report
     "corrected twin": ("#e07b1a", "solid", 1.5),
 }
 _GREY = "#8a8f98"
+_MODELS = (
+    *("#8a8f98", "#c3c7cd", "#b58900", "#1f5fd0", "#2f8f5b"),
+    *("#8a4fbf", "#c23b66", "#5fb8c9", "#e07b1a"),
+)
+"""Colours of twins that are compared, trivial ones first and the corrected one last."""
 _LOSSES = {
     "reconstruction": "#1f5fd0",
     "quantiser": "#8a4fbf",
@@ -126,6 +134,35 @@ def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
     figure.update_xaxes(title_text="time, s")
     figure.update_yaxes(title_text="anomaly score", rangemode="tozero")
     return _styled(figure, 260)
+
+
+def horizons_figure(rows: "pd.DataFrame", quantities: Sequence[tuple[str, str]]) -> go.Figure:
+    """How far twins are off over the time since they were left alone, a panel per quantity.
+
+    Args:
+        rows: `model`, `horizon_s` and a column per quantity.
+        quantities: Names and units.
+    """
+    figure = make_subplots(rows=1, cols=len(quantities), horizontal_spacing=0.07)
+    for k, (model, part) in enumerate(rows.groupby("model", sort=False)):
+        colour = _MODELS[k % len(_MODELS)]
+        for column, (quantity, _) in enumerate(quantities, start=1):
+            figure.add_scatter(
+                x=part["horizon_s"],
+                y=part[quantity],
+                name=str(model),
+                legendgroup=str(model),
+                showlegend=column == 1,
+                mode="lines+markers",
+                line={"color": colour, "width": 1.5},
+                row=1,
+                col=column,
+            )
+    for column, (quantity, unit) in enumerate(quantities, start=1):
+        title = f"{escape(quantity)}, {escape(pretty_unit(unit))}"
+        figure.update_yaxes(title_text=title, type="log", row=1, col=column)
+        figure.update_xaxes(title_text="left alone for, s", type="log", row=1, col=column)
+    return _styled(figure, 420)
 
 
 def _thin(values: Array, every: int) -> list[float]:

@@ -5,9 +5,9 @@ after the other, and flights that took no part in their fit are replayed through
 where the twin is then less far off, beside its observer, and in no quantity farther.
 """
 
+import hashlib
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,75 +16,40 @@ from numpy.typing import NDArray
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.force.candidates import LAWS, Candidate
+from learning.force.model import (
+    Flown,
+    ForceModel,
+    Output,
+    Taught,
+    fingerprint,
+    observer_starts,
+)
 from learning.force.train import Prepared, prepare, without_waves
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS, ForceLaw, weight_names
-from twin.representation import short_repr
 from twin.residuals.teacher_forced import choose_drive
-from twin.vehicle import Vehicle
 
+from ..vehicles import Vehicle
 from .open_loop import Replay
 
 Array = NDArray[np.float64]
+Progress = Callable[[float], None]
 AHEAD_S = (0.2, 0.5, 1.0)
 """Horizons at which laws are compared."""
 BETTER = 0.01
 """Share by which a law must lower the error, in the geometric mean over quantities and horizons."""
 WORSE = 1.02
-"""No quantity at any of the horizons may grow by more."""
+"""No quantity may grow by more, in the geometric mean over the horizons."""
 PART = "residual_force."
-
-
-@dataclass(frozen=True, slots=True)
-class Flown:
-    """One law of one output, as flown.
-
-    Attributes:
-        law: Of `LAWS`.
-        ratio: Error over that without it, geometric mean over quantities and horizons.
-        worst: The largest of these ratios.
-        gain: Nats, as of `learning.force.candidates.Candidate`.
-    """
-
-    law: str
-    ratio: float
-    worst: float
-    gain: float
-
-
-@dataclass(frozen=True, slots=True)
-class LearnedForce:
-    """A law, and how it was come by.
-
-    Attributes:
-        law: Its numbers.
-        chosen: By output of `OUTPUTS`.
-        flown: By output, every law that was tried.
-        taken: Largest rate, 1/s, at which the linear part would have fed energy in; taken out.
-        flights: Names.
-    """
-
-    law: ForceLaw
-    chosen: tuple[Candidate, ...]
-    flown: tuple[tuple[Flown, ...], ...]
-    taken: float
-    flights: tuple[str, ...]
-
-    __repr__ = short_repr
-
-    @property
-    def observer_starts(self) -> dict[str, float]:
-        """Parameters of the driven twin's airframe by which its observer is that of the law."""
-        return observer_starts(self.chosen)
 
 
 def learn_force(
     flights: Sequence[Flight],
     vehicle: Vehicle,
     seed: int = 0,
-    progress: Callable[[float], None] = lambda _: None,
-) -> LearnedForce:
+    progress: Progress = lambda _: None,
+) -> ForceModel:
     """Learn what a vehicle's equations leave.
 
     Args:
@@ -98,28 +63,33 @@ def learn_force(
         TwinError: A flight lacks the IMU or the motion, or is too short.
     """
     prepared = prepare(flights, vehicle, seed, lambda done: progress(0.1 * done))
-    laws, flown = ["none"] * len(OUTPUTS), tuple(() for _ in OUTPUTS)
+    laws = ["none"] * len(OUTPUTS)
+    flown: list[tuple[Flown, ...]] = [()] * len(OUTPUTS)
     if len(flights) > 1:
         laws, flown = _flown(flights, prepared, lambda done: progress(0.1 + 0.85 * done))
     every = prepared.candidates(range(len(flights)))
-    chosen = tuple(c[name] for c, name in zip(every, laws, strict=True))
+    chosen = [c[name] for c, name in zip(every, laws, strict=True)]
     law, taken = prepared.law(chosen)
     progress(1.0)
-    return LearnedForce(without_waves(law), chosen, flown, taken, tuple(f.name for f in flights))
-
-
-def observer_starts(chosen: Sequence[Candidate]) -> dict[str, float]:
-    """Parameters of a driven twin by which its observer is that of the candidates."""
-    starts = {"airframe.disturbance.enabled": 1.0}
-    for (kind, a), candidate in zip(OUTPUTS, chosen, strict=True):
-        starts[f"airframe.disturbance.lag.{kind}_{a}"] = candidate.observer.lag_s
-        starts[f"airframe.disturbance.fade.{kind}_{a}"] = candidate.observer.fade_s
-    return starts
+    return ForceModel(
+        law=without_waves(law),
+        rivals={
+            name: without_waves(prepared.law([c[name] for c in every])[0]) for name in LAWS[1:]
+        },
+        outputs=tuple(
+            Output(c.law, c.observer, tried) for c, tried in zip(chosen, flown, strict=True)
+        ),
+        taken=taken,
+        flights=tuple(Taught(f.name, fingerprint(f)) for f in flights),
+        vehicle=vehicle.name,
+        vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
+        seed=seed,
+    )
 
 
 def _flown(
-    flights: Sequence[Flight], prepared: Prepared, progress: Callable[[float], None]
-) -> tuple[list[str], tuple[tuple[Flown, ...], ...]]:
+    flights: Sequence[Flight], prepared: Prepared, progress: Progress
+) -> tuple[list[str], list[tuple[Flown, ...]]]:
     """Law of each output, output after output, and what each did."""
     rows = range(len(flights))
     fitted = [prepared.candidates([i for i in rows if i != out]) for out in rows]
@@ -136,31 +106,38 @@ def _flown(
             squares = []
             for replay, every in zip(replays, fitted, strict=True):
                 chosen = [c[name] for c, name in zip(every, laws, strict=True)]
-                starts = _starts(prepared.law(chosen)[0]) | observer_starts(chosen)
+                starts = _starts(prepared.law(chosen)[0])
+                starts |= observer_starts([c.observer for c in chosen])
                 squares.append(np.mean(replay.through(fmu, starts).off ** 2, axis=0))
             done += 1
             progress(done / steps)
-            return np.mean(squares, axis=0)
+            return np.asarray(np.mean(squares, axis=0))
 
-        laws, found = ["none"] * len(OUTPUTS), []
+        laws = ["none"] * len(OUTPUTS)
+        found: list[tuple[Flown, ...]] = []
         least = errors(laws)
         for i in range(len(OUTPUTS)):
             tried = {name: errors([*laws[:i], name, *laws[i + 1 :]]) for name in LAWS[1:]}
-            ratios = {name: np.sqrt(e / least) for name, e in tried.items()}
             found.append(
                 tuple(
-                    Flown(
-                        name,
-                        float(np.exp(np.mean(np.log(r)))),
-                        float(r.max()),
-                        float(np.mean([every[i][name].gain for every in fitted])),
-                    )
-                    for name, r in ratios.items()
+                    _as_flown(name, e / least, [every[i][name] for every in fitted])
+                    for name, e in tried.items()
                 )
             )
             laws[i] = _best(found[-1])
             least = tried.get(laws[i], least)
-    return laws, tuple(found)
+    return laws, found
+
+
+def _as_flown(name: str, squares: Array, fitted: Sequence[Candidate]) -> Flown:
+    """A law from its mean squares over those without it, shape (horizons, 4, 3)."""
+    cells = np.exp(np.mean(np.log(squares), axis=0) / 2)
+    return Flown(
+        law=name,
+        ratio=float(np.exp(np.mean(np.log(cells)))),
+        worst=float(cells.max()),
+        gain=float(np.mean([c.gain for c in fitted])),
+    )
 
 
 def _best(flown: Sequence[Flown]) -> str:
@@ -172,7 +149,7 @@ def _best(flown: Sequence[Flown]) -> str:
     return next(f.law for f in good if f.ratio <= least + BETTER)
 
 
-def _starts(law: ForceLaw) -> Mapping[str, float]:
+def _starts(law: ForceLaw) -> dict[str, float]:
     """The weights of a law as start values of the fused FMU."""
     names = [n for table in weight_names(law) for row in table for n in row]
     values = np.concatenate([law.linear.ravel(), law.waves.ravel()]).tolist()

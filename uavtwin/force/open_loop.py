@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cosim.slave.slave import Slave
 from twin.errors import LogError
-from twin.frames import rotation_vector
+from twin.frames import multiply, rotation_vector
 from twin.logs import Flight
 from twin.physics.airframe import AXES
 from twin.representation import short_repr
@@ -21,7 +21,7 @@ from twin.residuals.aligned import align_flight
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
-from .driving import PREFIX, driving_inputs, true_motion
+from ..driving import PREFIX, driving_inputs, true_motion
 
 Array = NDArray[np.float64]
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
@@ -112,10 +112,36 @@ class Replay:
         finally:
             slave.close()
         values = np.array(found)
+        return self._compared(values[..., : len(RIGID)], values[..., len(RIGID) :])
+
+    def last_reading(self) -> OpenLoop:
+        """What takes the motion at which it was left alone for that to come."""
+        return self._compared(self._held())
+
+    def last_motion(self) -> OpenLoop:
+        """What goes on with the velocity and the body rates at which it was left alone."""
+        held = self._held()
+        at = {stem: [RIGID.index(f"{stem}_{a}") for a in AXES] for stem in ("pos", "vel", "omega")}
+        q = [RIGID.index(f"q_{a}") for a in "wxyz"]
+        ahead_s = GRID_S * np.array(self._steps)[:, None]
+        held[..., at["pos"]] += ahead_s * held[..., at["vel"]]
+        half = ahead_s * held[..., at["omega"]] / 2
+        angle = np.linalg.norm(half, axis=-1, keepdims=True)
+        turn = np.concatenate([np.cos(angle), half * np.sinc(angle / np.pi)], axis=-1)
+        before = np.moveaxis(held[..., q], -1, 0)
+        held[..., q] = np.stack(multiply(list(before), list(np.moveaxis(turn, -1, 0))), axis=-1)
+        return self._compared(held)
+
+    def _held(self) -> Array:
+        """Motion at which it was left alone, once per horizon, shape (w, h, 13)."""
+        return np.repeat(self._there[self._left][:, None, :], len(self._steps), axis=1)
+
+    def _compared(self, motion: Array, watched: Array | None = None) -> OpenLoop:
+        """Motion at the horizons, shape (w, h, 13), against that of the aircraft."""
         there = np.stack([self._there[self._left + k] for k in self._steps], axis=1)
-        return OpenLoop(
-            GRID_S * self._left, _off(values[..., : len(RIGID)], there), values[..., len(RIGID) :]
-        )
+        nothing = np.zeros((*motion.shape[:2], 0))
+        left_s = np.asarray(GRID_S * self._left, dtype=np.float64)
+        return OpenLoop(left_s, _off(motion, there), nothing if watched is None else watched)
 
     def _alone(self, slave: Slave, row: int) -> list[Array]:
         """Outputs at the horizons after a row."""
@@ -140,7 +166,7 @@ def _left_alone(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
     warm = round(WARM_S / GRID_S)
     missing = np.concatenate([[0], np.cumsum(~known)])
     rows = np.arange(warm, len(known) - steps, round(EVERY_S / GRID_S))
-    return rows[missing[rows + steps + 1] == missing[rows - warm]]
+    return np.asarray(rows[missing[rows + steps + 1] == missing[rows - warm]], dtype=np.intp)
 
 
 def _off(twin: Array, aircraft: Array) -> Array:

@@ -1,0 +1,212 @@
+"""A learned force and moment as a folder: one JSON file, and the vehicle it was learned for."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.errors import ModelError, TwinError
+from twin.logs import Flight
+from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
+from twin.representation import short_repr
+
+from .forecast import Observer
+
+FILE, VEHICLE_FILE = "force.json", "vehicle.toml"
+FORMAT = 1
+"""Version of the file's layout."""
+_OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """One law of one output, as flown over flights that took no part in its fit.
+
+    Attributes:
+        law: Of `learning.force.candidates.LAWS`.
+        ratio: Error over that without it, geometric mean over quantities and horizons.
+        worst: The largest ratio of a quantity, horizons together.
+        gain: Nats, as of `learning.force.candidates.Candidate`.
+    """
+
+    law: str
+    ratio: float
+    worst: float
+    gain: float
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """What was learned of one output.
+
+    Attributes:
+        law: That is used.
+        observer: Of what it leaves.
+        tried: Every law, as flown; empty where a single flight was given.
+    """
+
+    law: str
+    observer: Observer
+    tried: tuple[Flown, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Taught:
+    """A flight that was learned from.
+
+    Attributes:
+        name: Of the flight.
+        sha256: Of its numbers (`fingerprint`).
+    """
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class ForceModel:
+    """A law, the observer beside it, and how both were come by.
+
+    Attributes:
+        law: As it is used.
+        rivals: The same with every output by one law, by its name.
+        outputs: Of `OUTPUTS`, in order.
+        taken: Largest rate at which the linear part would have fed energy in, 1/s; taken out.
+        flights: That taught it.
+        vehicle: Name of the vehicle.
+        vehicle_sha256: Of its file.
+        seed: Of the random features.
+    """
+
+    law: ForceLaw
+    rivals: Mapping[str, ForceLaw]
+    outputs: tuple[Output, ...]
+    taken: float
+    flights: tuple[Taught, ...]
+    vehicle: str
+    vehicle_sha256: str
+    seed: int
+
+    __repr__ = short_repr
+
+    @property
+    def observer_starts(self) -> dict[str, float]:
+        """Parameters of a driven twin by which its observer is that of the law."""
+        return observer_starts([o.observer for o in self.outputs])
+
+
+def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
+    """Parameters of a driven twin by which its observer has these numbers, one per output."""
+    starts = {"airframe.disturbance.enabled": 1.0}
+    for name, observer in zip(_OUTPUTS, observers, strict=True):
+        starts[f"airframe.disturbance.lag.{name}"] = observer.lag_s
+        starts[f"airframe.disturbance.fade.{name}"] = observer.fade_s
+    return starts
+
+
+def fingerprint(flight: Flight) -> str:
+    """Hash of a flight's numbers, whatever its file is called; column order takes no part."""
+    digest = hashlib.sha256()
+    for column in sorted(flight.table):
+        values = flight.table[column]
+        digest.update(column.encode())
+        if values.dtype.kind in "fiub":
+            digest.update(values.to_numpy(dtype=np.float64).tobytes())
+        else:
+            digest.update("\0".join(values.astype(str)).encode())
+    return digest.hexdigest()
+
+
+def save_force(model: ForceModel, folder: Path) -> None:
+    """Write `force.json`; the same model gives the same bytes."""
+    content = {
+        "format": FORMAT,
+        "protocol": "force",
+        "vehicle": model.vehicle,
+        "vehicle_sha256": model.vehicle_sha256,
+        "seed": model.seed,
+        "flights": [asdict(f) for f in model.flights],
+        "inputs": [name for name, _ in INPUTS],
+        "features": list(FEATURES),
+        "outputs": {
+            name: asdict(output) for name, output in zip(_OUTPUTS, model.outputs, strict=True)
+        },
+        "taken_1_s": model.taken,
+        "law": _plain(model.law),
+        "rivals": {name: _plain(law) for name, law in model.rivals.items()},
+    }
+    text = json.dumps(content, indent=1, allow_nan=False)
+    (folder / FILE).write_text(text + "\n", "utf-8")
+
+
+def load_force(folder: Path) -> ForceModel:
+    """The model of a folder.
+
+    Raises:
+        ModelError: The folder holds none, or one of another layout or version.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        raise ModelError(f"{folder}: no {FILE}; `uavtwin train --protocol force` writes one.")
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        return _model(content)
+    except (AttributeError, KeyError, TypeError, ValueError, TwinError) as error:
+        raise ModelError(
+            f"{path}: is of another layout than this version's, or damaged ({error}). Train the "
+            f"model anew."
+        ) from error
+
+
+def is_force(folder: Path) -> bool:
+    """Whether a folder holds a learned force."""
+    return (folder / FILE).is_file()
+
+
+def _model(content: Mapping[str, Any]) -> ForceModel:
+    named = {
+        "format": FORMAT,
+        "inputs": [name for name, _ in INPUTS],
+        "features": list(FEATURES),
+    }
+    for key, value in named.items():
+        if content[key] != value:
+            raise ModelError(f"{key} is {content[key]}, not {value}")
+    if list(content["outputs"]) != list(_OUTPUTS):
+        raise ModelError(f"outputs are {list(content['outputs'])}, not {list(_OUTPUTS)}")
+    return ForceModel(
+        law=_law(content["law"]),
+        rivals={name: _law(law) for name, law in content["rivals"].items()},
+        outputs=tuple(
+            Output(
+                said["law"], Observer(**said["observer"]), tuple(Flown(**f) for f in said["tried"])
+            )
+            for said in content["outputs"].values()
+        ),
+        taken=float(content["taken_1_s"]),
+        flights=tuple(Taught(**f) for f in content["flights"]),
+        vehicle=str(content["vehicle"]),
+        vehicle_sha256=str(content["vehicle_sha256"]),
+        seed=int(content["seed"]),
+    )
+
+
+def _plain(law: ForceLaw) -> dict[str, Any]:
+    """A law as plain numbers; the shape of a table without rows is said, too."""
+    return {k: {"shape": list(v.shape), "values": _listed(v)} for k, v in law.arrays().items()}
+
+
+def _listed(values: NDArray[np.float64]) -> list[float]:
+    numbers: list[float] = values.ravel().tolist()
+    return numbers
+
+
+def _law(content: Mapping[str, Any]) -> ForceLaw:
+    return ForceLaw.of(
+        {k: np.array(v["values"], dtype=np.float64).reshape(v["shape"]) for k, v in content.items()}
+    )

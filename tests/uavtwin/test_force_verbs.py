@@ -1,0 +1,200 @@
+"""A force that the file lacks: learned, flown by exported FMUs on another flight, refused."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+
+import uavtwin as ut
+from twin.errors import TwinError
+from twin.logs import write_flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.cli import main
+from uavtwin.demo.flights import fly
+from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over_explained
+
+COPTER = load_vehicle("copter_default")
+DRAG_1_S = 0.6
+PLANT = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m
+    + DRAG_1_S * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+PLACES = {
+    "one": ((4.0, 2.0, -2.0), (-3.0, -2.0, -2.5), (3.0, -4.0, -2.0)),
+    "two": ((-4.0, 3.0, -2.0), (3.0, 3.0, -1.5), (-2.0, -4.0, -2.0)),
+    "three": ((3.0, -3.0, -2.0), (-4.0, 2.0, -2.0), (2.0, 4.0, -2.5)),
+}
+
+
+def _run(*arguments: object) -> None:
+    main.app([str(a) for a in arguments], standalone_mode=False)
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Three flights of a vehicle with more drag than its file says."""
+    folder = tmp_path_factory.mktemp("flights")
+    paths = {}
+    for seed, (name, places) in enumerate(PLACES.items(), start=1):
+        legs = (
+            ("ground", 0.5, (0.0, 0.0, 0.0)),
+            ("takeoff", 2.5, (0.0, 0.0, -2.0)),
+            *(("tour", 3.5, place) for place in places),
+        )
+        paths[name] = folder / f"{name}.parquet"
+        write_flight(fly(COPTER, PLANT, seed, name, legs), paths[name])
+    return paths
+
+
+@pytest.fixture(scope="module")
+def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Learned from the first two."""
+    folder = tmp_path_factory.mktemp("learned") / "model"
+    _run(
+        "train",
+        *(logs["one"], logs["two"]),
+        *("--vehicle", "copter_default", "--protocol", "force", "--out", folder),
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(
+    model: Path, logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[dict[str, object], Path]:
+    """Evaluated on the third."""
+    out = tmp_path_factory.mktemp("evaluated") / "evaluation"
+    _run("evaluate", model, logs["three"], "--physics", "copter_default", "--out", out)
+    return json.loads((out / "evaluation.json").read_text("utf-8")), out
+
+
+@pytest.mark.slow
+def test_the_drag_that_is_missing_becomes_a_law(model: Path) -> None:
+    names = {p.name for p in model.iterdir()}
+    assert names == {"force.json", "vehicle.toml", "report.html", "run.json"}
+    law = json.loads((model / "force.json").read_text("utf-8"))
+    for a in "xy":
+        assert law["outputs"][f"force_{a}"]["law"] != "none"
+        columns, values = law["features"], law["law"]["linear"]["values"]
+        row = dict(zip(columns, values["xy".index(a) * len(columns) :], strict=False))
+        assert row[f"air_{a}"] == pytest.approx(-DRAG_1_S, rel=0.25)
+    page = (model / "report.html").read_text("utf-8")
+    assert not re.search(r'<(script|link|img)[^>]+(src|href)="http', page)
+
+
+@pytest.mark.slow
+def test_the_exported_twin_is_less_far_off_on_a_flight_it_has_not_seen(
+    found: tuple[dict[str, object], Path], model: Path, logs: dict[str, Path]
+) -> None:
+    told, out = found
+    rows = {r["model"]: r for r in told["summary"] if r["horizon_s"] == 0.5}  # type: ignore[attr-defined]
+    assert rows[SHIPPED]["velocity"] < 0.5 * rows[EXPLAINED]["velocity"]
+    assert rows[SHIPPED]["velocity"] < rows[OBSERVED]["velocity"]
+    assert rows[SHIPPED]["velocity"] < rows[LAST_READING]["velocity"]
+    assert rows["physics"]["position"] == pytest.approx(rows[EXPLAINED]["position"], rel=1e-9)
+    assert min(told["inside"].values()) > 0.9  # type: ignore[attr-defined]
+    assert "explained + observer + linear" in (out / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_the_shipped_fmu_holds_law_and_observer(model: Path, tmp_path: Path) -> None:
+    _run(
+        "export",
+        *("corrected-twin", "--drive", "commands", "--model", model, "--out", tmp_path / "fmus"),
+    )
+    (fmu,) = (tmp_path / "fmus").glob("*.fmu")
+    starts = {v.name: v.start for v in fmpy.read_model_description(fmu).modelVariables if v.start}
+    law = json.loads((model / "force.json").read_text("utf-8"))
+    weight = law["law"]["linear"]["values"][law["features"].index("air_x")]
+    assert float(starts["residual_force.linear.force_x.air_x"]) == weight
+    assert starts["airframe.disturbance.enabled"] == "true"
+    fade_s = law["outputs"]["moment_x"]["observer"]["fade_s"]
+    assert float(starts["airframe.disturbance.fade.moment_x"]) == fade_s
+
+
+@pytest.mark.slow
+def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
+    twin = ut.twin(
+        ut.load_vehicle(str(model / "vehicle.toml")), "tour", force=ut.learned_force(model)
+    )
+    (fmu,) = ut.export(twin, tmp_path / "twin.fmu").paths
+    outputs = ["residual_force.force_x", "residual_force.distance", "airframe.vel_x"]
+    flown = fmpy.simulate_fmu(fmu, output=outputs)
+    moving = np.abs(flown["airframe.vel_x"]) > 0.5
+    assert moving.any()
+    pushed = flown["residual_force.force_x"][moving] * flown["airframe.vel_x"][moving]
+    assert np.mean(pushed < 0) > 0.95, "drag takes energy"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda m, logs, t: ("evaluate", m, _renamed(logs["one"], t)), "taught by this flight"),
+        (
+            lambda m, logs, t: ("evaluate", m, logs["three"], "--explained", "copter_default"),
+            "explained does not go with",
+        ),
+        (
+            lambda m, logs, t: ("export", "corrected-twin", "--model", m, "--vehicle", "crazyflie"),
+            "not of",
+        ),
+        (lambda m, logs, t: ("export", "compensator", "--model", m), "no FMU of its own"),
+        (
+            lambda m, logs, t: (
+                *("train", logs["one"], "--vehicle", "copter_default"),
+                *("--protocol", "force", "--epochs", 3),
+            ),
+            "epochs 3: protocol force has no such choice",
+        ),
+    ],
+)
+def test_what_cannot_be_done_says_why(
+    model: Path,
+    logs: dict[str, Path],
+    tmp_path: Path,
+    make: Callable[[Path, dict[str, Path], Path], tuple[object, ...]],
+    said: str,
+) -> None:
+    with pytest.raises(TwinError, match=said):
+        _run(*make(model, logs, tmp_path), "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def _renamed(path: Path, folder: Path) -> Path:
+    copy = folder / "other_name.parquet"
+    copy.write_bytes(path.read_bytes())
+    return copy
+
+
+@pytest.mark.slow
+def test_one_flight_teaches_an_observer_alone(logs: dict[str, Path], tmp_path: Path) -> None:
+    trained = ut.train(
+        ut.read_flight(logs["one"]), ut.vehicle("copter_default"), tmp_path / "m", protocol="force"
+    )
+    assert "one flight tells no law" in trained.claim
+    assert not trained.model().law.linear.any()  # type: ignore[union-attr]
+
+
+@pytest.mark.slow
+def test_the_same_flights_give_the_same_bytes(
+    model: Path, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    flights = [ut.read_flight(logs[n]) for n in ("one", "two")]
+    again = ut.train(flights, ut.vehicle("copter_default"), tmp_path / "m", protocol="force")
+    assert (again.folder / "force.json").read_bytes() == (model / "force.json").read_bytes()
+
+
+@pytest.mark.slow
+def test_ratios_are_of_the_explained_twin(found: tuple[dict[str, object], Path]) -> None:
+    import pandas as pd
+
+    table = pd.DataFrame(found[0]["cells"])
+    ratios = over_explained(table, EXPLAINED)
+    assert (ratios == 1).all() and len(ratios) == 12

@@ -1,0 +1,1 @@
+"""Learned force and moment: laws that flights teach, chosen and judged by FMUs that fly them."""

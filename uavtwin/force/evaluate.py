@@ -1,0 +1,270 @@
+"""Evaluation of a learned force: exported FMUs, beside others, over flights of their own."""
+
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from learning.force.model import VEHICLE_FILE, ForceModel, fingerprint, load_force
+from twin.errors import TwinError
+from twin.logs import Flight
+from twin.physics.airframe import AXES
+from twin.physics.rotors import Drive
+from twin.residuals.teacher_forced import choose_drive
+
+from ..exports.parts import twin
+from ..exports.write import export
+from ..output import output_file
+from ..report.figures import embedded, pretty_unit
+from ..report.gap import number, percent
+from ..report.learning_figures import horizons_figure
+from ..report.page import render
+from ..shown import Shown, TextTable, counted
+from ..vehicles import Vehicle, load_vehicle
+from .open_loop import HORIZONS_S, QUANTITIES, OpenLoop, Replay
+
+PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
+LAST_MOTION, LAST_READING = "last motion", "last reading"
+CLAIMED_S = 0.5
+"""Horizon of the claim and of the printed table."""
+DISTANCE = "residual_force.distance"
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class ForceEvaluation(Shown):
+    """What exported twins made of flights.
+
+    Attributes:
+        model: The learned force.
+        table: A row per twin (`model`), `flight`, `horizon_s`, `quantity` and `axis`: `unit`, `rms`
+            of what the twin is off after it was left alone so long.
+        inside: By flight: share of the instants at which the corrected twin, while it flew alone,
+            was inside the envelope of the training.
+        windows: By flight: how often the twins were left alone.
+    """
+
+    model: ForceModel
+    table: pd.DataFrame
+    inside: Mapping[str, float]
+    windows: Mapping[str, int]
+
+    @property
+    def claim(self) -> str:
+        """How much farther or less far off the corrected twin is than the explained one."""
+        ratios = over_explained(self.table, SHIPPED)
+        at, worst = ratios.idxmax(), float(ratios.max())
+        flight, quantity, axis = at
+        share = float(np.mean(list(self.inside.values())))
+        return (
+            f"{CLAIMED_S:g} s after it was left alone, the corrected twin is off by "
+            f"{float(ratios.median()):.2f} of what the explained one is (median of "
+            f"{len(ratios)} cells; at most {worst:.2f}, {quantity} {axis} of {flight}); "
+            f"{percent(share)} of the time inside the envelope."
+        )
+
+    def frame(self) -> pd.DataFrame:
+        """A row per twin, flight, horizon, quantity and axis."""
+        return self.table.copy()
+
+    def json(self) -> dict[str, Any]:
+        """The content of `evaluation.json`."""
+        return {
+            "protocol": "force",
+            "vehicle": self.model.vehicle,
+            "flights": list(self.inside),
+            "claim": self.claim,
+            "horizons_s": list(HORIZONS_S),
+            "inside": dict(self.inside),
+            "windows": dict(self.windows),
+            "summary": summary(self.table).to_dict("records"),
+            "cells": self.table.to_dict("records"),
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        with output_file(Path(path)) as file:
+            write_force_report(self, file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The claim, and how far each twin is off."""
+        yield self.claim
+        yield shown_table(self.table)
+
+    def brief(self) -> str:
+        """Protocol and flights."""
+        return f"{type(self).__name__}: {counted(list(self.inside), 'flight')}"
+
+
+def evaluate_force(
+    folder: Path, flights: Sequence[Flight], physics: Vehicle | None, progress: Progress
+) -> ForceEvaluation:
+    """Replay flights through exported twins.
+
+    Args:
+        folder: That `train --protocol force` wrote.
+        flights: None of the training.
+        physics: Vehicle before it was explained, beside the others; None: without.
+        progress: Called with the share done.
+
+    Raises:
+        TwinError: The folder holds no learned force, or a flight taught it or cannot be replayed.
+    """
+    model, vehicle = load_force(folder), load_vehicle(folder / VEHICLE_FILE)
+    _check_new(flights, folder, model)
+    rows, inside, windows = [], {}, {}
+    with tempfile.TemporaryDirectory() as place:
+        fleet = _Fleet(model, vehicle, physics, Path(place))
+        total, done = len(flights) * len(fleet.names), 0
+        for flight in flights:
+            replay = Replay(flight, vehicle)
+            drive = choose_drive(flight, vehicle)
+            flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
+            for name in fleet.names:
+                path, starts = fleet.twin(name, drive)
+                watch = (DISTANCE,) if name == SHIPPED else ()
+                before = replay
+                if name == PHYSICS and physics is not None:
+                    before = Replay(flight, physics)
+                flown[name] = before.through(path, starts, watch)
+                done += 1
+                progress(done / total)
+            rows += [row for name, off in flown.items() for row in _rows(name, flight.name, off)]
+            inside[flight.name] = float(np.mean(flown[SHIPPED].watched <= 1))
+            windows[flight.name] = len(flown[SHIPPED].t_s)
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows)
+
+
+class _Fleet:
+    """The twins that are compared, exported when they are asked for."""
+
+    def __init__(
+        self, model: ForceModel, vehicle: Vehicle, physics: Vehicle | None, place: Path
+    ) -> None:
+        self._forces: dict[str, ForceModel | None] = {EXPLAINED: None, OBSERVED: None}
+        for name, law in model.rivals.items():
+            self._forces[f"explained + observer + {name}"] = replace(model, law=law)
+        self._forces[SHIPPED] = model
+        self._vehicles = dict.fromkeys(self._forces, vehicle)
+        if physics is not None:
+            self._forces = {PHYSICS: None, **self._forces}
+            self._vehicles[PHYSICS] = physics
+        self._observer, self._place = model.observer_starts, place
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the twins, from the plainest to that which is shipped."""
+        return tuple(self._forces)
+
+    def twin(self, name: str, drive: Drive) -> tuple[Path, Mapping[str, float]]:
+        """Its FMU, and start values."""
+        path = self._place / f"{name.replace(' ', '_')}_{drive}.fmu"
+        if not path.exists():
+            force = self._forces[name]
+            export(twin(self._vehicles[name], drive=drive, force=force), path)
+        return path, self._observer if name == OBSERVED else {}
+
+
+def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> None:
+    """Refuse flights of the training, whatever they are called now, and two of one name."""
+    taught = {f.sha256: f.name for f in model.flights}
+    names = [f.name for f in flights]
+    for flight in flights:
+        if (name := taught.get(fingerprint(flight))) is not None:
+            raise TwinError(
+                f"{flight.source or flight.name}: {folder} was taught by this flight, named "
+                f"{name} then. Evaluate on others."
+            )
+        if names.count(flight.name) > 1:
+            raise TwinError(
+                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
+                f"of them."
+            )
+
+
+def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
+    """A row per horizon, quantity and axis."""
+    rms = flown.rms
+    return [
+        {
+            "model": model,
+            "flight": flight,
+            "horizon_s": horizon_s,
+            "quantity": quantity,
+            "axis": a,
+            "unit": unit,
+            "rms": float(rms[h, q, k]),
+        }
+        for h, horizon_s in enumerate(HORIZONS_S)
+        for q, (quantity, unit) in enumerate(QUANTITIES)
+        for k, a in enumerate(AXES)
+    ]
+
+
+def over_explained(table: pd.DataFrame, model: str, horizon_s: float = CLAIMED_S) -> "pd.Series":
+    """Rms of a twin over that of the explained one, by flight, quantity and axis."""
+    at = table[table["horizon_s"] == horizon_s]
+    rms = at.pivot(index=["flight", "quantity", "axis"], columns="model", values="rms")
+    return rms[model] / rms[EXPLAINED]
+
+
+def summary(table: pd.DataFrame) -> pd.DataFrame:
+    """A row per twin and horizon: rms per quantity, three axes and all flights together, and
+    median and largest of its cells over those of the explained twin."""
+    rows = []
+    for (model, horizon_s), part in table.groupby(["model", "horizon_s"], sort=False):
+        square = (part["rms"] ** 2).groupby(part["quantity"]).mean()
+        ratios = over_explained(table, str(model), float(horizon_s))
+        rows.append(
+            {
+                "model": model,
+                "horizon_s": horizon_s,
+                **{q: float(np.sqrt(len(AXES) * square[q])) for q, _ in QUANTITIES},
+                "over_explained_median": float(ratios.median()),
+                "over_explained_largest": float(ratios.max()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def shown_table(table: pd.DataFrame) -> TextTable:
+    """`summary` at the claimed horizon."""
+    rows = summary(table)
+    header = (f"off after {CLAIMED_S:g} s", *(f"{q} {unit}" for q, unit in QUANTITIES))
+    return TextTable(
+        (*header, "over explained", "at most"),
+        tuple(
+            (
+                str(row["model"]),
+                *(number(row[q]) for q, _ in QUANTITIES),
+                f"{row['over_explained_median']:.2f}",
+                f"{row['over_explained_largest']:.2f}",
+            )
+            for row in rows[rows["horizon_s"] == CLAIMED_S].to_dict("records")
+        ),
+    )
+
+
+def write_force_report(found: ForceEvaluation, path: Path) -> None:
+    """Write the page; an existing one is replaced."""
+    rows = summary(found.table)
+    figure = horizons_figure(rows, QUANTITIES)
+    page = render(
+        "force_evaluation.html.j2",
+        {"number": number, "percent": percent, "unit": pretty_unit},
+        claim=found.claim,
+        model=found.model,
+        flights=[
+            {"name": name, "inside": share, "windows": found.windows[name]}
+            for name, share in found.inside.items()
+        ],
+        quantities=QUANTITIES,
+        rows=rows.to_dict("records"),
+        figure={"json": embedded(figure), "height": int(figure.layout.height)},
+    )
+    path.write_text(page, encoding="utf-8")

@@ -1,0 +1,113 @@
+"""Training of a learned force: flights to a model folder with its page."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from learning.force.candidates import LAWS
+from learning.force.forecast import NEVER_S
+from learning.force.model import FILE, VEHICLE_FILE, ForceModel, load_force, save_force
+from twin.errors import TwinError
+from twin.logs import Flight
+from twin.physics.residual_force import OUTPUTS
+
+from ..report.gap import number
+from ..report.page import render
+from ..vehicles import Vehicle
+from .learn import Progress, learn_force
+
+REPORT = "report.html"
+_DEFAULTS = {"preset": "best", "horizon": 1, "rate": 100.0, "epochs": None}
+"""Options of `train` that a learned force has not."""
+NAMES = tuple(f"{kind} {a}" for kind, a in OUTPUTS)
+"""Of the outputs, for a reader."""
+
+
+def check_force_options(preset: str, horizon: int, rate: float, epochs: int | None) -> None:
+    """Refuse options of a training that has none of them.
+
+    Raises:
+        TwinError: One is given.
+    """
+    given = {"preset": preset, "horizon": horizon, "rate": rate, "epochs": epochs}
+    for name, value in given.items():
+        if value != _DEFAULTS[name]:
+            raise TwinError(
+                f"{name} {value}: protocol force has no such choice, its laws are chosen by flying "
+                f"them. Leave it out."
+            )
+
+
+def train_force(
+    flights: Sequence[Flight], vehicle: Vehicle, seed: int, out: Path, progress: Progress
+) -> list[str]:
+    """Learn what a vehicle's equations leave, and write it.
+
+    Args:
+        flights: To learn from.
+        vehicle: Explained or calibrated.
+        seed: Of the random features.
+        out: Folder, which is there.
+        progress: Called with the share done.
+
+    Returns:
+        Names of the files, the page first.
+
+    Raises:
+        TwinError: A flight cannot be learned from, or two have one name.
+    """
+    names = [f.name for f in flights]
+    for flight in flights:
+        if names.count(flight.name) > 1:
+            raise TwinError(
+                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
+                f"of them."
+            )
+    model = learn_force(flights, vehicle, seed, progress)
+    save_force(model, out)
+    (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
+    (out / REPORT).write_text(_page(model), encoding="utf-8")
+    return [REPORT, FILE, VEHICLE_FILE]
+
+
+def force_claim(out: Path) -> str:
+    """One sentence on a learned force, from its folder."""
+    return _claim(load_force(out))
+
+
+def _claim(model: ForceModel) -> str:
+    used = [
+        f"{name} {output.law}"
+        for name, output in zip(NAMES, model.outputs, strict=True)
+        if output.law != LAWS[0]
+    ]
+    if len(model.flights) == 1:
+        return (
+            "force: one flight tells no law from an accident; a disturbance observer alone. Give "
+            "two flights or more."
+        )
+    law = (
+        f"laws that fly better on flights left out: {', '.join(used)}"
+        if used
+        else "no law flies better on flights left out than none"
+    )
+    return f"force: {law}; beside it an observer of what is left."
+
+
+def _page(model: ForceModel) -> str:
+    return render(
+        "force_training.html.j2",
+        {"number": number},
+        claim=_claim(model),
+        model=model,
+        laws=LAWS[1:],
+        outputs=[
+            {
+                "name": name,
+                "law": output.law,
+                "learns": output.observer.lag_s < NEVER_S,
+                "observer": output.observer,
+                "tried": {f.law: f for f in output.tried},
+            }
+            for name, output in zip(NAMES, model.outputs, strict=True)
+        ],
+    )
