@@ -15,6 +15,7 @@ from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.model.corrected import Corrected
 from learning.model.family import TrainedModel
 from learning.model.folder import load
+from learning.training.inputs import describe_flight
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.vehicle import Vehicle
@@ -99,7 +100,6 @@ def evaluate_model(
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
-    _check_new(given, folder, train)
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
     done, total = 0, len(given) * len(vehicles)
@@ -112,6 +112,7 @@ def evaluate_model(
             found.append(residual_flight(flight, each, model.info.rate_hz, progress=share))
             done += 1
     flights = residuals[0]
+    _check_new(given, flights, folder, model)
     task = Task(model.info.protocol, model.info.horizon)
     return Evaluation(
         model=model,
@@ -122,13 +123,20 @@ def evaluate_model(
     )
 
 
-def _check_new(flights: Sequence[Flight], folder: Path, train: Sequence[ResidualFlight]) -> None:
-    """Refuse flights of the training."""
-    names = {f.name for f in train}
-    for flight in flights:
-        if flight.name in names:
+def _check_new(
+    given: Sequence[Flight],
+    flights: Sequence[ResidualFlight],
+    folder: Path,
+    model: TrainedModel,
+) -> None:
+    """Refuse flights of the training, whatever they are called now."""
+    trained = {said["sha256"]: said["name"] for said in model.info.flights}
+    for flight, residual in zip(given, flights, strict=True):
+        name = trained.get(describe_flight(residual)["sha256"])
+        if name is not None:
             raise TwinError(
-                f"{flight.name}: {folder} was trained on a flight of this name; evaluate on others."
+                f"{flight.source or flight.name}: {folder} was trained on this flight, named "
+                f"{name} then; evaluate on others."
             )
 
 

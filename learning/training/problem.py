@@ -17,6 +17,7 @@ from ..model.compensator import Compensator, ModelInfo
 from ..model.linear_predictor import fit_base, gates, predict_base, time_blocks
 from ..model.network import NetworkOut, SvqNetwork
 from ..preset import Preset, Protocol
+from .left_out import left_out_errors
 from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]
@@ -79,6 +80,11 @@ class Workpiece:
             # what a linear prediction leaves of a residual changed at will is not known
             self.preset = replace(preset, augment=0.0)
         self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
+        self.unseen = self.left
+        """What is left where the flight of the span took no part; the same, of a single flight."""
+        self.crossed = len(flights) > 1 and protocol != "reconstruct"
+        if self.crossed:
+            self.unseen = left_out_errors(flights, preset, protocol, horizon, scaling)
         self.samples = TrainingSamples(
             self.spans, [e / self.leftover for e in self.left], self.train
         )
@@ -114,12 +120,27 @@ class Workpiece:
         self.error_without = _mean_square([left], [validate])
         self.error_with = _mean_square([left - gate * y], [validate])
         scored = np.where(validate.any(0), validate, np.concatenate(self.train))
-        model.spread_factor.copy_(
-            torch.from_numpy(_spread_factor(left - gate * y, outs, scored, phases))
-        )
-        distance = torch.cat([o.distance for o in outs])
-        quantile = torch.quantile(distance[_some(len(distance))], ANOMALY_QUANTILE, dim=0)
-        model.anomaly_scale.copy_(quantile.clamp(min=1e-12))
+        if self.crossed:
+            scored = np.concatenate([s.fresh for s in self.spans])
+        unseen = np.concatenate(self.unseen) - gate * y
+        model.spread_factor.copy_(torch.from_numpy(_spread_factor(unseen, outs, scored, phases)))
+        model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=1e-12))
+
+    def _usual_distance(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
+        """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).
+
+        Of the time held back, where a flight has some: the network is nearer to what it was
+        trained on.
+        """
+        flights = np.array([s.flight for s in self.spans])
+        levels = []
+        for flight in np.unique(flights):
+            own = np.flatnonzero(flights == flight).tolist()
+            distance = torch.cat([outs[k].distance for k in own])
+            held = torch.from_numpy(np.concatenate([self.validate[k].any(1) for k in own]))
+            told = distance[held] if int(held.sum()) >= ENOUGH else distance
+            levels.append(torch.quantile(told[_some(len(told))], ANOMALY_QUANTILE, dim=0))
+        return torch.stack(levels).amax(dim=0)
 
     def validation_mse(self) -> dict[str, dict[str, float]]:
         """Per channel what the linear prediction leaves, and what the network does besides."""

@@ -150,8 +150,10 @@ def test_a_family_in_closed_form_goes_through_the_same_verbs(
 def test_a_flight_of_the_training_is_refused(
     model: Path, logs: dict[str, Path], tmp_path: Path
 ) -> None:
-    with pytest.raises(TwinError, match=r"one: .* was trained on a flight of this name"):
-        _run("evaluate", model, logs["one"], "--out", tmp_path / "e")
+    renamed = tmp_path / "another.parquet"
+    renamed.write_bytes(logs["one"].read_bytes())
+    with pytest.raises(TwinError, match=r"another.parquet: .* was trained on this flight, named"):
+        _run("evaluate", model, renamed, "--out", tmp_path / "e")
     assert not (tmp_path / "e").exists()
 
 
