@@ -64,7 +64,7 @@ def parts_of(assembly: Assembly, compensator: FmuModel | None) -> dict[str, Comp
 def _wires(
     assembly: Assembly, parts: Mapping[str, Component | FmuModel]
 ) -> tuple[tuple[str, str], ...]:
-    """Connections of the assembly, and those that feed the compensator by name."""
+    """Connections of the assembly, and those of the compensator by name."""
     own = f"{COMPENSATOR}."
-    more = (wire for wire in connected_by_name(parts) if wire[1].startswith(own))
+    more = ((a, b) for a, b in connected_by_name(parts) if a.startswith(own) or b.startswith(own))
     return (*assembly.connections, *more)

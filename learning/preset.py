@@ -68,6 +68,7 @@ class Preset:
         distribution: `moments`: differences of mean and spread between output and target;
             `none`: Eq. 14 as it stands.
         spread_head: The network predicts its spread; else it is a constant per phase and channel.
+        linear: A linear prediction under the network, of which it learns what that leaves.
         normalise: `pooled`: mean and spread of each channel; `phase`: both per phase; `centred`:
             mean per phase, one spread about it; `range`: the range of each phase becomes -1..1.
         envelope_margin: By how much of its width the training range of each feature is widened on
@@ -114,6 +115,7 @@ class Preset:
     weight_distribution: float = 0.1
     distribution: Literal["moments", "none"] = "moments"
     spread_head: bool = True
+    linear: bool = True
     normalise: Normalise = "centred"
     envelope_margin: float = 0.5
     optimiser: Literal["adam", "adamw"] = "adam"
@@ -200,6 +202,21 @@ these windows, in ranges of -1..1, hover numbered 1 and takeoff 2; `PAPER` takes
 
 BEST = Preset(name="best")
 """What measurably beats it: docs/results/compensator.md."""
+
+FORCE = Preset(
+    name="force",
+    clustering="kmeans",
+    n_clusters=2,
+    encoder_units=(32,),
+    decoder_units=(32,),
+    code_size=16,
+    n_codes=64,
+    linear=False,
+    normalise="pooled",
+    epochs=40,
+    patience=15,
+)
+"""Of force and moment that a law leaves (`learning.force`): small, as its sequences are."""
 
 PRESETS = MappingProxyType({p.name: p for p in (PAPER, PUBLISHED, BEST)})
 

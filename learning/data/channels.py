@@ -1,8 +1,12 @@
 """The residual channels, their groups, and the phases that condition them."""
 
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
 from twin.flight.mission import PHASES
+from twin.physics.residual_force import INPUTS, OUTPUTS
+from twin.representation import short_repr
 
 AXES = ("x", "y", "z")
 _SENSORS = (
@@ -19,6 +23,63 @@ GROUPS = MappingProxyType(
     {sensor: slice(3 * i, 3 * i + 3) for i, (sensor, _) in enumerate(_SENSORS)}
 )
 """Columns of each sensor."""
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """What a compensator corrects, and what it looks at.
+
+    Attributes:
+        names: Of the channels.
+        units: Of the channels.
+        groups: Columns of each sensor, or of whatever belongs together.
+        seen: Columns of what the twin gives that are features.
+        commands: Names of the other features; (): what drives the rotors.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    groups: Mapping[str, slice]
+    seen: tuple[int, ...]
+    commands: tuple[str, ...] = ()
+
+    __repr__ = short_repr
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+SENSORS = Channels(
+    CHANNELS,
+    UNITS,
+    GROUPS,
+    seen=tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y")),
+)
+"""Of the sensors. All that the twin reads is looked at but the place over ground, on which no
+effect depends."""
+FORCES = Channels(
+    tuple(f"left_{kind}_{a}" for kind, a in OUTPUTS),
+    tuple("m/s²" if kind == "force" else "rad/s²" for kind, _ in OUTPUTS),
+    MappingProxyType({"left_force": slice(0, 3), "left_moment": slice(3, 6)}),
+    seen=(),
+    commands=tuple(f"seen_{name}" for name, _ in INPUTS),
+)
+"""Specific force and angular acceleration that the equations lack, by the motion it comes with."""
+
+
+def channels_named(names: Iterable[str]) -> Channels:
+    """The channels of these names.
+
+    Raises:
+        ValueError: There are none.
+    """
+    wanted = tuple(names)
+    for known in (SENSORS, FORCES):
+        if known.names == wanted:
+            return known
+    raise ValueError(f"channels {', '.join(wanted)}: this version knows none of these")
+
+
 UNKNOWN_PHASE = len(PHASES)
 PHASE_CODES = MappingProxyType({**PHASES, "unknown": UNKNOWN_PHASE})
 """Phases of a mission by their codes, and where a flight says nothing."""

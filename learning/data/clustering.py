@@ -14,7 +14,6 @@ from sklearn.metrics import silhouette_score
 from threadpoolctl import threadpool_limits
 
 from ..preset import Preset
-from .channels import CHANNELS, GROUPS
 from .flights import ResidualFlight
 
 Array = NDArray[np.float64]
@@ -37,13 +36,14 @@ def clusters_of(
         chosen: Per flight the samples that may be used, shape (n,).
         seed: Of k-means.
     """
+    channels = flights[0].channels
+    numbers = range(len(channels))
     if preset.clustering == "none":
-        return (tuple(range(len(CHANNELS))),)
+        return (tuple(numbers),)
     if preset.clustering == "channels":
-        return tuple((i,) for i in range(len(CHANNELS)))
+        return tuple((i,) for i in numbers)
     if preset.clustering == "sensors":
-        numbers = range(len(CHANNELS))
-        return tuple(tuple(numbers[columns]) for columns in GROUPS.values())
+        return tuple(tuple(numbers[columns]) for columns in channels.groups.values())
     return kmeans_clusters(channel_statistics(flights, chosen), preset.n_clusters, seed)
 
 
@@ -53,8 +53,8 @@ def channel_statistics(flights: Sequence[ResidualFlight], chosen: Sequence[BoolA
     Samples held between two measurements count: what the network sees is correlated by them. A
     channel without a sample has zeros.
     """
-    found = np.zeros((len(CHANNELS), 3))
-    for c in range(len(CHANNELS)):
+    found = np.zeros((len(flights[0].channels), 3))
+    for c in range(len(found)):
         parts = []
         for flight, use in zip(flights, chosen, strict=True):
             for a, b in flight.spans:

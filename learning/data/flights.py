@@ -32,7 +32,7 @@ from twin.residuals.short_horizon import READ, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import Vehicle
 
-from .channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
+from .channels import CHANNELS, GROUPS, PHASE_CODES, SENSORS, UNKNOWN_PHASE, Channels
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -63,6 +63,7 @@ class ResidualFlight:
         phase: Code of the phase, `channels.PHASE_CODES`, shape (n,).
         spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
         notes: What is missing or was assumed.
+        channels: Of which it is; the text above tells of those of the sensors.
     """
 
     name: str
@@ -75,6 +76,7 @@ class ResidualFlight:
     phase: IntArray
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
+    channels: Channels = SENSORS
 
     __repr__ = short_repr
 

@@ -9,14 +9,12 @@ from numpy.typing import NDArray
 from twin.representation import short_repr
 
 from ..preset import Normalise
-from .channels import CHANNELS, N_PHASES
+from .channels import N_PHASES, Channels
 from .flights import ResidualFlight
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-FEATURE_CHANNELS = tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y"))
-"""Virtual signals that are features: all but the place over ground, which no effect depends on."""
 MIN_SAMPLES = 20
 """A phase with fewer samples of a channel is scaled as all phases together."""
 UNLIMITED = 1e30
@@ -57,15 +55,15 @@ class Scaling:
         return {f.name: getattr(self, f.name) for f in fields(self)}
 
 
-def feature_names(n_commands: int) -> tuple[str, ...]:
+def feature_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
     """Names of the features, in order: virtual signals, then commands."""
-    names = tuple(CHANNELS[i] for i in FEATURE_CHANNELS)
-    return (*names, *(f"cmd_{i + 1}" for i in range(n_commands)))
+    commands = channels.commands or tuple(f"cmd_{i + 1}" for i in range(n_commands))
+    return (*(channels.names[i] for i in channels.seen), *commands)
 
 
 def features_of(flight: ResidualFlight) -> Array:
     """Features in their own units, NaN where the twin could not read, shape (n, features)."""
-    return np.hstack([flight.virtual[:, list(FEATURE_CHANNELS)], flight.commands])
+    return np.hstack([flight.virtual[:, list(flight.channels.seen)], flight.commands])
 
 
 def standardised(raw: Array, scaling: Scaling) -> Array:

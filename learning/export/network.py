@@ -13,13 +13,12 @@ import onnx
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..data.channels import CHANNELS, N_PHASES
+from ..data.channels import N_PHASES
 from ..model.compensator import Compensator
 from ..model.network import LOG_SPREAD_LIMIT, ClusterNetwork, LstmStack
 from .graph import Graph
 
 Array = NDArray[np.float64]
-_N = len(CHANNELS)
 
 
 def network(
@@ -70,7 +69,7 @@ def _seen_table(model: Compensator, number: int) -> Array:
     network = model.network
     cluster = network.networks[number]
     assert isinstance(cluster, ClusterNetwork)
-    n_known = _N if network.sees_known else 0
+    n_known = len(model.info.channels) if network.sees_known else 0
     n_features = len(model.features) if network.sees_features else 0
     own = network.clusters[number] if network.sees_known else ()
     rows = [*own, *range(n_known, n_known + n_features)]
@@ -159,10 +158,10 @@ def _read_out(
     One product: the clusters' numbers side by side, zero for the channels of others.
     """
     preset, gain = model.info.preset, numbers(model.gate * model.leftover)
-    n, units = len(clusters), preset.decoder_units[-1]
+    n, units, n_channels = len(clusters), preset.decoder_units[-1], len(model.info.channels)
     width = units + (preset.code_size if preset.skip else 0)
-    weights = np.zeros((n, width, 2, _N))
-    biases = np.zeros((2, _N))
+    weights = np.zeros((n, width, 2, n_channels))
+    biases = np.zeros((2, n_channels))
     for i, (cluster, own) in enumerate(zip(clusters, model.network.clusters, strict=True)):
         places = list(own)
         weights[i, :units, 0, places] = numbers(cluster.to_output.weight)
@@ -177,9 +176,9 @@ def _read_out(
     biases[0] *= gain
     given = 2 if preset.spread_head else 1
     seen = g.reshape(g.concat(h, code, axis=2) if preset.skip else h, 1, -1)
-    flat = g.floats(weights[:, :, :given].reshape(n * width, given * _N))
+    flat = g.floats(weights[:, :, :given].reshape(n * width, given * n_channels))
     row = g.op("Add", g.op("MatMul", seen, flat), g.floats(biases[:given].reshape(1, -1)))
-    y, log_spread = g.split(row, [_N, _N * (given - 1)], axis=1)
+    y, log_spread = g.split(row, [n_channels, n_channels * (given - 1)], axis=1)
     if log_spread:
         limits = g.floats(-LOG_SPREAD_LIMIT), g.floats(LOG_SPREAD_LIMIT)
         log_spread = g.op("Clip", log_spread, *limits)

@@ -14,8 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..data.channels import CHANNELS, N_PHASES
-from ..data.scaling import FEATURE_CHANNELS
+from ..data.channels import N_PHASES
 from ..data.sequences import smoothing
 from ..model.compensator import Compensator
 from .graph import Graph
@@ -25,7 +24,6 @@ Array = NDArray[np.float64]
 
 INPUTS = ("virtual", "command", "phase", "measured", "valid", "state")
 OUTPUTS = ("correction", "spread", "anomaly", "inside", "state_out")
-_N = len(CHANNELS)
 _FLOAT = onnx.TensorProto.FLOAT
 
 
@@ -33,7 +31,8 @@ def streaming_model(compensator: Compensator) -> onnx.ModelProto:
     """The checked model, without metadata; the same bytes for the same weights."""
     info = compensator.info
     graph = Graph("compensator")
-    widths = [_N, info.n_commands, 1, _N, _N, compensator.state_size]
+    n = len(info.channels)
+    widths = [n, info.n_commands, 1, n, n, compensator.state_size]
     for name, width in zip(INPUTS, widths, strict=True):
         graph.input(name, width)
     with torch.no_grad():
@@ -62,11 +61,12 @@ class _Sample:
 
 
 def _sample(g: Graph, model: Compensator) -> _Sample:
-    names, widths = ["virtual", "command", "phase"], [_N, model.info.n_commands, 1]
+    n = len(model.info.channels)
+    names, widths = ["virtual", "command", "phase"], [n, model.info.n_commands, 1]
     if model.info.protocol != "free":
         fresh = g.op("Greater", "valid", g.floats([[0.5]]))
         names += [g.op("Where", fresh, "measured", "virtual"), "valid"]
-        widths += [_N, _N]
+        widths += [n, n]
     given = g.concat(*names, axis=1)
     none = g.op("IsNaN", g.op("Sub", given, given))  # of an infinite number, too
     lost = g.op("ReduceMax", g.op("Cast", none, to=_FLOAT), axes=[1], keepdims=1)
@@ -77,7 +77,7 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
 
 def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
-    rows, protocol = model.history, model.info.protocol
+    rows, protocol, n = model.history, model.info.protocol, len(model.info.channels)
     past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
     sample = _sample(g, model)
     here = _one_hot(g, sample)
@@ -86,16 +86,16 @@ def _step(g: Graph, model: Compensator) -> None:
     raw = _raw_features(g, model, sample) if limited else ""
     features = _features(g, model, raw) if model.network.sees_features else ""
     if rows:
-        past = _remembered(g, sample, past, mean, scale, rows)
+        past = _remembered(g, sample, past, mean, scale, (rows, n))
     if protocol == "free":  # elsewhere nothing looks at them, and their state stays as it is
         slow = _smoothed(g, model, features, slow)
-    first = model.info.horizon * _N
-    known = past if rows <= 1 else g.columns(past, first, first + _N)
+    first = model.info.horizon * n
+    known = past if rows <= 1 else g.columns(past, first, first + n)
     y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
     said = y
     if protocol == "track":
-        lags = g.reshape(g.columns(past, first, rows * _N), -1, _N)
+        lags = g.reshape(g.columns(past, first, rows * n), -1, n)
         then, readings, begun = _read_then(g, model, sample, readings, begun)
         change = g.op("Div", g.op("Sub", then, sample.virtual), scale)
         seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
@@ -108,8 +108,8 @@ def _step(g: Graph, model: Compensator) -> None:
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
     inside = g.op("And", sample.whole, _inside(g, model, raw)) if limited else sample.whole
-    g.output("correction", _N, "Where", inside, correction, g.floats(np.zeros((1, _N))))
-    g.output("spread", _N, "Where", inside, expected, g.floats(_row(model.rms)))
+    g.output("correction", n, "Where", inside, correction, g.floats(np.zeros((1, n))))
+    g.output("spread", n, "Where", inside, expected, g.floats(_row(model.rms)))
     alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
@@ -127,7 +127,9 @@ def _one_hot(g: Graph, sample: _Sample) -> str:
 def _raw_features(g: Graph, model: Compensator, sample: _Sample) -> str:
     """Virtual signals and commands that are features, in their units, shape (1, F)."""
     both = g.op("Concat", sample.virtual, sample.command, axis=1)
-    places = [*FEATURE_CHANNELS, *range(_N, _N + model.info.n_commands)]
+    channels = model.info.channels
+    n = len(channels)
+    places = [*channels.seen, *range(n, n + model.info.n_commands)]
     return g.op("Gather", both, g.integers(*places), axis=1)
 
 
@@ -144,16 +146,23 @@ def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
     mean, scale = numbers(model.mean), numbers(model.scale)
     expected = np.abs(scale) * numbers(model.spread_factor)
     row = g.op("MatMul", here, g.floats(np.hstack([mean, scale, expected])))
-    return g.split(row, [_N] * 3, axis=1)
+    return g.split(row, [len(model.info.channels)] * 3, axis=1)
 
 
-def _remembered(g: Graph, sample: _Sample, past: str, mean: str, scale: str, rows: int) -> str:
-    """Standardised residuals, newest first, with the present one in front; (1, rows 15)."""
+def _remembered(
+    g: Graph, sample: _Sample, past: str, mean: str, scale: str, shape: tuple[int, int]
+) -> str:
+    """Standardised residuals, newest first, with the present one in front; (1, rows 15).
+
+    Args:
+        shape: Rows of the past, and channels.
+    """
+    rows, n = shape
     residual = g.op("Sub", g.op("Sub", sample.measured, sample.virtual), mean)
     new = g.op("Div", residual, scale)
     fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
-    held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, _N))
-    return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * _N), axis=1)
+    held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, n))
+    return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * n), axis=1)
 
 
 def _read_then(
@@ -161,7 +170,8 @@ def _read_then(
 ) -> tuple[str, str, str]:
     """What the twin read at the newest known residual (1, 15); next state of the readings."""
     kept = g.op("Greater", begun, g.floats([[0.5]]))
-    rows = g.op("Where", kept, g.reshape(readings, -1, _N), sample.virtual)  # (readings, 15)
+    n = len(model.info.channels)
+    rows = g.op("Where", kept, g.reshape(readings, -1, n), sample.virtual)  # (readings, 15)
     place, last = g.integers(0), model.readings - 1
     newest = g.op("Slice", rows, g.integers(0), g.integers(1), place)
     newest = g.op("Where", g.op("Greater", sample.valid, g.floats([[0.5]])), sample.virtual, newest)

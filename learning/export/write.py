@@ -11,8 +11,7 @@ import onnx
 import torch
 from numpy.typing import NDArray
 
-from ..data.channels import CHANNELS, GROUPS, N_PHASES, PHASE_CODES, UNITS
-from ..data.scaling import FEATURE_CHANNELS
+from ..data.channels import N_PHASES, PHASE_CODES
 from ..model.compensator import Compensator
 from ..threads import one_thread
 from .int8 import deviation, quantised
@@ -24,7 +23,6 @@ FORMAT = "uavtwin compensator 1"
 REFERENCE_SAMPLES = 300
 LARGEST_COMMAND = 1.0
 """A mean beyond this is one of rotor speeds, rad/s."""
-_N = len(CHANNELS)
 
 
 def export_onnx(compensator: Compensator, folder: Path) -> Path:
@@ -64,9 +62,9 @@ def metadata(compensator: Compensator) -> dict[str, str]:
     limits = zip(scaling.low.tolist(), scaling.high.tolist(), strict=True)
     envelope = dict(zip(compensator.features, limits, strict=True))
     values: dict[str, Any] = {
-        "channels": CHANNELS,
-        "units": UNITS,
-        "groups": tuple(GROUPS),
+        "channels": info.channels.names,
+        "units": info.channels.units,
+        "groups": tuple(info.channels.groups),
         "commands": _motors(compensator),
         "phases": dict(PHASE_CODES),
         "rate_hz": info.rate_hz,
@@ -89,8 +87,14 @@ def metadata(compensator: Compensator) -> dict[str, str]:
 
 
 def _motors(compensator: Compensator) -> list[str]:
-    """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s."""
-    means = compensator.feature_mean[len(FEATURE_CHANNELS) :].tolist()
+    """Flight-table columns of what drove the rotors: commands, 0..1, or speeds in rad/s.
+
+    Where channels see something else it is that.
+    """
+    channels = compensator.info.channels
+    if channels.commands:
+        return list(channels.commands)
+    means = compensator.feature_mean[len(channels.seen) :].tolist()
     kind = "rotor" if max(means, default=0.0) > LARGEST_COMMAND else "cmd"
     return [f"{kind}_{i}" for i in range(1, len(means) + 1)]
 
@@ -108,16 +112,17 @@ def reference_vectors(compensator: Compensator, seed: int = 0) -> dict[str, NDAr
     walk = np.cumsum(rng.normal(size=(n, len(compensator.features))), axis=0) / np.sqrt(n)
     walk[n // 3 : 2 * n // 3 : 10] *= 30
     features = scaling.feature_mean + scaling.feature_scale * walk
-    virtual = np.zeros((n, _N))
-    virtual[:, list(FEATURE_CHANNELS)] = features[:, : len(FEATURE_CHANNELS)]
+    channels = compensator.info.channels
+    virtual = np.zeros((n, len(channels)))
+    virtual[:, list(channels.seen)] = features[:, : len(channels.seen)]
     phase = rng.integers(N_PHASES, size=1 + n // 50).repeat(50)[:n]
-    residual = scaling.mean[phase] + scaling.scale[phase] * rng.normal(size=(n, _N))
+    residual = scaling.mean[phase] + scaling.scale[phase] * rng.normal(size=virtual.shape)
     rows = {
         "virtual": virtual,
-        "command": features[:, len(FEATURE_CHANNELS) :],
+        "command": features[:, len(channels.seen) :],
         "phase": phase[:, None],
         "measured": virtual + residual,
-        "valid": rng.random((n, _N)) < 0.7,
+        "valid": rng.random(virtual.shape) < 0.7,
     }
     inputs = {name: values.astype(np.float32) for name, values in rows.items()}
     v, u, p, m, w = (torch.from_numpy(inputs[name])[:, None] for name in INPUTS[:-1])

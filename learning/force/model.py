@@ -17,7 +17,7 @@ from twin.representation import short_repr
 
 from .forecast import Observer
 
-FILE, VEHICLE_FILE = "force.json", "vehicle.toml"
+FILE, VEHICLE_FILE, NETWORK_FOLDER = "force.json", "vehicle.toml", "network"
 FORMAT = 1
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
@@ -48,11 +48,13 @@ class Output:
         law: That is used.
         observer: Of what it leaves.
         tried: Every law, as flown; empty where a single flight was given.
+        network: Whether the network adds to the law.
     """
 
     law: str
     observer: Observer
     tried: tuple[Flown, ...] = ()
+    network: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +97,23 @@ class ForceModel:
     __repr__ = short_repr
 
     @property
-    def observer_starts(self) -> dict[str, float]:
+        @property
+    def network_starts(self) -> dict[str, float]:
+        """Parameters of a twin by which its network acts as chosen; {} without one."""
+        used = [o.network for o in self.outputs]
+        return network_starts(used) if any(used) else {}
+
+
+def observer_starts(self) -> dict[str, float]:
         """Parameters of a driven twin by which its observer is that of the law."""
         return observer_starts([o.observer for o in self.outputs])
+
+
+    @property
+    def network_starts(self) -> dict[str, float]:
+        """Parameters of a twin by which its network acts as chosen; {} without one."""
+        used = [o.network for o in self.outputs]
+        return network_starts(used) if any(used) else {}
 
 
 def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
@@ -107,6 +123,12 @@ def observer_starts(observers: Sequence[Observer]) -> dict[str, float]:
         starts[f"airframe.disturbance.lag.{name}"] = observer.lag_s
         starts[f"airframe.disturbance.fade.{name}"] = observer.fade_s
     return starts
+
+
+def network_starts(used: Sequence[bool]) -> dict[str, float]:
+    """Parameters of a twin by which its network adds to some outputs."""
+    names = (f"residual_force.network.{name}" for name in _OUTPUTS)
+    return dict(zip(names, map(float, used), strict=True))
 
 
 def fingerprint(flight: Flight) -> str:
@@ -184,7 +206,10 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
         rivals={name: _law(law) for name, law in content["rivals"].items()},
         outputs=tuple(
             Output(
-                said["law"], Observer(**said["observer"]), tuple(Flown(**f) for f in said["tried"])
+                said["law"],
+                Observer(**said["observer"]),
+                tuple(Flown(**f) for f in said["tried"]),
+                bool(said["network"]),
             )
             for said in content["outputs"].values()
         ),

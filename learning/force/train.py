@@ -41,12 +41,14 @@ class Prepared:
     Attributes:
         vehicle: Whose equations leave something.
         empty: A law that says nothing: where the flights have been, and the random features.
+        seen: By flight.
         designs: By flight.
         size: Of each feature, by which those of the designs are divided, shape (k,).
     """
 
     vehicle: Vehicle
     empty: ForceLaw
+    seen: tuple[Instants, ...]
     designs: tuple[Design, ...]
     size: Array
 
@@ -92,7 +94,7 @@ def prepare(
     size = np.std(np.vstack(raw), axis=0)
     size = np.where(size > TRIFLE, size, 1.0)
     designs = (Design(x / size, f.left, f.piece) for x, f in zip(raw, seen, strict=True))
-    return Prepared(vehicle, empty, tuple(designs), size)
+    return Prepared(vehicle, empty, tuple(seen), tuple(designs), size)
 
 
 def without_waves(law: ForceLaw) -> ForceLaw:

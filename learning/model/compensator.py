@@ -14,9 +14,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..data.channels import CHANNELS, N_PHASES
+from ..data.channels import N_PHASES
 from ..data.flights import ResidualFlight
-from ..data.scaling import FEATURE_CHANNELS, UNLIMITED, Scaling, feature_names
+from ..data.scaling import UNLIMITED, Scaling, feature_names
 from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
@@ -65,9 +65,9 @@ class Compensator(nn.Module):
         super().__init__()
         check_protocol(info.protocol, info.horizon)
         self.info = info
-        self.features = feature_names(info.n_commands)
+        self.features = feature_names(info.channels, info.n_commands)
         """Names of the features, in order."""
-        n_channels, n_features = len(CHANNELS), len(self.features)
+        n_channels, n_features = len(info.channels), len(self.features)
         regressors = n_regressors(info.protocol, n_features)
         self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
         shapes = {
@@ -109,7 +109,8 @@ class Compensator(nn.Module):
     @property
     def state_sizes(self) -> tuple[int, int, int, int, int]:
         """Parts of the packed state: history, readings, 1 once begun, slow features, network."""
-        rows = self.history * len(CHANNELS), self.readings * len(CHANNELS)
+        n = len(self.info.channels)
+        rows = self.history * n, self.readings * n
         return *rows, min(self.readings, 1), self.n_slow, self.network.state_size
 
     @property
@@ -177,12 +178,12 @@ class Compensator(nn.Module):
         state: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """One sample of finite numbers."""
-        n, rows = len(CHANNELS), self.history
+        n, rows = len(self.info.channels), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
         past, readings, begun, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
-        raw = torch.cat([virtual[:, list(FEATURE_CHANNELS)], command], dim=-1)
+        raw = torch.cat([virtual[:, list(self.info.channels.seen)], command], dim=-1)
         features = (raw - self.feature_mean) / self.feature_scale
         features = torch.minimum(torch.maximum(features, self.least), self.most)
         known = torch.zeros_like(mean)
@@ -223,7 +224,7 @@ class Compensator(nn.Module):
         """
         self.info.check_flight(flight)
         n = len(flight.t_s)
-        correction = np.zeros((n, len(CHANNELS)))
+        correction = np.zeros((n, len(self.info.channels)))
         spread = np.tile(self.rms.double().numpy(), (n, 1))
         anomaly, inside = np.zeros(n), np.zeros(n, dtype=np.bool_)
         scaling, base = self.scaling(), self.base.double().numpy()

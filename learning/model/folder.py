@@ -16,7 +16,7 @@ from safetensors.numpy import load_file, save_file
 
 from twin.errors import ModelError
 
-from ..data.channels import CHANNELS, UNITS
+from ..data.channels import channels_named
 from .info import ModelInfo
 from .registry import UNSAID, family_row
 
@@ -76,9 +76,9 @@ def info_json(model: "TrainedModel") -> dict[str, Any]:
         "horizon": info.horizon,
         "rate_hz": info.rate_hz,
         "n_commands": info.n_commands,
-        "channels": list(CHANNELS),
-        "units": list(UNITS),
-        "clusters": [[CHANNELS[i] for i in cluster] for cluster in info.clusters],
+        "channels": list(info.channels.names),
+        "units": list(info.channels.units),
+        "clusters": [[info.channels.names[i] for i in cluster] for cluster in info.clusters],
         **model.details(),
         "preset": asdict(info.preset),
         "seed": info.seed,
@@ -92,15 +92,17 @@ def info_json(model: "TrainedModel") -> dict[str, Any]:
 
 def info_from_json(content: Mapping[str, Any], family: "Family[Any, Any]") -> ModelInfo[Any]:
     """What `info_json` was made from."""
-    if content["format"] != FORMAT or tuple(content["channels"]) != CHANNELS:
-        raise ValueError(f"layout {content['format']} with {len(content['channels'])} channels")
-    same = {f.name for f in fields(ModelInfo)} - {"preset", "clusters", "flights"}
-    numbers = {name: i for i, name in enumerate(CHANNELS)}
+    if content["format"] != FORMAT:
+        raise ValueError(f"layout {content['format']}")
+    channels = channels_named(content["channels"])
+    same = {f.name for f in fields(ModelInfo)} - {"preset", "clusters", "flights", "channels"}
+    numbers = {name: i for i, name in enumerate(channels.names)}
     clusters = [[numbers[name] for name in cluster] for cluster in content["clusters"]]
     return ModelInfo(
         preset=_preset_from_json(content["preset"], family),
         clusters=tuple(tuple(cluster) for cluster in clusters),
         flights=tuple(content["flights"]),
+        channels=channels,
         **{name: content[name] for name in same},
     )
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.channels import CHANNELS
 from ..data.sequences import SpanSequence
 from ..preset import Protocol
 
@@ -51,7 +50,7 @@ def fit_base(
     """
     blocks, folds = time_blocks(spans, rate_hz), _folds(spans)
     weights = []
-    for c in range(len(CHANNELS)):
+    for c in range(spans[0].d.shape[1]):
         x = np.concatenate([regressors(s, protocol, c) for s in spans])
         target = np.concatenate([s.d[:, c] for s in spans])
         counts = np.concatenate([m[:, c] for m in scored])

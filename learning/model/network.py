@@ -13,7 +13,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from ..data.channels import CHANNELS, N_PHASES
+from ..data.channels import N_PHASES
 from ..data.clustering import Clusters
 from ..preset import Preset, Protocol
 
@@ -279,7 +279,7 @@ class SvqNetwork(nn.Module):
             for c in clusters
         )
         places = [c for cluster in clusters for c in cluster]
-        order = [places.index(c) for c in range(len(CHANNELS))]
+        order = [places.index(c) for c in range(len(places))]
         self.register_buffer("order", torch.tensor(order), persistent=False)
 
     @property

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..data.channels import CHANNELS, N_PHASES
+from ..data.channels import N_PHASES
 from ..data.clustering import clusters_of
 from ..data.flights import ResidualFlight
 from ..data.scaling import fit_scaling, in_spans
@@ -61,7 +61,10 @@ class Workpiece:
         clusters = clusters_of(preset, flights, usable, seed)
         rate_hz, n_commands = flights[0].rate_hz, flights[0].commands.shape[1]
         self.compensator = Compensator(
-            ModelInfo(preset, protocol, horizon, rate_hz, n_commands, clusters, seed)
+            ModelInfo(
+                *(preset, protocol, horizon, rate_hz, n_commands, clusters, seed),
+                channels=flights[0].channels,
+            )
         )
         scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
         self.compensator.set_scaling(scaling)
@@ -70,10 +73,12 @@ class Workpiece:
         self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
         self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
         self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
-        base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
+        base = self.compensator.base.double().numpy() * 0.0
+        if preset.linear:
+            base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
         self.compensator.base.copy_(torch.from_numpy(base))
         self.left = [s.d - predict_base(s, base, protocol) for s in self.spans]
-        self.leftover = np.ones(len(CHANNELS))
+        self.leftover = np.ones(len(flights[0].channels))
         if protocol != "reconstruct":
             square = _mean_square(self.left, self.train)
             self.leftover = np.where(square > 0, np.sqrt(square), 1.0)
@@ -82,7 +87,7 @@ class Workpiece:
         self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
         self.unseen = self.left
         """What is left where the flight of the span took no part; the same, of a single flight."""
-        self.crossed = len(flights) > 1 and protocol != "reconstruct"
+        self.crossed = len(flights) > 1 and protocol != "reconstruct" and preset.linear
         if self.crossed:
             self.unseen = left_out_errors(flights, preset, protocol, horizon, scaling)
         self.samples = TrainingSamples(
@@ -144,7 +149,8 @@ class Workpiece:
 
     def validation_mse(self) -> dict[str, dict[str, float]]:
         """Per channel what the linear prediction leaves, and what the network does besides."""
-        rows = zip(CHANNELS, self.error_without, self.error_with, strict=True)
+        names = self.compensator.info.channels.names
+        rows = zip(names, self.error_without, self.error_with, strict=True)
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
 
 

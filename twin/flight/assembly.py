@@ -87,6 +87,7 @@ def flying_twin(
     control: str = "lqr",
     effects: Iterable[str] = tuple(EFFECTS),
     law: ForceLaw | None = None,
+    network: bool = False,
 ) -> Assembly:
     """A vehicle with its sensors that flies a mission from standing on the ground.
 
@@ -98,6 +99,7 @@ def flying_twin(
         control: Name of the controller, of `CONTROLLERS`.
         effects: Effects to build in, switched off, as blocks of parameters.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
+        network: Whether something else adds to the law (`residual_force`).
 
     Raises:
         ModelError: There is no such mission or controller.
@@ -106,7 +108,7 @@ def flying_twin(
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
     effects = tuple(effects)
     pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
-    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects, law)
+    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects, law, network)
     if vehicle.battery is not None:
         parts["battery"] = battery(vehicle)
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
@@ -117,6 +119,7 @@ def driven_twin(
     drive: Drive,
     effects: Iterable[str] = tuple(EFFECTS),
     law: ForceLaw | None = None,
+    network: bool = False,
 ) -> Assembly:
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
 
@@ -128,20 +131,26 @@ def driven_twin(
         drive: What drives the rotors.
         effects: Effects to build in, switched off, as blocks of parameters.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
+        network: Whether something else adds to the law (`residual_force`).
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
     """
     effects = tuple(effects)
-    parts = _aircraft(vehicle, airframe(vehicle, drive, effects, restart=True), effects, law)
+    body = airframe(vehicle, drive, effects, restart=True)
+    parts = _aircraft(vehicle, body, effects, law, network)
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 
 def _aircraft(
-    vehicle: Vehicle, body: Component, effects: tuple[str, ...], law: ForceLaw | None
+    vehicle: Vehicle,
+    body: Component,
+    effects: tuple[str, ...],
+    law: ForceLaw | None,
+    network: bool,
 ) -> dict[str, Component]:
     """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
-    beyond = {} if law is None else {"residual_force": residual_force(vehicle, law)}
+    beyond = {} if law is None else {"residual_force": residual_force(vehicle, law, network)}
     return {
         "environment": environment(vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),

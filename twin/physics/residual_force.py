@@ -204,10 +204,17 @@ def weight_names(law: ForceLaw) -> tuple[list[list[str]], list[list[str]]]:
     return linear, [[f"wave.{o}.{i}" for i in range(1, len(law.phases) + 1)] for o in outputs]
 
 
-def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
+def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Component:
     """The law as a component: fed by the airframe's outputs, it feeds its forces and moments.
 
     Its weights are tunable parameters (`weight_names`), so that anybody can read what it says.
+
+    Args:
+        vehicle: Whose equations leave something.
+        law: What is known of it.
+        network: Whether something else adds to the law: inputs `correction.left_force_x` and so on,
+            m/s2 and rad/s2, and outputs `seen_*`, which are `INPUTS`. It counts as far as the
+            random features do, each output by its parameter `network.force_x`.
     """
     m = ComponentBuilder("residual_force", f"What the equations of {vehicle.name} leave, as taught")
     vel_n = [m.input(f"vel_{a}", "m/s", f"Velocity, NED {a}") for a in AXES]
@@ -230,13 +237,31 @@ def residual_force(vehicle: Vehicle, law: ForceLaw) -> Component:
         _weights(m, names, values)
         for names, values in zip(weight_names(law), (law.linear, law.waves), strict=True)
     )
-    acts = enabled * ca.mtimes(ca.SX(law.units), accelerations(law, x, linear, of_waves))
+    said = accelerations(law, x, linear, of_waves)
+    if network:
+        said += _fade(distance(law, x), 1.0, WAVES_END) * _corrections(m)
+        for i, (name, unit) in enumerate(INPUTS):
+            m.output(f"seen_{name}", unit, f"What a network sees, {name}", x[i])
+    acts = enabled * ca.mtimes(ca.SX(law.units), said)
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
         m.output(f"{kind}_{a}", unit, f"{meaning} body {a} that the equations lack", acts[i])
     d = distance(law, x)
     m.output("distance", "1", "Of the motion from that of the training, 1 where this ends", d)
     return m.build()
+
+
+def _corrections(m: ComponentBuilder) -> ca.SX:
+    """What a network adds, as far as each output lets it, shape (6, 1)."""
+    rows = []
+    for kind, a in OUTPUTS:
+        unit = "m/s2" if kind == "force" else "rad/s2"
+        given = m.input(f"correction.left_{kind}_{a}", unit, f"What a network adds, {kind} {a}")
+        share = m.parameter(
+            f"network.{kind}_{a}", 0.0, "1", f"Share of it that acts, {kind} {a}", minimum=0
+        )
+        rows.append(share * given)
+    return ca.vertcat(*rows)
 
 
 def power(law: ForceLaw) -> Array:

@@ -85,13 +85,28 @@ class Twin:
     __repr__ = short_repr
 
 
+@dataclass(frozen=True, slots=True)
+class LearnedForce:
+    """Force and moment that a vehicle's equations lack, as flights have taught.
+
+    Attributes:
+        model: Law and observer.
+        network: That adds to the law; None: nothing does.
+    """
+
+    model: "ForceModel"
+    network: NetworkFile | None = None
+
+    __repr__ = short_repr
+
+
 def twin(
     vehicle: Vehicle,
     mission: str = "hover",
     controller: Controller = "lqr",
     compensator: NetworkFile | None = None,
     drive: Drive | None = None,
-    force: "ForceModel | None" = None,
+    force: "LearnedForce | None" = None,
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -112,15 +127,24 @@ def twin(
     model = checked_vehicle(vehicle, "twin")
     if compensator is not None:
         check_compensator(compensator, model)
+    law, network = None, False
     if force is not None:
-        _check_taught("the learned force", force.vehicle, force.vehicle_sha256, model)
-    law = None if force is None else force.law
+        _check_taught("the learned force", force.model.vehicle, force.model.vehicle_sha256, model)
+        law, network = force.model.law, force.network is not None
+        if network and compensator is not None:
+            raise TwinError(
+                "twin: a learned force with a network and a compensator of the sensors; a twin has "
+                "room for one network. Give one of them."
+            )
+        compensator = compensator or force.network
     if drive is None:
-        return Twin(model.name, flying_twin(model, mission, controller, law=law), compensator)
-    _check_drive("twin", drive)
-    assembly = driven_twin(model, drive, law=law)
+        assembly = flying_twin(model, mission, controller, law=law, network=network)
+    else:
+        _check_drive("twin", drive)
+        assembly = driven_twin(model, drive, law=law, network=network)
     if force is not None:
-        assembly = assembly.with_starts(force.observer_starts)
+        observer = force.model.observer_starts if drive is not None else {}
+        assembly = assembly.with_starts(observer | force.model.network_starts)
     return Twin(model.name, assembly, compensator)
 
 
@@ -204,15 +228,18 @@ def check_compensator(network: NetworkFile, vehicle: Vehicle) -> None:
     _check_taught(str(folder), network.vehicle, network.vehicle_sha256, vehicle)
 
 
-def learned_force(folder: str | Path) -> "ForceModel":
+def learned_force(folder: str | Path) -> LearnedForce:
     """A learned force from the folder that `train` wrote under the protocol `force`.
 
     Raises:
         ModelError: The folder holds none.
+        FmuError: Its network is missing or damaged.
     """
-    from learning.force.model import load_force
+    from learning.force.model import NETWORK_FOLDER, load_force
 
-    return load_force(Path(folder))
+    model = load_force(Path(folder))
+    network = read_network(Path(folder, NETWORK_FOLDER)) if model.network_starts else None
+    return LearnedForce(model, network)
 
 
 def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:

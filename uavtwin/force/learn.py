@@ -7,7 +7,7 @@ where the twin is then less far off, beside its observer, and in no quantity far
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +17,7 @@ from cosim.whole_twin import fused_model
 from fmus import build
 from learning.force.candidates import LAWS, Candidate
 from learning.force.model import (
+    NETWORK_FOLDER,
     Flown,
     ForceModel,
     Output,
@@ -27,28 +28,21 @@ from learning.force.model import (
 from learning.force.train import Prepared, prepare, without_waves
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
-from twin.physics.residual_force import OUTPUTS, ForceLaw, weight_names
+from twin.physics.residual_force import OUTPUTS
+from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
+from .choice import AHEAD_S, as_flown, best_law, weight_starts
+from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-AHEAD_S = (0.2, 0.5, 1.0)
-"""Horizons at which laws are compared."""
-BETTER = 0.01
-"""Share by which a law must lower the error, in the geometric mean over quantities and horizons."""
-WORSE = 1.02
-"""No quantity may grow by more, in the geometric mean over the horizons."""
-PART = "residual_force."
 
 
 def learn_force(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    seed: int = 0,
-    progress: Progress = lambda _: None,
+    flights: Sequence[Flight], vehicle: Vehicle, seed: int, folder: Path, progress: Progress
 ) -> ForceModel:
     """Learn what a vehicle's equations leave.
 
@@ -56,7 +50,8 @@ def learn_force(
         flights: One or more. One tells no law from an accident: nothing but the observer is
             learned then.
         vehicle: Explained or calibrated, so that nothing is learned that has a name.
-        seed: Of the random features.
+        seed: Of the random features and of the network.
+        folder: Where the network goes, if it is used.
         progress: Called with the share done.
 
     Raises:
@@ -65,11 +60,26 @@ def learn_force(
     prepared = prepare(flights, vehicle, seed, lambda done: progress(0.1 * done))
     laws = ["none"] * len(OUTPUTS)
     flown: list[tuple[Flown, ...]] = [()] * len(OUTPUTS)
+    used = [False] * len(OUTPUTS)
     if len(flights) > 1:
-        laws, flown = _flown(flights, prepared, lambda done: progress(0.1 + 0.85 * done))
+        rows = range(len(flights))
+        fitted = [prepared.candidates([i for i in rows if i != out]) for out in rows]
+        replays = [Replay(f, prepared.vehicle, AHEAD_S) for f in flights]
+        drive = choose_drive(flights[0], vehicle)
+        laws, flown = _flown(
+            prepared, fitted, replays, drive, lambda done: progress(0.1 + 0.5 * done)
+        )
+        best = [[c[name] for c, name in zip(f, laws, strict=True)] for f in fitted]
+        networks = flown_network(
+            prepared, best, replays, drive, seed, lambda done: progress(0.6 + 0.35 * done)
+        )
+        used = [best_law([n]) == NETWORK for n in networks]
+        flown = [(*f, n) for f, n in zip(flown, networks, strict=True)]
     every = prepared.candidates(range(len(flights)))
     chosen = [c[name] for c, name in zip(every, laws, strict=True)]
     law, taken = prepared.law(chosen)
+    if any(used):
+        train_network(prepared, range(len(flights)), chosen, seed, folder / NETWORK_FOLDER)
     progress(1.0)
     return ForceModel(
         law=without_waves(law),
@@ -77,7 +87,8 @@ def learn_force(
             name: without_waves(prepared.law([c[name] for c in every])[0]) for name in LAWS[1:]
         },
         outputs=tuple(
-            Output(c.law, c.observer, tried) for c, tried in zip(chosen, flown, strict=True)
+            Output(c.law, c.observer, tried, on)
+            for c, tried, on in zip(chosen, flown, used, strict=True)
         ),
         taken=taken,
         flights=tuple(Taught(f.name, fingerprint(f)) for f in flights),
@@ -88,15 +99,15 @@ def learn_force(
 
 
 def _flown(
-    flights: Sequence[Flight], prepared: Prepared, progress: Progress
+    prepared: Prepared,
+    fitted: Sequence[Sequence[Mapping[str, Candidate]]],
+    replays: Sequence[Replay],
+    drive: Drive,
+    progress: Progress,
 ) -> tuple[list[str], list[tuple[Flown, ...]]]:
     """Law of each output, output after output, and what each did."""
-    rows = range(len(flights))
-    fitted = [prepared.candidates([i for i in rows if i != out]) for out in rows]
-    replays = [Replay(f, prepared.vehicle, AHEAD_S) for f in flights]
     steps, done = len(OUTPUTS) * (len(LAWS) - 1) + 1, 0
     with tempfile.TemporaryDirectory() as folder:
-        drive = choose_drive(flights[0], prepared.vehicle)
         parts = driven_twin(prepared.vehicle, drive, (), prepared.empty)
         fmu = build(fused_model(parts, prepared.vehicle.name), Path(folder, "twin.fmu"))
 
@@ -106,7 +117,7 @@ def _flown(
             squares = []
             for replay, every in zip(replays, fitted, strict=True):
                 chosen = [c[name] for c, name in zip(every, laws, strict=True)]
-                starts = _starts(prepared.law(chosen)[0])
+                starts = weight_starts(prepared.law(chosen)[0])
                 starts |= observer_starts([c.observer for c in chosen])
                 squares.append(np.mean(replay.through(fmu, starts).off ** 2, axis=0))
             done += 1
@@ -120,37 +131,10 @@ def _flown(
             tried = {name: errors([*laws[:i], name, *laws[i + 1 :]]) for name in LAWS[1:]}
             found.append(
                 tuple(
-                    _as_flown(name, e / least, [every[i][name] for every in fitted])
+                    as_flown(name, e / least, [every[i][name] for every in fitted])
                     for name, e in tried.items()
                 )
             )
-            laws[i] = _best(found[-1])
+            laws[i] = best_law(found[-1])
             least = tried.get(laws[i], least)
     return laws, found
-
-
-def _as_flown(name: str, squares: Array, fitted: Sequence[Candidate]) -> Flown:
-    """A law from its mean squares over those without it, shape (horizons, 4, 3)."""
-    cells = np.exp(np.mean(np.log(squares), axis=0) / 2)
-    return Flown(
-        law=name,
-        ratio=float(np.exp(np.mean(np.log(cells)))),
-        worst=float(cells.max()),
-        gain=float(np.mean([c.gain for c in fitted])),
-    )
-
-
-def _best(flown: Sequence[Flown]) -> str:
-    """The simplest law within `BETTER` of the best of those that help and do no harm."""
-    good = [f for f in flown if f.ratio < 1 - BETTER and f.worst <= WORSE]
-    if not good:
-        return "none"
-    least = min(f.ratio for f in good)
-    return next(f.law for f in good if f.ratio <= least + BETTER)
-
-
-def _starts(law: ForceLaw) -> dict[str, float]:
-    """The weights of a law as start values of the fused FMU."""
-    names = [n for table in weight_names(law) for row in table for n in row]
-    values = np.concatenate([law.linear.ravel(), law.waves.ravel()]).tolist()
-    return {PART + n: v for n, v in zip(names, values, strict=True)}

@@ -5,7 +5,15 @@ from pathlib import Path
 
 from learning.force.candidates import LAWS
 from learning.force.forecast import NEVER_S
-from learning.force.model import FILE, VEHICLE_FILE, ForceModel, load_force, save_force
+from learning.force.model import (
+    FILE,
+    NETWORK_FOLDER,
+    VEHICLE_FILE,
+    ForceModel,
+    Output,
+    load_force,
+    save_force,
+)
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS
@@ -14,6 +22,7 @@ from ..report.gap import number
 from ..report.page import render
 from ..vehicles import Vehicle
 from .learn import Progress, learn_force
+from .network import NETWORK
 
 REPORT = "report.html"
 _DEFAULTS = {"preset": "best", "horizon": 1, "rate": 100.0, "epochs": None}
@@ -62,11 +71,12 @@ def train_force(
                 f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
                 f"of them."
             )
-    model = learn_force(flights, vehicle, seed, progress)
+    model = learn_force(flights, vehicle, seed, out, progress)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     (out / REPORT).write_text(_page(model), encoding="utf-8")
-    return [REPORT, FILE, VEHICLE_FILE]
+    network = [NETWORK_FOLDER] if model.network_starts else []
+    return [REPORT, FILE, VEHICLE_FILE, *network]
 
 
 def force_claim(out: Path) -> str:
@@ -76,9 +86,9 @@ def force_claim(out: Path) -> str:
 
 def _claim(model: ForceModel) -> str:
     used = [
-        f"{name} {output.law}"
+        f"{name} {laws}"
         for name, output in zip(NAMES, model.outputs, strict=True)
-        if output.law != LAWS[0]
+        if (laws := _laws(output)) != LAWS[0]
     ]
     if len(model.flights) == 1:
         return (
@@ -93,17 +103,24 @@ def _claim(model: ForceModel) -> str:
     return f"force: {law}; beside it an observer of what is left."
 
 
+def _laws(output: Output) -> str:
+    """Law of an output, and the network where it adds to it."""
+    if not output.network:
+        return output.law
+    return NETWORK if output.law == LAWS[0] else f"{output.law} and {NETWORK}"
+
+
 def _page(model: ForceModel) -> str:
     return render(
         "force_training.html.j2",
         {"number": number},
         claim=_claim(model),
         model=model,
-        laws=LAWS[1:],
+        laws=(*LAWS[1:], NETWORK),
         outputs=[
             {
                 "name": name,
-                "law": output.law,
+                "law": _laws(output),
                 "learns": output.observer.lag_s < NEVER_S,
                 "observer": output.observer,
                 "tried": {f.law: f for f in output.tried},
