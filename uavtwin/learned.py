@@ -99,8 +99,8 @@ def train(
     several, model = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
     out = Path(folder)
     if protocol == "force":
-        from .force.train import check_force_options, force_claim, train_force
-
+        with extra_learn():
+            from .force.train import check_force_options, force_claim, train_force
         check_force_options(preset, horizon, rate_hz, epochs)
         with results_folder(out, force) as place:
             made = train_force(several, model, seed, place, progress)

@@ -97,17 +97,9 @@ class ForceModel:
     __repr__ = short_repr
 
     @property
-        @property
-    def network_starts(self) -> dict[str, float]:
-        """Parameters of a twin by which its network acts as chosen; {} without one."""
-        used = [o.network for o in self.outputs]
-        return network_starts(used) if any(used) else {}
-
-
-def observer_starts(self) -> dict[str, float]:
+    def observer_starts(self) -> dict[str, float]:
         """Parameters of a driven twin by which its observer is that of the law."""
         return observer_starts([o.observer for o in self.outputs])
-
 
     @property
     def network_starts(self) -> dict[str, float]:

@@ -14,11 +14,10 @@ from .printing import print_files, print_json, progress
 
 if TYPE_CHECKING:
     from fmus.compensator import NetworkFile
-    from learning.force.model import ForceModel
     from twin.physics.rotors import Drive
     from twin.physics.sensors.position import Kind
 
-    from ..exports.parts import Controller
+    from ..exports.parts import Controller, LearnedForce
     from ..exports.products import Exportable, WrittenFile
     from ..vehicles import Vehicle
 
@@ -218,16 +217,15 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
 
 
 def _part(
-    name: str, choice: Choice, vehicle: "Vehicle", learned: "NetworkFile | ForceModel | None"
+    name: str, choice: Choice, vehicle: "Vehicle", learned: "NetworkFile | LearnedForce | None"
 ) -> "Exportable":
     """What a name stands for."""
-    from learning.force.model import ForceModel
     from twin.logs import read_flight
 
     from ..exports import parts
 
-    force = learned if isinstance(learned, ForceModel) else None
-    network = None if isinstance(learned, ForceModel) else learned
+    force = learned if isinstance(learned, parts.LearnedForce) else None
+    network = None if isinstance(learned, parts.LearnedForce) else learned
     drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
         controller = cast("Controller", choice.controller)
@@ -248,7 +246,7 @@ def _part(
 
 def _learned(
     names: Sequence[str], choice: Choice, vehicle: "Vehicle"
-) -> "NetworkFile | ForceModel | None":
+) -> "NetworkFile | LearnedForce | None":
     """What was trained, a compensator held against the vehicle; the twin holds a force so."""
     from learning.force.model import is_force
 

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from learning.force.model import VEHICLE_FILE, ForceModel, fingerprint, load_force
+from learning.force.model import VEHICLE_FILE, ForceModel, fingerprint
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.physics.airframe import AXES
 from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
-from ..exports.parts import twin
+from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
 from ..output import output_file
 from ..report.figures import embedded, pretty_unit
@@ -115,11 +115,12 @@ def evaluate_force(
     Raises:
         TwinError: The folder holds no learned force, or a flight taught it or cannot be replayed.
     """
-    model, vehicle = load_force(folder), load_vehicle(folder / VEHICLE_FILE)
+    force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
+    model = force.model
     _check_new(flights, folder, model)
     rows, inside, windows = [], {}, {}
     with tempfile.TemporaryDirectory() as place:
-        fleet = _Fleet(model, vehicle, physics, Path(place))
+        fleet = _Fleet(force, vehicle, physics, Path(place))
         total, done = len(flights) * len(fleet.names), 0
         for flight in flights:
             replay = Replay(flight, vehicle)
@@ -144,17 +145,19 @@ class _Fleet:
     """The twins that are compared, exported when they are asked for."""
 
     def __init__(
-        self, model: ForceModel, vehicle: Vehicle, physics: Vehicle | None, place: Path
+        self, force: LearnedForce, vehicle: Vehicle, physics: Vehicle | None, place: Path
     ) -> None:
-        self._forces: dict[str, ForceModel | None] = {EXPLAINED: None, OBSERVED: None}
-        for name, law in model.rivals.items():
-            self._forces[f"explained + observer + {name}"] = replace(model, law=law)
-        self._forces[SHIPPED] = model
+        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None, OBSERVED: None}
+        plain = [replace(o, network=False) for o in force.model.outputs]
+        for name, law in force.model.rivals.items():
+            rival = replace(force.model, law=law, outputs=tuple(plain))
+            self._forces[f"explained + observer + {name}"] = LearnedForce(rival)
+        self._forces[SHIPPED] = force
         self._vehicles = dict.fromkeys(self._forces, vehicle)
         if physics is not None:
             self._forces = {PHYSICS: None, **self._forces}
             self._vehicles[PHYSICS] = physics
-        self._observer, self._place = model.observer_starts, place
+        self._observer, self._place = force.model.observer_starts, place
 
     @property
     def names(self) -> tuple[str, ...]:
