@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from twin.component import Variable
+from twin.physics.residual_force import INPUTS, SEEN
 
 from ..model import Constant, FmuModel, Part
 from .c_source import PREAMBLE, network_source
@@ -86,8 +87,7 @@ def _inputs(network: NetworkFile) -> list[Variable]:
     unknown = max(network.phases.values())
     table = [Variable(c, "input", u, f"What the twin reads, {c}") for c, u in channels]
     for i, c in enumerate(network.commands, start=1):
-        unit, what = ("rad/s", "Speed") if c.startswith("rotor_") else ("1", "Command")
-        table.append(Variable(c, "input", unit, f"{what} of motor {i}"))
+        table.append(Variable(c, "input", *_drive(c, i)))
     table.append(Variable("phase", "input", "1", f"Phase of the flight: {codes}", 0.0, 0, unknown))
     if network.sees_measurements:
         table += [
@@ -99,6 +99,14 @@ def _inputs(network: NetworkFile) -> list[Variable]:
             for g in network.groups
         ]
     return table
+
+
+def _drive(name: str, number: int) -> tuple[str, str]:
+    """Unit and meaning of what drives the rotors, or of the motion that stands for it."""
+    if (seen := name.removeprefix(SEEN)) in dict(INPUTS) and seen != name:
+        return dict(INPUTS)[seen], f"What a network sees, {seen}"
+    unit, what = ("rad/s", "Speed") if name.startswith("rotor_") else ("1", "Command")
+    return unit, f"{what} of motor {number}"
 
 
 def _outputs(network: NetworkFile) -> list[Variable]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from twin.flight.mission import PHASES
-from twin.physics.residual_force import INPUTS, OUTPUTS
+from twin.physics.residual_force import INPUTS, OUTPUTS, SEEN
 from twin.representation import short_repr
 
 AXES = ("x", "y", "z")
@@ -62,7 +62,7 @@ FORCES = Channels(
     tuple("m/s²" if kind == "force" else "rad/s²" for kind, _ in OUTPUTS),
     MappingProxyType({"left_force": slice(0, 3), "left_moment": slice(3, 6)}),
     seen=(),
-    commands=tuple(f"seen_{name}" for name, _ in INPUTS),
+    commands=tuple(SEEN + name for name, _ in INPUTS),
 )
 """Specific force and angular acceleration that the equations lack, by the motion it comes with."""
 

@@ -12,7 +12,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from learning.data.channels import CHANNELS, GROUPS
+from learning.data.channels import CHANNELS, GROUPS, SENSORS, Channels
 from learning.data.flights import ResidualFlight
 from learning.export.write import export_onnx
 from learning.model.compensator import Compensator, ModelInfo
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 Rows = dict[str, NDArray[np.float32]]
 N = len(CHANNELS)
 CLUSTERS = ((0, 1, 2, 6), (3, 4, 9), (5, 7, 8, 10, 14), (11, 12, 13))
+FORCE_CLUSTERS = ((0, 1, 4), (2, 3, 5))
 TINY = replace(
     BEST,
     name="tiny",
@@ -51,6 +52,7 @@ def compensator(
     rate_hz: float = 100.0,
     envelope: float = 4.0,
     vehicle: str = "",
+    channels: Channels = SENSORS,
 ) -> Compensator:
     """A model whose every weight and buffer is something, as after training.
 
@@ -63,10 +65,14 @@ def compensator(
         rate_hz: Samples per second.
         envelope: Half of its width, in spreads of the features.
         vehicle: Name it is trained for.
+        channels: That it corrects.
     """
     torch.manual_seed(seed)
     horizon = horizon if protocol == "track" else 0
-    info = ModelInfo(preset, protocol, horizon, rate_hz, commands, CLUSTERS, seed, vehicle)
+    clusters = CLUSTERS if channels is SENSORS else FORCE_CLUSTERS
+    info = ModelInfo(
+        *(preset, protocol, horizon, rate_hz, commands, clusters, seed, vehicle), channels=channels
+    )
     model = Compensator(info)
     model.mean.normal_(std=0.1)
     model.scale.uniform_(0.5, 1.5)

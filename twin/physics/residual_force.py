@@ -40,6 +40,8 @@ INPUTS = (
 """Physical inputs: velocity through the air and body rates, body FRD; squared rotor speed over that
 in hover, its mean less one and its parts that turn about each axis; voltage over the nominal one
 less one; nearness to the ground, 1 / (1 + (height / arm)^2)."""
+SEEN = "seen_"
+"""Before the name of an input, that of the output by which a network sees it."""
 OUTPUTS = (*(("force", a) for a in AXES), *(("moment", a) for a in AXES))
 FEATURES = (
     "one",
@@ -241,7 +243,7 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     if network:
         said += _fade(distance(law, x), 1.0, WAVES_END) * _corrections(m)
         for i, (name, unit) in enumerate(INPUTS):
-            m.output(f"seen_{name}", unit, f"What a network sees, {name}", x[i])
+            m.output(SEEN + name, unit, f"What a network sees, {name}", x[i])
     acts = enabled * ca.mtimes(ca.SX(law.units), said)
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")

@@ -13,7 +13,7 @@ import torch
 from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
 from places import ROOT
 
-from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
+from learning.data.channels import CHANNELS, FORCES, GROUPS, PHASE_CODES, UNITS
 from learning.export.graph import IR_VERSION, OPSET
 from learning.export.int8 import deviation, streamed
 from learning.export.step import INPUTS, OUTPUTS, streaming_model
@@ -35,6 +35,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "hard": {"preset": tiny(quantiser="hard")},
     "no quantiser": {"preset": tiny(quantiser="none"), "protocol": "free"},
     "one command": {"commands": 1, "rate_hz": 50.0},
+    "force and moment": {"protocol": "free", "channels": FORCES, "commands": len(FORCES.commands)},
 }
 
 
