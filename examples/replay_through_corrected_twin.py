@@ -1,8 +1,8 @@
 """Replay a flight through the fused FMU, in FMPy: it follows the aircraft, then flies alone.
 
 You will see how far it is off half a second later, without what it learned meanwhile and with:
-    python examples/replay_through_corrected_twin.py [LOG VEHICLE]
-Without a log, a built-in flight in which an effect is hidden.
+    python examples/replay_through_corrected_twin.py [LOG VEHICLE [MODEL]]
+MODEL: of `uavtwin train --protocol force`. Without a log, a built-in flight with a hidden effect.
 """
 
 import sys
@@ -23,12 +23,13 @@ from uavtwin.driving import driving_inputs, true_motion
 FOLLOW, ALONE = 1000, 500  # steps of 1 ms, again and again
 
 
-def main(flight: ut.Flight, vehicle: ut.Vehicle) -> None:
+def main(flight: ut.Flight, vehicle: ut.Vehicle, model: str = "") -> None:
     """Replay twice, print a line per quantity."""
     aligned = align_flight(flight, vehicle)
     starts = whole_windows(aligned, FOLLOW + ALONE)
     followed, ends = starts[:, None] + np.arange(1, FOLLOW + 1), starts + FOLLOW + ALONE
-    twin = ut.twin(vehicle, drive=choose_drive(flight, vehicle))
+    force = ut.learned_force(model) if model else None
+    twin = ut.twin(vehicle, drive=choose_drive(flight, vehicle), force=force)
     runs = []
     with tempfile.TemporaryDirectory() as folder:
         fmu = ut.export(twin, Path(folder, "twin.fmu")).paths[0]
@@ -47,12 +48,12 @@ def main(flight: ut.Flight, vehicle: ut.Vehicle) -> None:
     for stem, unit in (("pos", "m"), ("vel", "m/s"), ("q", "rad"), ("omega", "rad/s")):
         at = [i for i, s in enumerate(RIGID) if s.startswith(f"{stem}_")]
         minus = rotation_vector if stem == "q" else np.subtract
-        off = [minus(run[:, at], there[:, at]) for run in runs]
-        rms = [np.sqrt(np.mean(np.sum(values**2, axis=1))) for values in off]
+        rms = [np.sqrt(np.mean(np.sum(minus(r[:, at], there[:, at]) ** 2, axis=1))) for r in runs]
         print(f"{stem:6} {rms[0]:8.4f} {rms[1]:8.4f} {unit}")
 
 
 if __name__ == "__main__":
-    log, name = sys.argv[1:] or ("", "copter_default")
+    log, name, *model = sys.argv[1:] or ("", "copter_default")
     vehicle = ut.load_vehicle(name)
-    main(ut.read_flight(log) if log else fly(vehicle, hide(vehicle, 1).plant, seed=1), vehicle)
+    flight = ut.read_flight(log) if log else fly(vehicle, hide(vehicle, 1).plant, seed=1)
+    main(flight, vehicle, *model)
