@@ -81,7 +81,7 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
 def n_regressors(protocol: Protocol, n_features: int) -> int:
     """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
     features = n_features * (1 + len(SMOOTHING_S))
-    return {"reconstruct": 0, "track": LAGS + 1, "free": features}[protocol]
+    return {"reconstruct": 0, "track": LAGS + 1 + features, "free": features}[protocol]
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ..data.channels import N_PHASES
-from ..data.sequences import smoothing
+from ..data.sequences import LAGS, SMOOTHING_S, smoothing
 from ..model.compensator import Compensator
 from .graph import Graph
 from .network import network, numbers
@@ -84,26 +84,27 @@ def _step(g: Graph, model: Compensator) -> None:
     mean, scale, expected = _tables(g, model, here)
     limited = protocol != "reconstruct"  # which looks at no feature
     raw = _raw_features(g, model, sample) if limited else ""
-    features = _features(g, model, raw) if model.network.sees_features else ""
+    features = _features(g, model, raw) if limited else ""
     if rows:
         past = _remembered(g, sample, past, mean, scale, (rows, n))
-    if protocol == "free":  # elsewhere nothing looks at them, and their state stays as it is
+    if limited:  # elsewhere nothing looks at them, and their state stays as it is
         slow = _smoothed(g, model, features, slow)
     first = model.info.horizon * n
     known = past if rows <= 1 else g.columns(past, first, first + n)
     y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
-    said = y
+    said, base = y, numbers(model.base)
+    if limited:
+        inputs = g.op("Concat", features, slow, axis=1)
+        of_inputs = base[:, -len(model.features) * (1 + len(SMOOTHING_S)) :]
+        said = g.op("Add", said, g.op("MatMul", inputs, g.floats(of_inputs.T)))
     if protocol == "track":
         lags = g.reshape(g.columns(past, first, rows * n), -1, n)
         then, readings, begun = _read_then(g, model, sample, readings, begun)
         change = g.op("Div", g.op("Sub", then, sample.virtual), scale)
         seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
-        products = g.op("Mul", seen, g.floats(numbers(model.base).T))
-        said = g.op("Add", y, g.op("ReduceSum", products, g.integers(0), keepdims=1))
-    elif protocol == "free":
-        seen = g.op("Concat", features, slow, axis=1)
-        said = g.op("Add", y, g.op("MatMul", seen, g.floats(numbers(model.base).T)))
+        products = g.op("Mul", seen, g.floats(base[:, : LAGS + 1].T))
+        said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
     correction = g.op("Add", mean, g.op("Mul", scale, said))
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))

@@ -6,10 +6,10 @@
 | mean | mean of the training residual in the same phase |
 | last | the last residual known; with a horizon of 0 the measurement itself |
 | average | mean of the last 21 known ones (`reconstruct`) |
-| mean reading | that the sensor reads its training mean of the phase, whatever the twin reads |
+| mean reading | that the sensor reads its training mean of the phase, whatever the twin reads (`track`, `free`) |
 | last reading | that the sensor reads what it last did (`track`) |
 | linear AR(8) | 8 residuals up to t - h, one linear map per channel straight to t (`track`) |
-| linear in inputs | virtual signals and commands, with slow copies of them (`free`) |
+| linear in inputs | virtual signals and commands, with slow copies of them (`track`, `free`) |
 
 Each is the mean of the phase where it knows nothing, and offers what a model offers: `run`. The
 readings do without the twin: a correction that does not beat them hides a twin of no use.
@@ -315,13 +315,13 @@ RULES: Mapping[str, Rule] = MappingProxyType(
             ("track",), ("mean", "weights"), _fit_autoregression, _autoregression
         ),
         "mean reading": Rule(
-            ("free",),
+            ("track", "free"),
             ("reading",),
             _fit_reading,
             lambda f, k, h: _less_virtual(f, k["reading"][f.phase]),
         ),
         "linear in inputs": Rule(
-            ("free",),
+            ("track", "free"),
             ("mean", "centre", "spread", "weights"),
             _fit_linear_in_inputs,
             _linear_in_inputs,

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.sequences import SpanSequence
+from ..data.sequences import LAGS, SpanSequence
 from ..preset import Protocol
 
 Array = NDArray[np.float64]
@@ -33,11 +33,12 @@ def fit_base(
 ) -> Array:
     """Weights of the linear prediction per channel; zero where it does not plainly help.
 
-    `track`: autoregression straight to the horizon, weights times [`lags`, `change`] of each
-    channel; with weights 1, 0, ..., 1 the sensor reads what it read last, whatever the twin says.
-    `free`: weights times [features, slow features]. `reconstruct`: none. The strength of the ridge
-    is chosen, and its worth judged, on parts of the data that had no share in the fit: flight by
-    flight, or by stretches of time where there is one flight.
+    `track`: weights times [`lags`, `change`] of each channel, which is autoregression straight to
+    the horizon (with weights 1, 0, ..., 1 the sensor reads what it read last, whatever the twin
+    says), times [features, slow features], or times both. `free`: times [features, slow features].
+    `reconstruct`: none. Which of them, and the strength of the ridge, is chosen, and its worth
+    judged, on parts of the data that had no share in the fit: flight by flight, or by stretches of
+    time where there is one flight.
 
     Args:
         spans: All training flights.
@@ -54,7 +55,7 @@ def fit_base(
         x = np.concatenate([regressors(s, protocol, c) for s in spans])
         target = np.concatenate([s.d[:, c] for s in spans])
         counts = np.concatenate([m[:, c] for m in scored])
-        weights.append(_channel(x, target, counts, folds, blocks))
+        weights.append(_channel(x, target, counts, folds, blocks, _sets(protocol, x.shape[1])))
     return np.array(weights)
 
 
@@ -67,7 +68,8 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Arra
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
     """What the linear prediction of a channel is made from, shape (n, regressors)."""
     if protocol == "track":
-        return np.hstack([span.lags[:, channel], span.change[:, channel, None]])
+        past = [span.lags[:, channel], span.change[:, channel, None]]
+        return np.hstack([*past, span.features, span.slow])
     if protocol == "free":
         return np.hstack([span.features, span.slow])
     return np.zeros((len(span.d), 0))
@@ -130,13 +132,42 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
     return np.arange(len(flights), dtype=np.intp) * MOST_FOLDS // len(flights)
 
 
+def _sets(protocol: Protocol, n: int) -> list[IntArray]:
+    """Regressors that may be used together, the fewest first."""
+    every = np.arange(n)
+    if protocol != "track":
+        return [every]
+    return [every[: LAGS + 1], every[LAGS + 1 :], every]
+
+
 def _channel(
-    x: Array, target: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+    x: Array,
+    target: Array,
+    scored: BoolArray,
+    folds: IntArray,
+    blocks: IntArray,
+    sets: Sequence[IntArray],
 ) -> Array:
-    """Weights from all data, with the ridge that said best what it had not seen."""
+    """Weights from all data, with the regressors and the ridge that said best what is new."""
     nothing = np.zeros(x.shape[1])
     if not scored.any() or not x.shape[1]:
         return nothing
+    found, most = nothing, 0.0
+    for columns in sets:
+        weights, gain = _chosen(x[:, columns], target, scored, folds, blocks)
+        if gain > most:
+            found, most = np.zeros(x.shape[1]), gain
+            found[columns] = weights
+    return found
+
+
+def _chosen(
+    x: Array, target: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+) -> tuple[Array, float]:
+    """Weights of all regressors with the best ridge, and the square error that it saved.
+
+    Zero and none where the saving could be chance.
+    """
     parts = [scored & (folds == k) for k in np.unique(folds)]
     grams = np.array([x[p].T @ x[p] for p in parts])  # (folds, regressors, regressors)
     moments = np.array([x[p].T @ target[p] for p in parts])
@@ -150,8 +181,8 @@ def _channel(
     gains = target**2 - (target - said) ** 2  # (ridges, n)
     best = int(np.argmax(gains[:, scored].sum(1)))
     if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:
-        return nothing
-    return _ridge(gram, moment, count, RIDGES[best])
+        return np.zeros(x.shape[1]), 0.0
+    return _ridge(gram, moment, count, RIDGES[best]), float(gains[best, scored].sum())
 
 
 def _ridge(gram: Array, moment: Array, count: int, ridge: float) -> Array:
