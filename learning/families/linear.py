@@ -24,6 +24,7 @@ from ..model.info import ModelInfo
 from ..model.linear_predictor import fit_base, predict_base
 from ..preset import Normalise, Protocol
 from ..training.inputs import describe_training
+from ..training.left_out import left_out_errors
 
 Array = NDArray[np.float64]
 
@@ -51,8 +52,9 @@ class LinearModel:
         info: What it is.
         scaling: Of residuals and features, and the envelope.
         weights: Of the linear prediction, shape (15, regressors).
-        expected: Rms of what it left of its training flights, by phase, shape (phases, 15), units
-            of the channels.
+        expected: Rms of what is to be expected of it, by phase, shape (phases, 15), units of the
+            channels: of what the prediction of the other flights leaves of each, where there are
+            several.
     """
 
     info: ModelInfo[LinearPreset]
@@ -120,8 +122,12 @@ class Linear(Family[LinearPreset, LinearModel]):
         spans = sequences(flights, scaling, task.protocol, task.horizon)
         weights = fit_base(spans, [s.fresh for s in spans], task.protocol, info.rate_hz)
         model = LinearModel(info, scaling, weights, np.zeros((N_PHASES, len(CHANNELS))))
-        left = [(f.residual - model.run(f).correction) ** 2 for f in flights]
-        return replace(model, expected=np.sqrt(by_phase(flights, left)))
+        left = [f.residual - model.run(f).correction for f in flights]
+        if len(flights) > 1:
+            unseen = left_out_errors(flights, preset, task.protocol, task.horizon, scaling)
+            for span, error in zip(spans, unseen, strict=True):
+                left[span.flight][span.rows] = error * scaling.scale[span.phase]
+        return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
 
     def build(self, info: ModelInfo[LinearPreset], tensors: Tensors) -> LinearModel:
         """The model of these numbers."""

@@ -6,7 +6,7 @@
 | mean | mean of the training residual in the same phase |
 | last | the last residual known; with a horizon of 0 the measurement itself |
 | average | mean of the last 21 known ones (`reconstruct`) |
-| mean reading | that the sensor reads its training mean of the phase, whatever the twin reads (`track`, `free`) |
+| mean reading | that the sensor reads its training mean of the phase (`track`, `free`) |
 | last reading | that the sensor reads what it last did (`track`) |
 | linear AR(8) | 8 residuals up to t - h, one linear map per channel straight to t (`track`) |
 | linear in inputs | virtual signals and commands, with slow copies of them (`track`, `free`) |

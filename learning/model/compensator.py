@@ -205,11 +205,9 @@ class Compensator(nn.Module):
             change = (then[-1:] - virtual) / scale
             lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
             seen = torch.cat([lags, change], dim=0)  # (lags + 1, 15)
-            of_past = self.base[:, : len(seen)]
+            of_past, of_inputs = self.base[:, : len(seen)], self.base[:, len(seen) :]
             prediction = (seen * of_past.T).sum(0, keepdim=True)
-            prediction = (
-                prediction + torch.cat([features, slow], dim=-1) @ self.base[:, len(seen) :].T
-            )
+            prediction = prediction + torch.cat([features, slow], dim=-1) @ of_inputs.T
         elif self.info.protocol == "free":
             prediction = torch.cat([features, slow], dim=-1) @ self.base.T
         out, network_state = self.network.step(known, features, here, network_state)

@@ -5,6 +5,7 @@ RflySimDT two such spreads held 56 to 93 % of what a flight left out showed, in 
 """
 
 from collections.abc import Sequence
+from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,28 @@ from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, fit_scaling, in_spans
 from ..data.sequences import sequences
 from ..model.linear_predictor import fit_base, predict_base
-from ..preset import Preset, Protocol
+from ..preset import Normalise, Protocol
 
 Array = NDArray[np.float64]
 
 
+class Normalised(Interface):
+    """A preset as far as it says how residuals are scaled."""
+
+    @property
+    def normalise(self) -> Normalise:
+        """As in `learning.preset.Preset`."""
+        ...
+
+    @property
+    def envelope_margin(self) -> float:
+        """As there."""
+        ...
+
+
 def left_out_errors(
     flights: Sequence[ResidualFlight],
-    preset: Preset,
+    preset: Normalised,
     protocol: Protocol,
     horizon: int,
     scaling: Scaling,
@@ -29,7 +44,7 @@ def left_out_errors(
 
     Args:
         flights: Two or more.
-        preset: Of the training.
+        preset: How residuals are scaled, and how wide the envelope is.
         protocol: Decides the regressors.
         horizon: Samples, in `track`; else 0.
         scaling: In whose units the errors are told.
