@@ -70,7 +70,7 @@ def train(
     horizon: int = 1,
     rate_hz: float = 100.0,
     epochs: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> TrainResult:
@@ -89,7 +89,7 @@ def train(
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer.
         epochs: Default: the preset's; none for a preset in closed form.
-        seed: Of everything that is drawn.
+        seed: Of everything that is drawn; default: the preset's, 0 in most.
         force: Whether the folder may hold other files already.
         progress: Called with the share done, 0..1.
 
@@ -103,7 +103,7 @@ def train(
             from .force.train import check_force_options, force_claim, train_force
         check_force_options(preset, horizon, rate_hz, epochs)
         with results_folder(out, force) as place:
-            made = train_force(several, model, seed, place, progress)
+            made = train_force(several, model, seed or 0, place, progress)
         return TrainResult(out, tuple(made), force_claim(out))
     with extra_learn():
         from . import training

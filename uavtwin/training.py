@@ -63,7 +63,7 @@ def plan_training(
     protocol: Protocol,
     horizon: int,
     epochs: int | None,
-    seed: int,
+    seed: int | None,
     out: Path,
     force: bool,
 ) -> Plan:
@@ -81,7 +81,8 @@ def plan_training(
         chosen = replace(chosen, epochs=epochs)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
-    return Plan(family, chosen, protocol, horizon if protocol == "track" else 0, seed)
+    drawn = getattr(chosen, "seed", 0) if seed is None else seed
+    return Plan(family, chosen, protocol, horizon if protocol == "track" else 0, drawn)
 
 
 def prepare(

@@ -55,13 +55,14 @@ def losses(
     reconstruction, quantiser = nought, nought
     for cluster in clusters:
         columns = list(cluster)
-        reconstruction = reconstruction + _mean(error[..., columns] ** 2, scored[..., columns])
+        part = _mean(error[..., columns] ** 2, scored[..., columns])
+        reconstruction = reconstruction + part * _length(len(columns), preset)
     if preset.quantiser != "none" and preset.weight_quantiser:
         for latent, codebook in zip(out.latents, quantisers, strict=True):
             quantiser = quantiser + quantiser_loss(latent, codebook.codes, preset)
     distribution = nought
     if preset.distribution == "moments" and preset.weight_distribution:
-        distribution = moments_loss(out.y, target, scored)
+        distribution = moments_loss(out.y, target, scored) * _length(target.shape[-1], preset)
     spread = nought
     if preset.spread_head:
         shrunk = error.detach() * torch.exp(-out.log_spread)
@@ -90,9 +91,10 @@ def quantiser_loss(latent: Latent, codes: Tensor, preset: Preset) -> Tensor:
             code = codes[latent.logits.argmax(-1)]
         to_codes = torch.mean((latent.z.detach() - code) ** 2)
         to_latent = torch.mean((latent.z - code.detach()) ** 2)
-    if preset.swapped_stop:
-        return preset.beta * to_codes + to_latent
-    return to_codes + preset.beta * to_latent
+    both = preset.beta * to_codes + to_latent
+    if not preset.swapped_stop:
+        both = to_codes + preset.beta * to_latent
+    return both * _length(codes.shape[-1], preset)
 
 
 def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
@@ -111,6 +113,11 @@ def moments_loss(y: Tensor, target: Tensor, scored: Tensor) -> Tensor:
         parts.append((mean, torch.sqrt(variance + 1e-8)))
     (mean, spread), (target_mean, target_spread) = parts
     return (torch.abs(mean - target_mean) + torch.abs(spread - target_spread)).mean()
+
+
+def _length(n: int, preset: Preset) -> int:
+    """What makes a mean over n numbers the sum that the text writes."""
+    return n if preset.norms == "sums" else 1
 
 
 def _every(z: Tensor, codes: Tensor) -> Tensor:

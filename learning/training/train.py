@@ -160,6 +160,8 @@ def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> di
         if preset.clip is not None:
             torch.nn.utils.clip_grad_norm_(network.parameters(), preset.clip)
         optimiser.step()
+        if preset.clip_parameters is not None:
+            _clamp(network, preset.clip_parameters)
         sums += _numbers(parts)
         steps += 1
     means = sums / max(steps, 1)
@@ -171,6 +173,13 @@ def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> di
     names = ("reconstruction", "quantiser", "distribution", "spread")
     entry = dict(zip(names, (float(m) for m in means), strict=True))
     return {"epoch": epoch + 1, "learning_rate": rate, **entry, "validation": None}
+
+
+@torch.no_grad()
+def _clamp(network: SvqNetwork, size: float) -> None:
+    """Keep every weight within a size."""
+    for parameter in network.parameters():
+        parameter.clamp_(-size, size)
 
 
 def _numbers(parts: Losses) -> Array:

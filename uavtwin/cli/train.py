@@ -32,7 +32,10 @@ def train(
     horizon: Annotated[int, typer.Option(min=1, help="Of track, samples.")] = 1,
     rate: Annotated[float, typer.Option(help="Samples per second: 1000 over an integer.")] = 100,
     epochs: Annotated[int | None, typer.Option(min=1, help="Default: the preset's.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of everything that is drawn.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Of everything that is drawn. Default: the preset's, 0 in most."),
+    ] = None,
     out: Out = Path("model"),
     force: Force = False,
 ) -> None:
