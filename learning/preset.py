@@ -66,8 +66,8 @@ class Preset:
         weight_reconstruction: Of the mean square error.
         weight_quantiser: Of the quantiser's loss.
         weight_distribution: Of the distribution's loss.
-        norms: `sums`: norms as Eqs. 10 and 14 and lines 18 to 21 write them, sums over the numbers of
-            a code and over the channels; `means`: means over both, a cluster being worth what
+        norms: `sums`: norms as Eqs. 10 and 14 and lines 18 to 21 write them, sums over the numbers
+            of a code and over the channels; `means`: means over both, a cluster being worth what
             another is.
         distribution: `moments`: differences of mean and spread between output and target;
             `none`: Eq. 14 as it stands.
@@ -193,15 +193,15 @@ PAPER = Preset(
     augment=0.0,
     seed=42,
 )
-"""The paper's text, taken literally: Table I (encoder [64, 128], decoder [128, 64, 32, 15], K = 512,
-D = 128, C = 4, beta = 0.25, gamma 1 and 1, batches of 4, Adam at 1e-3, 250 epochs, seed 42), windows
-of 100, norms and clip as written. The decoder's last layer of 15 is a linear one, of as many numbers
-as a cluster has channels: an LSTM gives nothing beyond -1 and 1.
+"""The paper's text, taken literally: Table I (encoder [64, 128], decoder [128, 64, 32, 15], K =
+512, D = 128, C = 4, beta = 0.25, gamma 1 and 1, batches of 4, Adam at 1e-3, 250 epochs, seed
+42), windows of 100, norms and clip as written. The decoder's last layer of 15 is a linear one,
+of as many numbers as a cluster has channels: an LSTM gives nothing beyond -1 and 1.
 
-The text does not say, and chosen here are: lag 1 of the autocorrelation, features standardised over
-the channels before k-means; windows that do not overlap; a condition of 128 numbers, learned per
-phase; the last fifth of each stretch of a phase kept for validation, the best epoch of every 25th
-kept; the distribution's weight, 1; how far line 28 clips, 1."""
+The text does not say, and chosen here are: lag 1 of the autocorrelation, features standardised
+over the channels before k-means; windows that do not overlap; a condition of 128 numbers,
+learned per phase; the last fifth of each stretch of a phase kept for validation, the best epoch
+of every 25th kept; the distribution's weight, 1; how far line 28 clips, 1."""
 
 PUBLISHED = replace(
     PAPER,
@@ -213,10 +213,11 @@ PUBLISHED = replace(
     stride=4,
 )
 """The published code's choices where they differ from the text: ranges scaled to -1..1, windows of
-150 begun every 4 samples, means of squares, nothing clipped. Its last LSTM layer, which is the output, is a linear
-layer here: a residual outside the training range could not be said otherwise. It was trained on
-shuffled windows of all three flights, 777 batches an epoch, 194,250 in all, and its figures are of
-these windows, in ranges of -1..1, hover numbered 1 and takeoff 2; `PAPER` takes some 5,000."""
+150 begun every 4 samples, means of squares, nothing clipped. Its last LSTM layer, which is the
+output, is a linear layer here: a residual outside the training range could not be said
+otherwise. It was trained on shuffled windows of all three flights, 777 batches an epoch, 194,250
+in all, and its figures are of these windows, in ranges of -1..1, hover numbered 1 and takeoff 2;
+`PAPER` takes some 5,000."""
 
 BEST = Preset(name="best")
 """What measurably beats it: docs/results/compensator.md."""

@@ -34,11 +34,13 @@ class TrainResult(Shown):
         folder: That holds it: weights, ONNX, vehicle, learning curve, page.
         files: Names of what was written, the page first.
         claim: What it is good for, in one sentence.
+        seed: Of everything that was drawn.
     """
 
     folder: Path
     files: tuple[str, ...]
     claim: str
+    seed: int = 0
 
     def model(self) -> "TrainedModel | ForceModel":
         """The model itself."""
@@ -104,7 +106,7 @@ def train(
         check_force_options(preset, horizon, rate_hz, epochs)
         with results_folder(out, force) as place:
             made = train_force(several, model, seed or 0, place, progress)
-        return TrainResult(out, tuple(made), force_claim(out))
+        return TrainResult(out, tuple(made), force_claim(out), seed or 0)
     with extra_learn():
         from . import training
     plan = training.plan_training(preset, protocol, horizon, epochs, seed, out, force)
@@ -112,7 +114,7 @@ def train(
     written = training.run_training(
         plan, residuals, model, out, lambda done: progress(0.1 + 0.9 * done)
     )
-    return TrainResult(out, tuple(written), training.training_claim(out))
+    return TrainResult(out, tuple(written), training.training_claim(out), plan.seed)
 
 
 def evaluate(

@@ -69,7 +69,7 @@ def table2(options: Options) -> list[Run]:
     runs = [
         Run(name, options.shortened(preset), seed)
         for name, preset in rows.items()
-        for seed in range(options.seeds)
+        for seed in range(preset.seed, preset.seed + options.seeds)
     ]
     if options.published:
         own = replace(options.shortened(PUBLISHED), stride=40)

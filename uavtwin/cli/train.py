@@ -73,7 +73,8 @@ def train(
         "rate": rate,
         "epochs": epochs,
     }
-    write_run(out, "train", options, [p for p in (*flights, Path(vehicle)) if p.is_file()], seed)
+    inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
+    write_run(out, "train", options, inputs, trained.seed)
     STDOUT.print(trained.claim, style="bold", markup=False)
     STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")
     if print_damage(read):
