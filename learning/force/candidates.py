@@ -17,16 +17,17 @@ zero.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.physics.residual_force import FEATURES
+from twin.representation import short_repr
 
 from .forecast import Observer, observer_of
-from .regression import noise_of, pieces_of, ridge
+from .regression import Moments, missed, moments_of, pieces_of, ridge, summed
 
 Array = NDArray[np.float64]
 LAWS = ("none", "constant", "linear", "waves")
@@ -50,11 +51,21 @@ class Design:
             of one.
         left: Shape (n, 6).
         piece: Number of the uninterrupted piece of flight of each row, shape (n,).
+        moments: Of features and outputs.
     """
 
     features: Array
     left: Array
     piece: NDArray[np.intp]
+    moments: Moments
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(cls, features: Array, left: Array, piece: NDArray[np.intp]) -> "Design":
+        """The design of these rows."""
+        columns = np.hstack([features, left])
+        return cls(features, left, piece, moments_of(columns, pieces_of(piece)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,76 +94,60 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         flights: One or more.
         output: 0 to 5.
     """
-    folds = _folds(flights)
-    nothing = sum(_likelihood(fold, output, "none", 0.0) for fold in folds)
-    found = {}
+    every = [f.moments for f in (flights if len(flights) > 1 else quarters(flights[0]))]
+    folds = [(summed([m for m in every if m is not one]), one) for one in every]
+    whole, found = summed(every), {}
     for law in LAWS:
+        columns = _columns(law, flights[0], output)
         tried = PENALTIES if law in ("linear", "waves") else (0.0,)
-        said = [sum(_likelihood(fold, output, law, p) for fold in folds) for p in tried]
+        strengths = [_strength(p, len(columns) - 1) for p in tried]
+        limits = _limits(len(columns) - 1, output)
+        parts = [(train.of(columns), test.of(columns)) for train, test in folds]
+        said = [sum(_likelihood(*part, s, limits) for part in parts) for s in strengths]
         best = int(np.argmax(said))
+        fit = ridge(whole.of(columns), strengths[best], limits).weights
         weights = np.zeros(flights[0].features.shape[1])
-        fit = _fitted(flights, output, law, tried[best])
         weights[: len(fit)] = fit
         observer = observer_of(
             [(f.left[:, output] - f.features @ weights, pieces_of(f.piece)) for f in flights]
         )
-        found[law] = Candidate(law, tried[best], weights, said[best] - nothing, observer)
-    return found
+        found[law] = Candidate(law, tried[best], weights, said[best], observer)
+    nothing = found[LAWS[0]].gain
+    return {law: replace(c, gain=c.gain - nothing) for law, c in found.items()}
 
 
-def _folds(flights: Sequence[Design]) -> list[tuple[list[Design], Design]]:
-    """All but one, and that one; of a single flight its quarters."""
-    if len(flights) == 1:
-        flights = _quarters(flights[0])
-    return [([f for f in flights if f is not one], one) for one in flights]
-
-
-def _quarters(flight: Design) -> list[Design]:
+def quarters(flight: Design) -> list[Design]:
+    """A flight as several."""
     bounds = np.linspace(0, len(flight.left), QUARTERS + 1).astype(int).tolist()
     return [
-        Design(flight.features[a:b], flight.left[a:b], flight.piece[a:b])
+        Design.of(flight.features[a:b], flight.left[a:b], flight.piece[a:b])
         for a, b in pairwise(bounds)
     ]
 
 
-def _likelihood(
-    fold: tuple[Sequence[Design], Design], output: int, law: str, penalty: float
-) -> float:
-    """Log-likelihood of the flight that was left out, its noise of any size, nats."""
-    train, test = fold
-    y, pieces = _stacked(train, output)
-    noise = noise_of(y - y.mean(), pieces)
-    weights = _fitted(train, output, law, penalty)
-    left = test.left[:, output] - test.features[:, : len(weights)] @ weights
-    new = noise.whitened(left, pieces_of(test.piece))
-    return float(-len(new) / 2 * np.log(np.mean(new**2)))
+def _likelihood(train: Moments, test: Moments, strength: Array, most: Array) -> float:
+    """Log-likelihood of what was left out, its noise of any size, nats."""
+    fit = ridge(train, strength, most)
+    return -test.rows / 2 * float(np.log(missed(test, fit.weights, fit.noise)))
 
 
-def _fitted(flights: Sequence[Design], output: int, law: str, penalty: float) -> Array:
-    """Weights of a law, as many as it has."""
-    n = {
-        "none": 0,
-        "constant": 1,
-        "linear": len(FEATURES),
-        "waves": flights[0].features.shape[1],
-    }[law]
-    if n == 0:
-        return np.zeros(0)
-    y, pieces = _stacked(flights, output)
-    features = np.vstack([f.features[:, :n] for f in flights])
-    strength, most = np.full(n, penalty), np.full(n, np.inf)
-    strength[0] = 0.0
+def _columns(law: str, flight: Design, output: int) -> list[int]:
+    """Features of a law, and the output."""
+    every = flight.features.shape[1]
+    n = {"none": 0, "constant": 1, "linear": len(FEATURES), "waves": every}[law]
+    return [*range(n), every + output]
+
+
+def _strength(penalty: float, n: int) -> Array:
+    """Prior precision of each weight; the constant has none."""
+    strength = np.full(n, penalty)
+    strength[:1] = 0.0
+    return strength
+
+
+def _limits(n: int, output: int) -> Array:
+    """Largest weight of each feature."""
+    most = np.full(n, np.inf)
     if n > 1:
         most[list(_AGAINST[output])] = 0.0
-    return ridge(features, y, pieces, strength, most).weights
-
-
-def _stacked(flights: Sequence[Design], output: int) -> tuple[Array, list[slice]]:
-    """An output of all flights, and their pieces."""
-    numbers: list[NDArray[np.intp]] = []
-    first = 0
-    for flight in flights:
-        numbers.append(flight.piece - flight.piece[0] + first)
-        first = int(numbers[-1][-1]) + 1
-    y = np.concatenate([f.left[:, output] for f in flights])
-    return y, pieces_of(np.concatenate(numbers))
+    return most

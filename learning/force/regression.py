@@ -6,66 +6,86 @@ that is deaf to commands (on the hovers of a real quadrotor it takes half of the
 away and is 1.4 times as wrong about what happens from one sample to the next). Here the noise is an
 autoregression, found together with the weights, and both sides are whitened by it.
 
-Source: generalised least squares with autoregressive noise, Cochrane & Orcutt, JASA 1949.
+Everything is told from sums over the rows, which add up over flights: one pass over each flight,
+whatever is fitted afterwards.
+
+Source: generalised least squares with autoregressive noise, Cochrane & Orcutt, JASA 1949; why the
+noise has to be modelled where commands answer it, Ljung, System Identification, ch. 13.4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_toeplitz, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
-from scipy.signal import lfilter
 
 Array = NDArray[np.float64]
 ORDER = 12
 """Of the autoregression: a quarter of a second at 50 samples per second."""
-ROUNDS = 4
-"""Of weights and noise in turn."""
+ROUNDS = 100
+"""Of weights and noise in turn, at most."""
+SETTLED = 1e-3
+"""Change of the weights, in their own deviations, below which nothing is to be gained."""
 _TINY = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class Noise:
-    """An autoregression.
+class Moments:
+    """Sums over the rows of a flight, or of several: products of columns now and up to `ORDER` ago.
 
     Attributes:
-        filter: Takes a series to its innovations, shape (ORDER + 1,), 1 first.
-        size: Root mean square of the innovations.
+        products: Of column a i rows ago with column b j rows ago, shape
+            (ORDER + 1, m, ORDER + 1, m).
+        rows: How many.
     """
 
-    filter: Array
-    size: float
+    products: Array
+    rows: int
 
-    def whitened(self, values: Array, pieces: Sequence[slice]) -> Array:
-        """Innovations of unit size of each piece, the first `ORDER` rows of it left out.
+    def of(self, columns: Sequence[int]) -> "Moments":
+        """Of some of the columns."""
+        chosen = list(columns)
+        return Moments(self.products[:, chosen][:, :, :, chosen], self.rows)
+
+    def between(self, weights: Array) -> Array:
+        """Products of a weighted sum of the columns with itself, shape (ORDER + 1, ORDER + 1)."""
+        return np.asarray(np.einsum("iajb,a,b->ij", self.products, weights, weights, optimize=True))
+
+    def whitened(self, noise: Array) -> Array:
+        """Products of the columns as a filter shows them, shape (m, m).
 
         Args:
-            values: Shape (n,) or (n, k).
-            pieces: Rows of uninterrupted flight.
+            noise: The filter, newest row first, shape (ORDER + 1,).
         """
-        kept = [lfilter(self.filter, 1.0, values[rows], axis=0)[ORDER:] for rows in pieces]
-        return np.concatenate(kept) / self.size
+        return np.asarray(np.einsum("iajb,i,j->ab", self.products, noise, noise, optimize=True))
 
 
-def noise_of(left: Array, pieces: Sequence[slice]) -> Noise:
-    """The autoregression of a series, by Yule and Walker; it is stable whatever the series.
+def moments_of(columns: Array, pieces: Iterable[slice]) -> Moments:
+    """Of a flight.
 
     Args:
-        left: Shape (n,), of mean zero or nearly.
-        pieces: Rows of uninterrupted flight.
+        columns: Shape (n, m), of the order of one each.
+        pieces: Rows of uninterrupted flight, each longer than `ORDER`.
     """
-    n = sum(p.stop - p.start for p in pieces)
-    lags = np.zeros(ORDER + 1)
-    for rows in pieces:
-        part = left[rows]
-        for k in range(min(ORDER + 1, len(part))):
-            lags[k] += part[: len(part) - k] @ part[k:] / n
-    lags[0] = 1.001 * lags[0] + 1e-18
-    weights = solve_toeplitz(lags[:-1], lags[1:])
-    size = float(np.sqrt(lags[0] - weights @ lags[1:]))
-    return Noise(np.concatenate([[1.0], -weights]), size)
+    m = columns.shape[1]
+    width = (ORDER + 1) * m
+    products, rows = np.zeros((width, width)), 0
+    for piece in pieces:
+        part = columns[piece]
+        n = len(part) - ORDER
+        ago = np.hstack([part[ORDER - i : ORDER - i + n] for i in range(ORDER + 1)])
+        products += ago.T @ ago
+        rows += n
+    return Moments(products.reshape(ORDER + 1, m, ORDER + 1, m), rows)
+
+
+def summed(moments: Sequence[Moments]) -> Moments:
+    """Of all flights together."""
+    return Moments(
+        np.asarray(np.sum([m.products for m in moments], axis=0)), sum(m.rows for m in moments)
+    )
 
 
 def pieces_of(number: NDArray[np.intp]) -> list[slice]:
@@ -84,31 +104,55 @@ class Fit:
     """Weights and noise.
 
     Attributes:
-        weights: Shape (k,).
-        noise: Of what they leave.
+        weights: Shape (m - 1,).
+        noise: Filter that takes what they leave to what is new in it, 1 first, shape
+            (ORDER + 1,).
+        new: Mean square of that.
     """
 
     weights: Array
-    noise: Noise
+    noise: Array
+    new: float
 
 
-def ridge(features: Array, y: Array, pieces: Sequence[slice], penalty: Array, most: Array) -> Fit:
+def ridge(moments: Moments, penalty: Array, most: Array, start: Array | None = None) -> Fit:
     """Weights by penalised least squares on what is whitened by the noise that they leave.
 
     Args:
-        features: Shape (n, k), of the order of one each.
-        y: Shape (n,).
-        pieces: Rows of uninterrupted flight.
-        penalty: Prior precision of each weight, in units of innovations, shape (k,); 0: none.
-        most: Largest weight allowed, infinite without a limit, shape (k,).
+        moments: Of the features and, last, of what they explain.
+        penalty: Prior precision of each weight, in units of what is new, shape (m - 1,); 0: none.
+        most: Largest weight allowed, infinite without a limit, shape (m - 1,).
+        start: Weights from which to begin; None: 0.
     """
-    weights = np.zeros(features.shape[1])
-    noise = noise_of(y - y.mean(), pieces)
-    for _ in range(ROUNDS):
-        a, b = noise.whitened(features, pieces), noise.whitened(y, pieces)
-        weights = _bounded(a.T @ a + np.diag(penalty + _TINY), a.T @ b, most)
-        noise = noise_of(y - features @ weights, pieces)
-    return Fit(weights, noise)
+    weights = np.zeros(len(penalty)) if start is None else start
+    noise, new = noise_of(moments, weights)
+    for _ in range(ROUNDS if len(weights) else 0):
+        white = moments.whitened(noise) / new
+        normal = white[:-1, :-1] + np.diag(penalty + _TINY * moments.rows)
+        before, weights = weights, _bounded(normal, white[:-1, -1], most)
+        noise, new = noise_of(moments, weights)
+        step = weights - before
+        if step @ normal @ step < SETTLED**2 * len(step):
+            break
+    return Fit(weights, noise, new)
+
+
+def noise_of(moments: Moments, weights: Array) -> tuple[Array, float]:
+    """Filter to what is new in what weights leave, and the mean square of that.
+
+    By least squares on the rows before; the filter has no poles, so that it may not be unstable.
+    """
+    left = moments.between(np.append(-weights, 1.0))
+    past = left[1:, 1:] + (_TINY * left[0, 0] + 1e-30) * np.eye(ORDER)
+    follows = np.linalg.solve(past, left[1:, 0])
+    noise = np.append(1.0, -follows)
+    return noise, missed(moments, weights, noise)
+
+
+def missed(moments: Moments, weights: Array, noise: Array) -> float:
+    """Mean square of what weights and a filter, of other flights perhaps, leave."""
+    left = moments.between(np.append(-weights, 1.0))
+    return float(noise @ left @ noise) / moments.rows + 1e-30
 
 
 def _bounded(normal: Array, right: Array, most: Array) -> Array:

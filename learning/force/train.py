@@ -93,7 +93,7 @@ def prepare(
     raw = [np.hstack([f.seen(plain), f.seen(wavy)]) for f in seen]
     size = np.std(np.vstack(raw), axis=0)
     size = np.where(size > TRIFLE, size, 1.0)
-    designs = (Design(x / size, f.left, f.piece) for x, f in zip(raw, seen, strict=True))
+    designs = (Design.of(x / size, f.left, f.piece) for x, f in zip(raw, seen, strict=True))
     return Prepared(vehicle, empty, tuple(seen), tuple(designs), size)
 
 

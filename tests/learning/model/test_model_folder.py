@@ -59,7 +59,7 @@ def test_description_says_what_a_tool_needs(folder: Path) -> None:
     ("change", "said"),
     [
         ({"format": 99}, "layout 99"),
-        ({"channels": ["gyro_x"]}, "1 channels"),
+        ({"channels": ["gyro_x"]}, "channels gyro_x"),
         ({"clusters": [["nonsense"]]}, "nonsense"),
         ({"n_commands": 3}, "size mismatch"),
     ],

@@ -219,7 +219,7 @@ def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     scaling = fit_scaling([flight], chosen, "pooled", 0.0)
     spans = sequences([flight], scaling, "track", 3)
     weights = fit_base(spans, [s.fresh for s in spans], "track", flight.rate_hz)
-    expected = np.zeros(9)
+    expected = np.zeros(weights.shape[1])
     expected[0] = 0.9**3
     np.testing.assert_allclose(weights.mean(0), expected, atol=0.03)
     share = np.var(spans[1].d - predict_base(spans[1], weights, "track"), axis=0)
@@ -236,7 +236,6 @@ def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
     scaling = fit_scaling([jittery], [in_spans(jittery)], "pooled", 0.0)
     spans = sequences([jittery], scaling, "track", 10)
     weights = fit_base(spans, [s.fresh for s in spans], "track", jittery.rate_hz)
-    np.testing.assert_allclose(weights[:, -1], 1.0, atol=0.1)
     left = np.concatenate([s.d - predict_base(s, weights, "track") for s in spans])
     assert np.median(np.mean(left**2, axis=0)) < 0.02
 
@@ -262,7 +261,7 @@ def test_held_back_for_validation() -> None:
 
 
 def test_flights_of_two_kinds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="2 motor commands, 100 Hz with 4"):
+    with pytest.raises(ModelError, match="2 motor commands, gyro_x first, 100 Hz with 4"):
         train([made_up(0), made_up(1, commands=4)], tiny(), "free", 0, 0, tmp_path)
     empty = made_up(0)
     empty.fresh[:] = False
