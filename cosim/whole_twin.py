@@ -12,6 +12,8 @@ from .system import Connection, System
 
 COMPENSATOR = "compensator"
 """Name of the part, and of the component that a user exports."""
+PHASE = "phase"
+"""Input that a driven twin has of its own: nobody in it knows what is flown."""
 STEP_S = 1e-3
 """Step of the whole twin: of its fused FMU, and of the co-simulation of its parts."""
 
@@ -52,7 +54,8 @@ def parts_of(assembly: Assembly, compensator: FmuModel | None) -> dict[str, Comp
     if compensator is None:
         return parts
     given = {name for part in assembly.parts.values() for name in part.output_names}
-    missing = [n for n in compensator.input_names if "." not in n and n not in given]
+    wanted = (n for n in compensator.input_names if "." not in n and n != PHASE)
+    missing = [n for n in wanted if n not in given]
     if missing:
         raise TwinError(
             f"the compensator reads {', '.join(missing)}, which this twin does not give: was it "

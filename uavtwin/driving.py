@@ -13,6 +13,7 @@ from twin.residuals.teacher_forced import GRID_S, RIGID, SPIN_RATE
 from twin.vehicle import Vehicle
 
 Array = NDArray[np.float64]
+VOLTAGE = "vbat_v"
 PREFIX = "airframe."
 """Of its inputs in the fused FMU."""
 
@@ -38,6 +39,8 @@ def driving_inputs(
     """
     t_s = aligned.inputs.t_s
     given = {c: Signal(*flight.signal([c])).held(t_s)[:, 0] for c in aligned.inputs.columns}
+    if VOLTAGE not in given and flight.has(VOLTAGE):
+        given[VOLTAGE] = Signal(*flight.signal([VOLTAGE])).held(t_s)[:, 0]
     names = aligned.airframe.input_names
     rates = [n for n in names if n.startswith(SPIN_RATE)]
     given |= {n: aligned.inputs.u[:, names.index(n)] for n in rates}

@@ -34,6 +34,10 @@ LAWS = ("none", "constant", "linear", "waves")
 PENALTIES = (1.0, 10.0, 100.0, 1000.0)
 """Prior precisions tried, of a weight over a feature of size one, in units of innovations."""
 QUARTERS = 4
+SHORT = 200
+"""Rows of a quarter, at least: four seconds."""
+HALVES = (slice(0, 3), slice(3, 6))
+"""Outputs that are force, and those that are moment."""
 _AGAINST = tuple(
     tuple(FEATURES.index(stem + a) for stem in stems)
     for stems in (("air_", "speed air_"), ("omega_",))
@@ -47,25 +51,38 @@ class Design:
     """What explains one flight, and its six outputs.
 
     Attributes:
-        features: `FEATURES` and then random ones, constant first, shape (n, k), each of the order
-            of one.
+        features: `FEATURES` and then random ones, constant first, each of the order of one: as
+            force and as moment show them, shape (n, k) each.
         left: Shape (n, 6).
         piece: Number of the uninterrupted piece of flight of each row, shape (n,).
-        moments: Of features and outputs.
+        moments: Of the features and three outputs, of force and of moment.
     """
 
-    features: Array
+    features: tuple[Array, Array]
     left: Array
     piece: NDArray[np.intp]
-    moments: Moments
+    moments: tuple[Moments, Moments]
 
     __repr__ = short_repr
 
     @classmethod
-    def of(cls, features: Array, left: Array, piece: NDArray[np.intp]) -> "Design":
+    def of(cls, features: tuple[Array, Array], left: Array, piece: NDArray[np.intp]) -> "Design":
         """The design of these rows."""
-        columns = np.hstack([features, left])
-        return cls(features, left, piece, moments_of(columns, pieces_of(piece)))
+        pieces = pieces_of(piece)
+        force, moment = (
+            moments_of(np.hstack([x, left[:, three]]), pieces)
+            for x, three in zip(features, HALVES, strict=True)
+        )
+        return cls(features, left, piece, (force, moment))
+
+    def leaves(self, weights: Array) -> Array:
+        """What weights leave of the outputs, shape (n, 6).
+
+        Args:
+            weights: Per output and feature, shape (6, k).
+        """
+        said = [x @ weights[three].T for x, three in zip(self.features, HALVES, strict=True)]
+        return self.left - np.hstack(said)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +111,9 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         flights: One or more.
         output: 0 to 5.
     """
-    every = [f.moments for f in (flights if len(flights) > 1 else quarters(flights[0]))]
+    several = flights if len(flights) > 1 else quarters(flights[0])
+    half = output // 3
+    every = [f.moments[half] for f in several if f.moments[half].rows]
     folds = [(summed([m for m in every if m is not one]), one) for one in every]
     whole, found = summed(every), {}
     for law in LAWS:
@@ -106,10 +125,10 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         said = [sum(_likelihood(*part, s, limits) for part in parts) for s in strengths]
         best = int(np.argmax(said))
         fit = ridge(whole.of(columns), strengths[best], limits).weights
-        weights = np.zeros(flights[0].features.shape[1])
+        weights = np.zeros(flights[0].features[half].shape[1])
         weights[: len(fit)] = fit
         observer = observer_of(
-            [(f.left[:, output] - f.features @ weights, pieces_of(f.piece)) for f in flights]
+            [(f.left[:, output] - f.features[half] @ weights, pieces_of(f.piece)) for f in flights]
         )
         found[law] = Candidate(law, tried[best], weights, said[best], observer)
     nothing = found[LAWS[0]].gain
@@ -117,10 +136,14 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
 
 
 def quarters(flight: Design) -> list[Design]:
-    """A flight as several."""
+    """A flight as several, or as itself where it is too short for that."""
+    if len(flight.left) < SHORT * QUARTERS:
+        return [flight, flight]
     bounds = np.linspace(0, len(flight.left), QUARTERS + 1).astype(int).tolist()
     return [
-        Design.of(flight.features[a:b], flight.left[a:b], flight.piece[a:b])
+        Design.of(
+            (flight.features[0][a:b], flight.features[1][a:b]), flight.left[a:b], flight.piece[a:b]
+        )
         for a, b in pairwise(bounds)
     ]
 
@@ -133,9 +156,9 @@ def _likelihood(train: Moments, test: Moments, strength: Array, most: Array) -> 
 
 def _columns(law: str, flight: Design, output: int) -> list[int]:
     """Features of a law, and the output."""
-    every = flight.features.shape[1]
+    every = flight.features[0].shape[1]
     n = {"none": 0, "constant": 1, "linear": len(FEATURES), "waves": every}[law]
-    return [*range(n), every + output]
+    return [*range(n), every + output % 3]
 
 
 def _strength(penalty: float, n: int) -> Array:

@@ -22,7 +22,7 @@ from twin.physics.airframe import AXES
 from twin.physics.residual_force import INPUTS, OUTPUTS, ForceLaw, features, motion_inputs, waves
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight
-from twin.residuals.channels import GRID_HZ, Measured, shifted
+from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, Measured, shifted
 from twin.residuals.imu import OF_IMU, gyro_rate, imu_readings, in_step, predicted_imu, prompt_imu
 from twin.residuals.measured import Signal
 from twin.vehicle import Vehicle
@@ -43,7 +43,8 @@ class Instants:
         motion: `INPUTS` at all grid points of the flight, shape (n_grid, len(INPUTS)), NaN where
             unknown.
         airborne: Which of these are in the air, shape (n_grid,).
-        passed: `(values on the grid, (n_grid, k)) -> (n, k)`: low-passed as `left` is.
+        passed: Two functions, of force and of moment: `(values on the grid, (n_grid, k)) -> (n, k)`,
+            low-passed and as late as these columns of `left` are.
     """
 
     name: str
@@ -52,17 +53,19 @@ class Instants:
     left: Array
     motion: Array
     airborne: NDArray[np.bool_]
-    passed: Callable[[Array], Array]
+    passed: tuple[Callable[[Array], Array], Callable[[Array], Array]]
 
     __repr__ = short_repr
 
-    def seen(self, law: ca.Function) -> Array:
-        """A function of the motion at the instants, low-passed; shape (n, k).
+    def seen(self, law: ca.Function) -> tuple[Array, Array]:
+        """A function of the motion at the instants, as force and as moment show it; (n, k) each.
 
         Args:
             law: `(len(INPUTS),) -> (k,)`.
         """
-        return self.passed(OverRows(law, 1)(self.motion))
+        values = OverRows(law, 1)(self.motion)
+        force, moment = self.passed
+        return force(values), moment(values)
 
 
 def linear_features() -> ca.Function:
@@ -90,6 +93,11 @@ def instants(flight: Flight, vehicle: Vehicle) -> Instants:
         raise LogError(f"{flight.name}: no piece in the air is long enough to learn from.")
     acc, gyro = (r for r in found if r is not None)
     t_s, of_acc, of_gyro = np.intersect1d(acc.t_s, gyro.t_s, return_indices=True)
+    if not len(t_s):
+        raise LogError(
+            f"{flight.name}: accelerometer and gyroscope are nowhere in the air known at the same "
+            f"time. Give a flight in which both were logged throughout."
+        )
     fine = align_flight(flight, vehicle)
     steps = _Steps(fine.inputs.t_s, aligned.inputs.t_s)
     predicted, late = predicted_imu(fine, vehicle), ages(vehicle)
@@ -106,12 +114,23 @@ def instants(flight: Flight, vehicle: Vehicle) -> Instants:
     return Instants(
         name=flight.name,
         t_s=t_s,
-        piece=gyro.piece[of_gyro],
+        piece=_pieces(t_s, acc.piece[of_acc], gyro.piece[of_gyro]),
         left=np.hstack(left) @ np.linalg.solve(read.T, felt.T),
         motion=_motion(fine, vehicle, _voltage(flight, vehicle, fine.inputs.t_s)),
         airborne=fine.airborne,
-        passed=partial(_passed, gyro, of_gyro, steps, late.get(OF_IMU[1].signal, 0.0)),
+        passed=(
+            partial(_passed, acc, of_acc, steps.ends, late.get(OF_IMU[0].signal, 0.0)),
+            partial(_passed, gyro, of_gyro, steps.means, late.get(OF_IMU[1].signal, 0.0)),
+        ),
     )
+
+
+def _pieces(t_s: Array, *numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of the uninterrupted piece of each instant: of neither sensor a new one begins."""
+    begins = np.diff(t_s) > 1.5 / CHANNEL_HZ
+    for number in numbers:
+        begins |= np.diff(number) != 0
+    return np.concatenate([[0], np.cumsum(begins)]).astype(np.intp)
 
 
 class _Steps:
@@ -134,11 +153,15 @@ class _Steps:
 
 
 def _passed(
-    readings: Measured, rows: NDArray[np.intp], steps: _Steps, age_s: float, values: Array
+    readings: Measured,
+    rows: NDArray[np.intp],
+    sampled: Callable[[Array], Array],
+    age_s: float,
+    values: Array,
 ) -> Array:
-    """Values on the grid of the twin as the gyroscope's rate shows them."""
-    mean = steps.means(np.nan_to_num(values))
-    late = shifted(mean, age_s) if age_s else mean
+    """Values on the grid of the twin as a sensor shows them."""
+    shown = sampled(np.nan_to_num(values))
+    late = shifted(shown, age_s) if age_s else shown
     return readings.filtered(late, readings.filters_hz)[rows]
 
 
@@ -197,10 +220,12 @@ def _motion(aligned: AlignedFlight, vehicle: Vehicle, voltage_v: Array) -> Array
     return rows(in_step(aligned, vehicle), aligned.inputs.u, voltage_v)
 
 
-def random_features(law: ForceLaw) -> ca.Function:
-    """`INPUTS` to the random features of a law."""
+def random_features(law: ForceLaw, block: int) -> list[ca.Function]:
+    """`INPUTS` to the random features of a law, as functions of some of them each."""
     x = ca.SX.sym("x", len(INPUTS))
-    return ca.Function("waves", [x], [ca.densify(waves(law, x))])
+    every = waves(law, x)
+    bounds = range(0, len(law.phases), block)
+    return [ca.Function("waves", [x], [ca.densify(every[a : a + block])]) for a in bounds]
 
 
 def inputs_of(flights: Sequence[Instants]) -> Array:

@@ -1,6 +1,5 @@
 """A learned force and moment as a folder: one JSON file, and the vehicle it was learned for."""
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import ModelError, TwinError
-from twin.logs import Flight
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.representation import short_repr
 
@@ -63,11 +61,26 @@ class Taught:
 
     Attributes:
         name: Of the flight.
-        sha256: Of its numbers (`fingerprint`).
+        sha256: `Flight.fingerprint`.
     """
 
     name: str
     sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Rival:
+    """Every output by one law.
+
+    Attributes:
+        law: Of all outputs.
+        observers: Of what it leaves, one per output.
+    """
+
+    law: ForceLaw
+    observers: tuple[Observer, ...]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +99,7 @@ class ForceModel:
     """
 
     law: ForceLaw
-    rivals: Mapping[str, ForceLaw]
+    rivals: Mapping[str, Rival]
     outputs: tuple[Output, ...]
     taken: float
     flights: tuple[Taught, ...]
@@ -123,19 +136,6 @@ def network_starts(used: Sequence[bool]) -> dict[str, float]:
     return dict(zip(names, map(float, used), strict=True))
 
 
-def fingerprint(flight: Flight) -> str:
-    """Hash of a flight's numbers, whatever its file is called; column order takes no part."""
-    digest = hashlib.sha256()
-    for column in sorted(flight.table):
-        values = flight.table[column]
-        digest.update(column.encode())
-        if values.dtype.kind in "fiub":
-            digest.update(values.to_numpy(dtype=np.float64).tobytes())
-        else:
-            digest.update("\0".join(values.astype(str)).encode())
-    return digest.hexdigest()
-
-
 def save_force(model: ForceModel, folder: Path) -> None:
     """Write `force.json`; the same model gives the same bytes."""
     content = {
@@ -152,7 +152,10 @@ def save_force(model: ForceModel, folder: Path) -> None:
         },
         "taken_1_s": model.taken,
         "law": _plain(model.law),
-        "rivals": {name: _plain(law) for name, law in model.rivals.items()},
+        "rivals": {
+            name: {"law": _plain(rival.law), "observers": [asdict(o) for o in rival.observers]}
+            for name, rival in model.rivals.items()
+        },
     }
     text = json.dumps(content, indent=1, allow_nan=False)
     (folder / FILE).write_text(text + "\n", "utf-8")
@@ -195,7 +198,10 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
         raise ModelError(f"outputs are {list(content['outputs'])}, not {list(_OUTPUTS)}")
     return ForceModel(
         law=_law(content["law"]),
-        rivals={name: _law(law) for name, law in content["rivals"].items()},
+        rivals={
+            name: Rival(_law(said["law"]), tuple(Observer(**o) for o in said["observers"]))
+            for name, said in content["rivals"].items()
+        },
         outputs=tuple(
             Output(
                 said["law"],

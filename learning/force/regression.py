@@ -28,6 +28,8 @@ ROUNDS = 100
 """Of weights and noise in turn, at most."""
 SETTLED = 1e-3
 """Change of the weights, in their own deviations, below which nothing is to be gained."""
+CHUNK = 4096
+"""Rows that are taken at once, which bounds the memory."""
 _TINY = 1e-9
 
 
@@ -75,8 +77,11 @@ def moments_of(columns: Array, pieces: Iterable[slice]) -> Moments:
     for piece in pieces:
         part = columns[piece]
         n = len(part) - ORDER
-        ago = np.hstack([part[ORDER - i : ORDER - i + n] for i in range(ORDER + 1)])
-        products += ago.T @ ago
+        for first in range(0, n, CHUNK):
+            some = min(CHUNK, n - first)
+            starts = (ORDER - i + first for i in range(ORDER + 1))
+            ago = np.hstack([part[a : a + some] for a in starts])
+            products += ago.T @ ago
         rows += n
     return Moments(products.reshape(ORDER + 1, m, ORDER + 1, m), rows)
 
@@ -115,16 +120,15 @@ class Fit:
     new: float
 
 
-def ridge(moments: Moments, penalty: Array, most: Array, start: Array | None = None) -> Fit:
+def ridge(moments: Moments, penalty: Array, most: Array) -> Fit:
     """Weights by penalised least squares on what is whitened by the noise that they leave.
 
     Args:
         moments: Of the features and, last, of what they explain.
         penalty: Prior precision of each weight, in units of what is new, shape (m - 1,); 0: none.
         most: Largest weight allowed, infinite without a limit, shape (m - 1,).
-        start: Weights from which to begin; None: 0.
     """
-    weights = np.zeros(len(penalty)) if start is None else start
+    weights = np.zeros(len(penalty))
     noise, new = noise_of(moments, weights)
     for _ in range(ROUNDS if len(weights) else 0):
         white = moments.whitened(noise) / new

@@ -23,13 +23,12 @@ def residual_sequence(instants: Instants, design: Design, weights: Array) -> Res
     Args:
         instants: Of the flight.
         design: The same, as features.
-        weights: Of the law that is used, per feature and output, shape (6, k).
+        weights: Of the law that is used, per output and feature, shape (6, k).
 
     Returns:
         Residuals of `FORCES`, by the motion as low-passed as they are.
     """
-    said = design.features @ weights.T
-    left = design.left - said
+    left = design.leaves(weights)
     ends = np.flatnonzero(np.diff(design.piece)) + 1
     bounds = zip([0, *ends.tolist()], [*ends.tolist(), len(left)], strict=True)
     spans = tuple((a, b) for a, b in bounds if b - a > 1)
@@ -43,7 +42,7 @@ def residual_sequence(instants: Instants, design: Design, weights: Array) -> Res
         virtual=np.zeros_like(left),
         residual=left,
         fresh=fresh,
-        commands=instants.passed(instants.motion),
+        commands=instants.passed[1](instants.motion),
         phase=np.full(len(left), UNKNOWN_PHASE, dtype=np.intp),
         spans=spans,
         channels=FORCES,

@@ -1,20 +1,22 @@
 """From flights to laws of what the equations leave of force and moment."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.logs import Flight
+from twin.errors import LogError
 from twin.physics.airframe import AXES, airframe
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw, power
 from twin.representation import short_repr
+from twin.residuals.channels import CHANNEL_HZ
 from twin.vehicle import Vehicle
 
 from .candidates import Candidate, Design, candidates
-from .instants import Instants, inputs_of, instants, linear_features, random_features
+from .instants import Instants, inputs_of, linear_features, random_features
+from .regression import ORDER
 
 Array = NDArray[np.float64]
 WAVES = 64
@@ -31,7 +33,13 @@ one with the full one, where training had only full ones."""
 INSIDE = 0.995
 """Share of the training that is inside the envelope."""
 TRIFLE = 1e-6
-"""An input that moves by less did not move."""
+"""An input or feature that moves by less, in its unit, did not move."""
+PASSIVE = 1e-6
+"""Rate of energy fed in, 1/s, below which nothing is."""
+HALVINGS = 30
+"""In the search for what may stay of a law that feeds energy in."""
+BLOCK = 16
+"""Random features that are evaluated at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +62,9 @@ class Prepared:
 
     __repr__ = short_repr
 
-    def candidates(self, flights: Sequence[int]) -> list[dict[str, Candidate]]:
-        """Laws by name of each output, fitted to some of the flights."""
-        chosen = [self.designs[i] for i in flights]
-        return [candidates(chosen, output) for output in range(len(OUTPUTS))]
+    def candidates(self) -> list[dict[str, Candidate]]:
+        """Laws by name of each output."""
+        return [candidates(self.designs, output) for output in range(len(OUTPUTS))]
 
     def law(self, chosen: Sequence[Candidate]) -> tuple[ForceLaw, float]:
         """The law of six candidates, made passive; as `made_passive` returns it."""
@@ -66,35 +73,44 @@ class Prepared:
         law = replace(self.empty, linear=weights[:, :n], waves=weights[:, n:])
         return made_passive(law, self.vehicle)
 
+    def weights(self, law: ForceLaw) -> Array:
+        """Of a law, per output and feature of the designs, shape (6, k)."""
+        return np.asarray(np.hstack([law.linear, law.waves]) * self.size)
 
-def prepare(
-    flights: Sequence[Flight],
-    vehicle: Vehicle,
-    seed: int = 0,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Prepared:
-    """What a vehicle's equations leave of flights, and what may explain it.
+
+def prepare(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> Prepared:
+    """What may explain what a vehicle's equations leave, as far as these flights say.
 
     Args:
-        flights: One or more.
-        vehicle: Explained or calibrated, so that nothing is learned that has a name.
+        seen: One or more flights.
+        vehicle: As of `instants`.
         seed: Of the random features.
-        progress: Called with the share done.
 
     Raises:
-        LogError: A flight lacks the IMU or the motion, or never flies.
+        LogError: A flight is too short.
     """
-    seen: list[Instants] = []
-    for flight in flights:
-        seen.append(instants(flight, vehicle))
-        progress(len(seen) / len(flights))
     empty = _empty(seen, vehicle, seed)
-    plain, wavy = linear_features(), random_features(empty)
-    raw = [np.hstack([f.seen(plain), f.seen(wavy)]) for f in seen]
-    size = np.std(np.vstack(raw), axis=0)
+    raw = [_features(f, empty) for f in seen]
+    size = np.std(np.vstack([moment for _, moment in raw]), axis=0)
     size = np.where(size > TRIFLE, size, 1.0)
-    designs = (Design.of(x / size, f.left, f.piece) for x, f in zip(raw, seen, strict=True))
-    return Prepared(vehicle, empty, tuple(seen), tuple(designs), size)
+    designs = tuple(
+        Design.of((force / size, moment / size), f.left, f.piece)
+        for (force, moment), f in zip(raw, seen, strict=True)
+    )
+    for design, flight in zip(designs, seen, strict=True):
+        if not design.moments[0].rows:
+            raise LogError(
+                f"{flight.name}: no uninterrupted piece of more than {2 * ORDER / CHANNEL_HZ:g} s "
+                f"in the air with both sensors of the IMU. Give a longer flight."
+            )
+    return Prepared(vehicle, empty, tuple(seen), designs, size)
+
+
+def _features(flight: Instants, empty: ForceLaw) -> tuple[Array, Array]:
+    """Linear and random features, some columns at a time, which bounds the memory."""
+    parts = [flight.seen(f) for f in (linear_features(), *random_features(empty, BLOCK))]
+    force, moment = (np.hstack(columns) for columns in zip(*parts, strict=True))
+    return force, moment
 
 
 def without_waves(law: ForceLaw) -> ForceLaw:
@@ -133,24 +149,39 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
 def made_passive(law: ForceLaw, vehicle: Vehicle) -> tuple[ForceLaw, float]:
     """The law without what would feed energy in about hover, beyond what the airframe takes.
 
-    Left out is the least of the linear part, in rates: velocities count by the root of the mass,
-    body rates by that of the inertia.
+    What couples one motion with a force along another, and what the waves say, is lessened until
+    nothing is fed in; a push against its own motion, which feeds nothing in, stays. Velocities
+    count by the root of the mass, body rates by that of the inertia.
 
     Returns:
-        The law, and the largest rate that was left out, 1/s; 0: none was.
+        The law, and the largest rate at which it would have fed energy in, 1/s; 0: it did not.
     """
     own = _own_power(vehicle)
-    root = np.linalg.cholesky((law.units + law.units.T) / 2)
-    back = np.linalg.inv(root)
-    rates, ways = np.linalg.eigh(back @ (power(law) + own) @ back.T)
-    allowed = max(float(np.linalg.eigvalsh(back @ own @ back.T)[-1]), 0.0)
-    gained = np.maximum(rates - allowed - TRIFLE, 0.0)
-    if not gained.any():
+    back = np.linalg.inv(np.linalg.cholesky((law.units + law.units.T) / 2))
+
+    def fed(lessened: ForceLaw) -> float:
+        """Largest rate at which energy is fed in, 1/s."""
+        both = back @ (power(lessened) + own) @ back.T
+        return float(np.linalg.eigvalsh(both)[-1])
+
+    allowed = max(float(np.linalg.eigvalsh(back @ own @ back.T)[-1]), 0.0) + PASSIVE
+    gained = fed(law) - allowed
+    if gained <= 0:
         return law, 0.0
-    excess = root @ (ways * gained) @ ways.T @ root.T
+    least, most = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = (least + most) / 2
+        least, most = (middle, most) if fed(_lessened(law, middle)) <= allowed else (least, middle)
+    return _lessened(law, least), gained
+
+
+def _lessened(law: ForceLaw, share: float) -> ForceLaw:
+    """The law with a share of its waves and of what couples motions."""
     linear = law.linear.copy()
-    linear[:, 1:7] -= np.linalg.solve(law.units, excess)
-    return replace(law, linear=linear), float(gained.max())
+    of_motion = linear[:, 1:7]
+    kept = np.diag(np.minimum(np.diag(of_motion), 0.0))
+    linear[:, 1:7] = kept + share * (of_motion - kept)
+    return replace(law, linear=linear, waves=share * law.waves)
 
 
 def _agility(vehicle: Vehicle) -> Array:

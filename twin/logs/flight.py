@@ -1,5 +1,6 @@
 """A flight in memory: the table of `docs/guide/flight_table.md` plus what its reader doubts."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -69,6 +70,19 @@ class Flight:
     def indoors(self) -> bool | None:
         """Whether it flew within walls; None: not known."""
         return None if self.site is None else self.site.indoors
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all its numbers, whatever its file is called and however columns are ordered."""
+        digest = hashlib.sha256()
+        for column in sorted(self.table):
+            values = self.table[column]
+            digest.update(f"{column}\0".encode())
+            if values.dtype.kind in "fiub":
+                digest.update(values.to_numpy(dtype=np.float64).tobytes())
+            else:
+                digest.update("\0".join(values.astype(str)).encode())
+        return digest.hexdigest()
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""

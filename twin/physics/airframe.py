@@ -101,7 +101,7 @@ def _equations(
         periods.insert(0, _RESTARTS)
     period = m.sampled(periods[0].seconds, periods[0].description) if periods else ca.SX(0)
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
-    motion = _motion(m, vehicle, blocks, z_ground)
+    motion = _motion(m, vehicle, blocks, z_ground, restart)
     outside = [m.input(name, unit, meaning) for name, unit, meaning in _OUTSIDE]
     disturbance = _followed(m, motion, period) if restart else []
     if restart:
@@ -238,15 +238,26 @@ def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array
     return np.array([first] * rotors.count + [level] * n_steady)
 
 
-def _motion(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX) -> Motion:
-    """Declare the states of the rigid body and its surroundings."""
+def _motion(
+    m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX, told: bool
+) -> Motion:
+    """Declare the states of the rigid body and its surroundings.
+
+    Args:
+        m: Of the airframe.
+        vehicle: Its numbers.
+        blocks: Effects.
+        z_ground: NED down.
+        told: The battery voltage is an input, whether it turns the rotors or is looked at alone.
+    """
     wind_n = [
         m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
         for a, d in zip(AXES, _NED, strict=True)
     ]
     density = m.input("density", "kg/m3", "Air density", AIR_DENSITY_KG_M3)
     voltage = ca.SX(vehicle.voltage_v)
-    if vehicle.rotors.reference_voltage_v is not None or blocks.include("battery_sag"):
+    told = told or vehicle.rotors.reference_voltage_v is not None
+    if told or blocks.include("battery_sag"):
         voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
     mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
     gravity = m.parameter(

@@ -174,7 +174,8 @@ def features(x: ca.SX) -> ca.SX:
 def distance(law: ForceLaw, x: ca.SX) -> ca.SX:
     """Of inputs from those of the training, 1 where these end."""
     white = ca.mtimes(ca.SX(law.whitening), (x - law.centre) / law.scale)
-    return ca.sqrt(ca.sumsqr(white) / len(INPUTS)) / law.reach
+    # Bounded below: the root has no derivative in the middle of the training.
+    return ca.sqrt(ca.fmax(ca.sumsqr(white) / len(INPUTS), 1e-30)) / law.reach
 
 
 def waves(law: ForceLaw, x: ca.SX) -> ca.SX:
@@ -241,9 +242,11 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     )
     said = accelerations(law, x, linear, of_waves)
     if network:
-        said += _fade(distance(law, x), 1.0, WAVES_END) * _corrections(m)
+        for i, (kind, a) in enumerate(OUTPUTS):
+            m.output(f"left_{kind}_{a}", _unit(kind), f"What the law says of {kind} {a}", said[i])
         for i, (name, unit) in enumerate(INPUTS):
             m.output(SEEN + name, unit, f"What a network sees, {name}", x[i])
+        said += _fade(distance(law, x), 1.0, WAVES_END) * _corrections(m)
     acts = enabled * ca.mtimes(ca.SX(law.units), said)
     for i, (kind, a) in enumerate(OUTPUTS):
         unit, meaning = ("N", "Force along") if kind == "force" else ("N.m", "Moment about")
@@ -257,8 +260,8 @@ def _corrections(m: ComponentBuilder) -> ca.SX:
     """What a network adds, as far as each output lets it, shape (6, 1)."""
     rows = []
     for kind, a in OUTPUTS:
-        unit = "m/s2" if kind == "force" else "rad/s2"
-        given = m.input(f"correction.left_{kind}_{a}", unit, f"What a network adds, {kind} {a}")
+        name = f"correction.left_{kind}_{a}"
+        given = m.input(name, _unit(kind), f"What a network adds, {kind} {a}")
         share = m.parameter(
             f"network.{kind}_{a}", 0.0, "1", f"Share of it that acts, {kind} {a}", minimum=0
         )
@@ -266,13 +269,22 @@ def _corrections(m: ComponentBuilder) -> ca.SX:
     return ca.vertcat(*rows)
 
 
+def _unit(kind: str) -> str:
+    """Of what the equations lack, per mass or inertia."""
+    return "m/s2" if kind == "force" else "rad/s2"
+
+
 def power(law: ForceLaw) -> Array:
-    """What the linear part feeds in about hover, W, as a quadratic form, shape (6, 6).
+    """What a law feeds in about hover, W, as a quadratic form, shape (6, 6).
 
     power = y @ form @ y of y = [air velocity, body rates]; without an eigenvalue above 0 it takes
-    energy, however the vehicle moves there.
+    energy, however the vehicle moves there. Waves count by their slope at rest, at the voltage and
+    the height of the training.
     """
-    per_motion = law.units @ law.linear[:, 1:7]
+    x = np.where(np.arange(len(INPUTS)) < len(INPUTS) - 2, 0.0, law.centre)
+    angles = law.frequencies @ ((x - law.centre) / law.scale) + law.phases
+    slopes = -np.sin(angles)[:, None] * (law.frequencies / law.scale)[:, :6]
+    per_motion = law.units @ (law.linear[:, 1:7] + law.waves @ slopes)
     return np.asarray((per_motion + per_motion.T) / 2)
 
 

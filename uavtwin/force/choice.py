@@ -1,33 +1,80 @@
 """Which law is used: that which flies better on flights it has not seen, and does no harm."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from learning.force.candidates import Candidate
-from learning.force.model import Flown
+from learning.force.model import Flown, observer_starts
+from learning.force.train import Prepared
 from twin.physics.residual_force import ForceLaw, weight_names
+from twin.representation import short_repr
+
+from .open_loop import Replay
 
 Array = NDArray[np.float64]
-AHEAD_S = (0.2, 0.5, 1.0)
-"""Horizons at which laws are compared."""
 BETTER = 0.01
-"""Share by which a law must lower the error, in the geometric mean over quantities and horizons."""
+"""Share by which a law must lower the error, in the geometric mean over flights, quantities and
+horizons."""
 WORSE = 1.02
-"""No quantity may grow by more, in the geometric mean over the horizons."""
+"""No quantity may grow by more, in the geometric mean over flights and horizons."""
 PART = "residual_force."
+_TINY = 1e-30
 
 
-def as_flown(name: str, squares: Array, fitted: Sequence[Candidate] = ()) -> Flown:
-    """A law from its mean squares over those without it, shape (horizons, 4, 3)."""
-    cells = np.exp(np.mean(np.log(squares), axis=0) / 2)
-    return Flown(
-        law=name,
-        ratio=float(np.exp(np.mean(np.log(cells)))),
-        worst=float(cells.max()),
-        gain=float(np.mean([c.gain for c in fitted])) if fitted else 0.0,
-    )
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """A flight that is left out, and what the others teach.
+
+    Attributes:
+        replay: Of the flight.
+        prepared: The others.
+        fitted: Laws by name of each output, fitted to the others.
+    """
+
+    replay: Replay
+    prepared: Prepared
+    fitted: Sequence[Mapping[str, Candidate]]
+
+    __repr__ = short_repr
+
+    def law(self, names: Sequence[str]) -> tuple[ForceLaw, dict[str, float]]:
+        """The law of these names, one per output, and the parameters that make a twin fly it."""
+        chosen = [every[name] for every, name in zip(self.fitted, names, strict=True)]
+        law = self.prepared.law(chosen)[0]
+        return law, weight_starts(law) | observer_starts([c.observer for c in chosen])
+
+    def squares(self, fmu: Path, starts: Mapping[str, float]) -> Array:
+        """Mean squares of what a twin is off in the flight left out, shape (horizons, 4, 3)."""
+        return np.asarray(np.mean(self.replay.through(fmu, starts).off ** 2, axis=0))
+
+
+class Steps:
+    """Progress by counted steps."""
+
+    def __init__(self, total: int, progress: Callable[[float], None]) -> None:
+        self._total, self._done, self._progress = total, 0, progress
+
+    def one(self) -> None:
+        """Another one is done."""
+        self._done += 1
+        self._progress(self._done / self._total)
+
+
+def as_flown(law: str, squares: Array, without: Array, gain: float = 0.0) -> Flown:
+    """What a law does.
+
+    Args:
+        law: Its name.
+        squares: Mean squares with it, shape (flights, horizons, 4, 3).
+        without: The same without it.
+        gain: Nats.
+    """
+    logs = np.log((squares + _TINY) / (without + _TINY)) / 2
+    return Flown(law, float(np.exp(logs.mean())), float(np.exp(logs.mean(axis=(0, 1)).max())), gain)
 
 
 def best_law(flown: Sequence[Flown]) -> str:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from learning.force.model import VEHICLE_FILE, ForceModel, fingerprint
+from learning.force.candidates import LAWS
+from learning.force.model import VEHICLE_FILE, ForceModel, observer_starts
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.physics.airframe import AXES
@@ -124,15 +125,13 @@ def evaluate_force(
         total, done = len(flights) * len(fleet.names), 0
         for flight in flights:
             replay = Replay(flight, vehicle)
-            drive = choose_drive(flight, vehicle)
             flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
             for name in fleet.names:
-                path, starts = fleet.twin(name, drive)
+                own = fleet.vehicle(name)
+                path, starts = fleet.twin(name, choose_drive(flight, own))
                 watch = (DISTANCE,) if name == SHIPPED else ()
-                before = replay
-                if name == PHYSICS and physics is not None:
-                    before = Replay(flight, physics)
-                flown[name] = before.through(path, starts, watch)
+                driven = replay if own is vehicle else replay.driven_as(flight, own)
+                flown[name] = driven.through(path, starts, watch)
                 done += 1
                 progress(done / total)
             rows += [row for name, off in flown.items() for row in _rows(name, flight.name, off)]
@@ -147,30 +146,36 @@ class _Fleet:
     def __init__(
         self, force: LearnedForce, vehicle: Vehicle, physics: Vehicle | None, place: Path
     ) -> None:
-        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None, OBSERVED: None}
-        plain = [replace(o, network=False) for o in force.model.outputs]
-        for name, law in force.model.rivals.items():
-            rival = replace(force.model, law=law, outputs=tuple(plain))
-            self._forces[f"explained + observer + {name}"] = LearnedForce(rival)
+        self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None}
+        self._starts: dict[str, Mapping[str, float]] = {}
+        plain = tuple(replace(o, network=False) for o in force.model.outputs)
+        for name, rival in force.model.rivals.items():
+            law = "" if name == LAWS[0] else f" + {name}"
+            model = replace(force.model, law=rival.law, outputs=plain)
+            self._forces[f"{OBSERVED}{law}"] = LearnedForce(model)
+            self._starts[f"{OBSERVED}{law}"] = observer_starts(rival.observers)
         self._forces[SHIPPED] = force
         self._vehicles = dict.fromkeys(self._forces, vehicle)
         if physics is not None:
             self._forces = {PHYSICS: None, **self._forces}
             self._vehicles[PHYSICS] = physics
-        self._observer, self._place = force.model.observer_starts, place
+        self._place = place
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the twins, from the plainest to that which is shipped."""
         return tuple(self._forces)
 
+    def vehicle(self, name: str) -> Vehicle:
+        """Whose twin it is."""
+        return self._vehicles[name]
+
     def twin(self, name: str, drive: Drive) -> tuple[Path, Mapping[str, float]]:
         """Its FMU, and start values."""
         path = self._place / f"{name.replace(' ', '_')}_{drive}.fmu"
         if not path.exists():
-            force = self._forces[name]
-            export(twin(self._vehicles[name], drive=drive, force=force), path)
-        return path, self._observer if name == OBSERVED else {}
+            export(twin(self._vehicles[name], drive=drive, force=self._forces[name]), path)
+        return path, self._starts.get(name, {})
 
 
 def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> None:
@@ -178,7 +183,7 @@ def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> No
     taught = {f.sha256: f.name for f in model.flights}
     names = [f.name for f in flights]
     for flight in flights:
-        if (name := taught.get(fingerprint(flight))) is not None:
+        if (name := taught.get(flight.fingerprint)) is not None:
             raise TwinError(
                 f"{flight.source or flight.name}: {folder} was taught by this flight, named "
                 f"{name} then. Evaluate on others."

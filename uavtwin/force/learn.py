@@ -1,13 +1,14 @@
 """The law of what a vehicle's equations leave, chosen by the twin that flies it.
 
 For each output the laws of `learning.force.candidates` are put into the FMU of the driven twin, one
-after the other, and flights that took no part in their fit are replayed through it. A law is taken
-where the twin is then less far off, beside its observer, and in no quantity farther.
+after the other beside what was chosen before, and flights that took no part in their fit are
+replayed through it. A law is taken where the twin is then less far off, beside its observer, and in
+no quantity farther. These flights choose; what the law is worth, others say.
 """
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +17,11 @@ from numpy.typing import NDArray
 from cosim.whole_twin import fused_model
 from fmus import build
 from learning.force.candidates import LAWS, Candidate
-from learning.force.model import (
-    NETWORK_FOLDER,
-    Flown,
-    ForceModel,
-    Output,
-    Taught,
-    fingerprint,
-    observer_starts,
-)
+from learning.force.forecast import AHEAD_S
+from learning.force.instants import instants
+from learning.force.model import NETWORK_FOLDER, Flown, ForceModel, Output, Rival, Taught
 from learning.force.train import Prepared, prepare, without_waves
+from twin.errors import TwinError
 from twin.flight.assembly import driven_twin
 from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS
@@ -33,12 +29,14 @@ from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
-from .choice import AHEAD_S, as_flown, best_law, weight_starts
+from .choice import Fold, Steps, as_flown, best_law
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
+_READING, _LAWS, _NETWORK = 0.1, 0.6, 0.95
+"""Shares of the work that are done after each part, about."""
 
 
 def learn_force(
@@ -55,85 +53,103 @@ def learn_force(
         progress: Called with the share done.
 
     Raises:
-        TwinError: A flight lacks the IMU or the motion, or is too short.
+        TwinError: A flight lacks the IMU or the motion, is too short, or has another drive than
+            the others.
     """
-    prepared = prepare(flights, vehicle, seed, lambda done: progress(0.1 * done))
+    drive = _drive(flights, vehicle)
+    seen = []
+    for flight in flights:
+        seen.append(instants(flight, vehicle))
+        progress(_READING * len(seen) / len(flights))
     laws = ["none"] * len(OUTPUTS)
     flown: list[tuple[Flown, ...]] = [()] * len(OUTPUTS)
     used = [False] * len(OUTPUTS)
     if len(flights) > 1:
-        rows = range(len(flights))
-        fitted = [prepared.candidates([i for i in rows if i != out]) for out in rows]
-        replays = [Replay(f, prepared.vehicle, AHEAD_S) for f in flights]
-        drive = choose_drive(flights[0], vehicle)
-        laws, flown = _flown(
-            prepared, fitted, replays, drive, lambda done: progress(0.1 + 0.5 * done)
-        )
-        best = [[c[name] for c, name in zip(f, laws, strict=True)] for f in fitted]
-        networks = flown_network(
-            prepared, best, replays, drive, seed, lambda done: progress(0.6 + 0.35 * done)
-        )
+        folds = []
+        for k, flight in enumerate(flights):
+            others = prepare([s for s in seen if s is not seen[k]], vehicle, seed)
+            folds.append(Fold(Replay(flight, vehicle, AHEAD_S), others, others.candidates()))
+        laws, flown = _flown(folds, drive, _part(progress, _READING, _LAWS))
+        networks = flown_network(folds, laws, drive, seed, _part(progress, _LAWS, _NETWORK))
         used = [best_law([n]) == NETWORK for n in networks]
         flown = [(*f, n) for f, n in zip(flown, networks, strict=True)]
-    every = prepared.candidates(range(len(flights)))
+    prepared = prepare(seen, vehicle, seed)
+    every = prepared.candidates()
     chosen = [c[name] for c, name in zip(every, laws, strict=True)]
     law, taken = prepared.law(chosen)
     if any(used):
-        train_network(prepared, range(len(flights)), chosen, seed, folder / NETWORK_FOLDER)
+        train_network(prepared, law, seed, folder / NETWORK_FOLDER)
     progress(1.0)
     return ForceModel(
         law=without_waves(law),
-        rivals={
-            name: without_waves(prepared.law([c[name] for c in every])[0]) for name in LAWS[1:]
-        },
+        rivals={name: _rival(prepared, [c[name] for c in every]) for name in LAWS},
         outputs=tuple(
             Output(c.law, c.observer, tried, on)
             for c, tried, on in zip(chosen, flown, used, strict=True)
         ),
         taken=taken,
-        flights=tuple(Taught(f.name, fingerprint(f)) for f in flights),
+        flights=tuple(Taught(f.name, f.fingerprint) for f in flights),
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
         seed=seed,
     )
 
 
+def _drive(flights: Sequence[Flight], vehicle: Vehicle) -> Drive:
+    """What drives the rotors, the same in all flights."""
+    drives = [choose_drive(flight, vehicle) for flight in flights]
+    for flight, drive in zip(flights, drives, strict=True):
+        if drive != drives[0]:
+            raise TwinError(
+                f"{flight.source or flight.name}: is driven by {drive}, {flights[0].name} by "
+                f"{drives[0]}; a law is learned for one of them. Give flights that have the same "
+                f"motor columns."
+            )
+    return drives[0]
+
+
+def _rival(prepared: Prepared, chosen: Sequence[Candidate]) -> Rival:
+    """Every output by one law, each with its own observer."""
+    law = without_waves(prepared.law(chosen)[0])
+    return Rival(law, tuple(c.observer for c in chosen))
+
+
+def _part(progress: Progress, begins: float, ends: float) -> Progress:
+    """Progress of a part of the work."""
+    return lambda done: progress(begins + (ends - begins) * done)
+
+
 def _flown(
-    prepared: Prepared,
-    fitted: Sequence[Sequence[Mapping[str, Candidate]]],
-    replays: Sequence[Replay],
-    drive: Drive,
-    progress: Progress,
+    folds: Sequence[Fold], drive: Drive, progress: Progress
 ) -> tuple[list[str], list[tuple[Flown, ...]]]:
     """Law of each output, output after output, and what each did."""
-    steps, done = len(OUTPUTS) * (len(LAWS) - 1) + 1, 0
+    steps = Steps(len(folds) + len(OUTPUTS) * (len(LAWS) - 1) + 1, progress)
     with tempfile.TemporaryDirectory() as folder:
-        parts = driven_twin(prepared.vehicle, drive, (), prepared.empty)
-        fmu = build(fused_model(parts, prepared.vehicle.name), Path(folder, "twin.fmu"))
+        twins = []
+        for k, fold in enumerate(folds):
+            vehicle = fold.prepared.vehicle
+            parts = driven_twin(vehicle, drive, (), fold.prepared.empty)
+            fmu = build(fused_model(parts, vehicle.name), Path(folder, f"{k}.fmu"))
+            twins.append((fold, fmu))
+            steps.one()
 
-        def errors(laws: Sequence[str]) -> Array:
-            """Mean squares over the flights left out, shape (horizons, 4, 3)."""
-            nonlocal done
-            squares = []
-            for replay, every in zip(replays, fitted, strict=True):
-                chosen = [c[name] for c, name in zip(every, laws, strict=True)]
-                starts = weight_starts(prepared.law(chosen)[0])
-                starts |= observer_starts([c.observer for c in chosen])
-                squares.append(np.mean(replay.through(fmu, starts).off ** 2, axis=0))
-            done += 1
-            progress(done / steps)
-            return np.asarray(np.mean(squares, axis=0))
+        def squares(names: Sequence[str]) -> Array:
+            """Mean squares of each flight left out, shape (flights, horizons, 4, 3)."""
+            off = [fold.squares(fmu, fold.law(names)[1]) for fold, fmu in twins]
+            steps.one()
+            return np.stack(off)
 
         laws = ["none"] * len(OUTPUTS)
         found: list[tuple[Flown, ...]] = []
-        least = errors(laws)
+        least = squares(laws)
         for i in range(len(OUTPUTS)):
-            tried = {name: errors([*laws[:i], name, *laws[i + 1 :]]) for name in LAWS[1:]}
+            tried = {name: squares([*laws[:i], name, *laws[i + 1 :]]) for name in LAWS[1:]}
+            gains = {
+                name: float(np.mean([fold.fitted[i][name].gain for fold in folds]))
+                for name in tried
+            }
             found.append(
-                tuple(
-                    as_flown(name, e / least, [every[i][name] for every in fitted])
-                    for name, e in tried.items()
-                )
+                tuple(as_flown(name, off, least, gains[name]) for name, off in tried.items())
             )
             laws[i] = best_law(found[-1])
             least = tried.get(laws[i], least)

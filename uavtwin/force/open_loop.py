@@ -5,6 +5,7 @@ flies on the recorded commands alone for the longest horizon, and is taken back.
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,6 +79,23 @@ class Replay:
                 f"{flight.name}: nowhere {WARM_S + horizons_s[-1]:g} s in the air without a gap, "
                 f"which it takes to follow it and then to fly alone. Give a longer flight."
             )
+
+    def driven_as(self, flight: Flight, vehicle: Vehicle) -> "Replay":
+        """The same times and the same truth, for the twin of another vehicle.
+
+        Args:
+            flight: Of which this is.
+            vehicle: Whose inputs the twin gets.
+
+        Raises:
+            LogError: The flight cannot be put on the grid of its twin.
+        """
+        other = copy(self)
+        aligned = align_flight(flight, vehicle)
+        whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
+        other._names = [n for n in whole.dtype.names or () if n != "time"]
+        other._given = np.column_stack([whole[n] for n in other._names])
+        return other
 
     def through(
         self,
