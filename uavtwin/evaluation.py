@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from learning.data.channels import CHANNELS, UNITS
+from learning.data.channels import CHANNELS, SENSORS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight
 from learning.data.residual_table import read_residuals
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.model.corrected import Corrected
 from learning.model.family import TrainedModel
 from learning.model.folder import load
-from learning.training.inputs import describe_flight
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.vehicle import Vehicle
@@ -100,6 +99,11 @@ def evaluate_model(
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
+    _check_new(given, folder, model)
+    if model.info.channels != SENSORS:
+        raise TwinError(
+            f"{folder}: is the network of a learned force; evaluate the folder above it."
+        )
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
     done, total = 0, len(given) * len(vehicles)
@@ -112,7 +116,6 @@ def evaluate_model(
             found.append(residual_flight(flight, each, model.info.rate_hz, progress=share))
             done += 1
     flights = residuals[0]
-    _check_new(given, flights, folder, model)
     task = Task(model.info.protocol, model.info.horizon)
     return Evaluation(
         model=model,
@@ -123,17 +126,11 @@ def evaluate_model(
     )
 
 
-def _check_new(
-    given: Sequence[Flight],
-    flights: Sequence[ResidualFlight],
-    folder: Path,
-    model: TrainedModel,
-) -> None:
+def _check_new(flights: Sequence[Flight], folder: Path, model: TrainedModel) -> None:
     """Refuse flights of the training, whatever they are called now."""
-    trained = {said["sha256"]: said["name"] for said in model.info.flights}
-    for flight, residual in zip(given, flights, strict=True):
-        name = trained.get(describe_flight(residual)["sha256"])
-        if name is not None:
+    trained = {said["log_sha256"]: said["name"] for said in model.info.flights}
+    for flight in flights:
+        if (name := trained.get(flight.fingerprint)) is not None:
             raise TwinError(
                 f"{flight.source or flight.name}: {folder} was trained on this flight, named "
                 f"{name} then; evaluate on others."

@@ -94,4 +94,20 @@ def checked_flights(given: Any, verb: str) -> tuple[Flight, ...]:
     return flights
 
 
+def check_names(flights: Iterable[Flight]) -> None:
+    """Refuse two flights of one name, which no table could tell apart.
+
+    Raises:
+        TwinError: There are.
+    """
+    seen: set[str] = set()
+    for flight in flights:
+        if flight.name in seen:
+            raise TwinError(
+                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
+                f"of them."
+            )
+        seen.add(flight.name)
+
+
 _HOW = "Read it first: read_flight(FILE), or read_flights(PATTERN) for several."

@@ -1,10 +1,10 @@
 """Compensators from Python: train one, evaluate one. Needs the extra `learn`, where it is used."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from twin.errors import TwinError
 from twin.logs import Flight
@@ -35,12 +35,14 @@ class TrainResult(Shown):
         files: Names of what was written, the page first.
         claim: What it is good for, in one sentence.
         seed: Of everything that was drawn.
+        options: With which it was trained, as they were decided.
     """
 
     folder: Path
     files: tuple[str, ...]
     claim: str
     seed: int = 0
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     def model(self) -> "TrainedModel | ForceModel":
         """The model itself."""
@@ -104,17 +106,32 @@ def train(
         with extra_learn():
             from .force.train import check_force_options, force_claim, train_force
         check_force_options(preset, horizon, rate_hz, epochs)
+        _check_kind(out, "model.json", "a compensator of the sensors")
         with results_folder(out, force) as place:
             made = train_force(several, model, seed or 0, place, progress)
-        return TrainResult(out, tuple(made), force_claim(out), seed or 0)
+        return TrainResult(out, tuple(made), force_claim(out), seed or 0, {"protocol": protocol})
     with extra_learn():
         from . import training
+    _check_kind(out, "force.json", "a learned force")
     plan = training.plan_training(preset, protocol, horizon, epochs, seed, out, force)
     residuals = training.prepare(several, model, rate_hz, lambda done: progress(0.1 * done))
     written = training.run_training(
         plan, residuals, model, out, lambda done: progress(0.1 + 0.9 * done)
     )
-    return TrainResult(out, tuple(written), training.training_claim(out), plan.seed)
+    options = {
+        "preset": preset,
+        "protocol": protocol,
+        "horizon": plan.horizon,
+        "rate": rate_hz,
+        "epochs": plan.epochs,
+    }
+    return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
+
+
+def _check_kind(out: Path, file: str, what: str) -> None:
+    """Refuse a folder that holds a model of another kind, which would be taken for the new one."""
+    if (out / file).is_file():
+        raise TwinError(f"{out}: holds {what} ({file}). Choose another folder.")
 
 
 def evaluate(

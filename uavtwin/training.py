@@ -15,12 +15,13 @@ from learning.data.residual_table import write_residuals
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
 from learning.model.registry import FamilyRow, check_preset, family_row, preset_named
-from learning.preset import Protocol
+from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.fit import fit_model
 from twin.errors import TwinError
 from twin.logs import Flight
 
+from .flights import check_names
 from .output import check_folder
 from .report.figures import embedded, pretty_unit
 from .report.gap import number, percent
@@ -81,7 +82,7 @@ def plan_training(
         chosen = replace(chosen, epochs=epochs)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
-    drawn = getattr(chosen, "seed", 0) if seed is None else seed
+    drawn = SEEDS.get(preset, 0) if seed is None else seed
     return Plan(family, chosen, protocol, horizon if protocol == "track" else 0, drawn)
 
 
@@ -93,13 +94,7 @@ def prepare(
     Raises:
         TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
     """
-    names = [f.name for f in flights]
-    for flight in flights:
-        if names.count(flight.name) > 1:
-            raise TwinError(
-                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
-                f"of them."
-            )
+    check_names(flights)
     residuals = []
     for i, flight in enumerate(flights):
 

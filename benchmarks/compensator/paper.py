@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from learning.preset import BEST, PAPER, PUBLISHED, Preset
+from learning.preset import BEST, PAPER, PUBLISHED, SEEDS, Preset
 
 from .trainings import ALL, METRICS, MODALITIES, SYSTEMS, Run, run_all
 
@@ -69,7 +69,7 @@ def table2(options: Options) -> list[Run]:
     runs = [
         Run(name, options.shortened(preset), seed)
         for name, preset in rows.items()
-        for seed in range(preset.seed, preset.seed + options.seeds)
+        for seed in range(SEEDS.get(name, 0), SEEDS.get(name, 0) + options.seeds)
     ]
     if options.published:
         own = replace(options.shortened(PUBLISHED), stride=40)

@@ -78,7 +78,8 @@ def interface_model(
     sees = {"free": "sees no measurement", "reconstruct": "sees the present measurement"}.get(
         network.protocol, f"sees measurements as old as {network.horizon} samples"
     )
-    return FmuModel("compensator", f"Learned correction of the sensors{name}, {sees}", (part,))
+    of = "force and moment" if network.commands[0].startswith(SEEN) else "the sensors"
+    return FmuModel("compensator", f"Learned correction of {of}{name}, {sees}", (part,))
 
 
 def _inputs(network: NetworkFile) -> list[Variable]:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from twin.errors import FmuError
-from twin.logs.columns import MAX_MOTORS
 from twin.representation import short_repr
 
 from ..names import LONGEST_NAME, check_identifier, check_name, check_text, shown
@@ -28,7 +27,7 @@ FILE = "model.onnx"
 """In the folder of a trained model."""
 FORMAT = "uavtwin compensator 1"
 PROTOCOLS = ("reconstruct", "track", "free")
-MAX_CHANNELS, MAX_PHASES, MAX_HORIZON = 64, 64, 10_000
+MAX_CHANNELS, MAX_COMMANDS, MAX_PHASES, MAX_HORIZON = 64, 64, 64, 10_000
 MAX_STATE = 50_000
 """Numbers of the packed state; the largest preset has 5,218."""
 MAX_RATE_HZ = 1e5
@@ -218,7 +217,7 @@ def _described(said: _Metadata, content: bytes, graph: Any) -> NetworkFile:
         channels=channels,
         units=_units(said),
         groups=said.names("groups", MAX_CHANNELS),
-        commands=said.names("commands", MAX_MOTORS),
+        commands=said.names("commands", MAX_COMMANDS),
         phases=_phases(said),
         rate_hz=float(rate_hz),
         protocol=protocol,

@@ -64,6 +64,7 @@ class ResidualFlight:
         spans: Rows [a, b) in the air and without gaps, in order; outside nothing is fresh.
         notes: What is missing or was assumed.
         channels: Of which it is; the text above tells of those of the sensors.
+        log_sha256: `Flight.fingerprint` of the flight, "" where not known.
     """
 
     name: str
@@ -77,6 +78,7 @@ class ResidualFlight:
     spans: tuple[tuple[int, int], ...]
     notes: tuple[str, ...] = ()
     channels: Channels = SENSORS
+    log_sha256: str = ""
 
     __repr__ = short_repr
 
@@ -147,6 +149,7 @@ def residual_flight(
         ),
         spans=_spans(valid),
         notes=(*aligned.notes, *notes),
+        log_sha256=flight.fingerprint,
     )
 
 

@@ -126,7 +126,9 @@ class Linear(Family[LinearPreset, LinearModel]):
         if len(flights) > 1:
             unseen = left_out_errors(flights, preset, task.protocol, task.horizon, scaling)
             for span, error in zip(spans, unseen, strict=True):
-                left[span.flight][span.rows] = error * scaling.scale[span.phase]
+                told = np.isfinite(error)
+                rows = left[span.flight][span.rows]
+                rows[told] = (error * scaling.scale[span.phase])[told]
         return replace(model, expected=np.sqrt(by_phase(flights, [e**2 for e in left])))
 
     def build(self, info: ModelInfo[LinearPreset], tensors: Tensors) -> LinearModel:

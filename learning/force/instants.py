@@ -43,7 +43,7 @@ class Instants:
         motion: `INPUTS` at all grid points of the flight, shape (n_grid, len(INPUTS)), NaN where
             unknown.
         airborne: Which of these are in the air, shape (n_grid,).
-        passed: Two functions, of force and of moment: `(values on the grid, (n_grid, k)) -> (n, k)`,
+        passed: Two functions `(values on the grid, (n_grid, k)) -> (n, k)`, of force and of moment:
             low-passed and as late as these columns of `left` are.
     """
 

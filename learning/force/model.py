@@ -16,6 +16,7 @@ from twin.representation import short_repr
 from .forecast import Observer
 
 FILE, VEHICLE_FILE, NETWORK_FOLDER = "force.json", "vehicle.toml", "network"
+NETWORK_FILE = f"{NETWORK_FOLDER}/model.onnx"
 FORMAT = 1
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)

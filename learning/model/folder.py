@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 WEIGHTS = "weights.safetensors"
 MODEL = "model.json"
 CURVE = "learning_curve.json"
-FORMAT = 1
+FORMAT = 2
 """Version of the folder's layout."""
 
 

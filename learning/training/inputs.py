@@ -20,11 +20,9 @@ def check_flights(flights: Sequence[ResidualFlight]) -> None:
     """Raise ModelError unless there are flights, of one kind, each with a measured residual."""
     if not flights:
         raise ModelError("training needs at least one flight")
-    kinds = {(f.rate_hz, f.commands.shape[1], f.channels.names[0]) for f in flights}
+    kinds = {(f.rate_hz, f.commands.shape[1], " ".join(f.channels.groups)) for f in flights}
     if len(kinds) > 1:
-        said = ", ".join(
-            f"{r:g} Hz with {m} motor commands, {first} first" for r, m, first in sorted(kinds)
-        )
+        said = ", ".join(f"{r:g} Hz of {g} with {m} motor commands" for r, m, g in sorted(kinds))
         raise ModelError(f"training flights differ: {said}; train on flights of one kind")
     for flight in flights:
         if not flight.spans or not flight.fresh[in_spans(flight)].any():
@@ -34,7 +32,7 @@ def check_flights(flights: Sequence[ResidualFlight]) -> None:
 
 
 def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
-    """Name, sha256 of all its numbers, samples and seconds in the air."""
+    """Name, sha256 of all its numbers and of its log's, samples and seconds in the air."""
     digest = hashlib.sha256(np.array(flight.spans, dtype=np.int64).tobytes())
     arrays = (flight.t_s, flight.virtual, flight.residual, flight.commands)
     for array in (*arrays, flight.fresh, flight.phase.astype(np.int64)):
@@ -43,6 +41,7 @@ def describe_flight(flight: ResidualFlight) -> dict[str, Any]:
     return {
         "name": flight.name,
         "sha256": digest.hexdigest(),
+        "log_sha256": flight.log_sha256,
         "samples": samples,
         "seconds": samples / flight.rate_hz,
     }

@@ -50,7 +50,8 @@ def left_out_errors(
         scaling: In whose units the errors are told.
 
     Returns:
-        Per span of all flights, in order, shape (n, 15).
+        Per span of all flights, in order, shape (n, 15); NaN beyond the envelope of the others,
+        where a model of these would correct nothing.
     """
     errors = []
     for one in flights:
@@ -62,5 +63,6 @@ def left_out_errors(
         base = fit_base(seen, [s.fresh for s in seen], protocol, one.rate_hz)
         for span in sequences([one], theirs, protocol, horizon):
             left = span.d - predict_base(span, base, protocol)
-            errors.append(left * theirs.scale[span.phase] / scaling.scale[span.phase])
+            error = left * theirs.scale[span.phase] / scaling.scale[span.phase]
+            errors.append(np.where(span.inside[:, None], error, np.nan))
     return errors

@@ -22,6 +22,7 @@ from .windows import MANY_FLIGHTS, TrainingSamples, validation_rows
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.intp]
 
 ANOMALY_QUANTILE = 0.99
 ENOUGH = 20
@@ -42,6 +43,8 @@ class Workpiece:
         preset: As given, without what does not go with the protocol.
         seed: As given.
         compensator: Its network is to be trained; `calibrate` completes it.
+        unseen: Per span what the linear prediction of the other flights leaves; None of a single
+            flight, and where there is no linear prediction.
         samples: Windows for the training.
     """
 
@@ -73,7 +76,7 @@ class Workpiece:
         self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
         self.validate = [s.fresh & h for s, h in zip(self.spans, held, strict=True)]
         self.measured = np.any([m.any(0) for m in self.train], axis=0)  # (15,)
-        base = self.compensator.base.double().numpy() * 0.0
+        base = np.zeros(tuple(self.compensator.base.shape))
         if preset.linear:
             base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
         self.compensator.base.copy_(torch.from_numpy(base))
@@ -85,10 +88,8 @@ class Workpiece:
             # what a linear prediction leaves of a residual changed at will is not known
             self.preset = replace(preset, augment=0.0)
         self.compensator.leftover.copy_(torch.from_numpy(self.leftover))
-        self.unseen = self.left
-        """What is left where the flight of the span took no part; the same, of a single flight."""
-        self.crossed = len(flights) > 1 and protocol != "reconstruct" and preset.linear
-        if self.crossed:
+        self.unseen: list[Array] | None = None
+        if len(flights) > 1 and protocol != "reconstruct" and preset.linear:
             self.unseen = left_out_errors(flights, preset, protocol, horizon, scaling)
         self.samples = TrainingSamples(
             self.spans, [e / self.leftover for e in self.left], self.train
@@ -124,12 +125,27 @@ class Workpiece:
         model.gate.copy_(torch.from_numpy(gate))
         self.error_without = _mean_square([left], [validate])
         self.error_with = _mean_square([left - gate * y], [validate])
-        scored = np.where(validate.any(0), validate, np.concatenate(self.train))
-        if self.crossed:
-            scored = np.concatenate([s.fresh for s in self.spans])
-        unseen = np.concatenate(self.unseen) - gate * y
-        model.spread_factor.copy_(torch.from_numpy(_spread_factor(unseen, outs, scored, phases)))
+        factor = self._spread_factor(left - gate * y, outs, validate, phases)
+        model.spread_factor.copy_(torch.from_numpy(factor))
         model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=1e-12))
+
+    def _spread_factor(
+        self, error: Array, outs: Sequence[NetworkOut], validate: BoolArray, phases: IntArray
+    ) -> Array:
+        """What makes predicted spreads right, shape (phases, 15).
+
+        Of time held back; where there are several flights, of what the linear prediction leaves of
+        flights that took no part in it, less what the network saves of time held back.
+        """
+        if self.unseen is None:
+            scored = np.where(validate.any(0), validate, np.concatenate(self.train))
+            return _factor(error, outs, scored, phases)
+        unseen = np.concatenate(self.unseen)
+        fresh = np.concatenate([s.fresh for s in self.spans]) & np.isfinite(unseen)
+        known = self.error_without > 0
+        saved = np.ones(len(known))
+        saved[known] = np.sqrt(self.error_with[known] / self.error_without[known])
+        return _factor(np.nan_to_num(unseen) * saved, outs, fresh, phases)
 
     def _usual_distance(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
         """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).
@@ -154,9 +170,7 @@ class Workpiece:
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
 
 
-def _spread_factor(
-    error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: NDArray[np.intp]
-) -> Array:
+def _factor(error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: IntArray) -> Array:
     """Rms of error over predicted spread per phase and channel, shape (phases, 15).
 
     A phase without enough samples of a channel gets that of all phases, a channel without any 0.

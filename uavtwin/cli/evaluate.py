@@ -32,7 +32,7 @@ def evaluate(
 
     A learned force is measured by replaying them through exported FMUs.
     """
-    from learning.force.model import FILE, is_force
+    from learning.force.model import FILE, NETWORK_FILE
     from twin.logs import read_flight
 
     from ..learned import evaluate as evaluate_folder
@@ -53,8 +53,8 @@ def evaluate(
         "explained": None if explained is None else Path(explained).name,
         "physics": None if physics is None else Path(physics).name,
     }
-    numbers = (FILE,) if is_force(model) else ("model.json", "weights.safetensors")
-    inputs = [*flights, *(model / n for n in numbers)]
+    numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)
+    inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
     inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
     with results_folder(out, force) as folder:
         write_json(folder / "evaluation.json", found.json())

@@ -96,6 +96,7 @@ def export(
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
     from fmus.compensator import FILE
     from learning.force.model import FILE as FORCE_FILE
+    from learning.force.model import NETWORK_FILE
 
     from ..output import check_folder, results_folder, write_run
 
@@ -115,7 +116,7 @@ def export(
         python_slave,
     )
     plan = export_components(components, choice)
-    trained = [] if model is None else [model / FILE, model / FORCE_FILE]
+    trained = [] if model is None else [model / n for n in (FILE, FORCE_FILE, NETWORK_FILE)]
     given = (Path(choice.vehicle), flight, *trained)
     inputs = [p for p in given if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:

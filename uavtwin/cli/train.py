@@ -41,7 +41,8 @@ def train(
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
-    A training that was interrupted goes on where it was when the same command is given again.
+    A training of the sensors that was interrupted goes on where it was when the same command is
+    given again.
     """
     from twin.logs import read_flight
 
@@ -65,14 +66,7 @@ def train(
             force=force,
             progress=step,
         )
-    options = {
-        "vehicle": Path(vehicle).name,
-        "preset": preset,
-        "protocol": protocol,
-        "horizon": horizon,
-        "rate": rate,
-        "epochs": epochs,
-    }
+    options = {"vehicle": Path(vehicle).name, **trained.options}
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
     write_run(out, "train", options, inputs, trained.seed)
     STDOUT.print(trained.claim, style="bold", markup=False)

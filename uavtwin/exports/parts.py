@@ -92,10 +92,12 @@ class LearnedForce:
     Attributes:
         model: Law and observer.
         network: That adds to the law; None: nothing does.
+        folder: That it was read from, for messages.
     """
 
     model: "ForceModel"
     network: NetworkFile | None = None
+    folder: Path = Path("learned force")
 
     __repr__ = short_repr
 
@@ -129,11 +131,12 @@ def twin(
         check_compensator(compensator, model)
     law, network = None, False
     if force is not None:
-        _check_taught("the learned force", force.model.vehicle, force.model.vehicle_sha256, model)
+        told = force.model
+        _check_taught(str(force.folder), told.vehicle, told.vehicle_sha256, model)
         law, network = force.model.law, force.network is not None
         if network and compensator is not None:
             raise TwinError(
-                "twin: a learned force with a network and a compensator of the sensors; a twin has "
+                f"{force.folder}: a learned force with a network and a compensator of the sensors; a twin has "
                 "room for one network. Give one of them."
             )
         compensator = compensator or force.network
@@ -239,7 +242,7 @@ def learned_force(folder: str | Path) -> LearnedForce:
 
     model = load_force(Path(folder))
     network = read_network(Path(folder, NETWORK_FOLDER)) if model.network_starts else None
-    return LearnedForce(model, network)
+    return LearnedForce(model, network, Path(folder))
 
 
 def _check_taught(model: str, name: str, sha256: str, vehicle: Vehicle) -> None:

@@ -19,6 +19,7 @@ from twin.residuals.teacher_forced import choose_drive
 
 from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
+from ..flights import check_names
 from ..output import output_file
 from ..report.figures import embedded, pretty_unit
 from ..report.gap import number, percent
@@ -180,18 +181,13 @@ class _Fleet:
 
 def _check_new(flights: Sequence[Flight], folder: Path, model: ForceModel) -> None:
     """Refuse flights of the training, whatever they are called now, and two of one name."""
+    check_names(flights)
     taught = {f.sha256: f.name for f in model.flights}
-    names = [f.name for f in flights]
     for flight in flights:
         if (name := taught.get(flight.fingerprint)) is not None:
             raise TwinError(
                 f"{flight.source or flight.name}: {folder} was taught by this flight, named "
                 f"{name} then. Evaluate on others."
-            )
-        if names.count(flight.name) > 1:
-            raise TwinError(
-                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
-                f"of them."
             )
 
 

@@ -18,9 +18,11 @@ from twin.errors import TwinError
 from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS
 
-from ..report.gap import number
+from ..flights import check_names
+from ..report.gap import number, percent
 from ..report.page import render
 from ..vehicles import Vehicle
+from .choice import BETTER, WORSE
 from .learn import Progress, learn_force
 from .network import NETWORK
 
@@ -64,13 +66,7 @@ def train_force(
     Raises:
         TwinError: A flight cannot be learned from, or two have one name.
     """
-    names = [f.name for f in flights]
-    for flight in flights:
-        if names.count(flight.name) > 1:
-            raise TwinError(
-                f"{flight.source or flight.name}: two flights are named {flight.name}; rename one "
-                f"of them."
-            )
+    check_names(flights)
     model = learn_force(flights, vehicle, seed, out, progress)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
@@ -113,7 +109,9 @@ def _laws(output: Output) -> str:
 def _page(model: ForceModel) -> str:
     return render(
         "force_training.html.j2",
-        {"number": number},
+        {"number": number, "percent": percent},
+        better=1 - BETTER,
+        worse=WORSE,
         claim=_claim(model),
         model=model,
         laws=(*LAWS[1:], NETWORK),
