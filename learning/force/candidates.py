@@ -34,8 +34,6 @@ LAWS = ("none", "constant", "linear", "waves")
 PENALTIES = (1.0, 10.0, 100.0, 1000.0)
 """Prior precisions tried, of a weight over a feature of size one, in units of innovations."""
 QUARTERS = 4
-SHORT = 200
-"""Rows of a quarter, at least: four seconds."""
 HALVES = (slice(0, 3), slice(3, 6))
 """Outputs that are force, and those that are moment."""
 _AGAINST = tuple(
@@ -114,8 +112,10 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
     several = flights if len(flights) > 1 else quarters(flights[0])
     half = output // 3
     every = [f.moments[half] for f in several if f.moments[half].rows]
-    folds = [(summed([m for m in every if m is not one]), one) for one in every]
-    whole, found = summed(every), {}
+    whole, found = summed([f.moments[half] for f in flights]), {}
+    folds = [(whole, whole)]  # where it is too short to leave any of it out
+    if len(every) > 1:
+        folds = [(summed([m for m in every if m is not one]), one) for one in every]
     for law in LAWS:
         columns = _columns(law, flights[0], output)
         tried = PENALTIES if law in ("linear", "waves") else (0.0,)
@@ -136,14 +136,11 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
 
 
 def quarters(flight: Design) -> list[Design]:
-    """A flight as several, or as itself where it is too short for that."""
-    if len(flight.left) < SHORT * QUARTERS:
-        return [flight, flight]
+    """A flight as several."""
     bounds = np.linspace(0, len(flight.left), QUARTERS + 1).astype(int).tolist()
+    force, moment = flight.features
     return [
-        Design.of(
-            (flight.features[0][a:b], flight.features[1][a:b]), flight.left[a:b], flight.piece[a:b]
-        )
+        Design.of((force[a:b], moment[a:b]), flight.left[a:b], flight.piece[a:b])
         for a, b in pairwise(bounds)
     ]
 

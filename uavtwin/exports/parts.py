@@ -136,8 +136,8 @@ def twin(
         law, network = force.model.law, force.network is not None
         if network and compensator is not None:
             raise TwinError(
-                f"{force.folder}: a learned force with a network and a compensator of the sensors; a twin has "
-                "room for one network. Give one of them."
+                f"{force.folder}: a learned force with a network, and a compensator of the "
+                f"sensors; a twin has room for one network. Give one of them."
             )
         compensator = compensator or force.network
     if drive is None:

@@ -218,13 +218,15 @@ def test_the_linear_family_is_the_network_with_shut_gates(
     assert np.isnan(said.anomaly).all()
 
 
-def test_the_spread_of_the_linear_family_is_that_of_what_is_left(tmp_path: Path) -> None:
+def test_the_spread_of_the_linear_family_is_that_of_flights_left_out(tmp_path: Path) -> None:
+    """So what is left of a flight of its own is below it, and nowhere far above."""
     model = trained(*preset_named("linear"), "track", tmp_path)
     flight: ResidualFlight = FLIGHTS[0]
     found = model.run(flight)
     rows = flight.fresh & found.inside[:, None]
     ratio = np.where(rows, (flight.residual - found.correction) / found.spread, np.nan)
-    np.testing.assert_allclose(np.sqrt(np.nanmean(ratio**2, axis=0)), 1.0, atol=0.15)
+    share = np.sqrt(np.nanmean(ratio**2, axis=0))
+    assert 0.5 < np.median(share) < 1.0 and share.max() < 1.15
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)

@@ -14,8 +14,8 @@ from learning.force.model import (
     Flown,
     ForceModel,
     Output,
+    Rival,
     Taught,
-    fingerprint,
     load_force,
     save_force,
 )
@@ -42,7 +42,7 @@ def _law(n: int) -> ForceLaw:
 
 MODEL = ForceModel(
     law=_law(0),
-    rivals={"linear": _law(0), "waves": _law(3)},
+    rivals={name: Rival(_law(n), (NO_OBSERVER,) * 6) for name, n in (("linear", 0), ("waves", 3))},
     outputs=(
         Output("linear", Observer(0.2, 1.0), (Flown("linear", 0.9, 1.01, 12.0),)),
         *(Output("none", NO_OBSERVER) for _ in range(5)),
@@ -64,7 +64,8 @@ def test_what_is_read_is_what_was_written(tmp_path: Path) -> None:
     save_force(MODEL, tmp_path)
     found = load_force(tmp_path)
     assert _same(found.law, MODEL.law)
-    assert all(_same(found.rivals[k], MODEL.rivals[k]) for k in MODEL.rivals)
+    assert all(_same(found.rivals[k].law, MODEL.rivals[k].law) for k in MODEL.rivals)
+    assert all(found.rivals[k].observers == MODEL.rivals[k].observers for k in MODEL.rivals)
     assert replace(found, law=MODEL.law, rivals=MODEL.rivals) == MODEL
 
 
@@ -106,4 +107,4 @@ def test_a_flight_is_known_whatever_it_is_called() -> None:
     flight = Flight("one", table)
     same = Flight("two", table[["phase", "pos_x", "time"]])
     other = Flight("one", table.assign(pos_x=[1.0, 2.0]))
-    assert fingerprint(flight) == fingerprint(same) != fingerprint(other)
+    assert flight.fingerprint == same.fingerprint != other.fingerprint
