@@ -5,7 +5,7 @@ put down to a force and a moment. Readings and whatever is to explain them pass 
 low-pass, as in `twin.residuals.channels`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -228,7 +228,7 @@ def random_features(law: ForceLaw, block: int) -> list[ca.Function]:
     return [ca.Function("waves", [x], [ca.densify(every[a : a + block])]) for a in bounds]
 
 
-def inputs_of(flights: Sequence[Instants]) -> Array:
-    """`INPUTS` of all flights in the air, where they are known, shape (n, len(INPUTS))."""
-    motion = np.vstack([f.motion[f.airborne] for f in flights])
-    return motion[np.isfinite(motion).all(axis=1)]
+def inputs_of(flight: Instants) -> Array:
+    """`INPUTS` of a flight in the air, where they are known, shape (n, len(INPUTS))."""
+    motion = flight.motion[flight.airborne]
+    return np.asarray(motion[np.isfinite(motion).all(axis=1)])

@@ -24,19 +24,20 @@ _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """One law of one output, as flown over flights that took no part in its fit.
+    """One law of one output, over flights that took no part in its fit.
 
     Attributes:
         law: Of `learning.force.candidates.LAWS`.
-        ratio: Error over that without it, geometric mean over quantities and horizons.
-        worst: The largest ratio of a quantity, horizons together.
-        gain: Nats, as of `learning.force.candidates.Candidate`.
+        gain: Nats by which the flights are more probable than without it.
+        ratio: Error over that without it, geometric mean over flights, quantities and horizons;
+            None of one that was not flown, as nothing speaks for it.
+        worst: The largest ratio of a quantity, flights and horizons together.
     """
 
     law: str
-    ratio: float
-    worst: float
     gain: float
+    ratio: float | None = None
+    worst: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,6 +159,20 @@ def missed(moments: Moments, weights: Array, noise: Array) -> float:
     return float(noise @ left @ noise) / moments.rows + 1e-30
 
 
+def saved(taught: Moments, seen: Moments) -> float:
+    """Nats by which a series is less surprising than another.
+
+    Args:
+        taught: Of one column, whose noise is taken.
+        seen: Of two columns, the other series and the one.
+    """
+    noise, _ = noise_of(taught, np.zeros(0))
+    other, one = (seen.of([c]) for c in (0, 1))
+    nothing = np.zeros(0)
+    ratio = missed(one, nothing, noise) / missed(other, nothing, noise)
+    return -seen.rows / 2 * float(np.log(ratio))
+
+
 def _bounded(normal: Array, right: Array, most: Array) -> Array:
     """Minimum of w @ normal @ w / 2 - right @ w over w <= most."""
     free = np.linalg.solve(normal, right)

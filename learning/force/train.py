@@ -31,7 +31,8 @@ RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
 """By input, what is no other place, in its unit: a flight with the battery half full is as good as
 one with the full one, where training had only full ones."""
 INSIDE = 0.995
-"""Share of the training that is inside the envelope."""
+"""Share of the training that is inside the envelope, and of each flight that the others have not
+seen: flights differ by more than a flight does within itself."""
 TRIFLE = 1e-6
 """An input or feature that moves by less, in its unit, did not move."""
 PASSIVE = 1e-6
@@ -62,6 +63,11 @@ class Prepared:
 
     __repr__ = short_repr
 
+    def design(self, flight: Instants) -> Design:
+        """The design of a flight, of these or another."""
+        force, moment = _features(flight, self.empty)
+        return Design.of((force / self.size, moment / self.size), flight.left, flight.piece)
+
     def candidates(self) -> list[dict[str, Candidate]]:
         """Laws by name of each output."""
         return [candidates(self.designs, output) for output in range(len(OUTPUTS))]
@@ -90,20 +96,16 @@ def prepare(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> Prepared:
         LogError: A flight is too short.
     """
     empty = _empty(seen, vehicle, seed)
-    raw = [_features(f, empty) for f in seen]
-    size = np.std(np.vstack([moment for _, moment in raw]), axis=0)
-    size = np.where(size > TRIFLE, size, 1.0)
-    designs = tuple(
-        Design.of((force / size, moment / size), f.left, f.piece)
-        for (force, moment), f in zip(raw, seen, strict=True)
-    )
-    for design, flight in zip(designs, seen, strict=True):
+    size = np.std(np.vstack([_features(f, empty)[1] for f in seen]), axis=0)
+    unsized = Prepared(vehicle, empty, tuple(seen), (), np.where(size > TRIFLE, size, 1.0))
+    prepared = replace(unsized, designs=tuple(unsized.design(f) for f in seen))
+    for design, flight in zip(prepared.designs, seen, strict=True):
         if not design.moments[0].rows:
             raise LogError(
                 f"{flight.name}: no uninterrupted piece of more than {2 * ORDER / CHANNEL_HZ:g} s "
                 f"in the air with both sensors of the IMU. Give a longer flight."
             )
-    return Prepared(vehicle, empty, tuple(seen), designs, size)
+    return prepared
 
 
 def _features(flight: Instants, empty: ForceLaw) -> tuple[Array, Array]:
@@ -124,26 +126,47 @@ def without_waves(law: ForceLaw) -> ForceLaw:
 def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
     """A law that says nothing yet: where the flights have been, and the random features."""
     rng = np.random.default_rng(seed)
-    x = inputs_of(seen)
-    centre, spread = x.mean(axis=0), x.std(axis=0)
-    scale = np.where(spread > TRIFLE, spread, 1.0)
-    z = (x - centre) / scale
-    metric = np.cov(z.T) + np.diag((np.array(RESERVE) / scale) ** 2)
-    whitening = np.linalg.inv(np.linalg.cholesky(metric))
+    places = [inputs_of(f) for f in seen]
+    metric = _Metric.of(np.vstack(places))
+    reach = [np.quantile(metric.away(np.vstack(places)), INSIDE)]
+    for k, one in enumerate(places if len(places) > 1 else ()):
+        others = _Metric.of(np.vstack([p for i, p in enumerate(places) if i != k]))
+        reach.append(np.quantile(others.away(one), INSIDE))
     frequencies = rng.normal(size=(WAVES, len(INPUTS))) / LENGTH
     frequencies[:, list(_RATES)] = 0.0
-    away = np.sqrt(np.mean((z @ whitening.T) ** 2, axis=1))
     return ForceLaw(
         linear=np.zeros((6, len(FEATURES))),
         waves=np.zeros((6, WAVES)),
         frequencies=frequencies,
         phases=rng.uniform(0, 2 * np.pi, WAVES),
-        centre=centre,
-        scale=scale,
-        whitening=whitening,
-        reach=float(np.quantile(away, INSIDE)),
+        centre=metric.centre,
+        scale=metric.scale,
+        whitening=metric.whitening,
+        reach=float(max(reach)),
         units=np.asarray(np.linalg.inv(_agility(vehicle))),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Metric:
+    """Distance from where flights have been; fields as of `ForceLaw`."""
+
+    centre: Array
+    scale: Array
+    whitening: Array
+
+    @classmethod
+    def of(cls, x: Array) -> "_Metric":
+        """From inputs, shape (n, len(INPUTS))."""
+        centre, spread = x.mean(axis=0), x.std(axis=0)
+        scale = np.where(spread > TRIFLE, spread, 1.0)
+        metric = np.cov(((x - centre) / scale).T) + np.diag((np.array(RESERVE) / scale) ** 2)
+        return cls(centre, scale, np.asarray(np.linalg.inv(np.linalg.cholesky(metric))))
+
+    def away(self, x: Array) -> Array:
+        """Of inputs, shape (n,)."""
+        z = (x - self.centre) / self.scale
+        return np.asarray(np.sqrt(np.mean((z @ self.whitening.T) ** 2, axis=1)))
 
 
 def made_passive(law: ForceLaw, vehicle: Vehicle) -> tuple[ForceLaw, float]:
