@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.force.candidates import Candidate
+from learning.force.instants import Instants
 from learning.force.model import Flown, observer_starts
 from learning.force.train import Prepared
 from twin.physics.residual_force import ForceLaw, weight_names
@@ -31,11 +32,13 @@ class Fold:
 
     Attributes:
         replay: Of the flight.
+        seen: The flight.
         prepared: The others.
         fitted: Laws by name of each output, fitted to the others.
     """
 
     replay: Replay
+    seen: Instants
     prepared: Prepared
     fitted: Sequence[Mapping[str, Candidate]]
 
@@ -64,26 +67,31 @@ class Steps:
         self._progress(self._done / self._total)
 
 
-def as_flown(law: str, squares: Array, without: Array, gain: float = 0.0) -> Flown:
+def as_flown(law: str, gain: float, squares: Array, without: Array) -> Flown:
     """What a law does.
 
     Args:
         law: Its name.
+        gain: Nats.
         squares: Mean squares with it, shape (flights, horizons, 4, 3).
         without: The same without it.
-        gain: Nats.
     """
     logs = np.log((squares + _TINY) / (without + _TINY)) / 2
-    return Flown(law, float(np.exp(logs.mean())), float(np.exp(logs.mean(axis=(0, 1)).max())), gain)
+    worst = logs.mean(axis=(0, 1)).max()
+    return Flown(law, gain, float(np.exp(logs.mean())), float(np.exp(worst)))
 
 
 def best_law(flown: Sequence[Flown]) -> str:
     """The simplest law within `BETTER` of the best of those that help and do no harm."""
-    good = [f for f in flown if f.ratio < 1 - BETTER and f.worst <= WORSE]
+    good = [
+        (f.law, f.ratio)
+        for f in flown
+        if f.ratio is not None and f.worst is not None and f.ratio < 1 - BETTER and f.worst <= WORSE
+    ]
     if not good:
         return "none"
-    least = min(f.ratio for f in good)
-    return next(f.law for f in good if f.ratio <= least + BETTER)
+    least = min(ratio for _, ratio in good)
+    return next(law for law, ratio in good if ratio <= least + BETTER)
 
 
 def weight_starts(law: ForceLaw) -> dict[str, float]:

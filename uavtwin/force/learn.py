@@ -1,8 +1,8 @@
 """The law of what a vehicle's equations leave, chosen by the twin that flies it.
 
-For each output the laws of `learning.force.candidates` are put into the FMU of the driven twin, one
-after the other beside what was chosen before, and flights that took no part in their fit are
-replayed through it. A law is taken where the twin is then less far off, beside its observer, and in
+For each output the laws of `learning.force.candidates` by which flights left out are more probable
+than without are put into the FMU of the driven twin, one after the other beside what was chosen
+before, and flights that took no part in their fit are replayed through it. A law is taken where the twin is then less far off, beside its observer, and in
 no quantity farther. These flights choose; what the law is worth, others say.
 """
 
@@ -68,7 +68,8 @@ def learn_force(
         folds = []
         for k, flight in enumerate(flights):
             others = prepare([s for s in seen if s is not seen[k]], vehicle, seed)
-            folds.append(Fold(Replay(flight, vehicle, AHEAD_S), others, others.candidates()))
+            replay = Replay(flight, vehicle, AHEAD_S)
+            folds.append(Fold(replay, seen[k], others, others.candidates()))
         laws, flown = _flown(folds, drive, _part(progress, _READING, _LAWS))
         networks = flown_network(folds, laws, drive, seed, _part(progress, _LAWS, _NETWORK))
         used = [best_law([n]) == NETWORK for n in networks]
@@ -143,13 +144,20 @@ def _flown(
         found: list[tuple[Flown, ...]] = []
         least = squares(laws)
         for i in range(len(OUTPUTS)):
-            tried = {name: squares([*laws[:i], name, *laws[i + 1 :]]) for name in LAWS[1:]}
             gains = {
-                name: float(np.mean([fold.fitted[i][name].gain for fold in folds]))
-                for name in tried
+                name: float(np.sum([fold.fitted[i][name].gain for fold in folds]))
+                for name in LAWS[1:]
+            }
+            tried = {
+                name: squares([*laws[:i], name, *laws[i + 1 :]])
+                for name, gain in gains.items()
+                if gain > 0
             }
             found.append(
-                tuple(as_flown(name, off, least, gains[name]) for name, off in tried.items())
+                tuple(
+                    as_flown(name, gain, tried[name], least) if name in tried else Flown(name, gain)
+                    for name, gain in gains.items()
+                )
             )
             laws[i] = best_law(found[-1])
             least = tried.get(laws[i], least)

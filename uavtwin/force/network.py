@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from cosim.whole_twin import fused_model
 from fmus import build
-from fmus.compensator import NetworkFile, native_model, read_network
+from fmus.compensator import native_model, read_network
 from learning.export.write import export_onnx
 from learning.force.model import Flown, network_starts
+from learning.force.regression import moments_of, pieces_of, saved, summed
 from learning.force.sequence import residual_sequence
 from learning.force.train import Prepared
+from learning.model.compensator import Compensator
 from learning.preset import FORCE
 from learning.training.train import train
 from twin.flight.assembly import driven_twin
@@ -31,7 +33,7 @@ NETWORK = "svq"
 """Its name among the laws."""
 
 
-def train_network(prepared: Prepared, law: ForceLaw, seed: int, folder: Path) -> NetworkFile:
+def train_network(prepared: Prepared, law: ForceLaw, seed: int, folder: Path) -> Compensator:
     """The network of what a law leaves, exported.
 
     Args:
@@ -45,8 +47,9 @@ def train_network(prepared: Prepared, law: ForceLaw, seed: int, folder: Path) ->
         residual_sequence(seen, design, weights)
         for seen, design in zip(prepared.seen, prepared.designs, strict=True)
     ]
-    export_onnx(train(residuals, FORCE, "free", 0, seed, folder), folder)
-    return read_network(folder)
+    network = train(residuals, FORCE, "free", 0, seed, folder)
+    export_onnx(network, folder)
+    return network
 
 
 def flown_network(
@@ -65,16 +68,22 @@ def flown_network(
         seed: Of everything that is drawn.
         progress: Called with the share done.
     """
-    steps = Steps(len(folds) + len(OUTPUTS) + 1, progress)
+    steps = Steps(2 * len(folds) + len(OUTPUTS) + 1, progress)
     with tempfile.TemporaryDirectory() as name:
-        twins = []
+        gains, folders = np.zeros(len(OUTPUTS)), []
         for k, fold in enumerate(folds):
-            folder = Path(name, str(k))
-            law, starts = fold.law(laws)
-            network = train_network(fold.prepared, law, seed, folder)
-            vehicle = fold.prepared.vehicle
+            folders.append(Path(name, str(k)))
+            law = fold.law(laws)[0]
+            network = train_network(fold.prepared, law, seed, folders[-1])
+            gains += _gains(fold, law, network)
+            steps.one()
+        if not (gains > 0).any():
+            return [Flown(NETWORK, gain) for gain in gains.tolist()]
+        twins = []
+        for fold, folder in zip(folds, folders, strict=True):
+            (law, starts), vehicle = fold.law(laws), fold.prepared.vehicle
             parts = driven_twin(vehicle, drive, (), law, network=True)
-            model = fused_model(parts, vehicle.name, native_model(network))
+            model = fused_model(parts, vehicle.name, native_model(read_network(folder)))
             twins.append((fold, build(model, folder / "twin.fmu"), starts))
             steps.one()
 
@@ -88,9 +97,30 @@ def flown_network(
         used = [False] * len(OUTPUTS)
         found: list[Flown] = []
         least = squares(used)
-        for i in range(len(OUTPUTS)):
+        for i, gain in enumerate(gains.tolist()):
+            if gain <= 0:
+                found.append(Flown(NETWORK, gain))
+                continue
             tried = squares([*used[:i], True, *used[i + 1 :]])
-            found.append(as_flown(NETWORK, tried, least))
+            found.append(as_flown(NETWORK, gain, tried, least))
             if best_law(found[-1:]) == NETWORK:
                 used[i], least = True, tried
     return found
+
+
+def _gains(fold: Fold, law: ForceLaw, network: Compensator) -> Array:
+    """Nats by which the flight left out is more probable with the network, shape (6,)."""
+    weights = fold.prepared.weights(law)
+    taught = [design.leaves(weights) for design in fold.prepared.designs]
+    pieces = [pieces_of(design.piece) for design in fold.prepared.designs]
+    design = fold.prepared.design(fold.seen)
+    before = design.leaves(weights)
+    after = before - network.run(residual_sequence(fold.seen, design, weights)).correction
+    gains = []
+    for i in range(len(OUTPUTS)):
+        noise = summed(
+            [moments_of(left[:, [i]], rows) for left, rows in zip(taught, pieces, strict=True)]
+        )
+        both = np.column_stack([before[:, i], after[:, i]])
+        gains.append(saved(noise, moments_of(both, pieces_of(design.piece))))
+    return np.array(gains)

@@ -44,7 +44,9 @@ MODEL = ForceModel(
     law=_law(0),
     rivals={name: Rival(_law(n), (NO_OBSERVER,) * 6) for name, n in (("linear", 0), ("waves", 3))},
     outputs=(
-        Output("linear", Observer(0.2, 1.0), (Flown("linear", 0.9, 1.01, 12.0),)),
+        Output(
+            "linear", Observer(0.2, 1.0), (Flown("linear", 12.0, 0.9, 1.01), Flown("waves", -3.0))
+        ),
         *(Output("none", NO_OBSERVER) for _ in range(5)),
     ),
     taken=0.1,
