@@ -4,7 +4,7 @@
 |---|---|
 | `none` | nothing: the equations are right, or no law was found that holds on another flight |
 | `constant` | the mean |
-| `linear` | a sum over `FEATURES` |
+| `linear` | a sum over few of `FEATURES` |
 | `waves` | the same and random Fourier features of the motion: any smooth function |
 
 How strongly weights are held at zero is decided by flights that take no part in the fit: each in
@@ -27,12 +27,12 @@ from twin.physics.residual_force import FEATURES
 from twin.representation import short_repr
 
 from .forecast import Observer, observer_of
-from .regression import Moments, missed, moments_of, pieces_of, ridge, summed
+from .regression import Fit, Moments, missed, moments_of, pieces_of, ridge, sparse, summed
 
 Array = NDArray[np.float64]
 LAWS = ("none", "constant", "linear", "waves")
-PENALTIES = (1.0, 10.0, 100.0, 1000.0)
-"""Prior precisions tried, of a weight over a feature of size one, in units of innovations."""
+PENALTIES = (1.0, 1e2, 1e4, 1e6)
+"""Prior precisions tried, of the weight of a wave of size one, per square of the output's unit."""
 QUARTERS = 4
 HALVES = (slice(0, 3), slice(3, 6))
 """Outputs that are force, and those that are moment."""
@@ -110,29 +110,56 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         output: 0 to 5.
     """
     several = flights if len(flights) > 1 else quarters(flights[0])
-    half = output // 3
-    every = [f.moments[half] for f in several if f.moments[half].rows]
-    whole, found = summed([f.moments[half] for f in flights]), {}
+    half, every = output // 3, flights[0].features[0].shape[1]
+    columns = [*range(every), every + output % 3]
+    parts = [f.moments[half].of(columns) for f in several if f.moments[half].rows]
+    whole = summed([f.moments[half].of(columns) for f in flights])
     folds = [(whole, whole)]  # where it is too short to leave any of it out
-    if len(every) > 1:
-        folds = [(summed([m for m in every if m is not one]), one) for one in every]
+    if len(parts) > 1:
+        folds = [(summed([m for m in parts if m is not one]), one) for one in parts]
+    linear, limits = [_linear(train, output) for train, _ in folds], _limits(every, output)
+    found = {}
     for law in LAWS:
-        columns = _columns(law, flights[0], output)
-        tried = PENALTIES if law in ("linear", "waves") else (0.0,)
-        strengths = [_strength(p, len(columns) - 1) for p in tried]
-        limits = _limits(len(columns) - 1, output)
-        parts = [(train.of(columns), test.of(columns)) for train, test in folds]
-        said = [sum(_likelihood(*part, s, limits) for part in parts) for s in strengths]
+        tried = PENALTIES if law == "waves" else (0.0,)
+        said = [
+            sum(
+                _likelihood(_fitted(law, train, own, p, limits), test)
+                for (train, test), own in zip(folds, linear, strict=True)
+            )
+            for p in tried
+        ]
         best = int(np.argmax(said))
-        fit = ridge(whole.of(columns), strengths[best], limits).weights
-        weights = np.zeros(flights[0].features[half].shape[1])
-        weights[: len(fit)] = fit
+        weights = _fitted(law, whole, _linear(whole, output), tried[best], limits).weights
         observer = observer_of(
             [(f.left[:, output] - f.features[half] @ weights, pieces_of(f.piece)) for f in flights]
         )
         found[law] = Candidate(law, tried[best], weights, said[best], observer)
     nothing = found[LAWS[0]].gain
     return {law: replace(c, gain=c.gain - nothing) for law, c in found.items()}
+
+
+def _linear(moments: Moments, output: int) -> list[int]:
+    """Features of a linear law."""
+    n = len(FEATURES)
+    last = moments.products.shape[1] - 1
+    return sorted(sparse(moments.of([*range(n), last]), _limits(n, output))[0])
+
+
+def _fitted(law: str, moments: Moments, linear: Sequence[int], penalty: float, most: Array) -> Fit:
+    """A law, with a weight for every feature."""
+    n = len(most)
+    of_law = {
+        "none": [],
+        "constant": [0],
+        "linear": list(linear),
+        "waves": [*linear, *range(len(FEATURES), n)],
+    }
+    own = of_law[law]
+    strength = np.where(np.array(own) < len(FEATURES), 0.0, penalty)
+    fit = ridge(moments.of([*own, n]), strength, most[own])
+    weights = np.zeros(n)
+    weights[own] = fit.weights
+    return replace(fit, weights=weights)
 
 
 def quarters(flight: Design) -> list[Design]:
@@ -145,24 +172,9 @@ def quarters(flight: Design) -> list[Design]:
     ]
 
 
-def _likelihood(train: Moments, test: Moments, strength: Array, most: Array) -> float:
+def _likelihood(fit: Fit, test: Moments) -> float:
     """Log-likelihood of what was left out, its noise of any size, nats."""
-    fit = ridge(train, strength, most)
     return -test.rows / 2 * float(np.log(missed(test, fit.weights, fit.noise)))
-
-
-def _columns(law: str, flight: Design, output: int) -> list[int]:
-    """Features of a law, and the output."""
-    every = flight.features[0].shape[1]
-    n = {"none": 0, "constant": 1, "linear": len(FEATURES), "waves": every}[law]
-    return [*range(n), every + output % 3]
-
-
-def _strength(penalty: float, n: int) -> Array:
-    """Prior precision of each weight; the constant has none."""
-    strength = np.full(n, penalty)
-    strength[:1] = 0.0
-    return strength
 
 
 def _limits(n: int, output: int) -> Array:

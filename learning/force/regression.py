@@ -28,6 +28,8 @@ ROUNDS = 100
 """Of weights and noise in turn, at most."""
 SETTLED = 1e-3
 """Change of the weights, in their own deviations, below which nothing is to be gained."""
+MOST, TRIED = 8, 3
+"""Features of a sparse fit, at most; and how many are tried under each noise."""
 CHUNK = 4096
 """Rows that are taken at once, which bounds the memory."""
 _TINY = 1e-9
@@ -123,14 +125,29 @@ class Fit:
 def ridge(moments: Moments, penalty: Array, most: Array) -> Fit:
     """Weights by penalised least squares on what is whitened by the noise that they leave.
 
+    Noise that is slow can stand for a slow cause, and weights for slow noise: from weights of zero
+    one ends in the former, from plain least squares in the latter. Both are tried, and the more
+    probable one is taken.
+
     Args:
         moments: Of the features and, last, of what they explain.
         penalty: Prior precision of each weight, in units of what is new, shape (m - 1,); 0: none.
         most: Largest weight allowed, infinite without a limit, shape (m - 1,).
     """
-    weights = np.zeros(len(penalty))
+    nothing = np.zeros(len(penalty))
+    if not len(penalty):
+        return Fit(nothing, *noise_of(moments, nothing))
+    fits = [_settled(moments, penalty, most, start) for start in (nothing, _plain(moments, most))]
+    surprise = [
+        moments.rows / 2 * np.log(f.new) + f.weights @ (penalty * f.weights) / 2 for f in fits
+    ]
+    return fits[int(np.argmin(surprise))]
+
+
+def _settled(moments: Moments, penalty: Array, most: Array, weights: Array) -> Fit:
+    """Weights and noise in turn, until neither changes."""
     noise, new = noise_of(moments, weights)
-    for _ in range(ROUNDS if len(weights) else 0):
+    for _ in range(ROUNDS):
         white = moments.whitened(noise) / new
         normal = white[:-1, :-1] + np.diag(penalty + _TINY * moments.rows)
         before, weights = weights, _bounded(normal, white[:-1, -1], most)
@@ -139,6 +156,61 @@ def ridge(moments: Moments, penalty: Array, most: Array) -> Fit:
         if step @ normal @ step < SETTLED**2 * len(step):
             break
     return Fit(weights, noise, new)
+
+
+def sparse(moments: Moments, most: Array) -> tuple[list[int], Fit]:
+    """Weights of few features: one after the other is taken as long as it is worth its price.
+
+    Which features to try is told by plain least squares under two noises, that of what the features
+    so far leave and that of what all of them would leave; what is taken, by all of it fitted anew.
+    The price is that of the extended Bayesian information criterion.
+
+    Args:
+        moments: Of the features and, last, of what they explain.
+        most: Largest weight of each allowed, shape (m - 1,).
+
+    Returns:
+        Columns of the features, and weights of these.
+
+    Source: Chen & Chen, Biometrika 95, 2008, gamma 1.
+    """
+    n = len(most)
+    price = np.log(max(moments.rows, 2)) / 2 + np.log(max(n, 1))
+    chosen, fit = [], ridge(moments.of([n]), np.zeros(0), np.zeros(0))
+    flat = _settled(moments, np.zeros(n), most, _plain(moments, most)).noise
+    while len(chosen) < min(MOST, n):
+        tried = {}
+        for noise in (fit.noise, flat):
+            for column in _promising(moments.whitened(noise), chosen):
+                if column not in tried:
+                    own = [*chosen, column]
+                    tried[column] = ridge(moments.of([*own, n]), np.zeros(len(own)), most[own])
+        best = min(tried, key=lambda c: tried[c].new)
+        if moments.rows / 2 * np.log(fit.new / tried[best].new) < price:
+            break
+        chosen, fit = [*chosen, best], tried[best]
+    return chosen, fit
+
+
+def _promising(white: Array, chosen: Sequence[int]) -> list[int]:
+    """Features that would save most beside those that are there, by plain least squares."""
+    n = len(white) - 1
+    others = [c for c in range(n) if c not in chosen]
+    held = white
+    if chosen:
+        own = list(chosen)
+        beside = np.linalg.solve(
+            white[np.ix_(own, own)] + _TINY * np.trace(white) * np.eye(len(own)), white[own]
+        )
+        held = white - white[:, own] @ beside
+    saves = [held[c, n] ** 2 / max(held[c, c], _TINY * white[c, c] + 1e-300) for c in others]
+    return [others[i] for i in np.argsort(saves)[::-1][:TRIED]]
+
+
+def _plain(moments: Moments, most: Array) -> Array:
+    """Weights by least squares, nothing whitened."""
+    now = moments.products[0, :, 0]
+    return _bounded(now[:-1, :-1] + _TINY * moments.rows * np.eye(len(most)), now[:-1, -1], most)
 
 
 def noise_of(moments: Moments, weights: Array) -> tuple[Array, float]:

@@ -2,8 +2,9 @@
 
 For each output the laws of `learning.force.candidates` by which flights left out are more probable
 than without are put into the FMU of the driven twin, one after the other beside what was chosen
-before, and flights that took no part in their fit are replayed through it. A law is taken where the twin is then less far off, beside its observer, and in
-no quantity farther. These flights choose; what the law is worth, others say.
+before, and flights that took no part in their fit are replayed through it. A law is taken where the
+twin is then less far off, beside its observer, and in no quantity farther. These flights choose;
+what the law is worth, others say.
 """
 
 import hashlib

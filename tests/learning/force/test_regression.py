@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from learning.force.regression import (
     ORDER,
@@ -65,6 +65,16 @@ def test_a_feature_that_answers_slow_noise_is_not_taken_for_its_cause() -> None:
     assert abs(plain - 1) > 1, "the planted trap is one"
     assert fit.weights[0] == pytest.approx(1.0, abs=0.1)
     assert fit.noise[1] == pytest.approx(-0.98, abs=0.1)
+
+
+def test_a_slow_cause_is_not_taken_for_slow_noise() -> None:
+    """Drag of a slow flight: an autoregression foretells it nearly as well as the velocity."""
+    rng = np.random.default_rng(6)
+    velocity = np.asarray(lfilter(*butter(2, 0.01), 30 * rng.normal(size=N)))
+    y = -0.6 * velocity + 0.02 * rng.normal(size=N)
+    for penalty in (0.0, 1.0, 100.0):
+        fit = ridge(_moments(velocity, y), np.full(1, penalty), FREE[:1])
+        assert fit.weights[0] == pytest.approx(-0.6, abs=0.01)
 
 
 def test_a_penalty_shrinks_and_a_limit_holds() -> None:
