@@ -141,7 +141,7 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
 def _linear(moments: Moments, output: int) -> list[int]:
     """Features of a linear law."""
     n = len(FEATURES)
-    last = moments.products.shape[1] - 1
+    last = moments.products.shape[-1] - 1
     return sorted(sparse(moments.of([*range(n), last]), _limits(n, output))[0])
 
 
@@ -154,9 +154,13 @@ def _fitted(law: str, moments: Moments, linear: Sequence[int], penalty: float, m
         "linear": list(linear),
         "waves": [*linear, *range(len(FEATURES), n)],
     }
-    own = of_law[law]
+    own, few = of_law[law], list(linear)
+    start = None
+    if law == "waves":  # begins with the linear law, which it holds
+        start = np.zeros(len(own))
+        start[: len(few)] = ridge(moments.of([*few, n]), np.zeros(len(few)), most[few]).weights
     strength = np.where(np.array(own) < len(FEATURES), 0.0, penalty)
-    fit = ridge(moments.of([*own, n]), strength, most[own])
+    fit = ridge(moments.of([*own, n]), strength, most[own], start)
     weights = np.zeros(n)
     weights[own] = fit.weights
     return replace(fit, weights=weights)

@@ -41,7 +41,7 @@ class Moments:
 
     Attributes:
         products: Of column a i rows ago with column b j rows ago, shape
-            (ORDER + 1, m, ORDER + 1, m).
+            (ORDER + 1, ORDER + 1, m, m): i, j, a, b.
         rows: How many.
     """
 
@@ -51,11 +51,12 @@ class Moments:
     def of(self, columns: Sequence[int]) -> "Moments":
         """Of some of the columns."""
         chosen = list(columns)
-        return Moments(self.products[:, chosen][:, :, :, chosen], self.rows)
+        products = np.ascontiguousarray(self.products[:, :, chosen][:, :, :, chosen])
+        return Moments(products, self.rows)
 
     def between(self, weights: Array) -> Array:
         """Products of a weighted sum of the columns with itself, shape (ORDER + 1, ORDER + 1)."""
-        return np.asarray(np.einsum("iajb,a,b->ij", self.products, weights, weights, optimize=True))
+        return np.asarray(np.tensordot(self.products, np.outer(weights, weights), 2))
 
     def whitened(self, noise: Array) -> Array:
         """Products of the columns as a filter shows them, shape (m, m).
@@ -63,7 +64,7 @@ class Moments:
         Args:
             noise: The filter, newest row first, shape (ORDER + 1,).
         """
-        return np.asarray(np.einsum("iajb,i,j->ab", self.products, noise, noise, optimize=True))
+        return np.asarray(np.tensordot(np.outer(noise, noise), self.products, 2))
 
 
 def moments_of(columns: Array, pieces: Iterable[slice]) -> Moments:
@@ -85,7 +86,8 @@ def moments_of(columns: Array, pieces: Iterable[slice]) -> Moments:
             ago = np.hstack([part[a : a + some] for a in starts])
             products += ago.T @ ago
         rows += n
-    return Moments(products.reshape(ORDER + 1, m, ORDER + 1, m), rows)
+    ordered = products.reshape(ORDER + 1, m, ORDER + 1, m).transpose(0, 2, 1, 3)
+    return Moments(np.ascontiguousarray(ordered), rows)
 
 
 def summed(moments: Sequence[Moments]) -> Moments:
@@ -122,7 +124,7 @@ class Fit:
     new: float
 
 
-def ridge(moments: Moments, penalty: Array, most: Array) -> Fit:
+def ridge(moments: Moments, penalty: Array, most: Array, start: Array | None = None) -> Fit:
     """Weights by penalised least squares on what is whitened by the noise that they leave.
 
     Noise that is slow can stand for a slow cause, and weights for slow noise: from weights of zero
@@ -133,11 +135,13 @@ def ridge(moments: Moments, penalty: Array, most: Array) -> Fit:
         moments: Of the features and, last, of what they explain.
         penalty: Prior precision of each weight, in units of what is new, shape (m - 1,); 0: none.
         most: Largest weight allowed, infinite without a limit, shape (m - 1,).
+        start: Weights to begin with in place of both, where they are known nearly.
     """
     nothing = np.zeros(len(penalty))
     if not len(penalty):
         return Fit(nothing, *noise_of(moments, nothing))
-    fits = [_settled(moments, penalty, most, start) for start in (nothing, _plain(moments, most))]
+    starts = (nothing, _plain(moments, most)) if start is None else (start,)
+    fits = [_settled(moments, penalty, most, begin) for begin in starts]
     surprise = [
         moments.rows / 2 * np.log(f.new) + f.weights @ (penalty * f.weights) / 2 for f in fits
     ]
@@ -209,7 +213,7 @@ def _promising(white: Array, chosen: Sequence[int]) -> list[int]:
 
 def _plain(moments: Moments, most: Array) -> Array:
     """Weights by least squares, nothing whitened."""
-    now = moments.products[0, :, 0]
+    now = moments.products[0, 0]
     return _bounded(now[:-1, :-1] + _TINY * moments.rows * np.eye(len(most)), now[:-1, -1], most)
 
 

@@ -30,7 +30,7 @@ from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
-from .choice import Fold, Steps, as_flown, best_law
+from .choice import WORTH, Fold, Steps, as_flown, best_law
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 
@@ -152,7 +152,7 @@ def _flown(
             tried = {
                 name: squares([*laws[:i], name, *laws[i + 1 :]])
                 for name, gain in gains.items()
-                if gain > 0
+                if gain > WORTH
             }
             found.append(
                 tuple(

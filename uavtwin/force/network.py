@@ -26,7 +26,7 @@ from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS, ForceLaw
 from twin.physics.rotors import Drive
 
-from .choice import Fold, Steps, as_flown, best_law
+from .choice import WORTH, Fold, Steps, as_flown, best_law
 
 Array = NDArray[np.float64]
 NETWORK = "svq"
@@ -77,7 +77,7 @@ def flown_network(
             network = train_network(fold.prepared, law, seed, folders[-1])
             gains += _gains(fold, law, network)
             steps.one()
-        if not (gains > 0).any():
+        if not (gains > WORTH).any():
             return [Flown(NETWORK, gain) for gain in gains.tolist()]
         twins = []
         for fold, folder in zip(folds, folders, strict=True):
@@ -98,7 +98,7 @@ def flown_network(
         found: list[Flown] = []
         least = squares(used)
         for i, gain in enumerate(gains.tolist()):
-            if gain <= 0:
+            if gain <= WORTH:
                 found.append(Flown(NETWORK, gain))
                 continue
             tried = squares([*used[:i], True, *used[i + 1 :]])

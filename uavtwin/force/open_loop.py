@@ -70,6 +70,7 @@ class Replay:
         whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
         self._names = [n for n in whole.dtype.names or () if n != "time"]
         self._given = np.column_stack([whole[n] for n in self._names])
+        self._changes = _changes(self._names, self._given)
         self._there = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
         known = aligned.airborne & np.isfinite(self._there).all(axis=1)
@@ -95,6 +96,7 @@ class Replay:
         whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
         other._names = [n for n in whole.dtype.names or () if n != "time"]
         other._given = np.column_stack([whole[n] for n in other._names])
+        other._changes = _changes(other._names, other._given)
         return other
 
     def through(
@@ -126,7 +128,7 @@ class Replay:
                     found.append(self._alone(slave, row))
                     slave.restore(kept)
                     progress(len(found) / len(due))
-                self._step(slave, row, follow=True)
+                self._step(slave, row, 1, follow=True)
         finally:
             slave.close()
         values = np.array(found)
@@ -162,21 +164,31 @@ class Replay:
         return OpenLoop(left_s, _off(motion, there), nothing if watched is None else watched)
 
     def _alone(self, slave: Slave, row: int) -> list[Array]:
-        """Outputs at the horizons after a row."""
-        rows = []
-        for k in range(self._steps[-1]):
-            self._step(slave, row + k, follow=False)
-            if k + 1 in self._steps:
+        """Outputs at the horizons after a row; from one change of an input to the next at once."""
+        first = np.searchsorted(self._changes, row + 1)
+        last = np.searchsorted(self._changes, row + self._steps[-1])
+        stops = {*(self._changes[first:last] - row).tolist(), *self._steps}
+        rows, now = [], 0
+        for stop in sorted(stops):
+            self._step(slave, row + now, stop - now, follow=False)
+            now = stop
+            if now in self._steps:
                 slave.read_outputs()
                 rows.append(slave.outputs.copy())
         return rows
 
-    def _step(self, slave: Slave, row: int, follow: bool) -> None:
-        """From a row to the next."""
+    def _step(self, slave: Slave, row: int, steps: int, follow: bool) -> None:
+        """From a row to a later one, with the inputs of the first."""
         slave.inputs[:] = self._given[row]
         slave.inputs[self._names.index(f"{PREFIX}restart")] *= follow
         slave.write_inputs()
-        slave.step(row * GRID_S, GRID_S)
+        slave.step(row * GRID_S, steps * GRID_S)
+
+
+def _changes(names: Sequence[str], given: Array) -> NDArray[np.intp]:
+    """Rows at which an input changes that matters to a twin that is left alone."""
+    kept = [i for i, n in enumerate(names) if not n.startswith(f"{PREFIX}restart")]
+    return np.flatnonzero(np.any(np.diff(given[:, kept], axis=0) != 0, axis=1)) + 1
 
 
 def _left_alone(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
