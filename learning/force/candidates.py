@@ -3,7 +3,7 @@
 | law | is |
 |---|---|
 | `none` | nothing: the equations are right, or no law was found that holds on another flight |
-| `constant` | the mean |
+| `constant` | the mean over flights of what each has on average |
 | `linear` | a sum over few of `FEATURES` |
 | `waves` | the same and random Fourier features of the motion: any smooth function |
 
@@ -34,6 +34,9 @@ LAWS = ("none", "constant", "linear", "waves")
 PENALTIES = (1.0, 1e2, 1e4, 1e6)
 """Prior precisions tried, of the weight of a wave of size one, per square of the output's unit."""
 QUARTERS = 4
+WORTH = 3.0
+"""Nats that flights left out must speak for something before it is believed: odds of twenty."""
+_TINY = 1e-30
 HALVES = (slice(0, 3), slice(3, 6))
 """Outputs that are force, and those that are moment."""
 _AGAINST = tuple(
@@ -53,7 +56,8 @@ class Design:
             force and as moment show them, shape (n, k) each.
         left: Shape (n, 6).
         piece: Number of the uninterrupted piece of flight of each row, shape (n,).
-        moments: Of the features and three outputs, of force and of moment.
+        moments: Of the features and three outputs, of force and of moment, each about its mean in
+            this flight: an offset that is there today says nothing of a law.
     """
 
     features: tuple[Array, Array]
@@ -67,10 +71,8 @@ class Design:
     def of(cls, features: tuple[Array, Array], left: Array, piece: NDArray[np.intp]) -> "Design":
         """The design of these rows."""
         pieces = pieces_of(piece)
-        force, moment = (
-            moments_of(np.hstack([x, left[:, three]]), pieces)
-            for x, three in zip(features, HALVES, strict=True)
-        )
+        both = (np.hstack([x, left[:, three]]) for x, three in zip(features, HALVES, strict=True))
+        force, moment = (moments_of(columns - columns.mean(axis=0), pieces) for columns in both)
         return cls(features, left, piece, (force, moment))
 
     def leaves(self, weights: Array) -> Array:
@@ -130,6 +132,13 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
         ]
         best = int(np.argmax(said))
         weights = _fitted(law, whole, _linear(whole, output), tried[best], limits).weights
+        offsets = np.array(
+            [np.mean(f.left[:, output] - f.features[half] @ weights) for f in flights]
+        )
+        worth = _worth(offsets)
+        if law == "constant" or (law != "none" and worth > WORTH):
+            weights[0] = offsets.mean() / flights[0].features[half][0, 0]
+            said[best] += worth
         observer = observer_of(
             [(f.left[:, output] - f.features[half] @ weights, pieces_of(f.piece)) for f in flights]
         )
@@ -138,11 +147,26 @@ def candidates(flights: Sequence[Design], output: int) -> dict[str, Candidate]:
     return {law: replace(c, gain=c.gain - nothing) for law, c in found.items()}
 
 
+def _worth(offsets: Array) -> float:
+    """Nats by which the mean of the other flights foretells a flight's offset better than zero.
+
+    Args:
+        offsets: By flight, shape (f,); nothing speaks for that of a single one.
+    """
+    n = len(offsets)
+    if n < 2:
+        return 0.0
+    others = (offsets.sum() - offsets) / (n - 1)
+    apart, whole = np.sum((offsets - others) ** 2), np.sum(offsets**2)
+    return float(n / 2 * np.log((whole + _TINY) / (apart + _TINY)))
+
+
 def _linear(moments: Moments, output: int) -> list[int]:
     """Features of a linear law."""
     n = len(FEATURES)
     last = moments.products.shape[-1] - 1
-    return sorted(sparse(moments.of([*range(n), last]), _limits(n, output))[0])
+    chosen, _ = sparse(moments.of([*range(1, n), last]), _limits(n, output)[1:])
+    return sorted(c + 1 for c in chosen)
 
 
 def _fitted(law: str, moments: Moments, linear: Sequence[int], penalty: float, most: Array) -> Fit:
@@ -150,7 +174,7 @@ def _fitted(law: str, moments: Moments, linear: Sequence[int], penalty: float, m
     n = len(most)
     of_law = {
         "none": [],
-        "constant": [0],
+        "constant": [],
         "linear": list(linear),
         "waves": [*linear, *range(len(FEATURES), n)],
     }

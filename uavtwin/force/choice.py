@@ -22,8 +22,6 @@ BETTER = 0.01
 horizons."""
 WORSE = 1.02
 """No quantity may grow by more, in the geometric mean over flights and horizons."""
-WORTH = 3.0
-"""Nats that flights left out must speak for a law before it is flown: odds of twenty."""
 PART = "residual_force."
 _TINY = 1e-30
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cosim.whole_twin import fused_model
 from fmus import build
-from learning.force.candidates import LAWS, Candidate
+from learning.force.candidates import LAWS, WORTH, Candidate
 from learning.force.forecast import AHEAD_S
 from learning.force.instants import instants
 from learning.force.model import NETWORK_FOLDER, Flown, ForceModel, Output, Rival, Taught
@@ -30,7 +30,7 @@ from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
-from .choice import WORTH, Fold, Steps, as_flown, best_law
+from .choice import Fold, Steps, as_flown, best_law
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 

@@ -15,6 +15,7 @@ from cosim.whole_twin import fused_model
 from fmus import build
 from fmus.compensator import native_model, read_network
 from learning.export.write import export_onnx
+from learning.force.candidates import WORTH
 from learning.force.model import Flown, network_starts
 from learning.force.regression import moments_of, pieces_of, saved, summed
 from learning.force.sequence import residual_sequence
@@ -26,7 +27,7 @@ from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS, ForceLaw
 from twin.physics.rotors import Drive
 
-from .choice import WORTH, Fold, Steps, as_flown, best_law
+from .choice import Fold, Steps, as_flown, best_law
 
 Array = NDArray[np.float64]
 NETWORK = "svq"
