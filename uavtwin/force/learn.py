@@ -9,7 +9,7 @@ what the law is worth, others say.
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +62,8 @@ def learn_force(
     for flight in flights:
         seen.append(instants(flight, vehicle))
         progress(_READING * len(seen) / len(flights))
+    prepared = prepare(seen, vehicle, seed)
+    every = prepared.candidates()
     laws = ["none"] * len(OUTPUTS)
     flown: list[tuple[Flown, ...]] = [()] * len(OUTPUTS)
     used = [False] * len(OUTPUTS)
@@ -71,12 +73,10 @@ def learn_force(
             others = prepare([s for s in seen if s is not seen[k]], vehicle, seed)
             replay = Replay(flight, vehicle, AHEAD_S)
             folds.append(Fold(replay, seen[k], others, others.candidates()))
-        laws, flown = _flown(folds, drive, _part(progress, _READING, _LAWS))
+        laws, flown = _flown(folds, every, drive, _part(progress, _READING, _LAWS))
         networks = flown_network(folds, laws, drive, seed, _part(progress, _LAWS, _NETWORK))
         used = [best_law([n]) == NETWORK for n in networks]
         flown = [(*f, n) for f, n in zip(flown, networks, strict=True)]
-    prepared = prepare(seen, vehicle, seed)
-    every = prepared.candidates()
     chosen = [c[name] for c, name in zip(every, laws, strict=True)]
     law, taken = prepared.law(chosen)
     if any(used):
@@ -122,9 +122,19 @@ def _part(progress: Progress, begins: float, ends: float) -> Progress:
 
 
 def _flown(
-    folds: Sequence[Fold], drive: Drive, progress: Progress
+    folds: Sequence[Fold],
+    every: Sequence[Mapping[str, Candidate]],
+    drive: Drive,
+    progress: Progress,
 ) -> tuple[list[str], list[tuple[Flown, ...]]]:
-    """Law of each output, output after output, and what each did."""
+    """Law of each output, output after output, and what each did.
+
+    Args:
+        folds: One per flight.
+        every: Laws by name of each output, of all flights: they say which are worth a flight.
+        drive: Of the twin.
+        progress: Called with the share done.
+    """
     steps = Steps(len(folds) + len(OUTPUTS) * (len(LAWS) - 1) + 1, progress)
     with tempfile.TemporaryDirectory() as folder:
         twins = []
@@ -145,10 +155,7 @@ def _flown(
         found: list[tuple[Flown, ...]] = []
         least = squares(laws)
         for i in range(len(OUTPUTS)):
-            gains = {
-                name: float(np.sum([fold.fitted[i][name].gain for fold in folds]))
-                for name in LAWS[1:]
-            }
+            gains = {name: every[i][name].gain for name in LAWS[1:]}
             tried = {
                 name: squares([*laws[:i], name, *laws[i + 1 :]])
                 for name, gain in gains.items()
