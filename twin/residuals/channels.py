@@ -211,14 +211,14 @@ def on_grid(signal: Signal, t_s: Array) -> Array:
     return signal.at(t_s)
 
 
-def shifted(values: Array, later_s: float) -> Array:
-    """Values on the grid later by a while, by cubic splines, unknown ones bridged.
+def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
+    """Values on a grid later by a while, by cubic splines, unknown ones bridged.
 
     Straight lines between grid points would take a tenth of what moves at a tenth of the grid's
     rate, where they are shifted by half a step, and feign that an age between two samples fits
     noise better than any other.
     """
-    steps = -later_s * GRID_HZ
+    steps = -later_s * rate_hz
     whole = int(np.floor(steps))
     room = abs(whole) + PADDED
     bridged, known = _bridged(values)

@@ -145,7 +145,7 @@ def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
         age_s = late.get(state.name.rpartition("_")[0], 0.0)
         if age_s:
             states = states.copy() if states is aligned.states else states
-            states[:, [i]] = shifted(states[:, [i]], -age_s)
+            states[:, [i]] = shifted(states[:, [i]], -age_s, 1 / aligned.inputs.step_s)
     return states
 
 
