@@ -3,8 +3,8 @@
 from types import MappingProxyType
 
 from twin.flight.mission import PHASES
+from twin.frames import AXES
 
-AXES = ("x", "y", "z")
 _SENSORS = (
     ("gyro", "rad/s"),
     ("acc", "m/s²"),
