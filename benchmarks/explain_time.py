@@ -1,6 +1,6 @@
 """How long `uavtwin explain` takes: `python -m benchmarks.explain_time --out DIR`.
 
-Four flights of 20 s at 200 Hz, one of them held out, with rotor drag that the twin lacks; the whole
+Four flights of 35 s at 200 Hz, one of them held out, with rotor drag that the twin lacks; the whole
 library, missions, report and FMUs included.
 """
 
@@ -17,14 +17,14 @@ from uavtwin.demo.flights import Waypoints, fly
 
 VEHICLE = "copter_default"
 HIDDEN = {"rotor_drag": {"k_xy_1_s": 0.35, "k_z_1_s": 0.2}}
-LEGS, FARTHEST_M = 4, (4.0, 4.0, 1.0)
+LEGS, FARTHEST_M = 8, (4.0, 4.0, 1.0)
 
 
 def waypoints(seed: int) -> Waypoints:
     """A second on the ground, takeoff, and legs to places drawn by a seed."""
     places = np.random.default_rng(seed).uniform(-1, 1, (LEGS, 3)) * FARTHEST_M - (0, 0, 2)
     legs = [("tour", 4.0, (float(x), float(y), float(z))) for x, y, z in places]
-    return (("ground", 1.0, (0.0, 0.0, 0.0)), ("takeoff", 3.0, (0.0, 0.0, -2.0)), *legs)
+    return (("ground", 1.0, (0.0, 0.0, 0.0)), ("takeoff", 2.0, (0.0, 0.0, -2.0)), *legs)
 
 
 def main() -> int:

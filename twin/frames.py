@@ -10,6 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+AXES = ("x", "y", "z")
+FRD = ("forward", "right", "down")
+"""What the axes of the body are called."""
+NED = ("north", "east", "down")
+"""What those of navigation are called."""
 Scalar = Any
 """A float, a NumPy array or a CasADi expression: whatever has `+ - * /`."""
 

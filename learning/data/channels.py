@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from twin.flight.mission import PHASES
+from twin.frames import AXES
 from twin.physics.residual_force import INPUTS, OUTPUTS, SEEN
 from twin.representation import short_repr
 
-AXES = ("x", "y", "z")
 _SENSORS = (
     ("gyro", "rad/s"),
     ("acc", "m/s²"),

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from twin.component.rows import OverRows
 from twin.effects import ages
 from twin.errors import LogError
-from twin.frames import to_body
+from twin.frames import AXES, to_body
 from twin.logs import Flight
-from twin.physics.airframe import AXES
 from twin.physics.residual_force import INPUTS, OUTPUTS, ForceLaw, features, motion_inputs, waves
 from twin.representation import short_repr
 from twin.residuals.aligned import AlignedFlight, align_flight

@@ -180,7 +180,8 @@ def sparse(moments: Moments, most: Array) -> tuple[list[int], Fit]:
     """
     n = len(most)
     price = np.log(max(moments.rows, 2)) / 2 + np.log(max(n, 1))
-    chosen, fit = [], ridge(moments.of([n]), np.zeros(0), np.zeros(0))
+    chosen: list[int] = []
+    fit = ridge(moments.of([n]), np.zeros(0), np.zeros(0))
     flat = _settled(moments, np.zeros(n), most, _plain(moments, most)).noise
     while len(chosen) < min(MOST, n):
         tried = {}
@@ -251,7 +252,7 @@ def saved(taught: Moments, seen: Moments) -> float:
 
 def _bounded(normal: Array, right: Array, most: Array) -> Array:
     """Minimum of w @ normal @ w / 2 - right @ w over w <= most."""
-    free = np.linalg.solve(normal, right)
+    free: Array = np.linalg.solve(normal, right)
     if (free <= most).all():
         return free
     root = np.linalg.cholesky(normal).T

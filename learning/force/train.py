@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import LogError
-from twin.physics.airframe import AXES, airframe
+from twin.frames import AXES
+from twin.physics.airframe import airframe
 from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw, power
 from twin.representation import short_repr
 from twin.residuals.channels import CHANNEL_HZ

@@ -48,6 +48,20 @@ def test_a_step_is_given_the_motion_at_its_end(flown: tuple[Flight, AlignedFligh
         np.testing.assert_array_equal(table[f"airframe.restart.{name}"][rows - 1], there)
 
 
+def test_the_age_of_a_pose_is_taken_out_on_the_grid_of_the_twin(
+    flown: tuple[Flight, AlignedFlight],
+) -> None:
+    """50 ms are fifty steps of the twin, whatever grid the residuals are on."""
+    _, aligned = flown
+    late = plain().with_effects({"position_delay": {"delay_s": 0.05}})
+    names = [s.name for s in aligned.airframe.states]
+    now, prompt = true_motion(late, aligned), aligned.states
+    for name in ("pos_x", "pos_z"):
+        there, logged = now[:, RIGID.index(name)], prompt[:, names.index(name)]
+        np.testing.assert_allclose(there[600:-100], logged[650:-50], atol=2e-4)
+        assert np.abs(there[600:-100] - logged[600:-100]).max() > 0.01
+
+
 def test_unknown_motion_is_never_given(flown: tuple[Flight, AlignedFlight]) -> None:
     flight, aligned = flown
     states = aligned.states.copy()

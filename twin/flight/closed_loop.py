@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..errors import ModelError
-from ..physics.airframe import AXES, airframe
+from ..frames import AXES
+from ..physics.airframe import airframe
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .control.hover import drives, thrust_inverse

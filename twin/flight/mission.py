@@ -23,7 +23,7 @@ import numpy as np
 from ..component import Component, ComponentBuilder
 from ..component.portable import cosine, sine
 from ..errors import ModelError
-from ..physics.airframe import AXES
+from ..frames import AXES
 from ..vehicle import Vehicle
 from .minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
 

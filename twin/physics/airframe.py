@@ -17,45 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, ComponentBuilder
-from ..effects import Blocks, Effect, Period, effects_of
+from ..effects import Blocks, Effect, effects_of
 from ..effects.stages import AIR_DENSITY_KG_M3, Air, Body, Motion, Thrust, Wrench
-from ..errors import ModelError
-from ..frames import carried, cross, quaternion_rate, to_body, to_ned
+from ..frames import AXES, FRD, NED, cross, to_body
 from ..vehicle import Vehicle
-from ..vehicle.thrust_map import first_reaching, hover_level
+from ..vehicle.thrust_map import hover_level
+from .disturbance_observer import RESTARTS, followed
 from .ground import ground_contact
+from .rigid_body import OUTSIDE, angular_acceleration, inertia_matrix, motion_states, move
 from .rotor_air import hub_loads
 from .rotors import Drive, rotor_equations, rotor_inputs
+from .trim import hover_trim
 
 Array = NDArray[np.float64]
-AXES = ("x", "y", "z")
-_FRD = ("forward", "right", "down")
-_NED = ("north", "east", "down")
-RESTART_PERIOD_S = 1e-3
-"""The communication step of the co-simulation."""
-_RESTARTS = Period(RESTART_PERIOD_S, "Time between two instants at which it can be set anew")
-START_HEIGHT_M = 10.0
-"""Height at which the airframe starts, in hover, when no start value says otherwise."""
-_START = {"pos_z": -START_HEIGHT_M, "q_w": 1.0}
-_MOTION = (
-    *((f"pos_{a}", "m", f"position, NED {d}") for a, d in zip(AXES, _NED, strict=True)),
-    *((f"vel_{a}", "m/s", f"velocity, NED {d}") for a, d in zip(AXES, _NED, strict=True)),
-    *((f"q_{a}", "1", f"attitude quaternion body to NED, {a}") for a in "wxyz"),
-    *((f"omega_{a}", "rad/s", f"body rate about {d}") for a, d in zip(AXES, _FRD, strict=True)),
-)
-"""States of the rigid body: name, unit, meaning."""
-_OUTSIDE = tuple(
-    (f"{name}_{a}", unit, f"{meaning} {d}")
-    for name, unit, meaning in (
-        ("force", "N", "Force from outside, body"),
-        ("moment", "N.m", "Moment from outside about"),
-    )
-    for a, d in zip(AXES, _FRD, strict=True)
-)
-"""What may act on it from outside, about the centre of mass: name, unit, meaning."""
-OBSERVER_LAG_S, OBSERVER_FADE_S = 0.2, 1.0
-"""Of the disturbance observer. Of 0.1, 0.2 and 0.5 s, and fades of 0.7 and 1 s, on the residuals of
-three real hovers (RflySimDT) none forecast half a second better by more than a tenth."""
 
 
 def airframe(
@@ -76,8 +50,8 @@ def airframe(
             `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
             the vehicle are always in, and on.
         restart: Whether it can be set anew while it runs: inputs `restart` and `restart.pos_x`
-            to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is
-            true its motion is the given one; rotors and memories go on as they are.
+            to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
+            its motion is the given one; rotors and memories go on as they are.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
@@ -98,12 +72,12 @@ def _equations(
     inputs = rotor_inputs(m, vehicle, drive)
     periods = sorted((e.period for e in effects if e.period), key=lambda p: p.seconds)
     if restart:
-        periods.insert(0, _RESTARTS)
+        periods.insert(0, RESTARTS)
     period = m.sampled(periods[0].seconds, periods[0].description) if periods else ca.SX(0)
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     motion = _motion(m, vehicle, blocks, z_ground, restart)
-    outside = [m.input(name, unit, meaning) for name, unit, meaning in _OUTSIDE]
-    disturbance = _followed(m, motion, period) if restart else []
+    outside = [m.input(name, unit, meaning) for name, unit, meaning in OUTSIDE]
+    disturbance = followed(m, motion, period) if restart else []
     if restart:
         outside = [a + b for a, b in zip(outside, disturbance, strict=True)]
     rotors = blocks.apply(rotor_equations(m, vehicle, drive, inputs, motion, blocks))
@@ -123,39 +97,8 @@ def _equations(
         )
     )
     specific_force_b = [f / motion.body.mass for f in force_b]
-    acceleration_n = to_ned(motion.q_nb, specific_force_b)
-    acceleration_n[2] += motion.gravity
-    angular_acceleration_b = _angular_acceleration(motion, moment_b)
-    for i, axis in enumerate(AXES):
-        m.derivative(f"pos_{axis}", motion.vel_n[i])
-        m.derivative(f"vel_{axis}", acceleration_n[i])
-        m.derivative(f"omega_{axis}", angular_acceleration_b[i])
-    for name, rate in zip("wxyz", quaternion_rate(motion.q_nb, motion.omega_b), strict=True):
-        m.derivative(f"q_{name}", rate)
-
-    for i, axis in enumerate(AXES):
-        m.output(f"pos_{axis}", "m", f"Position, NED {_NED[i]}", motion.pos_n[i])
-    for i, axis in enumerate(AXES):
-        m.output(f"vel_{axis}", "m/s", f"Velocity, NED {_NED[i]}", motion.vel_n[i])
-    for i, name in enumerate("wxyz"):
-        m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", motion.q_nb[i])
-    for i, axis in enumerate(AXES):
-        m.output(f"omega_{axis}", "rad/s", f"Body rate about {_FRD[i]}", motion.omega_b[i])
-    felt_b = carried(specific_force_b, motion.body.origin, motion.omega_b, angular_acceleration_b)
-    for i, axis in enumerate(AXES):
-        m.output(
-            f"specific_force_{axis}",
-            "m/s2",
-            f"Specific force where the vehicle file has the centre of mass, body {_FRD[i]}",
-            felt_b[i],
-        )
-    for i, axis in enumerate(AXES):
-        m.output(
-            f"angular_acceleration_{axis}",
-            "rad/s2",
-            f"Angular acceleration about {_FRD[i]}",
-            angular_acceleration_b[i],
-        )
+    angular_acceleration_b = angular_acceleration(motion, moment_b)
+    move(m, motion, specific_force_b, angular_acceleration_b)
     for i, thrust in enumerate(rotors.thrust, start=1):
         m.output(f"thrust_{i}", "N", f"Thrust of rotor {i}", thrust)
     for i, spin in enumerate(rotors.spin, start=1):
@@ -165,77 +108,11 @@ def _equations(
             speed = spin * hover_level(vehicle)
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
     m.output("voltage", "V", "Battery voltage at the motors", motion.voltage)
-    for (name, unit, meaning), acts in zip(_OUTSIDE, disturbance, strict=restart):
+    for (name, unit, meaning), acts in zip(OUTSIDE, disturbance, strict=restart):
         m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", acts)
     if vehicle.battery is not None:
         m.output("ibat_a", "A", "Battery current", _current(m, vehicle, rotors))
     return m.build()
-
-
-def hover_trim(component: Component, vehicle: Vehicle) -> dict[str, float]:
-    """Start values (inputs and initial rotor states) of an unaccelerated level hover.
-
-    Newton's method with the least-norm step on vertical and angular acceleration against the
-    rotor inputs, at steady rotors, with the derivatives of the component's own equations.
-
-    Raises:
-        ModelError: No command inside 0..1 (no positive speed) hovers.
-    """
-    names = [n for n in component.input_names if n.startswith(("cmd_", "rotor_"))]
-    index = [component.input_names.index(n) for n in names]
-    steady = [i for i, s in enumerate(component.states) if s.name.startswith(("rotor_", "effort_"))]
-    v = ca.SX.sym("v", len(names))
-    r = ca.SX.sym("r", len(steady))
-    u = ca.SX(component.input_values())
-    u[index] = v
-    p = component.parameter_values()
-    x = component.initial(u, p)
-    if steady:
-        x[steady] = r
-    rates = component.derivatives(x, u, p)
-    wanted = [
-        i
-        for i, s in enumerate(component.states)
-        if s.name in ("vel_z", "omega_x", "omega_y", "omega_z")
-    ]
-    residual = ca.vertcat(rates[wanted], rates[steady])
-    unknown = ca.vertcat(v, r)
-    newton = ca.Function("newton", [unknown], [residual, ca.jacobian(residual, unknown)])
-    guess = _trim_guess(vehicle, component.input_names, len(steady))
-    for _ in range(50):
-        value, slope = (np.asarray(a, dtype=np.float64) for a in newton(guess))
-        step = np.linalg.pinv(slope) @ value.ravel()
-        guess = guess - step
-        if np.max(np.abs(step)) < 1e-15 * max(1.0, float(np.max(np.abs(guess)))):
-            break
-    value = np.asarray(newton(guess)[0], dtype=np.float64)
-    commands = guess[: len(names)]
-    too_high = component.input_names[index[0]].startswith("cmd_") and commands.max() > 1
-    if (
-        not np.all(np.isfinite(guess))
-        or np.max(np.abs(value)) > 1e-6
-        or commands.min() < 0
-        or too_high
-    ):
-        raise ModelError(
-            f"{vehicle.name}: no hover trim: rotor inputs {np.round(commands, 4).tolist()} leave "
-            f"an acceleration of {np.max(np.abs(value)):.3g}. Check mass, thrust map, rotor "
-            f"positions and directions."
-        )
-    trim = dict(zip(names, commands.tolist(), strict=True))
-    starts = [f"initial.{component.states[i].name}" for i in steady]
-    return trim | dict(zip(starts, guess[len(names) :].tolist(), strict=True))
-
-
-def _trim_guess(vehicle: Vehicle, inputs: Sequence[str], n_steady: int) -> Array:
-    """Equal rotors that carry the weight: argument of the thrust map, then its state if any."""
-    rotors = vehicle.rotors
-    level = hover_level(vehicle)
-    command = level
-    if rotors.from_speed and rotors.speed_rad_s:
-        command = first_reaching(rotors.speed_rad_s, level, 1.0)
-    first = level if "rotor_1" in inputs else command
-    return np.array([first] * rotors.count + [level] * n_steady)
 
 
 def _motion(
@@ -252,7 +129,7 @@ def _motion(
     """
     wind_n = [
         m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
-        for a, d in zip(AXES, _NED, strict=True)
+        for a, d in zip(AXES, NED, strict=True)
     ]
     density = m.input("density", "kg/m3", "Air density", AIR_DENSITY_KG_M3)
     voltage = ca.SX(vehicle.voltage_v)
@@ -264,10 +141,10 @@ def _motion(
         "gravity", vehicle.gravity_m_s2, "m/s2", "Acceleration of free fall", minimum=0
     )
     body = blocks.apply(
-        Body(mass, _inertia(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
+        Body(mass, inertia_matrix(m, vehicle.inertia_kg_m2), _hubs(m, vehicle), [ca.SX(0)] * 3)
     )
     air = blocks.apply(Air(wind_n))
-    initial, pos_n, vel_n, q_nb, omega_b = _motion_states(m)
+    initial, pos_n, vel_n, q_nb, omega_b = motion_states(m)
     reference = m.parameter(
         "reference_density",
         AIR_DENSITY_KG_M3,
@@ -290,135 +167,6 @@ def _motion(
     )
 
 
-def _followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> list[ca.SX]:
-    """Let inputs set the motion while the component runs; force and moment learned meanwhile.
-
-    From one instant with `restart` to the next the motion drifts from the given one by what the
-    equations lack. That is put down to a force and a moment, in a first-order lag, which act from
-    then on and fade once the motion is no longer given: a disturbance observer.
-
-    Returns:
-        Force and moment, body FRD, 6 rows; zero while the observer is switched off.
-
-    Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE
-    Trans. Industrial Electronics 63, 2016, sec. II.
-    """
-    now = m.input("restart", "1", "Whether the motion is the given one", boolean=True) > 0.5
-    given = {
-        name: m.input(f"restart.{name}", unit, f"Given {meaning}", _START.get(name, 0.0))
-        for name, unit, meaning in _MOTION
-    }
-    q = [given[f"q_{a}"] for a in "wxyz"]
-    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
-    given |= {f"q_{a}": c / ca.fmax(length, 1e-12) for a, c in zip("wxyz", q, strict=True)}
-    states = (*motion.pos_n, *motion.vel_n, *motion.q_nb, *motion.omega_b)
-    for (name, _, _), state in zip(_MOTION, states, strict=True):
-        m.update(name, ca.if_else(now, given[name], state))
-
-    on = m.parameter(
-        "disturbance.enabled",
-        0.0,
-        "1",
-        "Whether what the equations lack while the motion is given acts afterwards",
-        boolean=True,
-        minimum=0,
-        maximum=1,
-    )
-    before = m.memory("restart.before", "1", "whether the motion was given an instant ago")
-    m.update("restart.before", now)
-    follows = ca.logic_and(now, before > 0.5)
-    drift_n = [given[f"vel_{a}"] - v for a, v in zip(AXES, motion.vel_n, strict=True)]
-    missing = [motion.body.mass * v for v in to_body(motion.q_nb, drift_n)]
-    turned = [given[f"omega_{a}"] - w for a, w in zip(AXES, motion.omega_b, strict=True)]
-    missing += [
-        sum((j * w for j, w in zip(row, turned, strict=True)), start=ca.SX(0))
-        for row in motion.body.inertia
-    ]
-    acts = []
-    for (name, unit, meaning), lacks in zip(_OUTSIDE, missing, strict=True):
-        lag, fade = (
-            m.parameter(f"disturbance.{kind}.{name}", start, "s", text, minimum=1e-2)
-            for kind, start, text in (
-                ("lag", OBSERVER_LAG_S, f"Time constant in which it is learned, {name}"),
-                ("fade", OBSERVER_FADE_S, f"Time constant in which it fades, {name}"),
-            )
-        )
-        known = m.memory(f"disturbance.{name}", unit, f"what the equations lack, {meaning}")
-        learned = ca.if_else(follows, known + lacks / lag, known)
-        m.update(f"disturbance.{name}", ca.if_else(now, learned, known * (1 - period / fade)))
-        acts.append(ca.if_else(on, known, 0.0))
-    return acts
-
-
-def _angular_acceleration(motion: Motion, moment_b: Sequence[ca.SX]) -> list[ca.SX]:
-    """Euler's equation: `J domega/dt = M - omega x (J omega)`."""
-    inertia, omega_b = motion.body.inertia, motion.omega_b
-    momentum = [
-        sum((j * w for j, w in zip(row, omega_b, strict=True)), start=ca.SX(0)) for row in inertia
-    ]
-    net = [a - b for a, b in zip(moment_b, cross(omega_b, momentum), strict=True)]
-    return [
-        sum((i * t for i, t in zip(row, net, strict=True)), start=ca.SX(0))
-        for row in _symmetric_inverse(inertia)
-    ]
-
-
-def _motion_states(
-    m: ComponentBuilder,
-) -> tuple[dict[str, ca.SX], list[ca.SX], list[ca.SX], list[ca.SX], list[ca.SX]]:
-    """Start values by name; position and velocity NED, attitude, body rates."""
-    initial = {
-        name: m.parameter(
-            f"initial.{name}", _START.get(name, 0.0), unit, f"Initial {meaning}", fixed=True
-        )
-        for name, unit, meaning in _MOTION
-    }
-    q0 = [initial[f"q_{a}"] for a in "wxyz"]
-    norm = ca.sqrt(sum((c * c for c in q0), start=ca.SX(0)))
-    for a in "wxyz":
-        initial[f"q_{a}"] = initial[f"q_{a}"] / norm
-    x = {name: m.state(name, unit, meaning, initial[name]) for name, unit, meaning in _MOTION}
-    q = [x[f"q_{a}"] for a in "wxyz"]
-    length = ca.sqrt(sum((c * c for c in q), start=ca.SX(0)))
-    for a, c in zip("wxyz", q, strict=True):
-        m.projection(f"q_{a}", c / length)
-    return (
-        initial,
-        [x[f"pos_{a}"] for a in AXES],
-        [x[f"vel_{a}"] for a in AXES],
-        q,
-        [x[f"omega_{a}"] for a in AXES],
-    )
-
-
-def _inertia(m: ComponentBuilder, J: Array) -> list[list[ca.SX]]:
-    element = {
-        a + b: m.parameter(
-            f"inertia.{a}{b}",
-            float(J[i, j]),
-            "kg.m2",
-            f"Inertia matrix about the centre of mass, element {a}{b}",
-            minimum=1e-9 if i == j else None,
-        )
-        for i, a in enumerate(AXES)
-        for j, b in enumerate(AXES)
-        if i <= j
-    }
-    return [[element["".join(sorted(a + b))] for b in AXES] for a in AXES]
-
-
-def _symmetric_inverse(J: list[list[ca.SX]]) -> list[list[ca.SX]]:
-    """Inverse of a symmetric 3x3 matrix by its adjugate."""
-    (a, b, c), (_, d, e), (_, _, f) = J
-    adjugate = [
-        [d * f - e * e, c * e - b * f, b * e - c * d],
-        [c * e - b * f, a * f - c * c, b * c - a * e],
-        [b * e - c * d, b * c - a * e, a * d - b * b],
-    ]
-    determinant = a * adjugate[0][0] + b * adjugate[0][1] + c * adjugate[0][2]
-    return [[value / determinant for value in row] for row in adjugate]
-
-
 def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
     """Linear and quadratic drag along the body axes.
 
@@ -432,14 +180,14 @@ def _drag(m: ComponentBuilder, vehicle: Vehicle, motion: Motion) -> list[ca.SX]:
             f"drag.linear_{axis}",
             float(vehicle.drag_linear_n_s_m[i]),
             "N.s/m",
-            f"Linear drag along body {_FRD[i]}",
+            f"Linear drag along body {FRD[i]}",
             minimum=0,
         )
         quadratic = m.parameter(
             f"drag.quadratic_{axis}",
             float(vehicle.drag_quadratic_n_s2_m2[i]),
             "N.s2/m2",
-            f"Quadratic drag along body {_FRD[i]}",
+            f"Quadratic drag along body {FRD[i]}",
             minimum=0,
         )
         force.append(-motion.density * (linear + quadratic * ca.fabs(air)) * air)
@@ -479,7 +227,7 @@ def _per_axis(
     """Three numbers that are not negative as parameters, one per body axis."""
     return [
         m.parameter(f"{name}_{a}", v, unit, f"{meaning} {d}", minimum=0)
-        for a, d, v in zip(AXES, _FRD, values.tolist(), strict=True)
+        for a, d, v in zip(AXES, FRD, values.tolist(), strict=True)
     ]
 
 
@@ -490,7 +238,7 @@ def _hubs(m: ComponentBuilder, vehicle: Vehicle) -> list[list[ca.SX]]:
             m.parameter(
                 f"rotor_{n}.{a}", hub[k], "m", f"Hub of rotor {n} from the centre of mass, {d}"
             )
-            for k, (a, d) in enumerate(zip(AXES, _FRD, strict=True))
+            for k, (a, d) in enumerate(zip(AXES, FRD, strict=True))
         ]
         for n, hub in enumerate(vehicle.rotors.position_m.tolist(), start=1)
     ]

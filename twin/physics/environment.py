@@ -10,8 +10,8 @@ from ..component import Component, ComponentBuilder
 from ..component.portable import binomial_power
 from ..effects import Blocks, effects_of
 from ..effects.gust import Breeze
+from ..frames import AXES
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .airframe import AXES
 from .atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 
 SAMPLE_PERIOD_S = 1e-2

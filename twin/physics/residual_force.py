@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from ..component import Component, ComponentBuilder
 from ..component.portable import cosine
 from ..errors import ModelError
-from ..frames import to_body
+from ..frames import AXES, to_body
 from ..representation import short_repr
 from ..vehicle import Vehicle
-from .airframe import AXES
 
 Array = NDArray[np.float64]
 INPUTS = (

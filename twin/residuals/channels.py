@@ -217,6 +217,14 @@ def shifted(values: Array, later_s: float, rate_hz: float = GRID_HZ) -> Array:
     Straight lines between grid points would take a tenth of what moves at a tenth of the grid's
     rate, where they are shifted by half a step, and feign that an age between two samples fits
     noise better than any other.
+
+    Args:
+        values: (N, channels); what is not a number is unknown.
+        later_s: How much later, s; negative for earlier.
+        rate_hz: Of the grid.
+
+    Returns:
+        (N, channels); a channel of which nothing is known stays unknown.
     """
     steps = -later_s * rate_hz
     whole = int(np.floor(steps))

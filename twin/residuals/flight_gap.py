@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LogError
-from ..frames import rotation_vector
+from ..frames import AXES, rotation_vector
 from ..logs import Flight
 from ..logs.columns import GYRO, POS, QUAT, VEL
-from ..physics.airframe import AXES
 from ..vehicle import Vehicle
 from .aligned import AlignedFlight, align_flight
 from .channels import GRID_HZ

@@ -16,9 +16,9 @@ from ..component.sampled import noiseless_outputs
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
+from ..frames import AXES
 from ..logs import Flight
 from ..logs.columns import is_known, motor_columns
-from ..physics.airframe import AXES
 from ..physics.rotors import Drive
 from ..representation import short_repr
 from ..vehicle import Vehicle

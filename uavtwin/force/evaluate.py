@@ -12,8 +12,8 @@ import pandas as pd
 from learning.force.candidates import LAWS
 from learning.force.model import VEHICLE_FILE, ForceModel, observer_starts
 from twin.errors import TwinError
+from twin.frames import AXES
 from twin.logs import Flight
-from twin.physics.airframe import AXES
 from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from cosim.slave.slave import Slave
 from twin.errors import LogError
-from twin.frames import multiply, rotation_vector
+from twin.frames import AXES, multiply, rotation_vector
 from twin.logs import Flight
-from twin.physics.airframe import AXES
 from twin.representation import short_repr
 from twin.residuals.aligned import align_flight
 from twin.residuals.teacher_forced import GRID_S, RIGID

@@ -11,7 +11,8 @@ from twin.component import Run
 from twin.flight.closed_loop import SETPOINTS, STEP_S, Flown, closed_loop, standing
 from twin.flight.control.lqr_cascade import controller
 from twin.flight.mission import mission, mission_names
-from twin.physics.airframe import AXES, airframe
+from twin.frames import AXES
+from twin.physics.airframe import airframe
 from twin.physics.environment import environment
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle

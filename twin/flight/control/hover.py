@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ...component import Component
 from ...effects import acting_late
 from ...errors import ModelError
-from ...physics.airframe import AXES, airframe
+from ...frames import AXES
+from ...physics.airframe import airframe
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from ...component import Component, ComponentBuilder
-from ...physics.airframe import AXES
+from ...frames import AXES
 from ...vehicle import GRAVITY_M_S2, Vehicle
 from .geometry import (
     attitude_error,

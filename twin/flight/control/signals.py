@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from ...component import ComponentBuilder
-from ...physics.airframe import AXES
+from ...frames import AXES
 
 _NED = ("north", "east", "down")
 _FRD = ("forward", "right", "down")

@@ -8,11 +8,9 @@ import casadi as ca
 from ...component import ComponentBuilder
 from ...effects import Blocks, ComponentName, effects_of
 from ...effects.sensor_stages import Latency
+from ...frames import AXES, FRD, NED
 from ...vehicle import Vehicle
 
-AXES = ("x", "y", "z")
-FRD = ("forward", "right", "down")
-NED = ("north", "east", "down")
 BODY = tuple(f"body {d}" for d in FRD)
 EARTH = tuple(f"NED {d}" for d in NED)
 

@@ -20,10 +20,9 @@ from ...component import Component, ComponentBuilder
 from ...effects import Blocks
 from ...effects.inertial import IMU_CHANNELS
 from ...effects.sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Latency, Mounting
-from ...frames import carried
+from ...frames import AXES, carried
 from ...vehicle import Vehicle
 from .common import (
-    AXES,
     BODY,
     NoiseLevel,
     late,

@@ -13,10 +13,9 @@ import casadi as ca
 
 from ...component import Component, ComponentBuilder
 from ...effects.sensor_stages import EarthField, MagReading
-from ...frames import to_body
+from ...frames import AXES, to_body
 from ...vehicle import Vehicle
 from .common import (
-    AXES,
     BODY,
     EARTH,
     attitude_input,

@@ -19,10 +19,9 @@ import casadi as ca
 from ...component import Component, ComponentBuilder
 from ...component.portable import cosine, sine
 from ...effects.sensor_stages import Latency
-from ...frames import cross, multiply, to_ned
+from ...frames import AXES, cross, multiply, to_ned
 from ...vehicle import Vehicle
 from .common import (
-    AXES,
     BODY,
     EARTH,
     NoiseLevel,
