@@ -252,9 +252,9 @@ def saved(taught: Moments, seen: Moments) -> float:
 
 def _bounded(normal: Array, right: Array, most: Array) -> Array:
     """Minimum of w @ normal @ w / 2 - right @ w over w <= most."""
-    free: Array = np.linalg.solve(normal, right)
+    free = np.linalg.solve(normal, right)
     if (free <= most).all():
-        return free
+        return np.asarray(free, dtype=np.float64)
     root = np.linalg.cholesky(normal).T
     there = solve_triangular(root.T, right, lower=True)
     return np.asarray(lsq_linear(root, there, (-np.inf, most), method="bvls").x)
