@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -176,6 +177,17 @@ def _refuse(name: str, given: Vehicle | None, model: str) -> None:
     """Refuse a vehicle that has no part in an evaluation."""
     if given is not None:
         raise TwinError(f"evaluate: {name} does not go with {model}.")
+
+
+def check_extra_learn() -> None:
+    """Refuse what needs torch where it is not, before anything long is done.
+
+    Raises:
+        TwinError: It is not installed; the text says how to install it.
+    """
+    with extra_learn():
+        if find_spec("torch") is None:
+            raise ModuleNotFoundError("no torch", name="torch")
 
 
 @contextmanager

@@ -184,11 +184,14 @@ def test_the_same_seed_gives_the_same_bytes(
         assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
 
 
+@pytest.mark.parametrize(
+    "verb", [("evaluate", "model", "log.ulg"), ("train", "log.ulg", "--vehicle", "x.toml")]
+)
 def test_a_machine_without_torch_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    verb: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import sys
 
-    monkeypatch.setitem(sys.modules, "uavtwin.evaluation", None)
+    monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(TwinError, match=r"extra `learn`: pip install 'uavtwin\[learn\]'"):
-        _run("evaluate", tmp_path, tmp_path / "log.ulg")
+        _run(*verb)

@@ -35,10 +35,12 @@ def evaluate(
     from learning.force.model import FILE, NETWORK_FILE
     from twin.logs import read_flight
 
+    from ..learned import check_extra_learn
     from ..learned import evaluate as evaluate_folder
     from ..output import check_folder, results_folder, write_json, write_run
     from ..vehicles import load_vehicle
 
+    check_extra_learn()
     check_folder(out, force)
     others = {
         name: load_vehicle(path)

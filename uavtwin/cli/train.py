@@ -46,10 +46,12 @@ def train(
     """
     from twin.logs import read_flight
 
+    from ..learned import check_extra_learn
     from ..learned import train as train_model
     from ..output import write_run
     from ..vehicles import load_vehicle
 
+    check_extra_learn()
     model = load_vehicle(vehicle)
     read = [read_flight(path) for path in flights]
     with progress("training") as step:

@@ -231,7 +231,7 @@ def test_any_name_is_an_identifier_or_refused(
         ({"channels": [*CHANNELS[:-1], CHANNELS[0]]}, "a name is there twice"),
         ({"channels": [*CHANNELS[:-1], "sonar_x"]}, "sonar_x.*begin with"),
         ({"commands": ["a", "b", "c", "phase"]}, "another signal's"),
-        ({"commands": [f"cmd_{i}" for i in range(13)]}, "list of 1 to 12"),
+        ({"commands": [f"cmd_{i}" for i in range(65)]}, "list of 1 to 64"),
         ({"groups": [f"g{i}" for i in range(65)]}, "list of 1 to 64"),
         ({"units": [*UNITS[:-1], "N.s99999/rad99999"]}, "must be a unit"),
         ({"units": [*UNITS[:-1], 3]}, "must be a unit"),

@@ -1,0 +1,66 @@
+"""One rotation: explain, learn, export, fly."""
+
+import hashlib
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import learning
+import twin
+import uavtwin
+from learning.force.model import load_force
+from twin.explain.explanation import explain
+from uavtwin.explanation import explained_vehicle
+from uavtwin.force.evaluate import evaluate_force
+from uavtwin.force.train import force_claim, train_force
+from uavtwin.vehicles import Vehicle
+
+from .rotations import Places, Rotation
+
+SEED = 0
+
+
+def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
+    """Everything the page needs to know about one rotation, as JSON content."""
+    start = time.perf_counter()
+    taught, flown, physics = rotation.read(places)
+    vehicle, named = Vehicle.of(physics), []
+    if rotation.explained:
+        found = explain(taught, flown, physics, missions=(), indoors=rotation.indoors)
+        vehicle, named = explained_vehicle(found), list(found.effects)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        train_force(taught, vehicle, SEED, folder, lambda _: None)
+        trained = time.perf_counter()
+        said = evaluate_force(
+            folder, flown, Vehicle.of(physics) if named else None, lambda _: None
+        ).json()
+        outputs = [(o.law, o.network) for o in load_force(folder).outputs]
+        claim = force_claim(folder)
+    return {
+        "group": rotation.group,
+        "name": rotation.name,
+        "named": named,
+        "taught": [f.name for f in taught],
+        "claim": claim,
+        "outputs": outputs,
+        "evaluation": said,
+        "seconds": {
+            "learned": round(trained - start, 1),
+            "all": round(time.perf_counter() - start, 1),
+        },
+    }
+
+
+def key(rotation: Rotation, places: Places) -> str:
+    """Name of a rotation and hash of all that it depends on, the sources included."""
+    digest = hashlib.sha256()
+    for package in (twin, learning, uavtwin):
+        root = Path(next(iter(package.__path__)))
+        for file in sorted(root.rglob("*.py")):
+            digest.update(str(file.relative_to(root)).encode() + file.read_bytes())
+    taught, flown = rotation.files(places)
+    for file in (Path(__file__), *taught, *flown):
+        digest.update(file.read_bytes())
+    return f"{rotation.group}.{rotation.name}.{digest.hexdigest()[:12]}"
