@@ -1,6 +1,6 @@
 """Evaluation: a compensator and trivial baselines on flights of their own."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from fmus.compensator import FILE
 from learning.data.channels import CHANNELS, SENSORS, UNITS
-from learning.data.flights import ResidualFlight, residual_flight
+from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import read_residuals
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.model.corrected import Corrected
@@ -20,6 +21,8 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
+from .compiled import CompiledCompensator
+from .flights import check_names
 from .output import output_file
 from .report.figures import embedded, pretty_unit
 from .report.gap import number, percent
@@ -44,6 +47,7 @@ class Evaluation(Shown):
         flights: Residuals against the model's own vehicle.
         explained: What another vehicle's sensors read on the same grid, by flight; or None.
         corrected: By flight.
+        runs: What was run: "fmu", or "python" of a family that has none.
     """
 
     model: TrainedModel
@@ -51,6 +55,7 @@ class Evaluation(Shown):
     flights: tuple[ResidualFlight, ...]
     explained: tuple[ResidualFlight, ...] | None
     corrected: tuple[Corrected, ...]
+    runs: str
 
     @property
     def claim(self) -> str:
@@ -85,7 +90,7 @@ class Evaluation(Shown):
 def evaluate_model(
     folder: Path, given: Sequence[Flight], explained: Vehicle | None, progress: Progress
 ) -> Evaluation:
-    """Compare, correct and score.
+    """Compare, correct and score; what corrects is the exported FMU, where the family has one.
 
     Args:
         folder: That `train` wrote.
@@ -99,6 +104,7 @@ def evaluate_model(
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
+    check_names(given)
     _check_new(given, folder, model)
     if model.info.channels != SENSORS:
         raise TwinError(
@@ -106,6 +112,8 @@ def evaluate_model(
         )
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
+    rate_hz = model.info.rate_hz
+    before_s = restart_before_s(model.info.protocol, model.info.horizon, rate_hz)
     done, total = 0, len(given) * len(vehicles)
     for flight in given:
         for found, each in zip(residuals, vehicles, strict=True):
@@ -113,17 +121,35 @@ def evaluate_model(
             def share(part: float, done: int = done) -> None:
                 progress((done + part) / total)
 
-            found.append(residual_flight(flight, each, model.info.rate_hz, progress=share))
+            found.append(residual_flight(flight, each, rate_hz, before_s, share))
             done += 1
     flights = residuals[0]
+    compiled = (folder / FILE).is_file()
+    if compiled:
+        with CompiledCompensator(folder) as fmu:
+            said = _Said({f.name: fmu.run(f) for f in flights})
+    else:
+        said = _Said({f.name: model.run(f) for f in flights})
     task = Task(model.info.protocol, model.info.horizon)
     return Evaluation(
         model=model,
-        table=evaluate({MODEL: model}, train, flights, task),
+        table=evaluate({MODEL: said}, train, flights, task),
         flights=tuple(flights),
         explained=tuple(residuals[1]) if len(residuals) > 1 else None,
-        corrected=tuple(model.run(f) for f in flights),
+        corrected=tuple(said.corrected.values()),
+        runs="fmu" if compiled else "python",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What a model has said of flights, by their names."""
+
+    corrected: Mapping[str, Corrected]
+
+    def run(self, flight: ResidualFlight) -> Corrected:
+        """Of a flight."""
+        return self.corrected[flight.name]
 
 
 def _check_new(flights: Sequence[Flight], folder: Path, model: TrainedModel) -> None:
@@ -189,6 +215,7 @@ def evaluation_json(found: Evaluation) -> dict[str, Any]:
     info = found.model.info
     return {
         "family": found.model.family,
+        "runs": found.runs,
         "protocol": info.protocol,
         "horizon": info.horizon,
         "horizon_s": info.horizon / info.rate_hz,

@@ -115,7 +115,7 @@ def train(
         from . import training
     _check_kind(out, "force.json", "a learned force")
     plan = training.plan_training(preset, protocol, horizon, epochs, seed, out, force)
-    residuals = training.prepare(several, model, rate_hz, lambda done: progress(0.1 * done))
+    residuals = training.prepare(plan, several, model, rate_hz, lambda done: progress(0.1 * done))
     written = training.run_training(
         plan, residuals, model, out, lambda done: progress(0.1 + 0.9 * done)
     )

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from learning.data.channels import CHANNELS, UNITS
-from learning.data.flights import ResidualFlight, residual_flight
+from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import write_residuals
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
@@ -87,21 +87,26 @@ def plan_training(
 
 
 def prepare(
-    flights: Sequence[Flight], vehicle: Vehicle, rate_hz: float, progress: Progress
+    plan: Plan,
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    rate_hz: float,
+    progress: Progress,
 ) -> list[ResidualFlight]:
-    """Residuals of flights against the vehicle.
+    """Residuals of flights against the vehicle, its twin run as the protocol says.
 
     Raises:
         TwinError: A flight cannot be compared with the vehicle, or two flights have one name.
     """
     check_names(flights)
+    before_s = restart_before_s(plan.protocol, plan.horizon, rate_hz)
     residuals = []
     for i, flight in enumerate(flights):
 
         def share(done: float, i: int = i) -> None:
             progress((i + done) / len(flights))
 
-        residuals.append(residual_flight(flight, vehicle, rate_hz, progress=share))
+        residuals.append(residual_flight(flight, vehicle, rate_hz, before_s, share))
     return residuals
 
 

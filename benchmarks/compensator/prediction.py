@@ -28,7 +28,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from learning.data.channels import CHANNELS, GROUPS
-from learning.data.flights import ResidualFlight, residual_flight
+from learning.data.flights import (
+    DEFAULT_RATE_HZ,
+    ResidualFlight,
+    residual_flight,
+    restart_before_s,
+)
 from learning.evaluation.generating import evaluate_generated
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.model.compensator import Compensator
@@ -39,14 +44,16 @@ from learning.preset import BEST, Preset
 from learning.training.train import train
 from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
+from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 from .residuals import residuals
 from .simulated import individuals, produce
 
 VEHICLE = "feisi_x150"
-TASKS = (*(Task("track", h) for h in (1, 10, 50, 100)), Task("free"))
-SIMULATED_TASKS = (Task("track", 1), Task("track", 10), Task("free"))
+FREE = Task("free")
+TASKS = (*(Task("track", h) for h in (1, 10, 50, 100)), FREE)
+SIMULATED_TASKS = (Task("track", 1), Task("track", 10), FREE)
 FAULT = "gyro_x"
 FAULT_RAD_S = 0.5
 MODEL = "compensator"
@@ -61,22 +68,31 @@ class Split:
     test: Sequence[ResidualFlight]
 
 
-def real_splits(logs: Sequence[Flight], vehicle: str) -> list[Split]:
+def before_s(task: Task) -> float:
+    """How long before a reading the twin of a task was at the measured state, s."""
+    return restart_before_s(task.protocol, task.horizon, DEFAULT_RATE_HZ)  # type: ignore[arg-type]
+
+
+def residuals_of(logs: Sequence[Flight], vehicle: Vehicle, task: Task) -> list[ResidualFlight]:
+    """What a task is about of each flight."""
+    return [residual_flight(log, vehicle, restart_s=before_s(task)) for log in logs]
+
+
+def real_splits(logs: Sequence[Flight], vehicle: str, task: Task) -> list[Split]:
     """Each flight held out in turn."""
-    model = load_vehicle(vehicle)
-    flights = [residual_flight(log, model) for log in logs]
+    flights = residuals_of(logs, load_vehicle(vehicle), task)
     return [
         Split(f"without {held.name}", [f for f in flights if f is not held], [held])
         for held in flights
     ]
 
 
-def simulated_splits(folder: Path, seeds: int, jobs: int) -> dict[str, list[Split]]:
+def simulated_splits(folder: Path, seeds: int, jobs: int, task: Task) -> dict[str, list[Split]]:
     """Aircraft with hidden effects, the paper's split and the same missions in both."""
     wanted = individuals(seeds=seeds)
     produce(folder, wanted)
-    hover = residuals(folder, wanted, "train", jobs)
-    motion = residuals(folder, wanted, "test", jobs)
+    hover = residuals(folder, wanted, "train", jobs, restart_s=before_s(task))
+    motion = residuals(folder, wanted, "test", jobs, restart_s=before_s(task))
     paper, same = [], []
     for name, test in motion.items():
         paper.append(Split(name, hover[name], test))
@@ -99,11 +115,11 @@ def trained(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> C
 
 
 def score(
-    splits: Sequence[Split], tasks: Sequence[Task], preset: Preset, seeds: int, out: Path
+    splits: Mapping[Task, Sequence[Split]], preset: Preset, seeds: int, out: Path
 ) -> pd.DataFrame:
     """Rows of `protocols.evaluate`, with the split and the seed."""
     tables, began = [], time.perf_counter()
-    jobs = [(s, t, k) for s in splits for t in tasks for k in range(seeds)]
+    jobs = [(s, t, k) for t, some in splits.items() for s in some for k in range(seeds)]
     for done, (split, task, seed) in enumerate(jobs, start=1):
         model = trained(split, task, preset, seed, out)
         table = evaluate({MODEL: model}, split.train, split.test, task)
@@ -170,11 +186,11 @@ def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path
     models = {"as published": vehicle}
     if found.added is not None:
         models["explained"] = found.added
-    flights = {k: [residual_flight(log, v) for log in logs] for k, v in models.items()}
     for task in (Task("track", 10), Task("free")):
-        for name, made in flights.items():
+        for name, model_of in models.items():
+            made = residuals_of(logs, model_of, task)
             split = Split(f"explained {name}", made[:2], made[2:])
-            rows = score([split], [task], preset, seeds, out)
+            rows = score({task: [split]}, preset, seeds, out)
             per = pooled(rows, ("model", "group")).set_index(["model", "group"])["rmse"]
             for model in ("none", MODEL):
                 label = name if model == "none" else f"{name} + compensator"
@@ -187,11 +203,11 @@ def _task(task: Task) -> str:
     return task.protocol if not task.horizon else f"{task.protocol} {task.horizon}"
 
 
-def alarm_text(splits: Sequence[Split], preset: Preset, out: Path) -> str:
+def alarm_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path) -> str:
     """Share of the time with an alarm before and after a fault in the middle of the flight."""
     lines = ["| flight | task | before the fault | after it |", "|---|---|---|---|"]
-    for split in splits:
-        for task in (Task("track", 1), Task("track", 10)):
+    for task in (Task("track", 1), Task("track", 10)):
+        for split in splits[task]:
             model = trained(split, task, preset, 0, out)
             for flight in split.test:
                 broken, at = with_fault(flight)
@@ -251,21 +267,26 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     preset = replace(BEST, epochs=given.epochs)
     out = given.out / "models"
     logs = [read_flight(given.data / "rflysimdt" / f"real_{k}.ulg") for k in (1, 2, 3)]
-    splits = real_splits(logs, VEHICLE)
-    rows = score(splits, TASKS, preset, given.seeds, out / "real")
+    splits = {task: real_splits(logs, VEHICLE, task) for task in TASKS}
+    rows = score(splits, preset, given.seeds, out / "real")
     yield "Real flights, each held out in turn", table_text(rows)
     yield "Real flights: rms over that of the best trivial baseline", verdicts(rows)
     alarms = alarm_text(splits, preset, out / "real")
     yield f"{FAULT} off by {FAULT_RAD_S:g} rad/s from mid-flight on: time with an alarm", alarms
     yield (
         "Protocol generate: Wasserstein distance, log spectral distance",
-        generated_text(splits[-1]),
+        generated_text(splits[FREE][-1]),
     )
     yield "After `explain`", explained_text(logs, preset, given.seeds, out / "explained")
     if given.simulated is None:
         return
-    for name, made in simulated_splits(given.simulated, given.aircraft, given.jobs).items():
-        rows = score(made, SIMULATED_TASKS, preset, 1, out / name.replace(" ", "_"))
+    made = {
+        task: simulated_splits(given.simulated, given.aircraft, given.jobs, task)
+        for task in SIMULATED_TASKS
+    }
+    for name in made[FREE]:
+        own = {task: splits[name] for task, splits in made.items()}
+        rows = score(own, preset, 1, out / name.replace(" ", "_"))
         yield f"Simulated flights with hidden effects, {name}", table_text(rows)
         yield f"The same: rms over that of the best trivial baseline, {name}", verdicts(rows)
 

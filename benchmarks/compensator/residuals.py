@@ -1,8 +1,8 @@
 """Residual flights of the simulated aircraft, kept on disk beside the flights.
 
-    DIR/residuals/NAME/FLIGHT-KEY.parquet
+    DIR/residuals/NAME/FLIGHT-RESTART-KEY.parquet
 
-KEY is a hash of flight, vehicle file, rate, horizon and the sources that make residuals, those of
+KEY is a hash of flight, vehicle file, rate, restart and the sources that make residuals, those of
 `twin` but for `twin.explain` among them: when one changes, the file is made anew, and the old one
 removed.
 """
@@ -35,7 +35,7 @@ def residuals(
     use: str,
     jobs: int = 1,
     rate_hz: float = DEFAULT_RATE_HZ,
-    horizon_s: float = DEFAULT_HORIZON_S,
+    restart_s: float = DEFAULT_HORIZON_S,
 ) -> dict[str, list[ResidualFlight]]:
     """Residual flights of aircraft that have been produced, by the name of the aircraft.
 
@@ -45,7 +45,7 @@ def residuals(
         use: "train" or "test".
         jobs: Processes.
         rate_hz: Of the grid.
-        horizon_s: From the restart to the reading.
+        restart_s: From the restart to the reading.
     """
     files = [(i.name, f, i.folder(out) / VEHICLE) for i in wanted for f in i.files(out, use)]
     caches = [out / "residuals" / name for name, _, _ in files]
@@ -54,7 +54,7 @@ def residuals(
         [v for _, _, v in files],
         caches,
         repeat(rate_hz),
-        repeat(horizon_s),
+        repeat(restart_s),
         repeat(_state()),
     )
     if jobs == 1:
@@ -69,16 +69,17 @@ def residuals(
 
 
 def _residual(
-    path: Path, vehicle: Path, cache: Path, rate_hz: float, horizon_s: float, state: str
+    path: Path, vehicle: Path, cache: Path, rate_hz: float, restart_s: float, state: str
 ) -> ResidualFlight:
-    digest = hashlib.sha256(f"{state} {rate_hz:.17g} {horizon_s:.17g}".encode())
+    digest = hashlib.sha256(f"{state} {rate_hz:.17g} {restart_s:.17g}".encode())
     for file in (path, vehicle):
         digest.update(file.read_bytes())
-    kept = cache / f"{path.stem}-{digest.hexdigest()[:16]}.parquet"
+    name = f"{path.stem}-{1e3 * restart_s:g}ms"
+    kept = cache / f"{name}-{digest.hexdigest()[:16]}.parquet"
     if not kept.is_file():
-        flight = residual_flight(read_flight(path), load_vehicle(str(vehicle)), rate_hz, horizon_s)
+        flight = residual_flight(read_flight(path), load_vehicle(str(vehicle)), rate_hz, restart_s)
         cache.mkdir(parents=True, exist_ok=True)
-        for old in cache.glob(f"{path.stem}-*"):
+        for old in cache.glob(f"{name}-*"):
             old.unlink()
         partial = kept.with_suffix(".partial")
         write_residuals([flight], partial)

@@ -1,15 +1,17 @@
 """A flight as residuals on an even grid: what the twin's sensors read, and what is left of it.
 
-Input-driven: the twin gets the flight's own commands, on the log's clock. The channels are those
-of `uavtwin gap` at the end of its windows, here at every instant of the grid:
+Input-driven: the twin gets the flight's own commands, on the log's clock.
 
 | channels | the twin reads them |
 |---|---|
-| gyro, pos, vel | a horizon after it was started from the measured state |
+| gyro, pos, vel | some time after it was started from the measured state, `restart_before_s` |
 | acc, mag | at the measured state |
 
+Without any time in between it follows the flight: what is left of its sensors then is no motion.
+Position and velocity are where it is put, and have no residual.
+
 The gyroscope is compared by its own samples; the gap low-passes it forward and backward, which
-looks ahead. What the twin reads knows the flight: its state a horizon before, and for acc and mag
+looks ahead. What the twin reads knows the flight: its state some time before, and for acc and mag
 the measured state itself, on a straight line to its next sample. A reading that is compared is
 never anything but a sample.
 """
@@ -32,6 +34,7 @@ from twin.residuals.short_horizon import READ, window_ends
 from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_readings
 from twin.vehicle import Vehicle
 
+from ..preset import Protocol
 from .channels import CHANNELS, GROUPS, PHASE_CODES, SENSORS, UNKNOWN_PHASE, Channels
 
 Array = NDArray[np.float64]
@@ -39,10 +42,13 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 DEFAULT_RATE_HZ = 100.0
 DEFAULT_HORIZON_S = 0.5
+"""Of `reconstruct`: that of the gap."""
 SHORTEST_SPAN = 2
 """A single instant between two gaps is no stretch of flight."""
 RESTARTED = ("gyro", "pos", "vel")
 """Groups that are read after a restart; the others are read at the measured state."""
+PUT = ("pos", "vel")
+"""Groups that say where a twin is put that follows the flight."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +93,7 @@ def residual_flight(
     flight: Flight,
     vehicle: Vehicle,
     rate_hz: float = DEFAULT_RATE_HZ,
-    horizon_s: float = DEFAULT_HORIZON_S,
+    restart_s: float = DEFAULT_HORIZON_S,
     progress: Callable[[float], None] | None = None,
 ) -> ResidualFlight:
     """Residuals of a flight against a vehicle.
@@ -96,27 +102,30 @@ def residual_flight(
         flight: As read by `twin.logs.read_flight`.
         vehicle: As read by `twin.vehicle.file.load_vehicle`, its effects included.
         rate_hz: Of the grid; 1000 Hz over a whole number.
-        horizon_s: From the restart to the reading; a multiple of 1 ms, at least one interval.
+        restart_s: From the restart to the reading; a multiple of 1 ms, at least one interval, or
+            0: the twin follows.
         progress: Called with the share done, 0..1.
 
     Raises:
-        ModelError: Rate or horizon is not allowed.
+        ModelError: Rate or time is not allowed.
         LogError: The flight cannot be compared with this vehicle, or has no sample to compare.
     """
-    every, steps = _steps(rate_hz, horizon_s)
+    every, steps = _steps(rate_hz, restart_s)
     aligned = align_flight(flight, vehicle)
     t = aligned.inputs.t_s
     first = -round(float(t[0]) / GRID_S) % every
     grid = np.arange(first, len(t), every)
     valid = _whole(aligned, grid, steps)
-    ends = _restarts(aligned, grid, valid, steps, every, progress or (lambda _: None))
     at_state = _at_measured_state(flight, vehicle, aligned)
+    ends = None
+    if steps:
+        ends = _restarts(aligned, grid, valid, steps, every, progress or (lambda _: None))
 
     virtual = np.full((len(grid), len(CHANNELS)), np.nan)
     residual, fresh = virtual.copy(), np.zeros(virtual.shape, dtype=np.bool_)
     missing = []
     for group, columns in GROUPS.items():
-        if group in RESTARTED:
+        if ends is not None and group in RESTARTED:
             near = ends[:, :, _columns_of_ends(group)]
         else:
             near = _tails(at_state[group], grid, every)
@@ -125,13 +134,15 @@ def residual_flight(
         if not flight.has(*CHANNELS[columns]):
             missing.append(group)
             continue
+        if ends is None and group in PUT:
+            continue
         samples = Signal(*flight.signal(CHANNELS[columns]))
         rows, values = _against(samples, near, t[grid], every)
         residual[rows, columns], fresh[rows, columns] = values, True
     if not fresh.any():
         raise LogError(
             f"{flight.name}: no sample to compare in the air: it needs gyro_*, acc_*, mag_*, pos_* "
-            f"or vel_* besides motor commands, and {horizon_s:g} s of attitude, velocity and body "
+            f"or vel_* besides motor commands, and {restart_s:g} s of attitude, velocity and body "
             f"rates. The flight has: {', '.join(c for c in flight.table if flight.has(c))}."
         )
     drives = [i for i, n in enumerate(aligned.airframe.input_names) if motor_number(n) is not None]
@@ -159,18 +170,27 @@ def held(values: Array) -> Array:
     return np.take_along_axis(values, np.maximum.accumulate(rows, axis=0), axis=0)
 
 
-def _steps(rate_hz: float, horizon_s: float) -> tuple[int, int]:
-    """Grid steps of the twin per interval, and per horizon."""
+def restart_before_s(protocol: Protocol, horizon: int, rate_hz: float) -> float:
+    """How long before a reading the twin of a protocol was at the measured state, s.
+
+    In `track` as long as the newest residual is old: what is measured up to then is known. In
+    `free` the twin follows: where its motion goes wrong, the forces are (`learning.force`).
+    """
+    return {"track": horizon / rate_hz, "free": 0.0, "reconstruct": DEFAULT_HORIZON_S}[protocol]
+
+
+def _steps(rate_hz: float, restart_s: float) -> tuple[int, int]:
+    """Grid steps of the twin per interval, and from restart to reading."""
     every = round(1 / (rate_hz * GRID_S)) if 0 < rate_hz < np.inf else 0
     if every < 1 or abs(every * rate_hz * GRID_S - 1) > 1e-9:
         raise ModelError(
             f"rate {rate_hz:g} Hz: needs 1000 Hz over a whole number, such as 50, 100 or 200 Hz."
         )
-    steps = round(horizon_s / GRID_S) if 0 < horizon_s < np.inf else 0
-    if steps < every or abs(steps * GRID_S - horizon_s) > 1e-9:
+    steps = round(restart_s / GRID_S) if 0 <= restart_s < np.inf else -1
+    if not (steps == 0 or steps >= every) or abs(steps * GRID_S - restart_s) > 1e-9:
         raise ModelError(
-            f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least one interval, "
-            f"{every * GRID_S:g} s."
+            f"restart {restart_s:g} s before: needs a multiple of 1 ms of at least one interval, "
+            f"{every * GRID_S:g} s, or 0."
         )
     return every, steps
 
@@ -217,12 +237,17 @@ def _columns_of_ends(group: str) -> slice:
 def _at_measured_state(
     flight: Flight, vehicle: Vehicle, aligned: AlignedFlight
 ) -> dict[str, Array]:
-    """Accelerometer and magnetometer at every point of the twin's grid, shape (n_grid, 3) each."""
+    """What is read by group at every point of the twin's grid, shape (n_grid, 3) each."""
     readings, _ = predicted_readings(
         aligned.airframe, aligned.imu, aligned.states, aligned.inputs.u
     )
-    acc = [aligned.imu.output_names.index(n) for n in CHANNELS[GROUPS["acc"]]]
-    found = {"acc": readings[:, acc], "mag": np.full((len(readings), 3), np.nan)}
+    outputs = aligned.imu.output_names
+    states = [s.name for s in aligned.airframe.states]
+    found = {"mag": np.full((len(readings), 3), np.nan)}
+    for group in ("gyro", "acc"):
+        found[group] = readings[:, [outputs.index(n) for n in CHANNELS[GROUPS[group]]]]
+    for group in PUT:
+        found[group] = aligned.states[:, [states.index(n) for n in CHANNELS[GROUPS[group]]]]
     if aligned.motion.attitude is not None:
         sensor, t = magnetometer(vehicle), aligned.inputs.t_s
         rows = np.tile(sensor.input_values(), (len(t), 1))

@@ -57,7 +57,7 @@ def window_ends(
         aligned: A flight on the grid of its twin.
         starts: Grid points at which the windows start, shape (w,); all states known there.
         steps: Grid steps per window.
-        tail: Grid points before the last one that are kept as well.
+        tail: Grid points before the last one that are kept as well, at most `steps`.
         progress: Called with the share done, 0..1.
 
     Returns:
@@ -93,12 +93,13 @@ class _Windows:
         body.start(self._aligned.states[starts], u[starts])
         sensed = self._sensed(u[starts])
         sensor.start(sensor.initial(sensed), sensed)
-        for k in range(1, steps + 1):
-            # Both step from what they read at the start of the step, as under the master.
-            body.advance(u[starts + k - 1])
-            if self._remembers:
-                sensor.advance(sensed)
-                sensed = self._sensed(u[starts + k])
+        for k in range(steps + 1):
+            if k:
+                # Both step from what they read at the start of the step, as under the master.
+                body.advance(u[starts + k - 1])
+                if self._remembers:
+                    sensor.advance(sensed)
+                    sensed = self._sensed(u[starts + k])
             if k >= steps - tail:
                 outputs = body.outputs(u[starts + k])
                 readings = sensor.outputs(outputs[:, self._felt])

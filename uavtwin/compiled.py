@@ -1,0 +1,87 @@
+"""A trained compensator as it ships: its FMU, stepped over a flight."""
+
+import tempfile
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.slave.slave import Slave
+from fmus import build
+from fmus.compensator import compensator_model, read_network
+from learning.data.flights import ResidualFlight
+from learning.model.corrected import Corrected
+
+Array = NDArray[np.float64]
+_KINDS = ("correction", "spread")
+
+
+class CompiledCompensator:
+    """A compensator in C; `with` it, the FMU is built, and removed afterwards.
+
+    It says what the model itself says, in the arithmetic of the FMU.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Build it.
+
+        Args:
+            folder: Of a trained model that has a `model.onnx`.
+
+        Raises:
+            FmuError: The folder holds none, or the C generator refuses it.
+        """
+        self._place = tempfile.TemporaryDirectory()
+        self._network = read_network(folder)
+        self._fmu = build(compensator_model(folder), Path(self._place.name, "compensator.fmu"))
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Remove the FMU."""
+        self._place.cleanup()
+
+    def run(self, flight: ResidualFlight) -> Corrected:
+        """The whole flight; each span starts anew."""
+        network, n = self._network, flight.virtual.shape[1]
+        channels = network.channels
+        correction = np.zeros((len(flight.t_s), n))
+        spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
+        anomaly, inside = np.zeros(len(flight.t_s)), np.zeros(len(flight.t_s), dtype=np.bool_)
+        names = [*channels, *network.commands, "phase"]
+        known = np.isfinite(flight.virtual).any(axis=0)  # a twin reads the others, too
+        given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
+        if network.sees_measurements:
+            names += [f"measured.{c}" for c in channels]
+            names += [f"valid.{g}" for g in network.groups]
+            first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
+            given += [flight.virtual + flight.residual, flight.fresh[:, first]]
+        reads = [*(f"{kind}.{c}" for kind in _KINDS for c in channels), "anomaly", "inside"]
+        table, period = np.hstack(given).astype(np.float64), 1 / flight.rate_hz
+        slave = Slave("compensator", self._fmu)
+        try:
+            sent, received = np.zeros(len(names)), np.zeros(len(reads))
+            slave.bind(names, reads, sent, received)
+            for a, b in flight.spans:
+                slave.initialize(0.0, {})
+                slave.finish_initialization()
+                for row in range(a, b):
+                    slave.inputs[:] = table[row]
+                    slave.write_inputs()
+                    slave.step((row - a) * period, period)
+                    slave.read_outputs()
+                    correction[row], spread[row] = np.split(slave.outputs[: 2 * n], 2)
+                    anomaly[row], inside[row] = slave.outputs[2 * n], slave.outputs[-1] > 0
+                slave.reset()
+        finally:
+            slave.close()
+        return Corrected(correction, spread, anomaly, inside)
