@@ -75,10 +75,6 @@ class Preset:
         linear: A linear prediction under the network, of which it learns what that leaves.
         normalise: `pooled`: mean and spread of each channel; `phase`: both per phase; `centred`:
             mean per phase, one spread about it; `range`: the range of each phase becomes -1..1.
-        envelope_margin: By how much of its width the training range of each feature is widened on
-            either side to make the envelope. Between range and envelope the network sees the end of
-            the range; beyond it the correction is zero (not in `reconstruct`, which only repeats
-            what it is given).
         optimiser: With `learning_rate` and `weight_decay`.
         learning_rate: At the start.
         weight_decay: Of AdamW.
@@ -123,7 +119,6 @@ class Preset:
     spread_head: bool = True
     linear: bool = True
     normalise: Normalise = "centred"
-    envelope_margin: float = 0.5
     optimiser: Literal["adam", "adamw"] = "adam"
     learning_rate: float = 2e-3
     weight_decay: float = 0.01
@@ -229,12 +224,11 @@ FORCE = Preset(
     n_codes=64,
     linear=False,
     normalise="pooled",
-    envelope_margin=1e6,
     epochs=40,
     patience=15,
 )
-"""Of force and moment that a law leaves (`learning.force`): small, as its sequences are. Its own
-envelope is wide open: that of the law fades what it says."""
+"""Of force and moment that a law leaves (`learning.force`): small, as its sequences are. It
+has no envelope of its own: that of the law fades what it says."""
 
 SEEDS = MappingProxyType({"paper": 42, "published": 42})
 """Of everything that is drawn, by the name of the preset, where nobody says; of others 0."""

@@ -35,6 +35,8 @@ class Channels:
         groups: Columns of each sensor, or of whatever belongs together.
         seen: Columns of what the twin gives that are features.
         commands: Names of the other features; (): what drives the rotors.
+        place: Physical inputs of the envelope besides those: places among `seen`, each one alone or
+            the length of two; (): there is no envelope.
     """
 
     names: tuple[str, ...]
@@ -42,6 +44,7 @@ class Channels:
     groups: Mapping[str, slice]
     seen: tuple[int, ...]
     commands: tuple[str, ...] = ()
+    place: tuple[tuple[int, ...], ...] = ()
 
     __repr__ = short_repr
 
@@ -49,14 +52,18 @@ class Channels:
         return len(self.names)
 
 
+_SEEN = tuple(c for c in CHANNELS if c not in ("pos_x", "pos_y"))
+_PLACE = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
 SENSORS = Channels(
     CHANNELS,
     UNITS,
     GROUPS,
-    seen=tuple(i for i, c in enumerate(CHANNELS) if c not in ("pos_x", "pos_y")),
+    seen=tuple(CHANNELS.index(c) for c in _SEEN),
+    place=tuple(tuple(_SEEN.index(c) for c in some) for some in _PLACE),
 )
 """Of the sensors. All that the twin reads is looked at but the place over ground, on which no
-effect depends."""
+effect depends. Heading and height take no part in the envelope: rates, speed over ground and
+climb do, and what drives the rotors."""
 FORCES = Channels(
     tuple(f"left_{kind}_{a}" for kind, a in OUTPUTS),
     tuple("m/s²" if kind == "force" else "rad/s²" for kind, _ in OUTPUTS),

@@ -1,4 +1,4 @@
-"""Standardisation of residuals and features, and the envelope of the training data."""
+"""Standardisation of residuals and features, with the envelope of the training data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -10,6 +10,7 @@ from twin.representation import short_repr
 
 from ..preset import Normalise
 from .channels import N_PHASES, Channels
+from .envelope import UNLIMITED, Envelope
 from .flights import ResidualFlight
 
 Array = NDArray[np.float64]
@@ -17,8 +18,9 @@ BoolArray = NDArray[np.bool_]
 
 MIN_SAMPLES = 20
 """A phase with fewer samples of a channel is scaled as all phases together."""
-UNLIMITED = 1e30
-"""Envelope of a feature that the training data do not limit; finite, so that any tool reads it."""
+RATE_RESERVE, SPEED_RESERVE, DRIVE_RESERVE = 0.5, 0.5, 0.05
+"""What is no other place: rad/s, m/s, and a share of what drives a rotor on average. None was
+chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +35,10 @@ class Scaling:
         least: Smallest standardised feature of the training: the network sees none below it,
             shape (features,).
         most: Largest one, shape (features,).
-        low: Lower end of the envelope, shape (features,).
-        high: Upper end, shape (features,).
+        place_centre: Of the envelope, as the next three; shape (places,).
+        place_scale: Shape (places,).
+        place_whitening: Shape (places, places).
+        place_reach: Shape (1,).
         rms: Of the uncorrected residual: what is to be expected outside the envelope, shape (15,).
     """
 
@@ -44,8 +48,10 @@ class Scaling:
     feature_scale: Array
     least: Array
     most: Array
-    low: Array
-    high: Array
+    place_centre: Array
+    place_scale: Array
+    place_whitening: Array
+    place_reach: Array
     rms: Array
 
     __repr__ = short_repr
@@ -53,6 +59,12 @@ class Scaling:
     def arrays(self) -> dict[str, Array]:
         """Every array by its name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+    @property
+    def envelope(self) -> Envelope:
+        """Where training has been."""
+        reach = float(self.place_reach[0])
+        return Envelope(self.place_centre, self.place_scale, self.place_whitening, reach)
 
 
 def feature_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
@@ -64,6 +76,43 @@ def feature_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
 def features_of(flight: ResidualFlight) -> Array:
     """Features in their own units, NaN where the twin could not read, shape (n, features)."""
     return np.hstack([flight.virtual[:, list(flight.channels.seen)], flight.commands])
+
+
+def place_names(channels: Channels, n_commands: int) -> tuple[str, ...]:
+    """Names of the physical inputs of the envelope, in order; () without an envelope."""
+    names = feature_names(channels, n_commands)
+    if not channels.place:
+        return ()
+    seen = ("speed" if len(some) > 1 else names[some[0]] for some in channels.place)
+    return (*seen, *names[len(channels.seen) :])
+
+
+def places_of(raw: Array, channels: Channels) -> Array:
+    """Physical inputs of the envelope, shape (n, places).
+
+    Args:
+        raw: Features in their own units, shape (n, features).
+        channels: Of which they are.
+    """
+    if not channels.place:
+        return np.zeros((len(raw), 0))
+    seen = [
+        raw[:, some[0]] if len(some) == 1 else np.hypot(*raw[:, some].T)
+        for some in _lists(channels)
+    ]
+    return np.column_stack([*seen, raw[:, len(channels.seen) :]])
+
+
+def _lists(channels: Channels) -> list[list[int]]:
+    return [list(some) for some in channels.place]
+
+
+def _reserve(places: Array, channels: Channels) -> Array:
+    """What is no other place, by physical input."""
+    names = [channels.names[channels.seen[some[0]]] for some in channels.place]
+    own = [RATE_RESERVE if name.startswith("gyro") else SPEED_RESERVE for name in names]
+    drives = np.nan_to_num(np.nanmean(np.abs(places[:, len(own) :]), axis=0))
+    return np.array([*own, *(DRIVE_RESERVE * drives)])
 
 
 def standardised(raw: Array, scaling: Scaling) -> Array:
@@ -90,7 +139,6 @@ def fit_scaling(
     flights: Sequence[ResidualFlight],
     chosen: Sequence[BoolArray],
     normalise: Normalise,
-    margin: float,
 ) -> Scaling:
     """Scaling and envelope from the training samples.
 
@@ -98,7 +146,6 @@ def fit_scaling(
         flights: For training.
         chosen: Per flight the samples that may be used, shape (n,).
         normalise: As in `Preset`.
-        margin: Widening of the envelope on either side, as a share of its width.
 
     Returns:
         Scaling; a channel or feature that never varies is divided by 1.
@@ -119,9 +166,13 @@ def fit_scaling(
         if normalise == "centred" and known.any():
             about = column[known] - mean[phase[known], c]
             scale[:, c] = _positive(float(about.std()), float(np.abs(mean[:, c]).max()))
-    features = np.concatenate([features_of(f)[c] for f, c in zip(flights, chosen, strict=True)])
+    each = [features_of(f)[c] for f, c in zip(flights, chosen, strict=True)]
+    features, channels = np.concatenate(each), flights[0].channels
+    envelope = Envelope.none(0)
+    if channels.place:
+        places = [places_of(raw, channels) for raw in each if len(raw)]
+        envelope = Envelope.of(places, _reserve(np.vstack(places), channels))
     least, most, centre, spread = np.array([_limits(column) for column in features.T]).T
-    room = margin * (most - least) + 1e-6 * np.maximum(np.abs(least), np.abs(most))
     return Scaling(
         mean=mean,
         scale=scale,
@@ -129,8 +180,10 @@ def fit_scaling(
         feature_scale=spread,
         least=(least - centre) / spread,
         most=(most - centre) / spread,
-        low=np.maximum(least - room, -UNLIMITED),
-        high=np.minimum(most + room, UNLIMITED),
+        place_centre=envelope.centre,
+        place_scale=envelope.scale,
+        place_whitening=envelope.whitening,
+        place_reach=np.array([envelope.reach]),
         rms=np.array([_rms(column[np.isfinite(column)]) for column in residual.T]),
     )
 

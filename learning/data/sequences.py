@@ -14,9 +14,9 @@ from scipy.signal import lfilter
 from twin.errors import ModelError
 
 from ..preset import Protocol
-from .channels import N_PHASES
+from .channels import N_PHASES, Channels
 from .flights import ResidualFlight
-from .scaling import UNLIMITED, Scaling, features_of, standardised
+from .scaling import Scaling, features_of, places_of, standardised
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -43,7 +43,7 @@ class SpanSequence:
         features: Shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
         phase: Codes, shape (n,).
-        inside: Whether the features are within the envelope, shape (n,).
+        distance: From where training has been, 1 where that ends, shape (n,).
     """
 
     flight: int
@@ -55,7 +55,12 @@ class SpanSequence:
     features: Array
     slow: Array
     phase: NDArray[np.intp]
-    inside: BoolArray
+    distance: Array
+
+    @property
+    def inside(self) -> BoolArray:
+        """Whether it is within the envelope, shape (n,)."""
+        return np.asarray(self.distance <= 1)
 
     @property
     def rows(self) -> slice:
@@ -114,8 +119,6 @@ def _span(
     new = (flight.residual[rows] - scaling.mean[phase]) / scaling.scale[phase]
     d = _held(new, fresh)
     raw = features_of(flight)[rows]
-    limited = scaling.high < UNLIMITED
-    beyond = ~((raw >= scaling.low) & (raw <= scaling.high))  # NaN is beyond
     features = standardised(raw, scaling)
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
     lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
@@ -134,10 +137,19 @@ def _span(
         features=features,
         slow=np.hstack(slow),
         phase=phase,
-        inside=np.ones(len(d), dtype=np.bool_)
-        if protocol == "reconstruct"
-        else ~np.any(beyond & limited, axis=1),
+        distance=_distance(raw, flight.channels, scaling, protocol),
     )
+
+
+def limited(channels: Channels, protocol: Protocol) -> bool:
+    """Whether there is an envelope: `reconstruct` only repeats what it is given."""
+    return bool(channels.place) and protocol != "reconstruct"
+
+
+def _distance(raw: Array, channels: Channels, scaling: Scaling, protocol: Protocol) -> Array:
+    if not limited(channels, protocol):
+        return np.zeros(len(raw))
+    return scaling.envelope.distance(places_of(raw, channels))
 
 
 def one_hot(phase: NDArray[np.intp]) -> Array:

@@ -14,8 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
+
 from ..data.channels import N_PHASES
-from ..data.sequences import LAGS, SMOOTHING_S, smoothing
+from ..data.sequences import LAGS, SMOOTHING_S, limited, smoothing
 from ..model.compensator import Compensator
 from .graph import Graph
 from .network import network, numbers
@@ -82,22 +84,22 @@ def _step(g: Graph, model: Compensator) -> None:
     sample = _sample(g, model)
     here = _one_hot(g, sample)
     mean, scale, expected = _tables(g, model, here)
-    limited = protocol != "reconstruct"  # which looks at no feature
-    raw = _raw_features(g, model, sample) if limited else ""
-    features = _features(g, model, raw) if limited else ""
+    looks = protocol != "reconstruct"  # which looks at no feature
+    raw = _raw_features(g, model, sample) if looks else ""
+    features = _features(g, model, raw) if looks else ""
     if rows:
         past = _remembered(g, sample, past, mean, scale, (rows, n))
-    if limited:  # elsewhere nothing looks at them, and their state stays as it is
+    if looks:  # elsewhere nothing looks at them, and their state stays as it is
         slow = _smoothed(g, model, features, slow)
     first = model.info.horizon * n
     known = past if rows <= 1 else g.columns(past, first, first + n)
     y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
-    said, base = y, numbers(model.base)
-    if limited:
+    said, base = "", numbers(model.base)
+    if looks:
         inputs = g.op("Concat", features, slow, axis=1)
         of_inputs = base[:, -len(model.features) * (1 + len(SMOOTHING_S)) :]
-        said = g.op("Add", said, g.op("MatMul", inputs, g.floats(of_inputs.T)))
+        said = g.op("MatMul", inputs, g.floats(of_inputs.T))
     if protocol == "track":
         lags = g.reshape(g.columns(past, first, rows * n), -1, n)
         then, readings, begun = _read_then(g, model, sample, readings, begun)
@@ -105,12 +107,22 @@ def _step(g: Graph, model: Compensator) -> None:
         seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
         products = g.op("Mul", seen, g.floats(base[:, : LAGS + 1].T))
         said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
-    correction = g.op("Add", mean, g.op("Mul", scale, said))
+    linear = g.op("Add", mean, g.op("Mul", scale, said)) if said else mean
+    more = g.op("Mul", scale, y)
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
-    inside = g.op("And", sample.whole, _inside(g, model, raw)) if limited else sample.whole
-    g.output("correction", n, "Where", inside, correction, g.floats(np.zeros((1, n))))
-    g.output("spread", n, "Where", inside, expected, g.floats(_row(model.rms)))
+    inside, rms = sample.whole, g.floats(_row(model.rms))
+    if limited(model.info.channels, protocol):
+        distance = _distance(g, model, raw)
+        close = _fade(g, distance, 1.0, WAVES_END)
+        linear = g.op("Mul", linear, _fade(g, distance, LINEAR_BEGIN, LINEAR_END))
+        more = g.op("Mul", more, close)
+        expected = g.op("Add", rms, g.op("Mul", close, g.op("Sub", expected, rms)))
+        within = g.op("LessOrEqual", distance, g.floats([[1.0]]))
+        inside = g.op("And", sample.whole, within)
+    correction, nothing = g.op("Add", linear, more), g.floats(np.zeros((1, n)))
+    g.output("correction", n, "Where", sample.whole, correction, nothing)
+    g.output("spread", n, "Where", sample.whole, expected, rms)
     alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
@@ -188,12 +200,30 @@ def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:
     return g.op("Add", slow, g.op("Mul", g.floats(shares), away))
 
 
-def _inside(g: Graph, model: Compensator, raw: str) -> str:
-    """Whether every feature is within the envelope, Boolean of shape (1, 1)."""
-    below = g.op("Sub", g.floats(_row(model.low)), raw)
-    above = g.op("Sub", raw, g.floats(_row(model.high)))
-    worst = g.op("ReduceMax", g.op("Max", below, above), axes=[1], keepdims=1)
-    return g.op("LessOrEqual", worst, g.floats([[0.0]]))
+def _distance(g: Graph, model: Compensator, raw: str) -> str:
+    """From where training has been, shape (1, 1)."""
+    channels, parts = model.info.channels, []
+    for some in channels.place:
+        own = g.op("Gather", raw, g.integers(*some), axis=1)
+        if len(some) > 1:
+            square = g.op("ReduceSum", g.op("Mul", own, own), g.integers(1), keepdims=1)
+            own = g.op("Sqrt", square)
+        parts.append(own)
+    first = len(channels.seen)
+    drives = g.columns(raw, first, first + model.info.n_commands)
+    centred = g.op("Sub", g.concat(*parts, drives, axis=1), g.floats(_row(model.place_centre)))
+    whitening = numbers(model.place_whitening) / numbers(model.place_scale)
+    spread = numbers(model.place_reach) * np.sqrt(len(whitening))
+    white = g.op("MatMul", centred, g.floats((whitening / spread).T))
+    return g.op("Sqrt", g.op("ReduceSum", g.op("Mul", white, white), g.integers(1), keepdims=1))
+
+
+def _fade(g: Graph, distance: str, begin: float, end: float) -> str:
+    """As in `learning.data.envelope`, shape (1, 1)."""
+    away = g.op("Div", g.op("Sub", distance, g.floats([[begin]])), g.floats([[end - begin]]))
+    t = g.op("Min", g.op("Max", away, g.floats([[0.0]])), g.floats([[1.0]]))
+    rest = g.op("Sub", g.floats([[3.0]]), g.op("Add", t, t))
+    return g.op("Sub", g.floats([[1.0]]), g.op("Mul", g.op("Mul", t, t), rest))
 
 
 def _row(values: Tensor) -> Array:

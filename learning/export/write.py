@@ -59,8 +59,6 @@ def metadata(compensator: Compensator) -> dict[str, str]:
     """What a user of the file must know, as JSON texts by name."""
     info = compensator.info
     scaling = compensator.scaling()
-    limits = zip(scaling.low.tolist(), scaling.high.tolist(), strict=True)
-    envelope = dict(zip(compensator.features, limits, strict=True))
     values: dict[str, Any] = {
         "channels": info.channels.names,
         "units": info.channels.units,
@@ -72,7 +70,7 @@ def metadata(compensator: Compensator) -> dict[str, str]:
         "horizon": info.horizon,
         "preset": info.preset.name,
         "clusters": info.clusters,
-        "envelope": {} if info.protocol == "reconstruct" else envelope,
+        **compensator.details(),
         "uncorrected_rms": scaling.rms.tolist(),
         "normalisation": {
             name: getattr(scaling, name).tolist()

@@ -1,6 +1,6 @@
 """The linear prediction alone: scaling, closed form, envelope; no network and no alarm.
 
-    correction = mean + scale * linear prediction      inside the envelope, else 0
+    correction = near * (mean + scale * linear prediction)      near: 1 in the envelope, then fading
 
 The same sums as under the network (`learning.model.linear_predictor`), in float64.
 """
@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data.channels import CHANNELS, N_PHASES
+from ..data.envelope import linear_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, fit_scaling, in_spans
 from ..data.sequences import n_regressors, sequences
 from ..model.baselines import by_phase
-from ..model.corrected import Corrected
+from ..model.corrected import Corrected, between
 from ..model.family import Family, Progress, Tensors, TrainingTask, no_alarm
 from ..model.info import ModelInfo
 from ..model.linear_predictor import fit_base, predict_base
@@ -36,12 +37,10 @@ class LinearPreset:
     Attributes:
         name: As printed.
         normalise: As in `learning.preset.Preset`.
-        envelope_margin: As there.
     """
 
     name: str = "linear"
     normalise: Normalise = "centred"
-    envelope_margin: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +74,11 @@ class LinearModel:
         inside = np.zeros(len(correction), dtype=np.bool_)
         protocol, horizon = self.info.protocol, self.info.horizon
         for span in sequences([flight], self.scaling, protocol, horizon):
-            phase, within = span.phase, span.inside[:, None]
+            phase, near = span.phase, linear_share(span.distance)[:, None]
             said = predict_base(span, self.weights, protocol)
             about = self.scaling.mean[phase] + self.scaling.scale[phase] * said
-            correction[span.rows] = within * about
-            spread[span.rows] = np.where(within, self.expected[phase], spread[span.rows])
+            correction[span.rows] = near * about
+            spread[span.rows] = between(near, self.expected[phase], spread[span.rows])
             inside[span.rows] = span.inside
         return Corrected(correction, spread, no_alarm(len(correction)), inside)
 
@@ -118,7 +117,7 @@ class Linear(Family[LinearPreset, LinearModel]):
         """Closed form; ridge and worth chosen by folds, as under the network."""
         info = describe_training("linear", flights, preset, task)
         usable = [in_spans(f) for f in flights]
-        scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
+        scaling = fit_scaling(flights, usable, preset.normalise)
         spans = sequences(flights, scaling, task.protocol, task.horizon)
         weights = fit_base(spans, [s.fresh for s in spans], task.protocol, info.rate_hz)
         model = LinearModel(info, scaling, weights, np.zeros((N_PHASES, len(CHANNELS))))
@@ -136,7 +135,7 @@ class Linear(Family[LinearPreset, LinearModel]):
         names = Scaling.__dataclass_fields__
         scaling = Scaling(**{name: tensors[f"scaling.{name}"] for name in names})
         weights, expected = tensors["weights"], tensors["expected"]
-        wanted = (len(CHANNELS), n_regressors(info.protocol, len(scaling.low)))
+        wanted = (len(CHANNELS), n_regressors(info.protocol, len(scaling.least)))
         if weights.shape != wanted or expected.shape != scaling.mean.shape:
             raise ValueError(f"weights of shape {weights.shape}, not {wanted}")
         return LinearModel(info, scaling, weights, expected)

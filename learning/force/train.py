@@ -15,6 +15,7 @@ from twin.representation import short_repr
 from twin.residuals.channels import CHANNEL_HZ
 from twin.vehicle import Vehicle
 
+from ..data.envelope import TRIFLE, Envelope
 from .candidates import Candidate, Design, candidates
 from .instants import Instants, inputs_of, linear_features, random_features
 from .regression import ORDER
@@ -31,11 +32,6 @@ them, and a wave of a rate can feed energy in where a linear law is kept from it
 RESERVE = (*(0.5,) * 3, *(0.5,) * 3, 0.1, *(0.05,) * 3, 0.05, 0.3)
 """By input, what is no other place, in its unit: a flight with the battery half full is as good as
 one with the full one, where training had only full ones."""
-INSIDE = 0.995
-"""Share of the training that is inside the envelope, and of each flight that the others have not
-seen: flights differ by more than a flight does within itself."""
-TRIFLE = 1e-6
-"""An input or feature that moves by less, in its unit, did not move."""
 PASSIVE = 1e-6
 """Rate of energy fed in, 1/s, below which nothing is."""
 HALVINGS = 30
@@ -128,11 +124,7 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
     """A law that says nothing yet: where the flights have been, and the random features."""
     rng = np.random.default_rng(seed)
     places = [inputs_of(f) for f in seen]
-    metric = _Metric.of(np.vstack(places))
-    reach = [np.quantile(metric.away(np.vstack(places)), INSIDE)]
-    for k, one in enumerate(places if len(places) > 1 else ()):
-        others = _Metric.of(np.vstack([p for i, p in enumerate(places) if i != k]))
-        reach.append(np.quantile(others.away(one), INSIDE))
+    envelope = Envelope.of(places, np.array(RESERVE))
     frequencies = rng.normal(size=(WAVES, len(INPUTS))) / LENGTH
     frequencies[:, list(_RATES)] = 0.0
     return ForceLaw(
@@ -140,34 +132,12 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
         waves=np.zeros((6, WAVES)),
         frequencies=frequencies,
         phases=rng.uniform(0, 2 * np.pi, WAVES),
-        centre=metric.centre,
-        scale=metric.scale,
-        whitening=metric.whitening,
-        reach=float(max(reach)),
+        centre=envelope.centre,
+        scale=envelope.scale,
+        whitening=envelope.whitening,
+        reach=envelope.reach,
         units=np.asarray(np.linalg.inv(_agility(vehicle))),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Metric:
-    """Distance from where flights have been; fields as of `ForceLaw`."""
-
-    centre: Array
-    scale: Array
-    whitening: Array
-
-    @classmethod
-    def of(cls, x: Array) -> "_Metric":
-        """From inputs, shape (n, len(INPUTS))."""
-        centre, spread = x.mean(axis=0), x.std(axis=0)
-        scale = np.where(spread > TRIFLE, spread, 1.0)
-        metric = np.cov(((x - centre) / scale).T) + np.diag((np.array(RESERVE) / scale) ** 2)
-        return cls(centre, scale, np.asarray(np.linalg.inv(np.linalg.cholesky(metric))))
-
-    def away(self, x: Array) -> Array:
-        """Of inputs, shape (n,)."""
-        z = (x - self.centre) / self.scale
-        return np.asarray(np.sqrt(np.mean((z @ self.whitening.T) ** 2, axis=1)))
 
 
 def made_passive(law: ForceLaw, vehicle: Vehicle) -> tuple[ForceLaw, float]:

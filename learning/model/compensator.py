@@ -1,6 +1,8 @@
 """The compensator: a correction for each sample of the twin's sensors, its spread, an alarm.
 
-    correction = mean + scale * (linear prediction + gate * network)     inside the envelope, else 0
+    correction = near * (mean + scale * linear prediction) + close * scale * gate * network
+
+`near` and `close` are 1 in the envelope of the training and fade beyond (`learning.data.envelope`).
 
 `Compensator.step` is the definition, one sample per call with all memory in `state`; `run` gives
 the same numbers for whole flights, fast.
@@ -15,12 +17,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..data.channels import N_PHASES
+from ..data.envelope import linear_share, network_share
 from ..data.flights import ResidualFlight
-from ..data.scaling import UNLIMITED, Scaling, feature_names
+from ..data.scaling import Scaling, feature_names, place_names
 from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
     check_protocol,
+    limited,
     n_lags,
     n_regressors,
     one_hot,
@@ -29,7 +33,7 @@ from ..data.sequences import (
 )
 from ..preset import Preset
 from ..threads import one_thread
-from .corrected import Corrected
+from .corrected import Corrected, between
 from .info import ModelInfo
 from .linear_predictor import predict_base
 from .network import NetworkOut, SvqNetwork
@@ -51,8 +55,10 @@ class Compensator(nn.Module):
     feature_scale: Tensor
     least: Tensor
     most: Tensor
-    low: Tensor
-    high: Tensor
+    place_centre: Tensor
+    place_scale: Tensor
+    place_whitening: Tensor
+    place_reach: Tensor
     rms: Tensor
     base: Tensor
     leftover: Tensor
@@ -68,6 +74,7 @@ class Compensator(nn.Module):
         self.features = feature_names(info.channels, info.n_commands)
         """Names of the features, in order."""
         n_channels, n_features = len(info.channels), len(self.features)
+        n_places = len(place_names(info.channels, info.n_commands))
         regressors = n_regressors(info.protocol, n_features)
         self.network = SvqNetwork(info.preset, info.protocol, info.clusters, n_features)
         shapes = {
@@ -77,8 +84,10 @@ class Compensator(nn.Module):
             "feature_scale": (n_features,),
             "least": (n_features,),
             "most": (n_features,),
-            "low": (n_features,),
-            "high": (n_features,),
+            "place_centre": (n_places,),
+            "place_scale": (n_places,),
+            "place_whitening": (n_places, n_places),
+            "place_reach": (1,),
             "rms": (n_channels,),
             "base": (n_channels, regressors),  # weights of the linear prediction
             "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
@@ -211,9 +220,13 @@ class Compensator(nn.Module):
         elif self.info.protocol == "free":
             prediction = torch.cat([features, slow], dim=-1) @ self.base.T
         out, network_state = self.network.step(known, features, here, network_state)
-        inside = self._inside(raw)
-        correction = inside * (mean + scale * (prediction + self.gate * self.leftover * out.y))
-        spread = self._spread(out, here @ (self.scale.abs() * self.spread_factor), inside)
+        distance = self._distance(raw)
+        near, close = linear_share(distance), network_share(distance)
+        inside = (distance <= 1).to(raw.dtype)
+        correction = near * (mean + scale * prediction)
+        correction = correction + close * scale * self.gate * self.leftover * out.y
+        expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
+        spread = self.rms + close * (expected - self.rms)
         anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
         state = torch.cat([past, readings, begun, slow, network_state], dim=-1)
         return correction, spread, anomaly, inside, state
@@ -234,11 +247,13 @@ class Compensator(nn.Module):
         factor = self.spread_factor.double().numpy()
         for span in sequences([flight], scaling, self.info.protocol, self.info.horizon):
             out = self.outputs([span])[0]
-            within, phase = span.inside[:, None], span.phase
-            said = predict_base(span, base, self.info.protocol) + gain * out.y.double().numpy()
-            correction[span.rows] = within * (scaling.mean[phase] + scaling.scale[phase] * said)
-            expected = (scaling.scale * factor)[phase] * np.exp(out.log_spread.double().numpy())
-            spread[span.rows] = np.where(within, expected, spread[span.rows])
+            near, close = linear_share(span.distance), network_share(span.distance)
+            mean, scale = scaling.mean[span.phase], scaling.scale[span.phase]
+            said = mean + scale * predict_base(span, base, self.info.protocol)
+            more = scale * gain * out.y.double().numpy()
+            correction[span.rows] = near[:, None] * said + close[:, None] * more
+            expected = scale * factor[span.phase] * np.exp(out.log_spread.double().numpy())
+            spread[span.rows] = between(close[:, None], expected, spread[span.rows])
             anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside
         return Corrected(correction, spread, anomaly, inside)
@@ -267,22 +282,37 @@ class Compensator(nn.Module):
         return {k: v.detach().numpy() for k, v in self.state_dict().items()}
 
     def details(self) -> dict[str, Any]:
-        """The envelope: ends of each feature's range, None where it has none."""
-        limits = zip(self.features, self.low.tolist(), self.high.tolist(), strict=True)
-        return {"envelope": {n: [a, b] if abs(a) < UNLIMITED / 2 else None for n, a, b in limits}}
+        """The envelope (`learning.data.envelope`); {} without one."""
+        if not limited(self.info.channels, self.info.protocol):
+            return {"envelope": {}}
+        said = self.scaling().envelope
+        return {
+            "envelope": {
+                "inputs": list(place_names(self.info.channels, self.info.n_commands)),
+                "centre": said.centre.tolist(),
+                "scale": said.scale.tolist(),
+                "whitening": said.whitening.tolist(),
+                "reach": said.reach,
+            }
+        }
 
     def _shares(self) -> tuple[float, ...]:
         return smoothing(self.info.rate_hz)
 
-    def _inside(self, raw: Tensor) -> Tensor:
-        """1 where every feature is within the envelope, shape (1, 1)."""
-        if self.info.protocol == "reconstruct":
-            return torch.ones_like(raw[:, :1])
-        within = (raw >= self.low).to(raw.dtype) * (raw <= self.high).to(raw.dtype)
-        return within.amin(-1, keepdim=True)
-
-    def _spread(self, out: NetworkOut, expected: Tensor, inside: Tensor) -> Tensor:
-        return inside * (expected * torch.exp(out.log_spread)) + (1 - inside) * self.rms
+    def _distance(self, raw: Tensor) -> Tensor:
+        """From where training has been, shape (1, 1)."""
+        channels = self.info.channels
+        if not limited(channels, self.info.protocol):
+            return torch.zeros_like(raw[:, :1])
+        seen = [
+            torch.linalg.vector_norm(raw[:, list(s)], dim=-1, keepdim=True)
+            if len(s) > 1
+            else raw[:, list(s)]
+            for s in channels.place
+        ]
+        places = torch.cat([*seen, raw[:, len(channels.seen) :]], dim=-1)
+        white = ((places - self.place_centre) / self.place_scale) @ self.place_whitening.T
+        return torch.sqrt((white**2).mean(-1, keepdim=True)) / self.place_reach
 
 
 def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:

@@ -34,6 +34,11 @@ class Corrected:
     __repr__ = short_repr
 
 
+def between(share: Array, corrected: Array, uncorrected: Array) -> Array:
+    """Spread of what is left where a correction fades: the one at share 1, the other at 0."""
+    return uncorrected + share * (corrected - uncorrected)
+
+
 class Model(Protocol):
     """Whatever corrects a flight."""
 

@@ -27,11 +27,6 @@ class Normalised(Interface):
         """As in `learning.preset.Preset`."""
         ...
 
-    @property
-    def envelope_margin(self) -> float:
-        """As there."""
-        ...
-
 
 def left_out_errors(
     flights: Sequence[ResidualFlight],
@@ -44,7 +39,7 @@ def left_out_errors(
 
     Args:
         flights: Two or more.
-        preset: How residuals are scaled, and how wide the envelope is.
+        preset: How residuals are scaled.
         protocol: Decides the regressors.
         horizon: Samples, in `track`; else 0.
         scaling: In whose units the errors are told.
@@ -56,9 +51,7 @@ def left_out_errors(
     errors = []
     for one in flights:
         others = [f for f in flights if f is not one]
-        theirs = fit_scaling(
-            others, [in_spans(f) for f in others], preset.normalise, preset.envelope_margin
-        )
+        theirs = fit_scaling(others, [in_spans(f) for f in others], preset.normalise)
         seen = sequences(others, theirs, protocol, horizon)
         base = fit_base(seen, [s.fresh for s in seen], protocol, one.rate_hz)
         for span in sequences([one], theirs, protocol, horizon):

@@ -69,7 +69,7 @@ class Workpiece:
                 channels=flights[0].channels,
             )
         )
-        scaling = fit_scaling(flights, usable, preset.normalise, preset.envelope_margin)
+        scaling = fit_scaling(flights, usable, preset.normalise)
         self.compensator.set_scaling(scaling)
         self.spans = sequences(flights, self.compensator.scaling(), protocol, horizon)
         held = [held_back[s.flight][s.rows, None] for s in self.spans]

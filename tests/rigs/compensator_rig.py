@@ -63,7 +63,7 @@ def compensator(
         seed: Of everything.
         commands: Motors.
         rate_hz: Samples per second.
-        envelope: Half of its width, in spreads of the features.
+        envelope: How far it reaches, in spreads of its inputs.
         vehicle: Name it is trained for.
         channels: That it corrects.
     """
@@ -80,8 +80,7 @@ def compensator(
     model.feature_scale.uniform_(0.5, 1.5)
     model.feature_mean[-commands:] = 0.5
     model.feature_scale[-commands:] = 0.1
-    model.low.copy_(model.feature_mean - envelope * model.feature_scale)
-    model.high.copy_(model.feature_mean + envelope * model.feature_scale)
+    _place(model, envelope)
     model.least.fill_(-1.5)
     model.most.fill_(1.5)
     model.base.normal_(std=0.2)
@@ -92,6 +91,18 @@ def compensator(
     for parameter in model.parameters():
         parameter.add_(0.1 * torch.randn_like(parameter))
     return model.eval()
+
+
+def _place(model: Compensator, envelope: float) -> None:
+    """Physical inputs about the means of the features, each mixed with the others."""
+    seen = [some[0] for some in model.info.channels.place]
+    first = len(model.info.channels.seen)
+    columns = [*seen, *range(first, first + model.info.n_commands)] if seen else []
+    model.place_centre.copy_(model.feature_mean[columns])
+    model.place_scale.copy_(model.feature_scale[columns])
+    mixed = torch.eye(len(columns)) + 0.1 * torch.randn(len(columns), len(columns))
+    model.place_whitening.copy_(mixed)
+    model.place_reach.fill_(envelope)
 
 
 def flight(model: Compensator, samples: int, seed: int = 0) -> ResidualFlight:

@@ -220,7 +220,7 @@ def test_a_long_step_takes_every_sample(new: New) -> None:
 @pytest.mark.slow
 def test_outside_the_envelope_nothing_is_corrected(new: New) -> None:
     rows = rows_of(flight(model("free"), 30))
-    rows["virtual"][10:20, 4] = float(model("free").high[4]) + 1
+    rows["virtual"][10:20, 1] = float(model("free").place_centre[1]) + 1e3
     said = outputs(fly(new("free").start(), rows, range(30)))
     assert not said["inside"][10:20].any()
     assert not said["correction"][10:20].any()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNKNOWN_PHASE
-from learning.data.flights import ResidualFlight, held, residual_flight
+from learning.data.flights import ResidualFlight, held, residual_flight, restart_before_s
 from twin.errors import LogError, ModelError
 from twin.flight import closed_loop
 from twin.flight.control.lqr_cascade import controller
@@ -273,24 +273,62 @@ def test_ground_is_no_span_and_phases_have_codes() -> None:
     assert flight.commands.shape == (len(flight.t_s), 4)
 
 
+# -- how long before a reading the twin was at the measured state ---------------------------
+
+
+def test_a_twin_that_follows_is_where_it_is_put(noisy: Flight) -> None:
+    follows, later = residual_flight(noisy, FEISI, restart_s=0.0), residual_flight(noisy, FEISI)
+    for group in ("acc", "mag"):
+        columns, rows = GROUPS[group], np.isfinite(later.virtual[:, 0])
+        np.testing.assert_array_equal(
+            follows.virtual[rows, columns], later.virtual[rows, columns], group
+        )
+    assert follows.fresh[:, GROUPS["gyro"]].any()
+    for group in ("pos", "vel"):
+        assert not follows.fresh[:, GROUPS[group]].any()
+        assert np.isfinite(follows.virtual[slice(*follows.spans[0]), GROUPS[group]]).all()
+
+
+def test_a_twin_that_was_just_restarted_nearly_follows(noisy: Flight) -> None:
+    """The shortest time there is, at which the start of the window is among what is kept."""
+    follows, soon = (residual_flight(noisy, FEISI, restart_s=s) for s in (0.0, 0.01))
+    rows = slice(max(f.spans[0][0] for f in (follows, soon)) + 1, soon.spans[0][1])
+    speed = GROUPS["vel"]
+    off = soon.virtual[rows, speed] - follows.virtual[rows, speed]
+    assert np.abs(off).max() < 0.2
+    gyro = GROUPS["gyro"]
+    fresh = soon.fresh[rows, gyro] & follows.fresh[rows, gyro]
+    off = (soon.residual - follows.residual)[rows, gyro][fresh]
+    assert len(off) > 100 and np.abs(off).max() < 0.5
+
+
+@pytest.mark.parametrize(
+    ("protocol", "horizon", "before_s"),
+    [("free", 0, 0.0), ("track", 1, 0.01), ("track", 50, 0.5), ("reconstruct", 0, 0.5)],
+)
+def test_the_protocol_says_how_long(protocol: str, horizon: int, before_s: float) -> None:
+    assert restart_before_s(protocol, horizon, 100.0) == before_s  # type: ignore[arg-type]
+
+
 # -- what is refused ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("rate_hz", "horizon_s", "says"),
+    ("rate_hz", "before_s", "says"),
     [
         (30.0, 0.5, "rate 30 Hz"),
         (0.0, 0.5, "rate 0 Hz"),
-        (100.0, 0.0055, "horizon 0.0055 s"),
+        (100.0, 0.0055, "restart 0.0055 s"),
         (100.0, 0.005, "at least one interval"),
-        (100.0, float("nan"), "horizon nan"),
+        (100.0, float("nan"), "restart nan"),
+        (100.0, -0.5, "restart -0.5 s"),
     ],
 )
-def test_rates_and_horizons_that_are_refused(
-    noisy: Flight, rate_hz: float, horizon_s: float, says: str
+def test_rates_and_times_that_are_refused(
+    noisy: Flight, rate_hz: float, before_s: float, says: str
 ) -> None:
     with pytest.raises(ModelError, match=says):
-        residual_flight(noisy, FEISI, rate_hz, horizon_s)
+        residual_flight(noisy, FEISI, rate_hz, before_s)
 
 
 def test_flight_without_a_sample_to_compare_is_refused(noisy: Flight) -> None:

@@ -15,8 +15,9 @@ from residual_rig import UNITS, made_up, tiny
 
 from learning.data.channels import CHANNELS
 from learning.data.clustering import clusters_of
+from learning.data.envelope import INSIDE, UNLIMITED
 from learning.data.flights import ResidualFlight
-from learning.data.scaling import UNLIMITED, fit_scaling, in_spans
+from learning.data.scaling import fit_scaling, in_spans
 from learning.model.compensator import Compensator, ModelInfo
 from learning.model.corrected import Corrected
 from learning.preset import Preset
@@ -34,7 +35,7 @@ def untrained(protocol: str, horizon: int, preset: Preset, seed: int = 0) -> Com
     commands = FLIGHT.commands.shape[1]
     info = ModelInfo(preset, protocol, horizon, FLIGHT.rate_hz, commands, clusters)  # type: ignore[arg-type]
     model = Compensator(info)
-    model.set_scaling(fit_scaling([FLIGHT], chosen, preset.normalise, 0.0))
+    model.set_scaling(fit_scaling([FLIGHT], chosen, preset.normalise))
     model.base.normal_(std=0.1)
     model.gate.uniform_()
     model.leftover.uniform_()
@@ -71,9 +72,10 @@ def streamed(model: Compensator, flight: ResidualFlight) -> Corrected:
 )
 def test_streaming_is_sequence(protocol: str, horizon: int, changes: dict[str, object]) -> None:
     model = untrained(protocol, horizon, tiny(**changes))
-    model.low[0] = -0.1  # some samples are outside
+    model.place_reach.mul_(0.4)  # some samples are outside, and some far
     one, other = streamed(model, FLIGHT), model.run(FLIGHT)
     np.testing.assert_array_equal(one.inside, other.inside)
+    assert protocol == "reconstruct" or 0.05 < other.inside[in_spans(FLIGHT)].mean() < 0.95
     np.testing.assert_allclose(one.correction / UNITS, other.correction / UNITS, atol=5e-6)
     np.testing.assert_allclose(one.spread / UNITS, other.spread / UNITS, atol=5e-6)
     np.testing.assert_allclose(one.anomaly, other.anomaly, rtol=1e-4, atol=1e-5)
@@ -150,8 +152,11 @@ def test_a_sample_with_no_number_is_as_if_it_had_not_been(
 
 
 @pytest.mark.parametrize(("protocol", "horizon"), PROTOCOLS)
-def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> None:
-    """Each feature by itself; `reconstruct` only repeats what it is given and knows no envelope."""
+def test_zero_correction_far_outside_the_envelope(protocol: str, horizon: int) -> None:
+    """Each feature by itself; `reconstruct` only repeats what it is given and knows no envelope.
+
+    Neither heading (magnetometer) nor height take part.
+    """
     model = untrained(protocol, horizon, tiny())
     for number in range(len(model.features)):
         virtual, commands = FLIGHT.virtual.copy(), FLIGHT.commands.copy()
@@ -165,7 +170,8 @@ def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> No
         values[21, column] = np.nan
         found = model.run(replace(FLIGHT, virtual=virtual, commands=commands))
         outside = [20, 21]
-        if protocol == "reconstruct":
+        of_place = model.features[number].startswith(("gyro", "vel", "cmd"))
+        if protocol == "reconstruct" or not of_place:
             assert found.inside[:50].all()
         else:
             assert not found.inside[outside].any() and found.inside[:20].all()
@@ -176,18 +182,22 @@ def test_zero_correction_outside_the_envelope(protocol: str, horizon: int) -> No
 def test_envelope_of_the_training_data_holds_them() -> None:
     model = untrained("free", 0, tiny())
     found = model.run(FLIGHT)
-    np.testing.assert_array_equal(found.inside, in_spans(FLIGHT))
-    assert not found.correction[~in_spans(FLIGHT)].any()
+    flown = in_spans(FLIGHT)
+    assert found.inside[flown].mean() == pytest.approx(INSIDE, abs=1 / flown.sum())
+    assert not found.inside[~flown].any() and not found.correction[~flown].any()
 
 
-def test_a_feature_never_seen_limits_nothing() -> None:
-    blind = replace(FLIGHT, virtual=FLIGHT.virtual * np.where(np.arange(15) == 6, np.nan, 1.0))
-    scaling = fit_scaling([blind], [in_spans(blind)], "phase", 0.0)
-    assert scaling.high[6] == UNLIMITED
+@pytest.mark.parametrize("column", [0, 6])
+def test_a_feature_never_seen_limits_nothing(column: int) -> None:
+    unseen = np.arange(15) == column
+    blind = replace(FLIGHT, virtual=FLIGHT.virtual * np.where(unseen, np.nan, 1.0))
+    scaling = fit_scaling([blind], [in_spans(blind)], "phase")
+    assert scaling.feature_scale[column] == UNLIMITED
     model = untrained("free", 0, tiny())
     model.set_scaling(scaling)
     seeing, blinded = model.run(FLIGHT), model.run(blind)
     assert seeing.inside.any()
+    np.testing.assert_array_equal(seeing.inside, blinded.inside)
     np.testing.assert_allclose(seeing.correction, blinded.correction, rtol=1e-6)
 
 

@@ -50,9 +50,9 @@ def test_description_says_what_a_tool_needs(folder: Path) -> None:
     assert (said["protocol"], said["horizon"], said["rate_hz"]) == ("track", 2, 100.0)
     assert (said["vehicle"], said["vehicle_sha256"], said["n_commands"]) == ("v", "0f", 2)
     assert [f["name"] for f in said["flights"]] == ["made_up_0"]
-    low, high = said["envelope"]["cmd_2"]
-    assert low < FLIGHT.commands[:, 1].min() and FLIGHT.commands[:, 1].max() < high
-    assert len(said["envelope"]) == 15
+    place = said["envelope"]
+    assert place["inputs"][-1] == "cmd_2" and len(place["centre"]) == len(place["inputs"]) == 7
+    assert FLIGHT.commands[:, 1].min() < place["centre"][-1] < FLIGHT.commands[:, 1].max()
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     for row in range(1, len(noise)):
         flight.residual[row] = 0.9 * flight.residual[row - 1] + noise[row]
     chosen = [in_spans(flight)]
-    scaling = fit_scaling([flight], chosen, "pooled", 0.0)
+    scaling = fit_scaling([flight], chosen, "pooled")
     spans = sequences([flight], scaling, "track", 3)
     weights = fit_base(spans, [s.fresh for s in spans], "track", flight.rate_hz)
     expected = np.zeros(weights.shape[1])
@@ -233,7 +233,7 @@ def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
     virtual = rng.normal(size=flight.virtual.shape)
     reading = lfilter([1.0], [1.0, -0.999], 0.01 * rng.normal(size=virtual.shape), axis=0)
     jittery = replace(flight, virtual=virtual, residual=reading - virtual)
-    scaling = fit_scaling([jittery], [in_spans(jittery)], "pooled", 0.0)
+    scaling = fit_scaling([jittery], [in_spans(jittery)], "pooled")
     spans = sequences([jittery], scaling, "track", 10)
     weights = fit_base(spans, [s.fresh for s in spans], "track", jittery.rate_hz)
     left = np.concatenate([s.d - predict_base(s, weights, "track") for s in spans])

@@ -1,0 +1,112 @@
+"""Where training has been: a distance in physical inputs, 1 at its end, and what fades beyond.
+
+    z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
+
+Up to d = 1 a model may say all that it learned. From there to `WAVES_END` a network fades, from
+`LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades alike
+(`twin.physics.residual_force`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
+from twin.representation import short_repr
+
+Array = NDArray[np.float64]
+Values = Any
+"""An array or a tensor: whatever has `+ - * /` and `clip`."""
+INSIDE = 0.995
+"""Share of the training that is inside, and of each flight that the others have not seen: flights
+differ by more than a flight does within itself."""
+TRIFLE = 1e-6
+"""An input that moves by less, in its unit, did not move."""
+UNLIMITED = 1e30
+"""Reach of what has no envelope, and scale of what training never knew; finite, so that any tool
+reads it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """Numbers of a distance; `k` physical inputs.
+
+    Attributes:
+        centre: Shape (k,).
+        scale: Above 0, shape (k,); `UNLIMITED` of an input that training never knew, which counts
+            for nothing.
+        whitening: Makes z uncorrelated, shape (k, k).
+        reach: Distance up to which training has been, above 0.
+    """
+
+    centre: Array
+    scale: Array
+    whitening: Array
+    reach: float
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(cls, flights: Sequence[Array], reserve: Array) -> "Envelope":
+        """That of a training.
+
+        Args:
+            flights: Inputs of each, NaN where unknown, shape (n, k).
+            reserve: By input, what is no other place, in its unit, shape (k,).
+        """
+        whole = _metric(flights, reserve)
+        reach = [np.quantile(_known(whole.distance(np.vstack(flights))), INSIDE)]
+        for i, one in enumerate(flights if len(flights) > 1 else ()):
+            others = _metric([f for j, f in enumerate(flights) if j != i], reserve)
+            reach.append(np.quantile(_known(others.distance(one)), INSIDE))
+        return cls(whole.centre, whole.scale, whole.whitening, max(float(max(reach)), TRIFLE))
+
+    @classmethod
+    def none(cls, k: int) -> "Envelope":
+        """One that holds everything."""
+        return cls(np.zeros(k), np.ones(k), np.eye(k), UNLIMITED)
+
+    def distance(self, x: Array) -> Array:
+        """Of inputs, infinite where one of them is unknown; shape (n, k) to (n,)."""
+        z = np.where(self.scale < UNLIMITED, (x - self.centre) / self.scale, 0.0)
+        away = np.sqrt(np.mean((z @ self.whitening.T) ** 2, axis=1)) / self.reach
+        return np.asarray(np.where(np.isfinite(away), away, np.inf))
+
+
+def _metric(flights: Sequence[Array], reserve: Array) -> Envelope:
+    """A distance whose reach is one."""
+    x = np.vstack(flights)
+    known = np.isfinite(x)
+    n = np.maximum(known.sum(axis=0), 1)
+    centre = np.where(known, x, 0.0).sum(axis=0) / n
+    spread = np.sqrt(np.where(known, (x - centre) ** 2, 0.0).sum(axis=0) / n)
+    scale = np.where(spread > TRIFLE, spread, 1.0)
+    scale = np.where(known.any(axis=0), scale, UNLIMITED)
+    z = np.where(known, (x - centre) / scale, 0.0)
+    metric = z.T @ z / len(z) + np.diag((reserve / scale) ** 2 + 1e-12)
+    whitening = np.asarray(np.linalg.inv(np.linalg.cholesky(metric)))
+    return Envelope(centre, scale, whitening, 1.0)
+
+
+def _known(distance: Array) -> Array:
+    known: Array = distance[np.isfinite(distance)]
+    return known if len(known) else np.ones(1)
+
+
+def network_share(d: Values) -> Values:
+    """How much of a network counts at a distance."""
+    return _fade(d, 1.0, WAVES_END)
+
+
+def linear_share(d: Values) -> Values:
+    """How much of what is linear counts at a distance."""
+    return _fade(d, LINEAR_BEGIN, LINEAR_END)
+
+
+def _fade(d: Values, begin: float, end: float) -> Values:
+    """1 up to `begin`, 0 from `end` on, in between a cubic without a kink."""
+    t = ((d - begin) / (end - begin)).clip(0.0, 1.0)
+    return 1 - t * t * (3 - 2 * t)
