@@ -7,6 +7,7 @@ from fmus import FmuModel, build, component_model, fuse
 from twin.component import Component
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, connected_by_name
+from twin.physics.airframe import TOLD
 
 from .system import Connection, System
 
@@ -53,7 +54,9 @@ def parts_of(assembly: Assembly, compensator: FmuModel | None) -> dict[str, Comp
     parts: dict[str, Component | FmuModel] = dict(assembly.parts)
     if compensator is None:
         return parts
-    given = {name for part in assembly.parts.values() for name in part.output_names}
+    given = {
+        name.removeprefix(TOLD) for part in assembly.parts.values() for name in part.output_names
+    }
     wanted = (n for n in compensator.input_names if "." not in n and n != PHASE)
     missing = [n for n in wanted if n not in given]
     if missing:
@@ -68,6 +71,17 @@ def _wires(
     assembly: Assembly, parts: Mapping[str, Component | FmuModel]
 ) -> tuple[tuple[str, str], ...]:
     """Connections of the assembly, and those of the compensator by name."""
+    if COMPENSATOR not in parts:
+        return assembly.connections
     own = f"{COMPENSATOR}."
-    more = ((a, b) for a, b in connected_by_name(parts) if a.startswith(own) or b.startswith(own))
+    more = [w for w in connected_by_name(parts) if any(end.startswith(own) for end in w)]
+    fed = {target for _, target in more}
+    shown = ((key, name) for key, part in assembly.parts.items() for name in part.output_names)
+    more += [
+        (f"{key}.{name}", target)
+        for key, name in shown
+        if name.startswith(TOLD)
+        and name.removeprefix(TOLD) in parts[COMPENSATOR].input_names
+        and (target := own + name.removeprefix(TOLD)) not in fed
+    ]
     return (*assembly.connections, *more)

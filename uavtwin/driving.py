@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.data.channels import phase_codes
 from twin.logs import Flight
 from twin.residuals.aligned import AlignedFlight
 from twin.residuals.imu import in_step
@@ -19,7 +20,11 @@ PREFIX = "airframe."
 
 
 def driving_inputs(
-    flight: Flight, vehicle: Vehicle, aligned: AlignedFlight, restarts: NDArray[np.intp]
+    flight: Flight,
+    vehicle: Vehicle,
+    aligned: AlignedFlight,
+    restarts: NDArray[np.intp],
+    compensated: bool = False,
 ) -> NDArray[Any]:
     """Inputs of a driven twin at the start of each step of `GRID_S`, as FMPy takes them.
 
@@ -31,11 +36,13 @@ def driving_inputs(
         aligned: The flight on the grid of the twin.
         restarts: Rows, from 1 on, at which the twin is to have the measured motion, shape (k,);
             where that is unknown it goes on by itself.
+        compensated: Whether it has a compensator, which is told the phase of the flight.
 
     Returns:
         A row per grid point: `time` from 0 on, commands or rotor speeds (with their rates of
         change, where the twin asks for them) and voltage as the flight has them,
-        `airframe.restart` and `airframe.restart.pos_x` to `airframe.restart.omega_z`.
+        `airframe.restart` and `airframe.restart.pos_x` to `airframe.restart.omega_z`; with a
+        compensator `compensator.phase`, too.
     """
     t_s = aligned.inputs.t_s
     given = {c: Signal(*flight.signal([c])).held(t_s)[:, 0] for c in aligned.inputs.columns}
@@ -48,11 +55,14 @@ def driving_inputs(
     known = np.isfinite(ahead).all(axis=1)
     given["restart"] = (np.isin(np.arange(len(t_s)) + 1, restarts) & known).astype(np.float64)
     given |= dict(zip((f"restart.{s}" for s in RIGID), np.nan_to_num(ahead).T, strict=True))
-    kinds = [(PREFIX + c, bool if c == "restart" else float) for c in given]
+    columns = {PREFIX + name: values for name, values in given.items()}
+    if compensated:
+        columns["compensator.phase"] = phase_codes(aligned.phases).astype(np.float64)
+    kinds = [(c, bool if c == f"{PREFIX}restart" else float) for c in columns]
     table = np.zeros(len(t_s), dtype=[("time", float), *kinds])
     table["time"] = GRID_S * np.arange(len(t_s))
-    for name, values in given.items():
-        table[PREFIX + name] = values
+    for name, values in columns.items():
+        table[name] = values
     return table
 
 

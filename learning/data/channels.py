@@ -4,6 +4,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twin.flight.mission import PHASES
 from twin.frames import AXES
 from twin.physics.residual_force import INPUTS, OUTPUTS, SEEN
@@ -91,3 +94,8 @@ UNKNOWN_PHASE = len(PHASES)
 PHASE_CODES = MappingProxyType({**PHASES, "unknown": UNKNOWN_PHASE})
 """Phases of a mission by their codes, and where a flight says nothing."""
 N_PHASES = len(PHASE_CODES)
+
+
+def phase_codes(phases: Iterable[object]) -> NDArray[np.intp]:
+    """Codes of phases by their names, shape (n,); of a name that is none `UNKNOWN_PHASE`."""
+    return np.array([PHASE_CODES.get(str(p), UNKNOWN_PHASE) for p in phases], dtype=np.intp)

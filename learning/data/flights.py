@@ -35,7 +35,7 @@ from twin.residuals.teacher_forced import GRID_S, predicted_readings, sensor_rea
 from twin.vehicle import Vehicle
 
 from ..preset import Protocol
-from .channels import CHANNELS, GROUPS, PHASE_CODES, SENSORS, UNKNOWN_PHASE, Channels
+from .channels import CHANNELS, GROUPS, SENSORS, Channels, phase_codes
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -155,9 +155,7 @@ def residual_flight(
         residual=held(residual),
         fresh=fresh,
         commands=aligned.inputs.u[grid][:, drives],
-        phase=np.array(
-            [PHASE_CODES.get(str(p), UNKNOWN_PHASE) for p in aligned.phases[grid]], dtype=np.intp
-        ),
+        phase=phase_codes(aligned.phases[grid]),
         spans=_spans(valid),
         notes=(*aligned.notes, *notes),
         log_sha256=flight.fingerprint,

@@ -30,6 +30,8 @@ from .rotors import Drive, rotor_equations, rotor_inputs
 from .trim import hover_trim
 
 Array = NDArray[np.float64]
+TOLD = "told."
+"""Before the name of an input that an airframe also shows, so that others can be fed by it."""
 
 
 def airframe(
@@ -51,7 +53,8 @@ def airframe(
             the vehicle are always in, and on.
         restart: Whether it can be set anew while it runs: inputs `restart` and `restart.pos_x`
             to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
-            its motion is the given one; rotors and memories go on as they are.
+            its motion is the given one; rotors and memories go on as they are. What drives it is
+            shown again, `told.cmd_1` and so on, since no part of a twin gives it.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
@@ -108,6 +111,10 @@ def _equations(
             speed = spin * hover_level(vehicle)
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
     m.output("voltage", "V", "Battery voltage at the motors", motion.voltage)
+    if restart:
+        for i, told in enumerate(inputs, start=1):
+            name, unit = (f"cmd_{i}", "1") if drive == "command" else (f"rotor_{i}", "rad/s")
+            m.output(f"{TOLD}{name}", unit, f"What drives rotor {i}, as it is given", told)
     for (name, unit, meaning), acts in zip(OUTSIDE, disturbance, strict=restart):
         m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", acts)
     if vehicle.battery is not None:
