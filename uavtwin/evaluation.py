@@ -199,15 +199,18 @@ def _task(model: TrainedModel) -> str:
 
 
 def evaluation_table(found: Evaluation) -> TextTable:
-    """Rms left by each model, a row per sensor."""
+    """Rms left by each model, a row per sensor, and how far the model's own spread holds."""
     table = by_group(found)
     names = list(dict.fromkeys(table["model"]))
     rows = []
     for group, part in table.groupby("group", sort=False):
         cells = part.set_index("model")
         unit, n = str(cells["unit"].iloc[0]), str(int(cells["n"].iloc[0]))
-        rows.append((str(group), unit, n, *(f"{cells['rmse'][k]:.3g}" for k in names)))
-    return TextTable(("rms left", "unit", "n", *names), tuple(rows))
+        own = cells.loc[MODEL]
+        shares = (percent(own[k]) for k in ("within_1", "within_2", "inside"))
+        rows.append((str(group), unit, n, *(f"{cells['rmse'][k]:.3g}" for k in names), *shares))
+    header = ("rms left", "unit", "n", *names, "in 1 spread", "in 2", "inside")
+    return TextTable(header, tuple(rows))
 
 
 def evaluation_json(found: Evaluation) -> dict[str, Any]:

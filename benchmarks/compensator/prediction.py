@@ -20,6 +20,7 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,16 +37,17 @@ from learning.data.flights import (
 )
 from learning.evaluation.generating import evaluate_generated
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
-from learning.model.compensator import Compensator
+from learning.export.write import export_onnx
 from learning.model.corrected import Model
 from learning.model.generator import fit_generators
 from learning.model.recording import fit_recording
-from learning.preset import BEST, Preset
+from learning.preset import BEST, Preset, Protocol
 from learning.training.train import train
 from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
+from uavtwin.compiled import CompiledCompensator
 
 from .residuals import residuals
 from .simulated import individuals, produce
@@ -102,16 +104,16 @@ def simulated_splits(folder: Path, seeds: int, jobs: int, task: Task) -> dict[st
     return {"paper's split": paper, "same missions": same}
 
 
-def trained(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> Compensator:
-    """The compensator of a split; one that is there already is taken."""
-    return train(
-        split.train,
-        preset,
-        task.protocol,  # type: ignore[arg-type]
-        task.horizon,
-        seed,
-        out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}",
-    )
+@contextmanager
+def shipped(
+    split: Split, task: Task, preset: Preset, seed: int, out: Path
+) -> Iterator[CompiledCompensator]:
+    """The FMU of the compensator of a split; one that is trained already is taken."""
+    folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
+    protocol: Protocol = task.protocol  # type: ignore[assignment]
+    export_onnx(train(split.train, preset, protocol, task.horizon, seed, folder), folder)
+    with CompiledCompensator(folder) as compiled:
+        yield compiled
 
 
 def score(
@@ -121,8 +123,8 @@ def score(
     tables, began = [], time.perf_counter()
     jobs = [(s, t, k) for t, some in splits.items() for s in some for k in range(seeds)]
     for done, (split, task, seed) in enumerate(jobs, start=1):
-        model = trained(split, task, preset, seed, out)
-        table = evaluate({MODEL: model}, split.train, split.test, task)
+        with shipped(split, task, preset, seed, out) as model:
+            table = evaluate({MODEL: model}, split.train, split.test, task)
         tables.append(table[table["phase"] == WHOLE].assign(split=split.name, seed=seed))
         left = (time.perf_counter() - began) / done * (len(jobs) - done)
         print(f"{out.name}: {done}/{len(jobs)}, {left:.0f} s left", file=sys.stderr, flush=True)
@@ -171,6 +173,21 @@ def verdicts(rows: pd.DataFrame) -> str:
     return "\n".join([*lines, ""])
 
 
+def coverage(rows: pd.DataFrame) -> str:
+    """Per task and sensor: share of samples within one and two predicted spreads."""
+    per = pooled(rows[rows["model"] == MODEL], ("protocol", "horizon", "group"))
+    lines = [f"| task | {' | '.join(GROUPS)} | inside |", "|---|" + "---|" * (len(GROUPS) + 1)]
+    for (protocol, horizon), part in per.groupby(["protocol", "horizon"], sort=False):
+        here = part.set_index("group")
+        cells = [
+            f"{here['within_1'][g]:.0%}, {here['within_2'][g]:.0%}" if g in here.index else "-"
+            for g in GROUPS
+        ]
+        name = protocol if not horizon else f"{protocol} {horizon}"
+        lines.append(f"| {name} | {' | '.join(cells)} | {here['inside'].min():.0%} |")
+    return "\n".join([*lines, ""])
+
+
 def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path) -> str:
     """The rms left on real_3 by the twin, the explained twin, and each with a compensator."""
     fit, held = logs[:2], logs[2:]
@@ -208,10 +225,10 @@ def alarm_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path
     lines = ["| flight | task | before the fault | after it |", "|---|---|---|---|"]
     for task in (Task("track", 1), Task("track", 10)):
         for split in splits[task]:
-            model = trained(split, task, preset, 0, out)
             for flight in split.test:
                 broken, at = with_fault(flight)
-                alarm = model.run(broken).anomaly > 1
+                with shipped(split, task, preset, 0, out) as model:
+                    alarm = model.run(broken).anomaly > 1
                 before, after = _shares(broken, alarm, at)
                 cells = (flight.name, _task(task), f"{before:.1%}", f"{after:.1%}")
                 lines.append(f"| {' | '.join(cells)} |")
@@ -271,6 +288,7 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     rows = score(splits, preset, given.seeds, out / "real")
     yield "Real flights, each held out in turn", table_text(rows)
     yield "Real flights: rms over that of the best trivial baseline", verdicts(rows)
+    yield "Real flights: share within one and two predicted spreads", coverage(rows)
     alarms = alarm_text(splits, preset, out / "real")
     yield f"{FAULT} off by {FAULT_RAD_S:g} rad/s from mid-flight on: time with an alarm", alarms
     yield (
@@ -289,6 +307,7 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
         rows = score(own, preset, 1, out / name.replace(" ", "_"))
         yield f"Simulated flights with hidden effects, {name}", table_text(rows)
         yield f"The same: rms over that of the best trivial baseline, {name}", verdicts(rows)
+        yield f"The same: share within one and two predicted spreads, {name}", coverage(rows)
 
 
 def main(arguments: list[str] | None = None) -> int:
