@@ -125,9 +125,7 @@ def _outputs(network: NetworkFile) -> list[Variable]:
     table.append(
         Variable("anomaly", "output", "1", "Strangeness of the residual; above 1 is unusual")
     )
-    inside = (
-        "Whether the flight is within the training's envelope; outside the correction fades"
-    )
+    inside = "Whether the flight is within the training's envelope; outside the correction fades"
     left_out = "Samples so far that were left out, as an input was no number"
     table.append(Variable("inside", "output", "1", inside, boolean=True))
     return [*table, Variable("left_out", "output", "1", left_out)]

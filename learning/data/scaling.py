@@ -30,6 +30,7 @@ class Scaling:
     Attributes:
         mean: Of the residual, shape (phases, 15), units of the channels.
         scale: Spread of the residual, > 0, shape (phases, 15), units of the channels.
+        reading: Mean of what the twin reads, shape (phases, 15), units of the channels.
         feature_mean: Shape (features,), units of the features.
         feature_scale: > 0, shape (features,); `UNLIMITED` for one never seen, which leaves 0.
         least: Smallest standardised feature of the training: the network sees none below it,
@@ -44,6 +45,7 @@ class Scaling:
 
     mean: Array
     scale: Array
+    reading: Array
     feature_mean: Array
     feature_scale: Array
     least: Array
@@ -166,6 +168,7 @@ def fit_scaling(
         if normalise == "centred" and known.any():
             about = column[known] - mean[phase[known], c]
             scale[:, c] = _positive(float(about.std()), float(np.abs(mean[:, c]).max()))
+    virtual = np.concatenate([f.virtual[c] for f, c in zip(flights, chosen, strict=True)])
     each = [features_of(f)[c] for f, c in zip(flights, chosen, strict=True)]
     features, channels = np.concatenate(each), flights[0].channels
     envelope = Envelope.none(0)
@@ -176,6 +179,7 @@ def fit_scaling(
     return Scaling(
         mean=mean,
         scale=scale,
+        reading=_readings(virtual, phase),
         feature_mean=centre,
         feature_scale=spread,
         least=(least - centre) / spread,
@@ -186,6 +190,21 @@ def fit_scaling(
         place_reach=np.array([envelope.reach]),
         rms=np.array([_rms(column[np.isfinite(column)]) for column in residual.T]),
     )
+
+
+def _readings(virtual: Array, phase: NDArray[np.intp]) -> Array:
+    """Mean of what the twin read, by phase, 0 where it never could, shape (phases, 15)."""
+    known = np.isfinite(virtual)
+    found = np.tile(_mean(virtual, known), (N_PHASES, 1))
+    for p in range(N_PHASES):
+        here = known & (phase == p)[:, None]
+        enough = here.sum(axis=0) >= MIN_SAMPLES
+        found[p, enough] = _mean(virtual, here)[enough]
+    return found
+
+
+def _mean(values: Array, known: BoolArray) -> Array:
+    return np.asarray(np.sum(values, axis=0, where=known) / np.maximum(known.sum(axis=0), 1))
 
 
 def _centre(values: Array, normalise: str) -> tuple[float, float]:

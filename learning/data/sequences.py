@@ -40,6 +40,7 @@ class SpanSequence:
             in `reconstruct`, none in `free`.
         change: What the twin read at the time of the newest known residual, minus what it reads
             now, over the scale; 0 unless in `track`, shape (n, 15).
+        own: What the twin reads now, about its mean in the phase, over the scale, shape (n, 15).
         features: Shape (n, F).
         slow: Low-passed features, shape (n, 2 F).
         phase: Codes, shape (n,).
@@ -52,6 +53,7 @@ class SpanSequence:
     fresh: BoolArray
     lags: Array
     change: Array
+    own: Array
     features: Array
     slow: Array
     phase: NDArray[np.intp]
@@ -86,7 +88,7 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
 def n_regressors(protocol: Protocol, n_features: int) -> int:
     """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
     features = n_features * (1 + len(SMOOTHING_S))
-    return {"reconstruct": 0, "track": LAGS + 1 + features, "free": features}[protocol]
+    return {"reconstruct": 0, "track": LAGS + 2 + features, "free": 1 + features}[protocol]
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:
@@ -123,8 +125,10 @@ def _span(
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
     lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
     change = np.zeros_like(d)
+    virtual = flight.virtual[rows]
+    own = np.nan_to_num((virtual - scaling.reading[phase]) / scaling.scale[phase])
     if protocol == "track":
-        virtual = np.nan_to_num(flight.virtual[rows])
+        virtual = np.nan_to_num(virtual)
         then = _delayed(_held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
     return SpanSequence(
@@ -134,6 +138,7 @@ def _span(
         fresh=fresh,
         lags=np.stack(lags, axis=-1) if lags else np.zeros((*d.shape, 0)),
         change=change,
+        own=own,
         features=features,
         slow=np.hstack(slow),
         phase=phase,

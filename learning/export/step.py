@@ -83,7 +83,7 @@ def _step(g: Graph, model: Compensator) -> None:
     past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
     sample = _sample(g, model)
     here = _one_hot(g, sample)
-    mean, scale, expected = _tables(g, model, here)
+    mean, scale, reading, expected = _tables(g, model, here)
     looks = protocol != "reconstruct"  # which looks at no feature
     raw = _raw_features(g, model, sample) if looks else ""
     features = _features(g, model, raw) if looks else ""
@@ -100,12 +100,15 @@ def _step(g: Graph, model: Compensator) -> None:
         inputs = g.op("Concat", features, slow, axis=1)
         of_inputs = base[:, -len(model.features) * (1 + len(SMOOTHING_S)) :]
         said = g.op("MatMul", inputs, g.floats(of_inputs.T))
+        own = g.op("Div", g.op("Sub", sample.virtual, reading), scale)
+    if protocol == "free":
+        said = g.op("Add", said, g.op("Mul", own, g.floats(base[:, :1].T)))
     if protocol == "track":
         lags = g.reshape(g.columns(past, first, rows * n), -1, n)
         then, readings, begun = _read_then(g, model, sample, readings, begun)
         change = g.op("Div", g.op("Sub", then, sample.virtual), scale)
-        seen = g.concat(lags, change, axis=0)  # (lags + 1, 15)
-        products = g.op("Mul", seen, g.floats(base[:, : LAGS + 1].T))
+        seen = g.concat(lags, change, own, axis=0)  # (lags + 2, 15)
+        products = g.op("Mul", seen, g.floats(base[:, : LAGS + 2].T))
         said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
     linear = g.op("Add", mean, g.op("Mul", scale, said)) if said else mean
     more = g.op("Mul", scale, y)
@@ -155,11 +158,11 @@ def _features(g: Graph, model: Compensator, raw: str) -> str:
 
 
 def _tables(g: Graph, model: Compensator, here: str) -> list[str]:
-    """Mean, scale and expected spread of the phase, shape (1, 15) each."""
-    mean, scale = numbers(model.mean), numbers(model.scale)
+    """Mean, scale, mean reading and expected spread of the phase, shape (1, 15) each."""
+    mean, scale, reading = (numbers(t) for t in (model.mean, model.scale, model.reading))
     expected = np.abs(scale) * numbers(model.spread_factor)
-    row = g.op("MatMul", here, g.floats(np.hstack([mean, scale, expected])))
-    return g.split(row, [len(model.info.channels)] * 3, axis=1)
+    row = g.op("MatMul", here, g.floats(np.hstack([mean, scale, reading, expected])))
+    return g.split(row, [len(model.info.channels)] * 4, axis=1)
 
 
 def _remembered(

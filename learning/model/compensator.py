@@ -51,6 +51,7 @@ class Compensator(nn.Module):
     family = "fc_mc_svq"
     mean: Tensor
     scale: Tensor
+    reading: Tensor
     feature_mean: Tensor
     feature_scale: Tensor
     least: Tensor
@@ -80,6 +81,7 @@ class Compensator(nn.Module):
         shapes = {
             "mean": (N_PHASES, n_channels),
             "scale": (N_PHASES, n_channels),
+            "reading": (N_PHASES, n_channels),
             "feature_mean": (n_features,),
             "feature_scale": (n_features,),
             "least": (n_features,),
@@ -195,6 +197,7 @@ class Compensator(nn.Module):
         raw = torch.cat([virtual[:, list(self.info.channels.seen)], command], dim=-1)
         features = (raw - self.feature_mean) / self.feature_scale
         features = torch.minimum(torch.maximum(features, self.least), self.most)
+        own = (virtual - here @ self.reading) / scale
         known = torch.zeros_like(mean)
         prediction = torch.zeros_like(mean)
         if rows:
@@ -213,12 +216,13 @@ class Compensator(nn.Module):
             readings, begun = then.reshape(1, -1), torch.ones_like(begun)
             change = (then[-1:] - virtual) / scale
             lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
-            seen = torch.cat([lags, change], dim=0)  # (lags + 1, 15)
+            seen = torch.cat([lags, change, own], dim=0)  # (lags + 2, 15)
             of_past, of_inputs = self.base[:, : len(seen)], self.base[:, len(seen) :]
             prediction = (seen * of_past.T).sum(0, keepdim=True)
             prediction = prediction + torch.cat([features, slow], dim=-1) @ of_inputs.T
         elif self.info.protocol == "free":
-            prediction = torch.cat([features, slow], dim=-1) @ self.base.T
+            prediction = own * self.base[:, 0]
+            prediction = prediction + torch.cat([features, slow], dim=-1) @ self.base[:, 1:].T
         out, network_state = self.network.step(known, features, here, network_state)
         distance = self._distance(raw)
         near, close = linear_share(distance), network_share(distance)

@@ -15,8 +15,9 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
-RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Tried strengths, per sample; the weights' unit is one, since everything is standardised."""
+RIDGES = (1e-6, 1e-4, 1e-3, 1e-2, 1e-1, 1.0, 10.0, 1e3)
+"""Tried strengths, per sample; the weights' unit is one, since everything is standardised. The last
+leaves a trivial rule as it is."""
 MOST_FOLDS = 8
 """Parts of the data, each said by the fit without it."""
 BLOCK_S = 1.0
@@ -34,11 +35,12 @@ def fit_base(
     """Weights of the linear prediction per channel; zero where it does not plainly help.
 
     `track`: weights times [`lags`, `change`] of each channel, which is autoregression straight to
-    the horizon (with weights 1, 0, ..., 1 the sensor reads what it read last, whatever the twin
-    says), times [features, slow features], or times both. `free`: times [features, slow features].
-    `reconstruct`: none. Which of them, and the strength of the ridge, is chosen, and its worth
-    judged, on parts of the data that had no share in the fit: flight by flight, or by stretches of
-    time where there is one flight.
+    the horizon, times [`own`, features, slow features], or times both. `free`: times [`own`,
+    features, slow features]. `reconstruct`: none. The ridge holds the weights at those of a trivial
+    rule: that the residual is nothing, or what it was last, or that the sensor reads what it read
+    last, or what it reads on average, whatever the twin says. Which of all these, and the strength
+    of the ridge, is chosen, and its worth judged, on parts of the data that had no share in the
+    fit: flight by flight, or by stretches of time where there is one flight.
 
     Args:
         spans: All training flights.
@@ -55,7 +57,8 @@ def fit_base(
         x = np.concatenate([regressors(s, protocol, c) for s in spans])
         target = np.concatenate([s.d[:, c] for s in spans])
         counts = np.concatenate([m[:, c] for m in scored])
-        weights.append(_channel(x, target, counts, folds, blocks, _sets(protocol, x.shape[1])))
+        tried = _tried(protocol, x.shape[1])
+        weights.append(_channel(x, target, counts, folds, blocks, tried))
     return np.array(weights)
 
 
@@ -69,9 +72,9 @@ def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
     """What the linear prediction of a channel is made from, shape (n, regressors)."""
     if protocol == "track":
         past = [span.lags[:, channel], span.change[:, channel, None]]
-        return np.hstack([*past, span.features, span.slow])
+        return np.hstack([*past, span.own[:, channel, None], span.features, span.slow])
     if protocol == "free":
-        return np.hstack([span.features, span.slow])
+        return np.hstack([span.own[:, channel, None], span.features, span.slow])
     return np.zeros((len(span.d), 0))
 
 
@@ -132,12 +135,18 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
     return np.arange(len(flights), dtype=np.intp) * MOST_FOLDS // len(flights)
 
 
-def _sets(protocol: Protocol, n: int) -> list[IntArray]:
-    """Regressors that may be used together, the fewest first."""
+def _tried(protocol: Protocol, n: int) -> list[tuple[Array, IntArray]]:
+    """Weights of trivial rules, and regressors that may be used beside them, the fewest first."""
     every = np.arange(n)
     if protocol != "track":
-        return [every]
-    return [every[: LAGS + 1], every[LAGS + 1 :], every]
+        rules = [np.zeros(n), -np.eye(1, n)[0]] if n else []
+        return [(rule, every) for rule in rules]
+    past, now = every[: LAGS + 1], every[LAGS + 1 :]
+    nothing, last, mean_reading = np.zeros(n), np.eye(n)[0], -np.eye(n)[LAGS + 1]
+    last_reading = last + np.eye(n)[LAGS]
+    of_past = [(rule, past) for rule in (nothing, last, last_reading)]
+    of_now = [(rule, now) for rule in (nothing, mean_reading)]
+    return [*of_past, *of_now, *((r, every) for r in (nothing, last, last_reading, mean_reading))]
 
 
 def _channel(
@@ -146,38 +155,47 @@ def _channel(
     scored: BoolArray,
     folds: IntArray,
     blocks: IntArray,
-    sets: Sequence[IntArray],
+    tried: Sequence[tuple[Array, IntArray]],
 ) -> Array:
-    """Weights from all data, with the regressors and the ridge that said best what is new."""
-    nothing = np.zeros(x.shape[1])
-    if not scored.any() or not x.shape[1]:
-        return nothing
-    found, most = nothing, 0.0
-    for columns in sets:
-        weights, gain = _chosen(x[:, columns], target, scored, folds, blocks)
+    """Weights from all data: rule, regressors and ridge that said best what is new."""
+    found, most = np.zeros(x.shape[1]), 0.0
+    if not scored.any():
+        return found
+    for rule, columns in tried:
+        weights, gain = _chosen(x[:, columns], target, x @ rule, scored, folds, blocks)
         if gain > most:
-            found, most = np.zeros(x.shape[1]), gain
-            found[columns] = weights
+            found, most = rule.copy(), gain
+            found[columns] += weights
     return found
 
 
 def _chosen(
-    x: Array, target: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+    x: Array, target: Array, ruled: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
 ) -> tuple[Array, float]:
-    """Weights of all regressors with the best ridge, and the square error that it saved.
+    """What the best ridge adds to the weights of a rule, and the square error that both save.
 
-    Zero and none where the saving could be chance.
+    None where the saving could be chance.
+
+    Args:
+        x: Regressors, shape (n, k).
+        target: Shape (n,).
+        ruled: What the rule says, shape (n,).
+        scored: Samples that count, shape (n,).
+        folds: Part of the data of each, shape (n,).
+        blocks: As from `time_blocks`, shape (n,).
     """
+    left = target - ruled
     parts = [scored & (folds == k) for k in np.unique(folds)]
     grams = np.array([x[p].T @ x[p] for p in parts])  # (folds, regressors, regressors)
-    moments = np.array([x[p].T @ target[p] for p in parts])
+    moments = np.array([x[p].T @ left[p] for p in parts])
     counts = np.array([p.sum() for p in parts])
     gram, moment, count = grams.sum(0), moments.sum(0), int(counts.sum())
-    said = np.zeros((len(RIDGES), len(x)))
+    said = np.tile(ruled, (len(RIDGES), 1))
     for k, fold in enumerate(np.unique(folds)):
         here, others = folds == fold, count - int(counts[k])
         for prediction, ridge in zip(said, RIDGES, strict=True):
-            prediction[here] = x[here] @ _ridge(gram - grams[k], moment - moments[k], others, ridge)
+            weights = _ridge(gram - grams[k], moment - moments[k], others, ridge)
+            prediction[here] += x[here] @ weights
     gains = target**2 - (target - said) ** 2  # (ridges, n)
     best = int(np.argmax(gains[:, scored].sum(1)))
     if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:

@@ -76,6 +76,7 @@ def compensator(
     model = Compensator(info)
     model.mean.normal_(std=0.1)
     model.scale.uniform_(0.5, 1.5)
+    model.reading.normal_(std=0.1)
     model.feature_mean.normal_()
     model.feature_scale.uniform_(0.5, 1.5)
     model.feature_mean[-commands:] = 0.5
