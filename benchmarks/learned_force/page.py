@@ -28,6 +28,13 @@ ABOUT = {
     "all has to be learned, from hover and takeoff, and is flown in tour and forward flight. "
     "One aircraft of each set of `benchmarks/compensator/simulated.py`.",
 }
+CLOSED = (
+    "Missions (hover, forward, tour) of the fused FMU that flies by itself, each in its own steady "
+    "wind and gusts, with its own noise and from its own place and heading: every law that was "
+    "found, shipped or not, against the same flight without it. Lost: farther than 10 m from where "
+    "the mission wants it."
+)
+WORSE = 0.1
 CONSTANT = "explained + observer + constant"
 HEAD = """\
 # What a learned force is worth
@@ -44,7 +51,7 @@ are: [the compensator](../guide/compensator.md#force-and-moment).
 
 def page(cases: Sequence[dict[str, Any]]) -> str:
     """All of it, as Markdown."""
-    lines = [HEAD, *_summary(cases)]
+    lines = [HEAD, *_summary(cases), *section("In closed loop"), *_closed(cases)]
     for group, own in groupby(cases, lambda c: c["group"]):
         lines += ["", f"## {TITLES[group]}", "", ABOUT[group]]
         for case in own:
@@ -84,6 +91,28 @@ def _summary(cases: Sequence[dict[str, Any]]) -> list[str]:
         "inside",
     )
     return table(head, rows)
+
+
+def _closed(cases: Sequence[dict[str, Any]]) -> list[str]:
+    """A row per law: flights in closed loop."""
+    rows = pd.DataFrame([row for c in cases for row in c["closed_loop"]])
+    if rows.empty:
+        return ["No law was found that could be flown in closed loop."]
+    lines = []
+    for law, own in rows.groupby("law", sort=False):
+        ratio = own["off_m"] / own["alone_m"]
+        lines.append(
+            (
+                str(law),
+                str(len(own)),
+                str(int((~own["stable"]).sum())),
+                f"{ratio.median():.3f}",
+                f"{ratio.max():.3f}",
+                str(int((ratio > 1 + WORSE).sum())),
+            )
+        )
+    head = ("law", "flights", "lost", "off over that without, median", "most", "worse by a tenth")
+    return [CLOSED, "", *table(head, lines)]
 
 
 def _off(case: dict[str, Any], model: str, quantity: str) -> float:

@@ -53,7 +53,18 @@ def _case(group: str, off: dict[str, float]) -> dict[str, Any]:
         "summary": summary(table).to_dict("records"),
         "cells": table.to_dict("records"),
     }
-    return {"group": group, "name": "one", "named": [], "claim": "force: x.", "evaluation": said}
+    flown = [
+        {"mission": "tour", "law": "linear", "stable": True, "off_m": off, "alone_m": 0.5}
+        for off in (0.4, 0.5, 0.6)
+    ]
+    return {
+        "group": group,
+        "name": "one",
+        "named": [],
+        "claim": "force: x.",
+        "evaluation": said,
+        "closed_loop": flown,
+    }
 
 
 def test_figures_of_the_page() -> None:
@@ -62,3 +73,4 @@ def test_figures_of_the_page() -> None:
     text = page([case])
     assert "| 1 | 0.12 | 0.12 | 0.433 to 0.433 | 97 to 97 % |" in text
     assert "is off, 75 % is gone" in text
+    assert "| linear | 3 | 0 | 1.000 | 1.200 | 1 |" in text
