@@ -15,6 +15,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import twin
+from learning import preset
 from learning.data import channels, flights, residual_table
 from learning.data.flights import (
     DEFAULT_HORIZON_S,
@@ -91,7 +92,7 @@ def source_files() -> list[Path]:
     """The sources that make a residual flight, and those that keep it."""
     root = Path(next(iter(twin.__path__)))
     files = [f for f in sorted(root.rglob("*.py")) if f.relative_to(root).parts[0] != "explain"]
-    return files + [Path(str(m.__file__)) for m in (channels, flights, residual_table)]
+    return files + [Path(str(m.__file__)) for m in (preset, channels, flights, residual_table)]
 
 
 def _state() -> str:
