@@ -1,16 +1,17 @@
 """A trained compensator as it ships: its FMU, stepped over a flight."""
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cosim.slave.slave import Slave
 from fmus import build
-from fmus.compensator import compensator_model, read_network
+from fmus.compensator import NetworkFile, native_model, read_network
 from learning.data.flights import ResidualFlight
 from learning.model.corrected import Corrected
 
@@ -18,41 +19,21 @@ Array = NDArray[np.float64]
 _KINDS = ("correction", "spread")
 
 
+@dataclass(frozen=True, slots=True)
 class CompiledCompensator:
-    """A compensator in C; `with` it, the FMU is built, and removed afterwards.
+    """A compensator in C; it says what the model itself says, in the arithmetic of the FMU.
 
-    It says what the model itself says, in the arithmetic of the FMU.
+    Attributes:
+        fmu: FMU.
+        network: That it was made from.
     """
 
-    def __init__(self, folder: Path) -> None:
-        """Build it.
-
-        Args:
-            folder: Of a trained model that has a `model.onnx`.
-
-        Raises:
-            FmuError: The folder holds none, or the C generator refuses it.
-        """
-        self._place = tempfile.TemporaryDirectory()
-        self._network = read_network(folder)
-        self._fmu = build(compensator_model(folder), Path(self._place.name, "compensator.fmu"))
-
-    def __enter__(self) -> Self:
-        """Itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Remove the FMU."""
-        self._place.cleanup()
+    fmu: Path
+    network: NetworkFile
 
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; each span starts anew."""
-        network, n = self._network, flight.virtual.shape[1]
+        network, n = self.network, flight.virtual.shape[1]
         channels = network.channels
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
@@ -67,7 +48,7 @@ class CompiledCompensator:
             given += [flight.virtual + flight.residual, flight.fresh[:, first]]
         reads = [*(f"{kind}.{c}" for kind in _KINDS for c in channels), "anomaly", "inside"]
         table, period = np.hstack(given).astype(np.float64), 1 / flight.rate_hz
-        slave = Slave("compensator", self._fmu)
+        slave = Slave("compensator", self.fmu)
         try:
             sent, received = np.zeros(len(names)), np.zeros(len(reads))
             slave.bind(names, reads, sent, received)
@@ -85,3 +66,19 @@ class CompiledCompensator:
         finally:
             slave.close()
         return Corrected(correction, spread, anomaly, inside)
+
+
+@contextmanager
+def compiled_compensator(folder: Path) -> Iterator[CompiledCompensator]:
+    """The compensator of a folder, built for as long as it is needed.
+
+    Args:
+        folder: Of a trained model that has a `model.onnx`.
+
+    Raises:
+        FmuError: The folder holds none, or the C generator refuses it.
+    """
+    network = read_network(folder)
+    with tempfile.TemporaryDirectory() as place:
+        fmu = build(native_model(network), Path(place, "compensator.fmu"))
+        yield CompiledCompensator(fmu, network)

@@ -21,7 +21,7 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
-from .compiled import CompiledCompensator
+from .compiled import compiled_compensator
 from .flights import check_names
 from .output import output_file
 from .report.figures import embedded, pretty_unit
@@ -126,7 +126,7 @@ def evaluate_model(
     flights = residuals[0]
     compiled = (folder / FILE).is_file()
     if compiled:
-        with CompiledCompensator(folder) as fmu:
+        with compiled_compensator(folder) as fmu:
             said = _Said({f.name: fmu.run(f) for f in flights})
     else:
         said = _Said({f.name: model.run(f) for f in flights})

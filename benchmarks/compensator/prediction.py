@@ -47,7 +47,7 @@ from twin.explain.explanation import explain
 from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.compiled import CompiledCompensator
+from uavtwin.compiled import CompiledCompensator, compiled_compensator
 
 from .residuals import residuals
 from .simulated import individuals, produce
@@ -112,7 +112,7 @@ def shipped(
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
     protocol: Protocol = task.protocol  # type: ignore[assignment]
     export_onnx(train(split.train, preset, protocol, task.horizon, seed, folder), folder)
-    with CompiledCompensator(folder) as compiled:
+    with compiled_compensator(folder) as compiled:
         yield compiled
 
 

@@ -17,7 +17,7 @@ from twin.logs import read_flight, write_flight
 from twin.residuals.aligned import align_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli import main
-from uavtwin.compiled import CompiledCompensator
+from uavtwin.compiled import compiled_compensator
 from uavtwin.demo.flights import fly
 from uavtwin.driving import driving_inputs
 
@@ -212,7 +212,7 @@ def test_a_twin_that_follows_a_flight_is_inside_and_corrected(
     rows, columns = slice(*own.spans[0]), GROUPS["acc"]
     assert np.mean(run["compensator.inside"][rows]) >= 0.95
     correction = np.column_stack([run[f"compensator.correction.{c}"] for c in acc])[rows]
-    with CompiledCompensator(free) as compiled:
+    with compiled_compensator(free) as compiled:
         alone = compiled.run(own).correction[rows, columns]
     left = own.residual[rows, columns]
     before, after = (np.sqrt(np.mean(r**2)) for r in (left, left - correction))
