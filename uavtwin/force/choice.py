@@ -1,20 +1,11 @@
 """Which law is used: that which flies better on flights it has not seen, and does no harm."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.force.candidates import Candidate
-from learning.force.instants import Instants
-from learning.force.model import Flown, observer_starts
-from learning.force.train import Prepared
-from twin.physics.residual_force import ForceLaw, weight_names
-from twin.representation import short_repr
-
-from .open_loop import Replay
+from learning.force.model import Flown
 
 Array = NDArray[np.float64]
 BETTER = 0.01
@@ -22,37 +13,7 @@ BETTER = 0.01
 horizons."""
 WORSE = 1.02
 """No quantity may grow by more, in the geometric mean over flights and horizons."""
-PART = "residual_force."
 _TINY = 1e-30
-
-
-@dataclass(frozen=True, slots=True)
-class Fold:
-    """A flight that is left out, and what the others teach.
-
-    Attributes:
-        replay: Of the flight.
-        seen: The flight.
-        prepared: The others.
-        fitted: Laws by name of each output, fitted to the others.
-    """
-
-    replay: Replay
-    seen: Instants
-    prepared: Prepared
-    fitted: Sequence[Mapping[str, Candidate]]
-
-    __repr__ = short_repr
-
-    def law(self, names: Sequence[str]) -> tuple[ForceLaw, dict[str, float]]:
-        """The law of these names, one per output, and the parameters that make a twin fly it."""
-        chosen = [every[name] for every, name in zip(self.fitted, names, strict=True)]
-        law = self.prepared.law(chosen)[0]
-        return law, weight_starts(law) | observer_starts([c.observer for c in chosen])
-
-    def squares(self, fmu: Path, starts: Mapping[str, float]) -> Array:
-        """Mean squares of what a twin is off in the flight left out, shape (horizons, 4, 3)."""
-        return np.asarray(np.mean(self.replay.through(fmu, starts).off ** 2, axis=0))
 
 
 class Steps:
@@ -93,9 +54,3 @@ def best_law(flown: Sequence[Flown]) -> str:
     least = min(ratio for _, ratio in good)
     return next(law for law, ratio in good if ratio <= least + BETTER)
 
-
-def weight_starts(law: ForceLaw) -> dict[str, float]:
-    """The weights of a law as start values of the fused FMU."""
-    names = [n for table in weight_names(law) for row in table for n in row]
-    values = np.concatenate([law.linear.ravel(), law.waves.ravel()]).tolist()
-    return {PART + n: v for n, v in zip(names, values, strict=True)}

@@ -3,13 +3,15 @@
 For each output the laws of `learning.force.candidates` by which flights left out are more probable
 than without are put into the FMU of the driven twin, one after the other beside what was chosen
 before, and flights that took no part in their fit are replayed through it. A law is taken where the
-twin is then less far off, beside its observer, and in no quantity farther. These flights choose;
+twin is then less far off, beside its observer, and in no quantity farther. Then all of them are
+refined together by flying (`refinement`), and kept so on the same condition. These flights choose;
 what the law is worth, others say.
 """
 
 import hashlib
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +35,11 @@ from ..vehicles import Vehicle
 from .choice import Fold, Steps, as_flown, best_law
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
+from .refinement import REFINED, ROUNDS, refined, to_refine
 
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
-_READING, _LAWS, _NETWORK = 0.1, 0.6, 0.95
+_READING, _LAWS, _REFINED, _NETWORK = 0.1, 0.5, 0.7, 0.95
 """Shares of the work that are done after each part, about."""
 
 
@@ -62,22 +65,24 @@ def learn_force(
     for flight in flights:
         seen.append(instants(flight, vehicle))
         progress(_READING * len(seen) / len(flights))
-    prepared = prepare(seen, vehicle, seed)
-    every = prepared.candidates()
-    laws = ["none"] * len(OUTPUTS)
+    laws, used = ["none"] * len(OUTPUTS), [False] * len(OUTPUTS)
     flown: list[tuple[Flown, ...]] = [()] * len(OUTPUTS)
-    used = [False] * len(OUTPUTS)
-    if len(flights) > 1:
-        folds = []
-        for k, flight in enumerate(flights):
-            others = prepare([s for s in seen if s is not seen[k]], vehicle, seed)
-            replay = Replay(flight, vehicle, AHEAD_S)
-            folds.append(Fold(replay, seen[k], others, others.candidates()))
-        laws, flown = _flown(folds, every, drive, _part(progress, _READING, _LAWS))
-        networks = flown_network(folds, laws, drive, seed, _part(progress, _LAWS, _NETWORK))
-        used = [best_law([n]) == NETWORK for n in networks]
-        flown = [(*f, n) for f, n in zip(flown, networks, strict=True)]
-    chosen = [c[name] for c, name in zip(every, laws, strict=True)]
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        lesson = Lesson.of(seen, vehicle, drive, seed, place / "all.fmu")
+        if len(flights) > 1:
+            folds = []
+            for k, flight in enumerate(flights):
+                others = [s for s in seen if s is not seen[k]]
+                taught = Lesson.of(others, vehicle, drive, seed, place / f"{k}.fmu")
+                folds.append(Fold(Replay(flight, vehicle, AHEAD_S), seen[k], taught))
+            laws, flown = _flown(folds, lesson, _part(progress, _READING, _LAWS))
+            lesson, folds, refined_ = _refined(folds, lesson, laws, _part(progress, _LAWS, _REFINED))
+            laws, flown = _taken(laws, flown, refined_)
+            networks = flown_network(folds, laws, drive, seed, _part(progress, _REFINED, _NETWORK))
+            used = [best_law([n]) == NETWORK for n in networks]
+            flown = _with(flown, networks)
+    prepared, chosen = lesson.prepared, lesson.chosen(laws)
     law, taken = prepared.law(chosen)
     if any(used):
         train_network(prepared, law, seed, folder / NETWORK_FOLDER)

@@ -27,7 +27,8 @@ from twin.flight.assembly import driven_twin
 from twin.physics.residual_force import OUTPUTS, ForceLaw
 from twin.physics.rotors import Drive
 
-from .choice import Fold, Steps, as_flown, best_law
+from .choice import Steps, as_flown, best_law
+from .fold import Fold
 
 Array = NDArray[np.float64]
 NETWORK = "svq"
@@ -74,18 +75,18 @@ def flown_network(
         gains, folders = np.zeros(len(OUTPUTS)), []
         for k, fold in enumerate(folds):
             folders.append(Path(name, str(k)))
-            law = fold.law(laws)[0]
-            network = train_network(fold.prepared, law, seed, folders[-1])
+            law = fold.lesson.law(laws)
+            network = train_network(fold.lesson.prepared, law, seed, folders[-1])
             gains += _gains(fold, law, network)
             steps.one()
         if not (gains > WORTH).any():
             return [Flown(NETWORK, gain) for gain in gains.tolist()]
         twins = []
         for fold, folder in zip(folds, folders, strict=True):
-            (law, starts), vehicle = fold.law(laws), fold.prepared.vehicle
-            parts = driven_twin(vehicle, drive, (), law, network=True)
+            vehicle = fold.lesson.prepared.vehicle
+            parts = driven_twin(vehicle, drive, (), fold.lesson.law(laws), network=True)
             model = fused_model(parts, vehicle.name, native_model(read_network(folder)))
-            twins.append((fold, build(model, folder / "twin.fmu"), starts))
+            twins.append((fold, build(model, folder / "twin.fmu"), fold.lesson.starts(laws)))
             steps.one()
 
         def squares(used: Sequence[bool]) -> Array:
@@ -111,10 +112,11 @@ def flown_network(
 
 def _gains(fold: Fold, law: ForceLaw, network: Compensator) -> Array:
     """Nats by which the flight left out is more probable with the network, shape (6,)."""
-    weights = fold.prepared.weights(law)
-    taught = [design.leaves(weights) for design in fold.prepared.designs]
-    pieces = [pieces_of(design.piece) for design in fold.prepared.designs]
-    design = fold.prepared.design(fold.seen)
+    prepared = fold.lesson.prepared
+    weights = prepared.weights(law)
+    taught = [design.leaves(weights) for design in prepared.designs]
+    pieces = [pieces_of(design.piece) for design in prepared.designs]
+    design = prepared.design(fold.seen)
     before = design.leaves(weights)
     after = before - network.run(residual_sequence(fold.seen, design, weights)).correction
     gains = []
