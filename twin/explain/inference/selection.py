@@ -237,6 +237,7 @@ def _named(
     fits: dict[tuple[str, ...], Fit] = {
         (): fit_of_best(problem, (), judge.best((), kappa), nothing)
     }
+    causes: dict[tuple[str, ...], list[str]] = {(): []}
     inclusion = dict.fromkeys(problem.model.effects, 0.0)
     silent = _silent(problem, posterior, rules)
     for s in posterior.sets:
@@ -247,11 +248,11 @@ def _named(
         own = worth_a_name(fit_of(problem, heard, s.best.x, s.best.deviations(), 0.0))
         chances[own] = chances.get(own, 0.0) + s.probability
         if own not in fits:
-            causes = [c for c in heard if effect_of(c) in own]
-            fits[own] = fit_of(problem, causes, s.best.x, s.best.deviations(), whole.gain)
+            causes[own] = [c for c in heard if effect_of(c) in own]
+            fits[own] = fit_of(problem, causes[own], s.best.x, s.best.deviations(), whole.gain)
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
-    shown, told = _averaged(problem, posterior, rules)
+    shown, told = _averaged(problem, posterior, causes[order[0]], rules)
     believable = _credible(problem, found, fitted[0], settings)
     return Naming(
         fitted,
@@ -285,10 +286,12 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
     return frozenset(c for c in problem.beliefs.causes if silent(c))
 
 
-def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> tuple[Fit, Fit]:
+def _averaged(
+    problem: Problem, posterior: Posterior, named: Sequence[str], rules: SelectionSettings
+) -> tuple[Fit, Fit]:
     """Effects that may be there, with the means of their numbers over all sets, and over those that
     hold them: what is as likely as not, and of what is less likely whatever moves the mean of a
-    number by as much as is worth a name."""
+    number by as much as is worth a name, or has one in the most probable set."""
     b, k = problem.beliefs, len(problem.beliefs.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
@@ -305,10 +308,10 @@ def _averaged(problem: Problem, posterior: Posterior, rules: SelectionSettings) 
     mean = np.concatenate([np.where(b.shape, held, p @ x), days])
 
     def moves(cause: str) -> bool:
-        """Whether it moves the prediction."""
+        """Whether it is named, or moves the prediction."""
         chance = posterior.inclusion[cause]
         large = fit_of(problem, [cause], mean, spread, 0.0).sizes()[effect_of(cause)] >= 1
-        return chance >= 0.5 or (chance >= rules.least and large)
+        return chance >= 0.5 or cause in named or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
     kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]

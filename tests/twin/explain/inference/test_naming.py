@@ -299,29 +299,37 @@ def test_a_lag_that_takes_a_delay_back_is_no_name(
     assert worth_a_name(both) == named
 
 
-def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None:
-    """Three sets: a bias; the same with a delay of 1 ms; the delay alone."""
-    problem = against(quiet, COPTER, "accel_bias", "imu_delay")
+def named_of(
+    flight: Flight,
+    sizes: dict[str, float],
+    sets: dict[tuple[str, ...], float],
+    inclusion: dict[str, float],
+) -> Naming:
+    """What is said of sets of these probabilities, each number as large as given where it is."""
+    problem = against(flight, COPTER, "accel_bias", "imu_delay")
     state = problem.start((), 1.0)
     judge, names = problem.linearised(state), problem.beliefs.names
-    sizes = {"accel_bias.x_m_s2": 0.5, "imu_delay.delay_s": 0.001}
 
-    def of(*effects: str) -> Weighed:
+    def of(effects: tuple[str, ...], probability: float) -> Weighed:
         best = judge.best(effects, 1.0)
         x = np.zeros_like(best.x)
         for name, value in sizes.items():
             if name.partition(".")[0] in effects:
                 x[names.index(name)] = value
-        return Weighed(effects, 0.0, replace(best, x=x))
+        return Weighed(effects, probability, replace(best, x=x))
 
-    sets = [of("accel_bias"), of("accel_bias", "imu_delay"), of("imu_delay")]
-    chances = (0.5, 0.3, 0.2)
-    posterior = Posterior(
-        tuple(replace(s, probability=p) for s, p in zip(sets, chances, strict=True)),
+    posterior = Posterior(tuple(of(*s) for s in sets.items()), inclusion, {})
+    return _named(problem, Found(state, judge, {}), posterior, DEFAULT.inference)
+
+
+def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None:
+    """Three sets: a bias; the same with a delay of 1 ms; the delay alone."""
+    naming = named_of(
+        quiet,
+        {"accel_bias.x_m_s2": 0.5, "imu_delay.delay_s": 0.001},
+        {("accel_bias",): 0.5, ("accel_bias", "imu_delay"): 0.3, ("imu_delay",): 0.2},
         {"accel_bias": 0.8, "imu_delay": 0.5},
-        {},
     )
-    naming = _named(problem, Found(state, judge, {}), posterior, DEFAULT.inference)
     assert [f.effects for f in naming.fitted] == [("accel_bias",), ()]
     assert naming.probabilities == pytest.approx((0.8, 0.2))
     assert set(naming.best.values) == {f"accel_bias.{a}_m_s2" for a in "xyz"}
@@ -330,6 +338,23 @@ def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None
     assert shown["accel_bias.x_m_s2"] == pytest.approx(0.8 * 0.5)
     assert naming.told.values["accel_bias.x_m_s2"] == pytest.approx(0.5)
     assert shown["imu_delay.delay_s"] == pytest.approx(0.5 * 0.001)
+
+
+def test_the_most_probable_set_may_hold_what_is_unlikely_and_small(quiet: Flight) -> None:
+    """A bias of which the mean over all sets is worth no name."""
+    (number,) = (
+        n for n in numbers_of([EFFECTS["accel_bias"]], COPTER) if n.full.endswith("x_m_s2")
+    )
+    size = 1.5 * number.about.smallest
+    naming = named_of(
+        quiet,
+        {"accel_bias.x_m_s2": size, "imu_delay.delay_s": 0.01},
+        {("accel_bias",): 0.45, ("imu_delay",): 0.3, (): 0.25},
+        {"accel_bias": 0.45, "imu_delay": 0.3},
+    )
+    assert naming.best.effects == ("accel_bias",)
+    assert naming.told.values["accel_bias.x_m_s2"] == pytest.approx(size)
+    assert naming.verdict == "cannot_tell"
 
 
 def weighed(
