@@ -15,6 +15,7 @@ from twin.flight.mission import mission_duration_s
 from twin.frames import AXES
 from uavtwin.exports.parts import LearnedForce, learned_force, twin
 from uavtwin.exports.write import export
+from uavtwin.force.evaluate import DISTANCE
 from uavtwin.vehicles import load_vehicle
 
 Array = NDArray[np.float64]
@@ -37,10 +38,12 @@ class Flown:
     Attributes:
         off_m: Rms of the distance to where the mission wants it.
         farthest_m: The largest; infinite where a number is none.
+        inside: Share of the time inside the envelope of the training.
     """
 
     off_m: float
     farthest_m: float
+    inside: float
 
     @property
     def stable(self) -> bool:
@@ -57,7 +60,8 @@ def closed_loop(folder: Path, count: int, seed: int) -> list[dict[str, Any]]:
         seed: Of missions, air, noise and where they begin.
 
     Returns:
-        Per flight and law `mission`, `law`, `stable`, and `off_m` with it and `alone_m` without.
+        Per flight and law `mission`, `law`, `stable`, `off_m` with it and `alone_m` without, and
+        the share of the time `inside` the envelope.
     """
     force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
     outputs = tuple(replace(o, network=False) for o in force.model.outputs)
@@ -86,6 +90,7 @@ def closed_loop(folder: Path, count: int, seed: int) -> list[dict[str, Any]]:
                             "stable": with_law.stable or not alone.stable,
                             "off_m": with_law.off_m,
                             "alone_m": alone.off_m,
+                            "inside": with_law.inside,
                         }
                     )
     return rows
@@ -116,9 +121,10 @@ def _draws(count: int, seed: int) -> Iterator[tuple[str, dict[str, float]]]:
 
 def _flown(fmu: Path, mission: str, starts: Mapping[str, float]) -> Flown:
     steps = round(mission_duration_s(mission) / STEP_S)
-    slave, found = Slave("twin", fmu), np.full((steps, len(TRACKED)), np.nan)
+    reads = (*TRACKED, DISTANCE)
+    slave, found = Slave("twin", fmu), np.full((steps, len(reads)), np.nan)
     try:
-        slave.bind([], TRACKED, np.zeros(0), np.zeros(len(TRACKED)))
+        slave.bind([], reads, np.zeros(0), np.zeros(len(reads)))
         slave.initialize(0.0, starts)
         slave.finish_initialization()
         for k in range(steps):
@@ -127,7 +133,8 @@ def _flown(fmu: Path, mission: str, starts: Mapping[str, float]) -> Flown:
             found[k] = slave.outputs
     finally:
         slave.close()
-    away = np.linalg.norm(found[:, :3] - found[:, 3:], axis=1)
+    away = np.linalg.norm(found[:, :3] - found[:, 3:6], axis=1)
+    inside = float(np.mean(found[:, 6] <= 1))
     if not np.isfinite(away).all():
-        return Flown(float("inf"), float("inf"))
-    return Flown(float(np.sqrt(np.mean(away**2))), float(away.max()))
+        return Flown(float("inf"), float("inf"), inside)
+    return Flown(float(np.sqrt(np.mean(away**2))), float(away.max()), inside)

@@ -48,13 +48,20 @@ def _case(group: str, off: dict[str, float]) -> dict[str, Any]:
         ]
     )
     said = {
-        "inside": {"one": 0.97},
+        "inside": {"one": [1.0, 1.0, 0.97, 0.9, 0.8]},
         "windows": {"one": 40},
         "summary": summary(table).to_dict("records"),
         "cells": table.to_dict("records"),
     }
     flown = [
-        {"mission": "tour", "law": "linear", "stable": True, "off_m": off, "alone_m": 0.5}
+        {
+            "mission": "tour",
+            "law": "linear",
+            "stable": True,
+            "off_m": off,
+            "alone_m": 0.5,
+            "inside": 0.9,
+        }
         for off in (0.4, 0.5, 0.6)
     ]
     return {
@@ -71,6 +78,6 @@ def test_figures_of_the_page() -> None:
     case = _case(FINER, {EXPLAINED: 2.0, CONSTANT: 1.0, SHIPPED: 0.25})
     assert beyond_constant(case) == pytest.approx(0.75)
     text = page([case])
-    assert "| 1 | 0.12 | 0.12 | 0.433 to 0.433 | 97 to 97 % |" in text
+    assert "| 1 | 0.12 | 0.12 | 0.433 to 0.433 | 97 to 97 % | 90 % |" in text
     assert "is off, 75 % is gone" in text
     assert "| linear | 3 | 0 | 1.000 | 1.200 | 1 |" in text

@@ -1,11 +1,16 @@
 """Which law is used: that which flies better on flights it has not seen, and does no harm."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.force.candidates import LAWS, WORTH
 from learning.force.model import Flown
+from twin.physics.residual_force import OUTPUTS
+
+from .fold import Fold, Lesson
 
 Array = NDArray[np.float64]
 BETTER = 0.01
@@ -14,6 +19,28 @@ horizons."""
 WORSE = 1.02
 """No quantity may grow by more, in the geometric mean over flights and horizons."""
 _TINY = 1e-30
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """Which laws are used.
+
+    Attributes:
+        laws: Name of that of each output.
+        tried: What each law of each output did.
+    """
+
+    laws: tuple[str, ...]
+    tried: tuple[tuple[Flown, ...], ...]
+
+    @classmethod
+    def nothing(cls) -> "Choice":
+        """No law, and none tried."""
+        return cls((LAWS[0],) * len(OUTPUTS), ((),) * len(OUTPUTS))
+
+    def tried_too(self, flown: Sequence[Flown]) -> "Choice":
+        """The same laws, and one more tried of each output."""
+        return Choice(self.laws, tuple((*t, f) for t, f in zip(self.tried, flown, strict=True)))
 
 
 class Steps:
@@ -54,3 +81,36 @@ def best_law(flown: Sequence[Flown]) -> str:
     least = min(ratio for _, ratio in good)
     return next(law for law, ratio in good if ratio <= least + BETTER)
 
+
+def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]) -> Choice:
+    """Law of each output, output after output.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights: it says which laws are worth a flight.
+        progress: Called with the share done.
+    """
+    steps = Steps(len(OUTPUTS) * (len(LAWS) - 1) + 1, progress)
+    laws, found = list(Choice.nothing().laws), []
+    least = left_out(folds, laws)
+    steps.one()
+    for i in range(len(OUTPUTS)):
+        flown, squares = [], {laws[i]: least}
+        for name in LAWS[1:]:
+            gain = lesson.fitted[i][name].gain
+            steps.one()
+            if gain <= WORTH:
+                flown.append(Flown(name, gain))
+                continue
+            squares[name] = left_out(folds, [*laws[:i], name, *laws[i + 1 :]])
+            flown.append(as_flown(name, gain, squares[name], least))
+        laws[i] = best_law(flown)
+        least = squares[laws[i]]
+        found.append(tuple(flown))
+    return Choice(tuple(laws), tuple(found))
+
+
+def left_out(folds: Sequence[Fold], laws: Sequence[str]) -> Array:
+    """Mean squares of what the twin with these laws is off in each flight left out, shape
+    (flights, horizons, 4, 3)."""
+    return np.stack([f.squares(f.lesson.fmu, f.lesson.starts(laws)) for f in folds])

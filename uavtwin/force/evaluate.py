@@ -27,6 +27,7 @@ from ..report.learning_figures import horizons_figure
 from ..report.page import render
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
+from .fold import weight_starts
 from .open_loop import HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
@@ -45,14 +46,14 @@ class ForceEvaluation(Shown):
         model: The learned force.
         table: A row per twin (`model`), `flight`, `horizon_s`, `quantity` and `axis`: `unit`, `rms`
             of what the twin is off after it was left alone so long.
-        inside: By flight: share of the instants at which the corrected twin, while it flew alone,
-            was inside the envelope of the training.
+        inside: By flight: at each of `HORIZONS_S` after it was left alone, how often the corrected
+            twin was inside the envelope of the training, shares.
         windows: By flight: how often the twins were left alone.
     """
 
     model: ForceModel
     table: pd.DataFrame
-    inside: Mapping[str, float]
+    inside: Mapping[str, tuple[float, ...]]
     windows: Mapping[str, int]
 
     @property
@@ -61,12 +62,12 @@ class ForceEvaluation(Shown):
         ratios = over_explained(self.table, SHIPPED)
         at, worst = ratios.idxmax(), float(ratios.max())
         flight, quantity, axis = at
-        share = float(np.mean(list(self.inside.values())))
+        share = float(np.mean([i[HORIZONS_S.index(CLAIMED_S)] for i in self.inside.values()]))
         return (
             f"{CLAIMED_S:g} s after it was left alone, the corrected twin is off by "
             f"{float(ratios.median()):.2f} of what the explained one is (median of "
             f"{len(ratios)} cells; at most {worst:.2f}, {quantity} {axis} of {flight}); "
-            f"{percent(share)} of the time inside the envelope."
+            f"{percent(share)} of these times inside the envelope."
         )
 
     def frame(self) -> pd.DataFrame:
@@ -81,7 +82,7 @@ class ForceEvaluation(Shown):
             "flights": list(self.inside),
             "claim": self.claim,
             "horizons_s": list(HORIZONS_S),
-            "inside": dict(self.inside),
+            "inside": {name: list(shares) for name, shares in self.inside.items()},
             "windows": dict(self.windows),
             "summary": summary(self.table).to_dict("records"),
             "cells": self.table.to_dict("records"),
@@ -136,7 +137,8 @@ def evaluate_force(
                 done += 1
                 progress(done / total)
             rows += [row for name, off in flown.items() for row in _rows(name, flight.name, off)]
-            inside[flight.name] = float(np.mean(flown[SHIPPED].watched <= 1))
+            near = np.mean(flown[SHIPPED].watched[..., 0] <= 1, axis=0)
+            inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
     return ForceEvaluation(model, pd.DataFrame(rows), inside, windows)
 
@@ -149,12 +151,16 @@ class _Fleet:
     ) -> None:
         self._forces: dict[str, LearnedForce | None] = {EXPLAINED: None}
         self._starts: dict[str, Mapping[str, float]] = {}
+        self._files: dict[str, str] = {}
         plain = tuple(replace(o, network=False) for o in force.model.outputs)
         for name, rival in force.model.rivals.items():
             law = "" if name == LAWS[0] else f" + {name}"
+            own = f"{OBSERVED}{law}"
             model = replace(force.model, law=rival.law, outputs=plain)
-            self._forces[f"{OBSERVED}{law}"] = LearnedForce(model)
-            self._starts[f"{OBSERVED}{law}"] = observer_starts(rival.observers)
+            self._forces[own] = LearnedForce(model)
+            self._starts[own] = weight_starts(rival.law) | observer_starts(rival.observers)
+            if not len(rival.law.phases):  # what tells them apart are start values
+                self._files[own] = OBSERVED
         self._forces[SHIPPED] = force
         self._vehicles = dict.fromkeys(self._forces, vehicle)
         if physics is not None:
@@ -173,7 +179,8 @@ class _Fleet:
 
     def twin(self, name: str, drive: Drive) -> tuple[Path, Mapping[str, float]]:
         """Its FMU, and start values."""
-        path = self._place / f"{name.replace(' ', '_')}_{drive}.fmu"
+        file = self._files.get(name, name)
+        path = self._place / f"{file.replace(' ', '_')}_{drive}.fmu"
         if not path.exists():
             export(twin(self._vehicles[name], drive=drive, force=self._forces[name]), path)
         return path, self._starts.get(name, {})
@@ -264,8 +271,12 @@ def write_force_report(found: ForceEvaluation, path: Path) -> None:
         claim=found.claim,
         model=found.model,
         flights=[
-            {"name": name, "inside": share, "windows": found.windows[name]}
-            for name, share in found.inside.items()
+            {
+                "name": name,
+                "inside": dict(zip(HORIZONS_S, shares, strict=True)),
+                "windows": found.windows[name],
+            }
+            for name, shares in found.inside.items()
         ],
         quantities=QUANTITIES,
         rows=rows.to_dict("records"),

@@ -32,18 +32,20 @@ class Lesson:
     Attributes:
         prepared: The flights.
         fitted: Laws by name of each output.
-        fmu: Driven twin that flies any of them, its law a matter of start values.
+        drive: Of the twin.
+        place: Where the twin is built, once it is to fly.
     """
 
     prepared: Prepared
     fitted: Sequence[Mapping[str, Candidate]]
-    fmu: Path
+    drive: Drive
+    place: Path
 
     __repr__ = short_repr
 
     @classmethod
     def of(
-        cls, seen: Sequence[Instants], vehicle: Vehicle, drive: Drive, seed: int, fmu: Path
+        cls, seen: Sequence[Instants], vehicle: Vehicle, drive: Drive, seed: int, place: Path
     ) -> "Lesson":
         """The lesson of these flights.
 
@@ -52,11 +54,19 @@ class Lesson:
             vehicle: Whose equations leave something.
             drive: Of the twin.
             seed: Of the random features.
-            fmu: Where to build the twin.
+            place: File of the twin.
         """
         prepared = prepare(seen, vehicle, seed)
-        build(fused_model(driven_twin(vehicle, drive, (), prepared.empty), vehicle.name), fmu)
-        return cls(prepared, prepared.candidates(), fmu)
+        return cls(prepared, prepared.candidates(), drive, place)
+
+    @property
+    def fmu(self) -> Path:
+        """Driven twin that flies any of the laws: they are a matter of start values."""
+        if not self.place.exists():
+            vehicle = self.prepared.vehicle
+            parts = driven_twin(vehicle, self.drive, (), self.prepared.empty)
+            build(fused_model(parts, vehicle.name), self.place)
+        return self.place
 
     def chosen(self, names: Sequence[str]) -> list[Candidate]:
         """Laws by their names, one per output."""
@@ -99,8 +109,12 @@ def law_starts(prepared: Prepared, chosen: Sequence[Candidate]) -> dict[str, flo
         prepared: Flights that the laws were fitted to.
         chosen: One law per output.
     """
-    law = prepared.law(chosen)[0]
+    weights = weight_starts(prepared.law(chosen)[0])
+    return weights | observer_starts([c.observer for c in chosen])
+
+
+def weight_starts(law: ForceLaw) -> dict[str, float]:
+    """The weights of a law as start values of the fused FMU."""
     names = [n for table in weight_names(law) for row in table for n in row]
     values = np.concatenate([law.linear.ravel(), law.waves.ravel()]).tolist()
-    weights = {_PART + n: v for n, v in zip(names, values, strict=True)}
-    return weights | observer_starts([c.observer for c in chosen])
+    return {_PART + n: v for n, v in zip(names, values, strict=True)}

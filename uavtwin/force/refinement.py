@@ -12,12 +12,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import lsq_linear
 
 from learning.force.candidates import LAWS, WORTH, Candidate
+from learning.force.model import Flown
 from twin.physics.residual_force import FEATURES
 
-from .fold import Lesson, law_starts
+from .choice import Choice, Steps, as_flown, best_law, left_out
+from .fold import Fold, Lesson, law_starts
 from .open_loop import Replay
 
 Array = NDArray[np.float64]
@@ -27,41 +29,72 @@ MOST = 2.0
 """Largest share of a weight. Not chosen on flights."""
 STEP = 0.05
 """Of a share, for the slopes."""
-ROUNDS = 6
-"""Of Gauss-Newton, at most."""
+THINNED = 4
+"""Of so many windows one is flown: the longest horizon covers them all once."""
+ROUNDS = 2
+"""Of Gauss-Newton: what a weight does to half a second of flight is nearly linear in it."""
 _TINY = 1e-30
 
 
-def to_refine(laws: Sequence[str], fitted: Sequence[Mapping[str, Candidate]]) -> list[str]:
-    """Names of the laws that are refined, per output: those in use, else linear ones for which
-    flights left out speak.
+def refine(
+    folds: Sequence[Fold], lesson: Lesson, choice: Choice, progress: Callable[[float], None]
+) -> tuple[list[Fold], Lesson, Choice]:
+    """Refine laws together, and use them where they fly better on flights left out.
 
     Args:
-        laws: In use.
-        fitted: Laws by name of each output, of all flights.
+        folds: One per flight.
+        lesson: Of all flights.
+        choice: Laws so far; where there is none, a linear one is refined for which flights left
+            out speak.
+        progress: Called with the share done.
+
+    Returns:
+        The same with one law more of each output, and the choice.
+    """
+    names = [_refinable(*both) for both in zip(choice.laws, lesson.fitted, strict=True)]
+    chosen = lesson.chosen(names)
+    if not any(c.weights.any() for c in chosen):
+        return list(folds), lesson, choice.tried_too([Flown(REFINED, c.gain) for c in chosen])
+    steps, taught = Steps(len(folds) + 1, progress), []
+    for fold in folds:
+        replays = [f.replay for f in folds if f is not fold]
+        taught.append(replace(fold, lesson=refined(fold.lesson, names, replays)))
+        steps.one()
+    laws = [
+        law if name == LAWS[0] else REFINED for law, name in zip(choice.laws, names, strict=True)
+    ]
+    whole = as_flown(REFINED, 0.0, left_out(taught, laws), left_out(folds, choice.laws))
+    tried = choice.tried_too(
+        [replace(whole, gain=c.gain) if c.weights.any() else Flown(REFINED, c.gain) for c in chosen]
+    )
+    if best_law([whole]) != REFINED:
+        return list(folds), lesson, tried
+    lesson = refined(lesson, names, [f.replay for f in folds])
+    steps.one()
+    return taught, lesson, replace(tried, laws=tuple(laws))
+
+
+def _refinable(law: str, fitted: Mapping[str, Candidate]) -> str:
+    """Name of the law that is refined: that in use, else the linear one if it is worth it.
+
+    Args:
+        law: In use.
+        fitted: By name, of all flights.
     """
     linear = LAWS[2]
-    return [
-        linear if law == LAWS[0] and every[linear].gain > WORTH else law
-        for law, every in zip(laws, fitted, strict=True)
-    ]
+    return linear if law == LAWS[0] and fitted[linear].gain > WORTH else law
 
 
-def refined(
-    lesson: Lesson,
-    names: Sequence[str],
-    replays: Sequence[Replay],
-    progress: Callable[[], None] = lambda: None,
-) -> Lesson:
+def refined(lesson: Lesson, names: Sequence[str], replays: Sequence[Replay]) -> Lesson:
     """The lesson with one law more of each output: that with the shares that fly best.
 
     Args:
         lesson: Of some flights.
         names: Of the laws that are refined together, one per output.
         replays: Of these flights.
-        progress: Called after each time that they are flown.
     """
     chosen = lesson.chosen(names)
+    flown = [replay.thinned(THINNED) for replay in replays]
     parts = [_parts(c.weights) for c in chosen]
     ends = np.cumsum([len(p) for p in parts])
 
@@ -75,26 +108,24 @@ def refined(
     def off(shares: Array) -> list[Array]:
         """What the twin is off in each flight, shape (w, horizons, 4, 3)."""
         starts = law_starts(lesson.prepared, of(shares))
-        flown = [replay.through(lesson.fmu, starts).off for replay in replays]
-        progress()
-        return flown
+        return [replay.through(lesson.fmu, starts).off for replay in flown]
 
     def errors(shares: Array) -> Array:
         """In shares of what the twin is off without laws: horizons and quantities count alike."""
-        flown = off(shares)
-        return np.concatenate([(o / s).ravel() for o, s in zip(flown, sizes, strict=True)])
+        both = zip(off(shares), sizes, strict=True)
+        return np.concatenate([(o / s).ravel() for o, s in both])
 
     shares = np.ones(ends[-1])
     if len(shares):
-        without = off(0 * shares)
-        sizes = [np.sqrt(np.sum(o**2, axis=0) + _TINY) for o in without]
-        found = least_squares(
-            errors, shares, bounds=(0.0, MOST), diff_step=STEP, max_nfev=ROUNDS, xtol=STEP
-        )
-        shares = found.x
-    fitted = [
-        {**every, REFINED: c} for every, c in zip(lesson.fitted, of(shares), strict=True)
-    ]
+        sizes = [np.sqrt(np.sum(o**2, axis=0) + _TINY) for o in off(0 * shares)]
+        for _ in range(ROUNDS):
+            now = errors(shares)
+            slopes = np.column_stack(
+                [(errors(shares + step) - now) / STEP for step in STEP * np.eye(len(shares))]
+            )
+            shares = shares + lsq_linear(slopes, -now, (-shares, MOST - shares)).x
+            shares = np.clip(shares, 0.0, MOST)
+    fitted = [{**every, REFINED: c} for every, c in zip(lesson.fitted, of(shares), strict=True)]
     return replace(lesson, fitted=fitted)
 
 

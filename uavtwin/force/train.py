@@ -25,6 +25,7 @@ from ..vehicles import Vehicle
 from .choice import BETTER, WORSE
 from .learn import Progress, learn_force
 from .network import NETWORK
+from .refinement import REFINED
 
 REPORT = "report.html"
 _DEFAULTS = {"preset": "best", "horizon": 1, "rate": 100.0, "epochs": None}
@@ -114,7 +115,7 @@ def _page(model: ForceModel) -> str:
         worse=WORSE,
         claim=_claim(model),
         model=model,
-        laws=(*LAWS[1:], NETWORK),
+        laws=(*LAWS[1:], REFINED, NETWORK),
         outputs=[
             {
                 "name": name,
