@@ -139,8 +139,7 @@ def table2_text(found: Sequence[dict[str, Any]]) -> str:
     lines = []
     for system in SYSTEMS:
         lines += [f"### {TITLES[system]}", "", *_head("model", "CPU s")]
-        if system != "physical":
-            lines += [_claim(name, values) for name, values in CLAIMED.items()]
+        lines += [_claim(name, values) for name, values in CLAIMED.items()]
         lines += [_row(name, group, system) for name, group in _grouped(found).items()]
         lines.append("")
     return "\n".join(lines)
