@@ -21,7 +21,7 @@ from benchmarks.real_flights.__main__ import ONE_THREAD
 
 from .measure import key, measure
 from .page import page
-from .rotations import FINER, GROUPS, Places, Rotation, finer_aircraft, rotations
+from .rotations import FINER, GROUPS, MOVING, Places, Rotation, finer_aircraft, rotations
 
 ROOT = Path(__file__).parents[2]
 
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     places = Places(options.data, options.work)
     groups = options.only or GROUPS
-    if FINER in groups:
+    if not {FINER, MOVING}.isdisjoint(groups):
         produce(options.work, finer_aircraft())
     wanted = rotations(groups)
     needed = [f for r in wanted for some in r.files(places) for f in some]

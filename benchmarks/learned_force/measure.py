@@ -29,10 +29,8 @@ def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
     """Everything the page needs to know about one rotation, as JSON content."""
     start = time.perf_counter()
     taught, flown, physics = rotation.read(places)
-    vehicle, named = Vehicle.of(physics), []
-    if rotation.explained:
-        found = explain(taught, flown, physics, missions=(), indoors=rotation.indoors)
-        vehicle, named = explained_vehicle(found), list(found.effects)
+    found = explain(taught, flown, physics, missions=(), indoors=rotation.indoors)
+    vehicle, named = explained_vehicle(found), list(found.effects)
     folder = places.work / "models" / f"{rotation.group}.{rotation.name}"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -10,11 +10,12 @@ from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
-FINER = "finer"
-"""Group of the simulated aircraft of blade elements."""
+FINER, MOVING = "finer", "moving"
+"""Groups of the simulated aircraft of blade elements: taught by hover and takeoff, as the paper
+does, or by flights like those that are flown."""
 RECORDED = ("real", "simulated", "nanobench")
 """Scenarios of `benchmarks.real_flights` whose flights have motion and IMU."""
-GROUPS = (*RECORDED, FINER)
+GROUPS = (*RECORDED, FINER, MOVING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,27 +44,32 @@ class Rotation:
     name: str
 
     @property
-    def explained(self) -> bool:
-        """Whether `explain` names what it can first; else the law has to learn all."""
-        return self.group != FINER
+    def simulated(self) -> bool:
+        """Whether it is of an aircraft of blade elements, and not recorded."""
+        return self.group not in RECORDED
 
     @property
     def indoors(self) -> bool | None:
-        """Of these flights, as `explain` wants it."""
-        return self._scenario.indoors if self.explained else None
+        """Of these flights, as `explain` wants it; None: as it finds them."""
+        return None if self.simulated else self._scenario.indoors
 
     def files(self, places: Places) -> tuple[list[Path], list[Path]]:
         """Flights that teach, and those that are flown."""
-        if not self.explained:
+        if self.simulated:
             one = self._aircraft
-            return one.files(places.work, "train"), one.files(places.work, "test")
+            taught, flown = (one.files(places.work, use) for use in ("train", "test"))
+            if self.group == FINER:
+                return taught, flown
+            return [f for f in flown if f.stem.endswith("1")], [
+                f for f in flown if not f.stem.endswith("1")
+            ]
         paths = [places.data / f for f in self._scenario.flights]
         return [p for p in paths if p.stem != self.name], [p for p in paths if p.stem == self.name]
 
     def read(self, places: Places) -> tuple[list[Flight], list[Flight], Vehicle]:
         """The same, and the vehicle as it stands."""
         taught, flown = self.files(places)
-        if not self.explained:
+        if self.simulated:
             vehicle = load_vehicle(self._aircraft.folder(places.work) / VEHICLE)
             return [read_flight(f) for f in taught], [read_flight(f) for f in flown], vehicle
         data, vehicle = places.data, self._scenario.read_vehicle()
@@ -86,7 +92,7 @@ def rotations(groups: Sequence[str]) -> list[Rotation]:
     recorded = (
         Rotation(s.name, Path(f).stem) for s in SCENARIOS if s.name in RECORDED for f in s.flights
     )
-    finer = (Rotation(FINER, one.name) for one in finer_aircraft())
+    finer = (Rotation(g, one.name) for g in (FINER, MOVING) for one in finer_aircraft())
     every = (*recorded, *finer)
     return [r for group in GROUPS if group in groups for r in every if r.group == group]
 

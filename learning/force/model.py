@@ -71,6 +71,26 @@ class Taught:
 
 
 @dataclass(frozen=True, slots=True)
+class Checked:
+    """Missions in random air that the chosen laws had to fly.
+
+    Attributes:
+        flights: How many; 0 where no law was chosen.
+        lost: With all chosen laws, of those that are flown without.
+        withdrawn: What is not used for that.
+    """
+
+    flights: int
+    lost: int
+    withdrawn: tuple[str, ...]
+
+    @classmethod
+    def nothing(cls) -> "Checked":
+        """No law, and none flown."""
+        return cls(0, 0, ())
+
+
+@dataclass(frozen=True, slots=True)
 class Rival:
     """Every output by one law.
 
@@ -93,6 +113,7 @@ class ForceModel:
         law: As it is used.
         rivals: The same with every output by one law, by its name.
         outputs: Of `OUTPUTS`, in order.
+        closed_loop: What was withdrawn before, because it lost missions.
         taken: Largest rate at which the linear part would have fed energy in, 1/s; taken out.
         flights: That taught it.
         vehicle: Name of the vehicle.
@@ -103,6 +124,7 @@ class ForceModel:
     law: ForceLaw
     rivals: Mapping[str, Rival]
     outputs: tuple[Output, ...]
+    closed_loop: Checked
     taken: float
     flights: tuple[Taught, ...]
     vehicle: str
@@ -152,6 +174,7 @@ def save_force(model: ForceModel, folder: Path) -> None:
         "outputs": {
             name: asdict(output) for name, output in zip(_OUTPUTS, model.outputs, strict=True)
         },
+        "closed_loop": asdict(model.closed_loop),
         "taken_1_s": model.taken,
         "law": _plain(model.law),
         "rivals": {
@@ -213,12 +236,17 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
             )
             for said in content["outputs"].values()
         ),
+        closed_loop=_checked(content["closed_loop"]),
         taken=float(content["taken_1_s"]),
         flights=tuple(Taught(**f) for f in content["flights"]),
         vehicle=str(content["vehicle"]),
         vehicle_sha256=str(content["vehicle_sha256"]),
         seed=int(content["seed"]),
     )
+
+
+def _checked(content: Mapping[str, Any]) -> Checked:
+    return Checked(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
 
 
 def _plain(law: ForceLaw) -> dict[str, Any]:

@@ -28,13 +28,12 @@ from ..report.page import render
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
 from .fold import weight_starts
-from .open_loop import HORIZONS_S, QUANTITIES, OpenLoop, Replay
+from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
 LAST_MOTION, LAST_READING = "last motion", "last reading"
 CLAIMED_S = 0.5
 """Horizon of the claim and of the printed table."""
-DISTANCE = "residual_force.distance"
 Progress = Callable[[float], None]
 
 

@@ -4,8 +4,9 @@ For each output the laws of `learning.force.candidates` by which flights left ou
 than without are put into the FMU of the driven twin, one after the other beside what was chosen
 before, and flights that took no part in their fit are replayed through it. A law is taken where the
 twin is then less far off, beside its observer, and in no quantity farther. Then all of them are
-refined together by flying (`refinement`), and kept so on the same condition. These flights choose;
-what the law is worth, others say.
+refined together by flying (`refinement`), and kept so on the same condition. Last, missions in
+random air withdraw what makes the controller lose the vehicle (`closed_loop`). These flights
+choose; what the law is worth, others say.
 """
 
 import hashlib
@@ -16,7 +17,7 @@ from pathlib import Path
 from learning.force.candidates import LAWS
 from learning.force.forecast import AHEAD_S
 from learning.force.instants import instants
-from learning.force.model import NETWORK_FOLDER, ForceModel, Output, Rival, Taught
+from learning.force.model import NETWORK_FOLDER, Checked, ForceModel, Output, Rival, Taught
 from learning.force.train import without_waves
 from twin.errors import TwinError
 from twin.logs import Flight
@@ -26,13 +27,14 @@ from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
 from .choice import Choice, best_law, chosen_laws
+from .closed_loop import kept
 from .fold import Fold, Lesson
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 from .refinement import refine
 
 Progress = Callable[[float], None]
-_READING, _LAWS, _REFINED, _NETWORK = 0.1, 0.5, 0.7, 0.95
+_READING, _LAWS, _REFINED, _NETWORK = 0.1, 0.45, 0.65, 0.9
 """Shares of the work that are done after each part, about."""
 
 
@@ -72,24 +74,31 @@ def learn_force(
             part = _part(progress, _REFINED, _NETWORK)
             networks = flown_network(folds, choice.laws, drive, seed, part)
             choice, used = choice.tried_too(networks), [best_law([n]) == NETWORK for n in networks]
-    prepared, chosen = lesson.prepared, lesson.chosen(choice.laws)
-    law, taken = prepared.law(chosen)
-    if any(used):
-        train_network(prepared, law, seed, folder / NETWORK_FOLDER)
-    progress(1.0)
-    return ForceModel(
-        law=without_waves(law),
-        rivals={name: _rival(lesson, name) for name in LAWS},
-        outputs=tuple(
-            Output(c.law, c.observer, tried, on)
-            for c, tried, on in zip(chosen, choice.tried, used, strict=True)
-        ),
-        taken=taken,
-        flights=tuple(Taught(f.name, f.fingerprint) for f in flights),
-        vehicle=vehicle.name,
-        vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
-        seed=seed,
-    )
+        if any(used):
+            law = lesson.law(choice.laws)
+            train_network(lesson.prepared, law, seed, folder / NETWORK_FOLDER)
+    rivals = {name: _rival(lesson, name) for name in LAWS}
+
+    def model(laws: Sequence[str], networks: Sequence[bool]) -> ForceModel:
+        """With these laws, and the network on these outputs."""
+        chosen = lesson.chosen(laws)
+        law, taken = lesson.prepared.law(chosen)
+        return ForceModel(
+            law=without_waves(law),
+            rivals=rivals,
+            outputs=tuple(
+                Output(c.law, c.observer, tried, network)
+                for c, tried, network in zip(chosen, choice.tried, networks, strict=True)
+            ),
+            closed_loop=Checked.nothing(),
+            taken=taken,
+            flights=tuple(Taught(f.name, f.fingerprint) for f in flights),
+            vehicle=vehicle.name,
+            vehicle_sha256=hashlib.sha256(vehicle.toml().encode()).hexdigest(),
+            seed=seed,
+        )
+
+    return kept(model(choice.laws, used), model, folder, vehicle, _part(progress, _NETWORK, 1.0))
 
 
 def _drive(flights: Sequence[Flight], vehicle: Vehicle) -> Drive:

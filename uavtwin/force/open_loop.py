@@ -28,6 +28,8 @@ HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
 EVERY_S = 0.25
 WARM_S = 1.0
 """So long it has followed before it is left alone."""
+DISTANCE = "residual_force.distance"
+"""Output of a twin with a learned force: 1 where the training ends."""
 QUANTITIES = (("position", "m"), ("velocity", "m/s"), ("attitude", "rad"), ("rates", "rad/s"))
 
 

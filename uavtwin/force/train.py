@@ -97,7 +97,9 @@ def _claim(model: ForceModel) -> str:
         if used
         else "no law flies better on flights left out than none"
     )
-    return f"force: {law}; beside it an observer of what is left."
+    gone = model.closed_loop.withdrawn
+    lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
+    return f"force: {law}{lost}; beside it an observer of what is left."
 
 
 def _laws(output: Output) -> str:

@@ -11,6 +11,7 @@ import pytest
 from learning.force.forecast import NO_OBSERVER, Observer
 from learning.force.model import (
     FILE,
+    Checked,
     Flown,
     ForceModel,
     Output,
@@ -49,6 +50,7 @@ MODEL = ForceModel(
         ),
         *(Output("none", NO_OBSERVER) for _ in range(5)),
     ),
+    closed_loop=Checked(12, 1, ("moment y linear",)),
     taken=0.1,
     flights=(Taught("one", "00"),),
     vehicle="x",
