@@ -17,6 +17,7 @@ PREAMBLE = """\
 #endif
 static inline float network_exp(float), network_tanh(float);
 static inline float network_max(float, float), network_min(float, float);
+static void network_product(const float*, const float*, float*, int, int);
 #define expf network_exp
 #define tanhf network_tanh
 #define fmaxf network_max
