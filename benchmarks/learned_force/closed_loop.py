@@ -9,11 +9,10 @@ import numpy as np
 
 from learning.force.model import VEHICLE_FILE
 from uavtwin.exports.parts import LearnedForce, learned_force
-from uavtwin.force.closed_loop import WIND_M_S, fly_both, random_air
+from uavtwin.force.closed_loop import MISSIONS, WIND_M_S, fly_both, random_air
 from uavtwin.force.evaluate import SHIPPED
 from uavtwin.vehicles import load_vehicle
 
-MISSIONS = ("hover", "forward", "tour")
 STILL = f"{SHIPPED}, still air"
 
 

@@ -21,7 +21,7 @@ from .closed_loop import closed_loop
 from .rotations import Places, Rotation
 
 SEED = 0
-FLIGHTS = 16
+FLIGHTS = 13
 """In closed loop, of each law of a rotation; over 200 of all rotations."""
 
 

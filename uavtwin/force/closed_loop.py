@@ -28,9 +28,10 @@ from .network import NETWORK
 from .open_loop import DISTANCE
 
 Array = NDArray[np.float64]
-MISSION = "tour"
-"""That a law has to pass: it climbs, hovers, translates, turns and lands."""
-FLIGHTS = 12
+MISSIONS = ("hover", "forward", "tour")
+"""That a law has to fly."""
+FLIGHTS = 36
+"""Of all missions together, in turn."""
 STEP_S = 0.01
 WIND_M_S = 2.0
 """Spread of the steady wind, north and east."""
@@ -175,12 +176,14 @@ def kept(
         progress: Called with the share done.
     """
     airs = random_air(FLIGHTS, chosen.seed)
+    missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]
     withdrawn: list[str] = []
     lost: list[int] = []
     left, most = chosen, len(_used(chosen))
     while _used(left):
         network = read_network(folder / NETWORK_FOLDER) if left.network_starts else None
-        flown = fly_both(vehicle, LearnedForce(left, network), MISSION, airs)
+        force = LearnedForce(left, network)
+        flown = [b for name, own in missions for b in fly_both(vehicle, force, name, own)]
         lost.append(sum(b.lost for b in flown))
         progress(len(lost) / (most + 1))
         if not lost[-1]:
