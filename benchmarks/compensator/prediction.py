@@ -20,8 +20,10 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -117,18 +119,27 @@ def shipped(
 
 
 def score(
-    splits: Mapping[Task, Sequence[Split]], preset: Preset, seeds: int, out: Path
+    splits: Mapping[Task, Sequence[Split]], preset: Preset, seeds: int, out: Path, jobs: int = 1
 ) -> pd.DataFrame:
     """Rows of `protocols.evaluate`, with the split and the seed."""
-    tables, began = [], time.perf_counter()
-    jobs = [(s, t, k) for t, some in splits.items() for s in some for k in range(seeds)]
-    for done, (split, task, seed) in enumerate(jobs, start=1):
-        with shipped(split, task, preset, seed, out) as model:
-            table = evaluate({MODEL: model}, split.train, split.test, task)
-        tables.append(table[table["phase"] == WHOLE].assign(split=split.name, seed=seed))
-        left = (time.perf_counter() - began) / done * (len(jobs) - done)
-        print(f"{out.name}: {done}/{len(jobs)}, {left:.0f} s left", file=sys.stderr, flush=True)
+    began = time.perf_counter()
+    wanted = [
+        (s, t, preset, k, out) for t, some in splits.items() for s in some for k in range(seeds)
+    ]
+    tables: list[pd.DataFrame] = []
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        for table in pool.map(_score, *zip(*wanted, strict=True)):
+            tables.append(table)
+            left = (time.perf_counter() - began) / len(tables) * (len(wanted) - len(tables))
+            text = f"{out.name}: {len(tables)}/{len(wanted)}, {left:.0f} s left"
+            print(text, file=sys.stderr, flush=True)
     return pd.concat(tables, ignore_index=True)
+
+
+def _score(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> pd.DataFrame:
+    with shipped(split, task, preset, seed, out) as model:
+        table = evaluate({MODEL: model}, split.train, split.test, task)
+    return table[table["phase"] == WHOLE].assign(split=split.name, seed=seed)
 
 
 def table_text(rows: pd.DataFrame) -> str:
@@ -188,7 +199,7 @@ def coverage(rows: pd.DataFrame) -> str:
     return "\n".join([*lines, ""])
 
 
-def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path) -> str:
+def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path, jobs: int) -> str:
     """The rms left on real_3 by the twin, the explained twin, and each with a compensator."""
     fit, held = logs[:2], logs[2:]
     vehicle = load_vehicle(VEHICLE)
@@ -207,7 +218,7 @@ def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path
         for name, model_of in models.items():
             made = residuals_of(logs, model_of, task)
             split = Split(f"explained {name}", made[:2], made[2:])
-            rows = score({task: [split]}, preset, seeds, out)
+            rows = score({task: [split]}, preset, seeds, out, jobs)
             per = pooled(rows, ("model", "group")).set_index(["model", "group"])["rmse"]
             for model in ("none", MODEL):
                 label = name if model == "none" else f"{name} + compensator"
@@ -285,7 +296,7 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     out = given.out / "models"
     logs = [read_flight(given.data / "rflysimdt" / f"real_{k}.ulg") for k in (1, 2, 3)]
     splits = {task: real_splits(logs, VEHICLE, task) for task in TASKS}
-    rows = score(splits, preset, given.seeds, out / "real")
+    rows = score(splits, preset, given.seeds, out / "real", given.jobs)
     yield "Real flights, each held out in turn", table_text(rows)
     yield "Real flights: rms over that of the best trivial baseline", verdicts(rows)
     yield "Real flights: share within one and two predicted spreads", coverage(rows)
@@ -295,7 +306,8 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
         "Protocol generate: Wasserstein distance, log spectral distance",
         generated_text(splits[FREE][-1]),
     )
-    yield "After `explain`", explained_text(logs, preset, given.seeds, out / "explained")
+    explained = explained_text(logs, preset, given.seeds, out / "explained", given.jobs)
+    yield "After `explain`", explained
     if given.simulated is None:
         return
     made = {
@@ -304,7 +316,7 @@ def _parts(given: argparse.Namespace) -> Iterator[tuple[str, str]]:
     }
     for name in made[FREE]:
         own = {task: splits[name] for task, splits in made.items()}
-        rows = score(own, preset, 1, out / name.replace(" ", "_"))
+        rows = score(own, preset, 1, out / name.replace(" ", "_"), given.jobs)
         yield f"Simulated flights with hidden effects, {name}", table_text(rows)
         yield f"The same: rms over that of the best trivial baseline, {name}", verdicts(rows)
         yield f"The same: share within one and two predicted spreads, {name}", coverage(rows)
@@ -319,7 +331,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--aircraft", type=int, default=2, help="simulated ones per hidden set")
     parser.add_argument("--epochs", type=int, default=40, help="of every training")
     parser.add_argument("--seeds", type=int, default=3, help="trainings of each real split")
-    parser.add_argument("--jobs", type=int, default=1, help="processes that make residuals")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     parts = {}

@@ -60,7 +60,7 @@ _PLACE = (("gyro_x",), ("gyro_y",), ("gyro_z",), ("vel_x", "vel_y"), ("vel_z",))
 SENSORS = Channels(
     CHANNELS,
     UNITS,
-    GROUPS,
+    dict(GROUPS),
     seen=tuple(CHANNELS.index(c) for c in _SEEN),
     place=tuple(tuple(_SEEN.index(c) for c in some) for some in _PLACE),
 )
@@ -70,7 +70,7 @@ climb do, and what drives the rotors."""
 FORCES = Channels(
     tuple(f"left_{kind}_{a}" for kind, a in OUTPUTS),
     tuple("m/s²" if kind == "force" else "rad/s²" for kind, _ in OUTPUTS),
-    MappingProxyType({"left_force": slice(0, 3), "left_moment": slice(3, 6)}),
+    {"left_force": slice(0, 3), "left_moment": slice(3, 6)},
     seen=(),
     commands=tuple(SEEN + name for name, _ in INPUTS),
 )
