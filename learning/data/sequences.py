@@ -25,6 +25,10 @@ LAGS = 8
 """Past residuals in the linear prediction of `track`."""
 SMOOTHING_S = (0.1, 0.5)
 """Time constants of the slow copies of the features."""
+OFFSET_S, OFFSET_PRIOR_S = 30.0, 1.0
+"""Memory of the running means of the known residual and reading, which hold the offset that a
+sensor has today, and how long they have to be known before they count more than no offset at all.
+Neither was chosen on flights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,9 @@ class SpanSequence:
         fresh: Whether `d` is new, shape (n, 15).
         lags: Columns of `d` that are known: at t - horizon and before, shape (n, 15, lags); one
             in `reconstruct`, none in `free`.
+        offset: Running means of what `lags` begins with, and of what the sensor read then, as
+            `own`: each counts less by 1 / e in `OFFSET_S`, and zeros of `OFFSET_PRIOR_S` count with
+            them; 0 unless in `track`, shape (n, 15, 2).
         change: What the twin read at the time of the newest known residual, minus what it reads
             now, over the scale; 0 unless in `track`, shape (n, 15).
         own: What the twin reads now, about its mean in the phase, over the scale, shape (n, 15).
@@ -52,6 +59,7 @@ class SpanSequence:
     d: Array
     fresh: BoolArray
     lags: Array
+    offset: Array
     change: Array
     own: Array
     features: Array
@@ -88,12 +96,17 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
 def n_regressors(protocol: Protocol, n_features: int) -> int:
     """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
     features = n_features * (1 + len(SMOOTHING_S))
-    return {"reconstruct": 0, "track": LAGS + 2 + features, "free": 1 + features}[protocol]
+    return {"reconstruct": 0, "track": LAGS + 4 + features, "free": 1 + features}[protocol]
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:
     """Share of the way that each slow copy goes towards the feature per sample."""
     return tuple(1 - math.exp(-1 / (rate_hz * s)) for s in SMOOTHING_S)
+
+
+def running_mean(rate_hz: float) -> tuple[float, float]:
+    """Share of its weight that a residual keeps per sample, and samples of no residual at all."""
+    return math.exp(-1 / (rate_hz * OFFSET_S)), rate_hz * OFFSET_PRIOR_S
 
 
 def sequences(
@@ -124,19 +137,21 @@ def _span(
     features = standardised(raw, scaling)
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
     lags = [_delayed(d, horizon + k) for k in range(n_lags(protocol))]
-    change = np.zeros_like(d)
+    change, offset = np.zeros_like(d), np.zeros((*d.shape, 2))
     virtual = flight.virtual[rows]
     own = np.nan_to_num((virtual - scaling.reading[phase]) / scaling.scale[phase])
     if protocol == "track":
         virtual = np.nan_to_num(virtual)
         then = _delayed(_held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
+        offset = _running_means(lags[0], lags[0] + change + own, *running_mean(flight.rate_hz))
     return SpanSequence(
         flight=number,
         start=span[0],
         d=d,
         fresh=fresh,
         lags=np.stack(lags, axis=-1) if lags else np.zeros((*d.shape, 0)),
+        offset=offset,
         change=change,
         own=own,
         features=features,
@@ -174,6 +189,14 @@ def _held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array
     last = np.maximum.accumulate(row, axis=0)
     padded = np.vstack([np.broadcast_to(before, values.shape[1:]), values])
     return np.take_along_axis(padded, last, axis=0)
+
+
+def _running_means(residual: Array, reading: Array, kept: float, prior: float) -> Array:
+    """Means so far of both, shape (n, k, 2); a residual of zero says that there is none."""
+    there = (residual != 0).astype(np.float64)
+    values = np.stack([residual, reading * there, there], axis=-1)
+    sums = np.asarray(lfilter([1.0], [1.0, -kept], values, axis=0))
+    return np.asarray(sums[..., :2] / (sums[..., 2:] + prior))
 
 
 def _delayed(values: Array, samples: int, before: Array | float = 0.0) -> Array:

@@ -17,7 +17,7 @@ from torch import Tensor
 from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
 
 from ..data.channels import N_PHASES
-from ..data.sequences import LAGS, SMOOTHING_S, limited, smoothing
+from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
 from ..model.compensator import Compensator
 from .graph import Graph
 from .network import network, numbers
@@ -80,7 +80,8 @@ def _sample(g: Graph, model: Compensator) -> _Sample:
 def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
     rows, protocol, n = model.history, model.info.protocol, len(model.info.channels)
-    past, readings, begun, slow, cells = g.split("state", list(model.state_sizes), axis=1)
+    parts = g.split("state", list(model.state_sizes), axis=1)
+    past, mean_so_far, readings, begun, slow, cells = parts
     sample = _sample(g, model)
     here = _one_hot(g, sample)
     mean, scale, reading, expected = _tables(g, model, here)
@@ -107,8 +108,12 @@ def _step(g: Graph, model: Compensator) -> None:
         lags = g.reshape(g.columns(past, first, rows * n), -1, n)
         then, readings, begun = _read_then(g, model, sample, readings, begun)
         change = g.op("Div", g.op("Sub", then, sample.virtual), scale)
-        seen = g.concat(lags, change, own, axis=0)  # (lags + 2, 15)
-        products = g.op("Mul", seen, g.floats(base[:, : LAGS + 2].T))
+        read = g.op("Add", known, g.op("Add", change, own))
+        offset, mean_so_far = _offset(g, model, known, read, mean_so_far)
+        today = g.op("Slice", offset, g.integers(0), g.integers(1), g.integers(0))
+        about = g.op("Sub", lags, today)
+        seen = g.concat(about, offset, change, own, axis=0)  # (lags + 4, 15)
+        products = g.op("Mul", seen, g.floats(base[:, : LAGS + 4].T))
         said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
     linear = g.op("Add", mean, g.op("Mul", scale, said)) if said else mean
     more = g.op("Mul", scale, y)
@@ -129,7 +134,7 @@ def _step(g: Graph, model: Compensator) -> None:
     alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
-    later = g.concat(past, readings, begun, slow, cells, axis=1)
+    later = g.concat(past, mean_so_far, readings, begun, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
@@ -194,6 +199,19 @@ def _read_then(
     rows = g.concat(newest, g.op("Slice", rows, g.integers(0), g.integers(last), place), axis=0)
     then = g.op("Slice", rows, g.integers(last), g.integers(last + 1), place)
     return then, g.reshape(rows, 1, -1), g.floats([[1.0]])
+
+
+def _offset(
+    g: Graph, model: Compensator, known: str, read: str, mean_so_far: str
+) -> tuple[str, str]:
+    """Running means of known residual and reading (2, 15); next state of sums and weights."""
+    n, (kept, prior) = len(model.info.channels), running_mean(model.info.rate_hz)
+    there = g.op("Cast", g.op("Greater", g.op("Abs", known), g.floats([[0.0]])), to=_FLOAT)
+    new = g.concat(known, g.op("Mul", read, there), there, axis=1)
+    mean_so_far = g.op("Add", g.op("Mul", mean_so_far, g.floats([[kept]])), new)
+    sums, weights = g.split(mean_so_far, [2 * n, n], axis=1)
+    weights = g.op("Add", weights, g.floats([[prior]]))
+    return g.op("Div", g.reshape(sums, 2, n), weights), mean_so_far
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

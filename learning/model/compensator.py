@@ -28,6 +28,7 @@ from ..data.sequences import (
     n_lags,
     n_regressors,
     one_hot,
+    running_mean,
     sequences,
     smoothing,
 )
@@ -113,16 +114,24 @@ class Compensator(nn.Module):
         return self.info.horizon + 1 if self.info.protocol == "track" else 0
 
     @property
+    def n_offset(self) -> int:
+        """Numbers of the running means: sums of residuals, sums of readings, and weights."""
+        return 3 * len(self.info.channels) if self.info.protocol == "track" else 0
+
+    @property
     def n_slow(self) -> int:
         """Numbers of the low-passed features in the state."""
         return len(SMOOTHING_S) * len(self.features)
 
     @property
-    def state_sizes(self) -> tuple[int, int, int, int, int]:
-        """Parts of the packed state: history, readings, 1 once begun, slow features, network."""
+    def state_sizes(self) -> tuple[int, int, int, int, int, int]:
+        """Parts of the packed state: history, running means, readings, 1 once begun, slow features,
+        network."""
         n = len(self.info.channels)
         rows = self.history * n, self.readings * n
-        return *rows, min(self.readings, 1), self.n_slow, self.network.state_size
+        past, readings = rows
+        begun = min(self.readings, 1)
+        return past, self.n_offset, readings, begun, self.n_slow, self.network.state_size
 
     @property
     def state_size(self) -> int:
@@ -191,7 +200,7 @@ class Compensator(nn.Module):
         """One sample of finite numbers."""
         n, rows = len(self.info.channels), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
-        past, readings, begun, slow, network_state = parts
+        past, mean_so_far, readings, begun, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
         raw = torch.cat([virtual[:, list(self.info.channels.seen)], command], dim=-1)
@@ -216,7 +225,13 @@ class Compensator(nn.Module):
             readings, begun = then.reshape(1, -1), torch.ones_like(begun)
             change = (then[-1:] - virtual) / scale
             lags = past[:, self.info.horizon * n :].reshape(-1, n)  # (lags, 15)
-            seen = torch.cat([lags, change, own], dim=0)  # (lags + 2, 15)
+            there = (known != 0).to(known.dtype)
+            kept, prior = running_mean(self.info.rate_hz)
+            new = torch.cat([known, (known + change + own) * there, there], dim=-1)
+            mean_so_far = kept * mean_so_far + new
+            sums = mean_so_far.reshape(3, n)
+            offset = sums[:2] / (sums[2:] + prior)
+            seen = torch.cat([lags - offset[:1], offset, change, own], dim=0)  # (lags + 4, 15)
             of_past, of_inputs = self.base[:, : len(seen)], self.base[:, len(seen) :]
             prediction = (seen * of_past.T).sum(0, keepdim=True)
             prediction = prediction + torch.cat([features, slow], dim=-1) @ of_inputs.T
@@ -232,7 +247,7 @@ class Compensator(nn.Module):
         expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
         spread = self.rms + close * (expected - self.rms)
         anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
-        state = torch.cat([past, readings, begun, slow, network_state], dim=-1)
+        state = torch.cat([past, mean_so_far, readings, begun, slow, network_state], dim=-1)
         return correction, spread, anomaly, inside, state
 
     def run(self, flight: ResidualFlight) -> Corrected:

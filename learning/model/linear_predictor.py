@@ -32,15 +32,16 @@ def fit_base(
     protocol: Protocol,
     rate_hz: float,
 ) -> Array:
-    """Weights of the linear prediction per channel; zero where it does not plainly help.
+    """Weights of the linear prediction per channel; a rule where nothing plainly does better.
 
-    `track`: weights times [`lags`, `change`] of each channel, which is autoregression straight to
-    the horizon, times [`own`, features, slow features], or times both. `free`: times [`own`,
-    features, slow features]. `reconstruct`: none. The ridge holds the weights at those of a trivial
-    rule: that the residual is nothing, or what it was last, or that the sensor reads what it read
-    last, or what it reads on average, whatever the twin says. Which of all these, and the strength
-    of the ridge, is chosen, and its worth judged, on parts of the data that had no share in the
-    fit: flight by flight, or by stretches of time where there is one flight.
+    `track`: weights times [`lags` about `offset`, `change`] of each channel, which is
+    autoregression straight to the horizon beside an observer of its offset, times [`own`, features,
+    slow features], or times both. `free`: times the latter. `reconstruct`: none. The ridge holds
+    the weights at those of a trivial rule: that the residual is nothing (in `track`: what it was
+    last, or so far on average), or that the sensor reads what it reads on average (in `track`: what
+    it read last, or so far on average), whatever the twin says. Which of all these, and the
+    strength of the ridge, is chosen, and its worth judged, on parts of the data that had no share
+    in the fit: flight by flight, or by stretches of time where there is one flight.
 
     Args:
         spans: All training flights.
@@ -71,8 +72,10 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Arra
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
     """What the linear prediction of a channel is made from, shape (n, regressors)."""
     if protocol == "track":
-        past = [span.lags[:, channel], span.change[:, channel, None]]
-        return np.hstack([*past, span.own[:, channel, None], span.features, span.slow])
+        offset = span.offset[:, channel]
+        about = span.lags[:, channel] - offset[:, :1]
+        now = (span.change[:, channel, None], span.own[:, channel, None])
+        return np.hstack([about, offset, *now, span.features, span.slow])
     if protocol == "free":
         return np.hstack([span.own[:, channel, None], span.features, span.slow])
     return np.zeros((len(span.d), 0))
@@ -136,17 +139,24 @@ def _folds(spans: Sequence[SpanSequence]) -> IntArray:
 
 
 def _tried(protocol: Protocol, n: int) -> list[tuple[Array, IntArray]]:
-    """Weights of trivial rules, and regressors that may be used beside them, the fewest first."""
+    """Weights of trivial rules, and regressors that may be used beside them, the fewest first.
+
+    The first rule is used where nothing plainly does better. All of `track` follow the offset of
+    today: flights of one offset cannot say which a sensor will have on another day.
+    """
     every = np.arange(n)
     if protocol != "track":
         rules = [np.zeros(n), -np.eye(1, n)[0]] if n else []
         return [(rule, every) for rule in rules]
-    past, now = every[: LAGS + 1], every[LAGS + 1 :]
-    nothing, last, mean_reading = np.zeros(n), np.eye(n)[0], -np.eye(n)[LAGS + 1]
-    last_reading = last + np.eye(n)[LAGS]
-    of_past = [(rule, past) for rule in (nothing, last, last_reading)]
-    of_now = [(rule, now) for rule in (nothing, mean_reading)]
-    return [*of_past, *of_now, *((r, every) for r in (nothing, last, last_reading, mean_reading))]
+    past, now = every[[*range(LAGS), LAGS + 2]], every[LAGS + 3 :]
+    about, offset, reading, change, own = np.eye(n)[[0, *range(LAGS, LAGS + 4)]]
+    last, mean_reading = offset + about, reading - own
+    of_past, of_now = [offset, last, last + change], [offset, mean_reading]
+    return [
+        *((rule, past) for rule in of_past),
+        *((rule, now) for rule in of_now),
+        *((rule, np.concatenate([past, now])) for rule in (*of_past, mean_reading)),
+    ]
 
 
 def _channel(
@@ -158,11 +168,12 @@ def _channel(
     tried: Sequence[tuple[Array, IntArray]],
 ) -> Array:
     """Weights from all data: rule, regressors and ridge that said best what is new."""
-    found, most = np.zeros(x.shape[1]), 0.0
     if not scored.any():
-        return found
+        return np.zeros(x.shape[1])
+    found, most = tried[0][0].copy() if tried else np.zeros(x.shape[1]), 0.0
+    plain = x @ found
     for rule, columns in tried:
-        weights, gain = _chosen(x[:, columns], target, x @ rule, scored, folds, blocks)
+        weights, gain = _chosen(x[:, columns], target, x @ rule, plain, scored, folds, blocks)
         if gain > most:
             found, most = rule.copy(), gain
             found[columns] += weights
@@ -170,9 +181,16 @@ def _channel(
 
 
 def _chosen(
-    x: Array, target: Array, ruled: Array, scored: BoolArray, folds: IntArray, blocks: IntArray
+    x: Array,
+    target: Array,
+    ruled: Array,
+    plain: Array,
+    scored: BoolArray,
+    folds: IntArray,
+    blocks: IntArray,
 ) -> tuple[Array, float]:
-    """What the best ridge adds to the weights of a rule, and the square error that both save.
+    """What the best ridge adds to the weights of a rule, and the square error that both save
+    beside the first rule.
 
     None where the saving could be chance.
 
@@ -180,6 +198,7 @@ def _chosen(
         x: Regressors, shape (n, k).
         target: Shape (n,).
         ruled: What the rule says, shape (n,).
+        plain: What the first rule says, shape (n,).
         scored: Samples that count, shape (n,).
         folds: Part of the data of each, shape (n,).
         blocks: As from `time_blocks`, shape (n,).
@@ -196,7 +215,7 @@ def _chosen(
         for prediction, ridge in zip(said, RIDGES, strict=True):
             weights = _ridge(gram - grams[k], moment - moments[k], others, ridge)
             prediction[here] += x[here] @ weights
-    gains = target**2 - (target - said) ** 2  # (ridges, n)
+    gains = (target - plain) ** 2 - (target - said) ** 2  # (ridges, n)
     best = int(np.argmax(gains[:, scored].sum(1)))
     if evidence(gains[best, scored], blocks[scored]) < EVIDENCE:
         return np.zeros(x.shape[1]), 0.0
