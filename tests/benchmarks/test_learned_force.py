@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
+from benchmarks.learned_force.closed_loop import STILL
 from benchmarks.learned_force.page import CONSTANT, beyond_constant, page
 from benchmarks.learned_force.rotations import FINER, GROUPS, RECORDED, Places, rotations
 from uavtwin.force.evaluate import CLAIMED_S, EXPLAINED, SHIPPED, summary
@@ -56,12 +57,13 @@ def _case(group: str, off: dict[str, float]) -> dict[str, Any]:
     flown = [
         {
             "mission": "tour",
-            "law": "linear",
-            "stable": True,
+            "law": law,
+            "lost": False,
             "off_m": off,
             "alone_m": 0.5,
             "inside": 0.9,
         }
+        for law in ("linear", STILL)
         for off in (0.4, 0.5, 0.6)
     ]
     return {

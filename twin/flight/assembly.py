@@ -76,9 +76,13 @@ class Assembly:
         """The same in a steady wind, velocity of the air NED, with gusts or without."""
         names = (f"environment.wind.{a}" for a in "xyz")
         starts = dict(zip(names, wind_m_s, strict=True))
-        blown = (e for e in EFFECTS.values() if isinstance(e.seen_as, RandomForce))
-        switches = {f"{e.component}.{e.name}.enabled": float(gusts) for e in blown}
-        return self.with_starts(starts | switches)
+        return self.with_starts(starts | gust_switches(gusts))
+
+
+def gust_switches(on: bool) -> dict[str, float]:
+    """Start values that let the air of an assembly gust, or keep it steady."""
+    blown = (e for e in EFFECTS.values() if isinstance(e.seen_as, RandomForce))
+    return {f"{e.component}.{e.name}.enabled": float(on) for e in blown}
 
 
 def flying_twin(

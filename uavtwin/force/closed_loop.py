@@ -17,6 +17,7 @@ from fmus.compensator import read_network
 from learning.force.candidates import LAWS
 from learning.force.model import NETWORK_FOLDER, Checked, ForceModel, Output
 from twin.errors import FmuError
+from twin.flight.assembly import gust_switches
 from twin.flight.mission import mission_duration_s
 from twin.frames import AXES
 from twin.physics.residual_force import OUTPUTS
@@ -104,7 +105,7 @@ def _air(rng: np.random.Generator, wind_m_s: float) -> dict[str, float]:
         **{f"{part}.seed": float(rng.integers(2**31)) for part in _SEEDED},
         "environment.wind.x": float(wind[0]),
         "environment.wind.y": float(wind[1]),
-        "environment.gust.enabled": float(wind_m_s > 0),
+        **gust_switches(wind_m_s > 0),
         "airframe.initial.pos_x": float(place[0]),
         "airframe.initial.pos_y": float(place[1]),
         "airframe.initial.q_w": float(np.cos(half)),
