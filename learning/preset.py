@@ -212,7 +212,7 @@ in all, and its figures are of these windows, in ranges of -1..1, hover numbered
 `PAPER` takes some 5,000."""
 
 BEST = Preset(name="best")
-"""What measurably beats it: docs/results/compensator.md."""
+"""What measurably beats it: docs/results/paper.md."""
 
 FORCE = Preset(
     name="force",

@@ -13,7 +13,8 @@ from learning.data.channels import CHANNELS, SENSORS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import read_residuals
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
-from learning.model.corrected import Corrected
+from learning.model.compensator import LINEAR_PART, Compensator
+from learning.model.corrected import Corrected, Model
 from learning.model.family import TrainedModel
 from learning.model.folder import load
 from twin.errors import TwinError
@@ -133,12 +134,18 @@ def evaluate_model(
     task = Task(model.info.protocol, model.info.horizon)
     return Evaluation(
         model=model,
-        table=evaluate({MODEL: said}, train, flights, task),
+        table=evaluate(_own(model) | {MODEL: said}, train, flights, task),
         flights=tuple(flights),
         explained=tuple(residuals[1]) if len(residuals) > 1 else None,
         corrected=tuple(said.corrected.values()),
         runs="fmu" if compiled else "python",
     )
+
+
+def _own(model: TrainedModel) -> dict[str, Model]:
+    """What a model is without its network, where there is a network over something."""
+    alone = model.without_network() if isinstance(model, Compensator) else None
+    return {} if alone is None else {LINEAR_PART: alone}
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +182,7 @@ def evaluation_claim(found: Evaluation) -> str:
     better, worse = [], []
     for group, part in rows.groupby("group", sort=False):
         own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
-        best = float(part.loc[part["model"] != MODEL, "rmse"].min())
+        best = float(part.loc[~part["model"].isin((MODEL, LINEAR_PART)), "rmse"].min())
         if own < best:
             better.append(f"{group} by {percent(1 - own / best)}")
         elif own > best:

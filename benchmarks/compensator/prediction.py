@@ -40,6 +40,7 @@ from learning.data.flights import (
 from learning.evaluation.generating import evaluate_generated
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.export.write import export_onnx
+from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.corrected import Model
 from learning.model.generator import fit_generators
 from learning.model.recording import fit_recording
@@ -109,13 +110,14 @@ def simulated_splits(folder: Path, seeds: int, jobs: int, task: Task) -> dict[st
 @contextmanager
 def shipped(
     split: Split, task: Task, preset: Preset, seed: int, out: Path
-) -> Iterator[CompiledCompensator]:
-    """The FMU of the compensator of a split; one that is trained already is taken."""
+) -> Iterator[tuple[Compensator, CompiledCompensator]]:
+    """The compensator of a split and its FMU; one that is trained already is taken."""
     folder = out / f"{split.name.replace(' ', '_')}-{task.protocol}{task.horizon}-{seed}"
     protocol: Protocol = task.protocol  # type: ignore[assignment]
-    export_onnx(train(split.train, preset, protocol, task.horizon, seed, folder), folder)
+    trained = train(split.train, preset, protocol, task.horizon, seed, folder)
+    export_onnx(trained, folder)
     with compiled_compensator(folder) as compiled:
-        yield compiled
+        yield trained, compiled
 
 
 def score(
@@ -137,8 +139,11 @@ def score(
 
 
 def _score(split: Split, task: Task, preset: Preset, seed: int, out: Path) -> pd.DataFrame:
-    with shipped(split, task, preset, seed, out) as model:
-        table = evaluate({MODEL: model}, split.train, split.test, task)
+    with shipped(split, task, preset, seed, out) as (trained, fmu):
+        models: dict[str, Model] = {MODEL: fmu}
+        if (alone := trained.without_network()) is not None:
+            models[LINEAR_PART] = alone
+        table = evaluate(models, split.train, split.test, task)
     return table[table["phase"] == WHOLE].assign(split=split.name, seed=seed)
 
 
@@ -170,14 +175,14 @@ def _cell(own: pd.DataFrame, model: str) -> str:
 
 
 def verdicts(rows: pd.DataFrame) -> str:
-    """Per task and sensor: rms of the compensator over that of the best baseline."""
+    """Per task and sensor: rms of the compensator over that of the best trivial baseline."""
     per = pooled(rows, ("protocol", "horizon", "model", "group"))
     lines = [f"| task | {' | '.join(GROUPS)} |", "|---|" + "---|" * len(GROUPS)]
     for (protocol, horizon), part in per.groupby(["protocol", "horizon"], sort=False):
         cells = []
         for group in GROUPS:
             here = part[part["group"] == group].set_index("model")["rmse"]
-            best = here.drop(MODEL).idxmin() if len(here) else ""
+            best = here.drop([MODEL, LINEAR_PART]).idxmin() if len(here) else ""
             cells.append(f"{here[MODEL] / here[best]:.2f} of {best}" if best else "-")
         name = protocol if not horizon else f"{protocol} {horizon}"
         lines.append(f"| {name} | {' | '.join(cells)} |")
@@ -238,8 +243,8 @@ def alarm_text(splits: Mapping[Task, Sequence[Split]], preset: Preset, out: Path
         for split in splits[task]:
             for flight in split.test:
                 broken, at = with_fault(flight)
-                with shipped(split, task, preset, 0, out) as model:
-                    alarm = model.run(broken).anomaly > 1
+                with shipped(split, task, preset, 0, out) as (_, fmu):
+                    alarm = fmu.run(broken).anomaly > 1
                 before, after = _shares(broken, alarm, at)
                 cells = (flight.name, _task(task), f"{before:.1%}", f"{after:.1%}")
                 lines.append(f"| {' | '.join(cells)} |")

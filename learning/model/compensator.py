@@ -8,6 +8,7 @@
 the same numbers for whole flights, fast.
 """
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -39,11 +40,13 @@ from .info import ModelInfo
 from .linear_predictor import predict_base
 from .network import NetworkOut, SvqNetwork
 
-__all__ = ["Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
+__all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
 
 Array = NDArray[np.float64]
 CHUNK = 4096
 """Samples per call of the network over a long flight, to bound memory."""
+LINEAR_PART = "linear part alone"
+"""What `Compensator.without_network` is called in a table."""
 
 
 class Compensator(nn.Module):
@@ -295,6 +298,14 @@ class Compensator(nn.Module):
             y, log_spread, distance = (torch.cat(p) for p in zip(*parts, strict=True))
             found.append(NetworkOut(y, log_spread, distance))
         return found
+
+    def without_network(self) -> "Compensator | None":
+        """The same with its gates shut: what the network adds; None where nothing is under it."""
+        if not self.info.preset.linear or self.info.protocol == "reconstruct":
+            return None
+        alone = copy.deepcopy(self)
+        alone.gate.zero_()
+        return alone
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Weights and buffers by name."""

@@ -118,7 +118,7 @@ def test_evaluation_scores_the_model_beside_baselines(
         printed["runs"] == "fmu" and printed["protocol"] == "track" and printed["horizon_s"] == 0.02
     )
     models = {row["model"] for row in printed["groups"]}
-    assert {"none", "mean", "last", "linear AR(8)", "model"} <= models
+    assert {"none", "mean", "last", "linear AR(8)", "linear part alone", "model"} <= models
     groups = {row["group"] for row in printed["groups"]}
     assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
     page = (tmp_path / "e" / "report.html").read_text("utf-8")

@@ -1,0 +1,47 @@
+"""Write results/paper.md: the paper's tables.
+
+    python docs/_generate/paper.py --data ../shared/data --work out/paper
+
+Runs what is not done yet, some ninety minutes on two cores; it may be stopped and goes on from
+there.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import jinja2
+
+sys.path.insert(
+    0, str(Path(__file__).parents[2])
+)  # benchmarks are no part of the installed package
+
+from benchmarks.compensator import paper
+
+EPOCHS = 12
+"""Of the tables with many variants."""
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
+    parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
+    parser.add_argument("--jobs", type=int, default=2)
+    given = parser.parse_args()
+    tables = given.data / "rflysimdt" / "paper_residuals"
+    common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
+    paper.main([*common, "--only=table2"])
+    table2 = (given.work / "paper.md").read_text("utf-8")
+    some = [f"--only={name}" for name in ("ablations", "samples", "weights")]
+    paper.main([*common, f"--epochs={EPOCHS}", *some])
+    variants = (given.work / "paper.md").read_text("utf-8")
+    template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
+    filled = jinja2.Template(template, keep_trailing_newline=True).render(
+        table2=table2, variants=variants, epochs=EPOCHS
+    )
+    (Path(__file__).parents[1] / "results" / "paper.md").write_text(filled, "utf-8")
+
+
+if __name__ == "__main__":
+    main()
