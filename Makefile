@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+# A worker per core: further threads for its small matrices would only wait for each other.
+PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 .PHONY: setup cross-tools demo test fast lint bench figures hidden-effects docs tutorial pictures tables clean
 
@@ -22,10 +24,10 @@ demo: setup  ## find the effect hidden in built-in flights and write out/demo/re
 	$(BIN)/uavtwin demo --out out/demo --force
 
 test: setup lint  ## the whole suite
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+	$(PYTEST)
 
 fast: setup  ## without the slow tests; 90 s
-	$(BIN)/python -m pytest --numprocesses 2 --dist worksteal -m 'not slow'
+	$(PYTEST) -m 'not slow'
 
 lint: setup
 	$(BIN)/ruff check .
