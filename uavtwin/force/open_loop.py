@@ -1,7 +1,8 @@
 """How far a driven twin is off some time after it was left alone: exported FMUs over flights.
 
-The FMU follows the measured motion (`uavtwin.driving`). Every `EVERY_S` its state is saved, it
-flies on the recorded commands alone for the longest horizon, and is taken back.
+The FMU follows the measured motion (`uavtwin.driving`) in the air: on the ground, what carries the
+aircraft would be taken for a disturbance. Every `EVERY_S` its state is saved, it flies on the
+recorded commands alone for the longest horizon, and is taken back.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -68,7 +69,7 @@ class Replay:
             LogError: It cannot be, or is nowhere long enough in the air.
         """
         aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
+        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(aligned.airborne))
         self._names = [n for n in whole.dtype.names or () if n != "time"]
         self._given = np.column_stack([whole[n] for n in self._names])
         self._changes = _changes(self._names, self._given)
@@ -94,7 +95,7 @@ class Replay:
         """
         other = copy(self)
         aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.arange(1, len(aligned.states)))
+        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(aligned.airborne))
         other._names = [n for n in whole.dtype.names or () if n != "time"]
         other._given = np.column_stack([whole[n] for n in other._names])
         other._changes = _changes(other._names, other._given)
