@@ -66,7 +66,11 @@ def run(wanted: Sequence[Rotation], places: Places, jobs: int) -> list[dict[str,
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         waiting = {pool.submit(measure, wanted[i], places): i for i in missing}
         for done, future in enumerate(as_completed(waiting), start=1):
-            i, said = waiting[future], future.result()
+            i = waiting[future]
+            if future.exception() is not None:  # what is not begun is not begun any more
+                print(f"{wanted[i].group} {wanted[i].name}: failed", file=sys.stderr, flush=True)
+                pool.shutdown(cancel_futures=True)
+            said = future.result()
             write_json(files[i], said)
             left = (time.perf_counter() - start) / done * (len(missing) - done)
             print(

@@ -87,7 +87,7 @@ def instants(flight: Flight, vehicle: Vehicle) -> Instants:
                 f"from accelerometer and gyroscope. Give flights that have both."
             )
     aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
-    found = [imu_readings(s, flight, vehicle, aligned) for s in OF_IMU]
+    found = [imu_readings(s, flight, vehicle, aligned, together=True) for s in OF_IMU]
     if any(r is None for r in found):
         raise LogError(f"{flight.name}: no piece in the air is long enough to learn from.")
     acc, gyro = (r for r in found if r is not None)

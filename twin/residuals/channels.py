@@ -139,6 +139,7 @@ def measured(
     known: NDArray[np.bool_],
     band_hz: float,
     sensor_hz: float | None,
+    together: bool = False,
 ) -> Measured | None:
     """Filter readings on the grid; None where no piece of them is long enough.
 
@@ -150,11 +151,15 @@ def measured(
         known: Grid points that count, shape (n,).
         band_hz: Low-pass of readings and prediction.
         sensor_hz: Low-pass that the readings have behind them and a prediction has not.
+        together: Whether the rows kept are among those of every other sensor that is so filtered,
+            wherever both are known.
     """
     pieces = _pieces(known & np.all(np.isfinite(values), axis=1))
     if not pieces:
         return None
     settle = round(2 / band_hz * GRID_HZ)
+    if together:
+        pieces = [rows[-(rows[0] + settle) % EVERY :] for rows in pieces]
     filters = (band_hz,) if sensor_hz is None else (sensor_hz, band_hz)
     group = Measured(
         names=tuple(names),

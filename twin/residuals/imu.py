@@ -56,7 +56,11 @@ def readings_on_grid(sensor: Sensor, flight: Flight, t_s: Array) -> Array:
 
 
 def imu_readings(
-    sensor: Sensor, flight: Flight, vehicle: Vehicle, aligned: AlignedFlight
+    sensor: Sensor,
+    flight: Flight,
+    vehicle: Vehicle,
+    aligned: AlignedFlight,
+    together: bool = False,
 ) -> Measured | None:
     """Readings of a sensor of the IMU in the air, filtered and thinned out.
 
@@ -65,6 +69,7 @@ def imu_readings(
         flight: Has its columns.
         vehicle: Its low-pass of the sensor is one that a prediction has to pass.
         aligned: The flight on a grid of `GRID_HZ`.
+        together: Whether both sensors of the IMU keep the same rows, wherever both are known.
 
     Returns:
         None where no piece of flight is long enough.
@@ -79,6 +84,7 @@ def imu_readings(
         known,
         min(BAND_HZ, 0.35 * Signal(*flight.signal(sensor.columns)).rate_hz),
         sensor.cutoff_hz(vehicle),
+        together,
     )
 
 
