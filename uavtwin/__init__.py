@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from .file_check import check_file as check
     from .flights import read_flights
     from .gaps import GapResult, gap
-    from .learned import evaluate, train
+    from .learned import evaluate, generate, train
     from .run import Run, simulate
     from .vehicles import Vehicle, convert_vehicle, load_vehicle, vehicle
 
@@ -58,6 +58,7 @@ __all__ = [
     "explain",
     "export",
     "gap",
+    "generate",
     "learned_force",
     "load_vehicle",
     "mission_names",
@@ -93,6 +94,7 @@ _HOME = {
     "explain": "uavtwin.explanation",
     "export": "uavtwin.exports.write",
     "gap": "uavtwin.gaps",
+    "generate": "uavtwin.learned",
     "learned_force": "uavtwin.exports.parts",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",

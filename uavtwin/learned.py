@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from learning.model.family import TrainedModel
     from learning.preset import Protocol
 
-    from .evaluation import Evaluation
     from .force.evaluate import ForceEvaluation
+    from .sensors.evaluation import Evaluation
+    from .sensors.generated import GeneratedEvaluation
 
 Progress = Callable[[float], None]
 
@@ -70,7 +71,8 @@ def train(
     vehicle: Vehicle,
     folder: str | Path,
     *,
-    preset: str = "best",
+    model: str | None = None,
+    preset: str | None = None,
     protocol: 'Protocol | Literal["force"]' = "track",
     horizon: int = 1,
     rate_hz: float = 100.0,
@@ -87,10 +89,13 @@ def train(
         flights: To train on.
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
-        preset: `best`: ours; `paper`: the paper's text; `published`: its code; `linear`: no
-            network; others in docs/guide/compensator.md.
+        model: `svq`: ours, taken where nothing is said; `linear`: no network; `trivial`; or a
+            system of the paper's comparison, such as `cvae`: docs/guide/compensator.md.
+        preset: Of the model; of `svq` `best`: ours, `paper`: the paper's text, `published`: its
+            code.
         protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
-            residuals as old as the horizon; `free`: none; `reconstruct`: the present one.
+            residuals as old as the horizon; `free`: none; `reconstruct`: the present one;
+            `generate`: none, it draws what might have been.
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer.
         epochs: Default: the preset's; none for a preset in closed form.
@@ -101,26 +106,27 @@ def train(
     Raises:
         TwinError: The extra `learn` is not installed, or an argument or a flight cannot be used.
     """
-    several, model = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
+    several, twin = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
     out = Path(folder)
     if protocol == "force":
         with extra_learn():
             from .force.train import check_force_options, force_claim, train_force
-        check_force_options(preset, horizon, rate_hz, epochs)
+        check_force_options(model, preset, horizon, rate_hz, epochs)
         _check_kind(out, "model.json", "a compensator of the sensors")
         with results_folder(out, force) as place:
-            made = train_force(several, model, seed or 0, place, progress)
+            made = train_force(several, twin, seed or 0, place, progress)
         return TrainResult(out, tuple(made), force_claim(out), seed or 0, {"protocol": protocol})
     with extra_learn():
-        from . import training
+        from .sensors import training
     _check_kind(out, "force.json", "a learned force")
-    plan = training.plan_training(preset, protocol, horizon, epochs, seed, out, force)
-    residuals = training.prepare(plan, several, model, rate_hz, lambda done: progress(0.1 * done))
+    plan = training.plan_training(model, preset, protocol, horizon, epochs, seed, out, force)
+    residuals = training.prepare(plan, several, twin, rate_hz, lambda done: progress(0.1 * done))
     written = training.run_training(
-        plan, residuals, model, out, lambda done: progress(0.1 + 0.9 * done)
+        plan, residuals, twin, out, lambda done: progress(0.1 + 0.9 * done)
     )
     options = {
-        "preset": preset,
+        "model": plan.family.name,
+        "preset": plan.preset.name,
         "protocol": protocol,
         "horizon": plan.horizon,
         "rate": rate_hz,
@@ -142,7 +148,7 @@ def evaluate(
     explained: Vehicle | None = None,
     physics: Vehicle | None = None,
     progress: Progress = lambda _: None,
-) -> "Evaluation | ForceEvaluation":
+) -> "Evaluation | ForceEvaluation | GeneratedEvaluation":
     """Measure a compensator on other flights, beside trivial baselines.
 
     Args:
@@ -167,10 +173,28 @@ def evaluate(
         before = None if physics is None else checked_vehicle(physics, "evaluate")
         return evaluate_force(folder, several, before, progress)
     with extra_learn():
-        from .evaluation import evaluate_model
+        from .sensors.evaluation import evaluate_model
     _refuse("physics", physics, "a compensator of the sensors: give the vehicle as explained")
     other = None if explained is None else checked_vehicle(explained, "evaluate")
     return evaluate_model(folder, several, other, progress)
+
+
+def generate(model: TrainResult | str | Path, mission: str = "hover", *, seed: int = 0) -> Flight:
+    """Fly a mission with the twin, and draw what its sensors would have read besides.
+
+    Args:
+        model: What `train(..., protocol="generate")` returned, or the folder that it wrote.
+        mission: Name of the mission.
+        seed: Of the draws: the same one, the same bytes.
+
+    Raises:
+        TwinError: The extra `learn` is not installed, the folder holds no model that draws, or
+            there is no such mission.
+    """
+    folder = model.folder if isinstance(model, TrainResult) else Path(model)
+    with extra_learn():
+        from .sensors.generated import generated_flight
+    return generated_flight(folder, mission, seed)
 
 
 def _refuse(name: str, given: Vehicle | None, model: str) -> None:

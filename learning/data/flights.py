@@ -172,9 +172,11 @@ def restart_before_s(protocol: Protocol, horizon: int, rate_hz: float) -> float:
     """How long before a reading the twin of a protocol was at the measured state, s.
 
     In `track` as long as the newest residual is old: what is measured up to then is known. In
-    `free` the twin follows: where its motion goes wrong, the forces are (`learning.force`).
+    `free` and `generate` the twin follows: where its motion goes wrong, the forces are
+    (`learning.force`).
     """
-    return {"track": horizon / rate_hz, "free": 0.0, "reconstruct": DEFAULT_HORIZON_S}[protocol]
+    of = {"track": horizon / rate_hz, "reconstruct": DEFAULT_HORIZON_S}
+    return of.get(protocol, 0.0)
 
 
 def _steps(rate_hz: float, restart_s: float) -> tuple[int, int]:

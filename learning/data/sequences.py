@@ -80,7 +80,7 @@ class SpanSequence:
 
 def n_lags(protocol: Protocol) -> int:
     """How many past residuals are looked at."""
-    return {"reconstruct": 1, "track": LAGS, "free": 0}[protocol]
+    return {"reconstruct": 1, "track": LAGS, "free": 0, "generate": 0}[protocol]
 
 
 def check_protocol(protocol: Protocol, horizon: int) -> None:
@@ -96,7 +96,8 @@ def check_protocol(protocol: Protocol, horizon: int) -> None:
 def n_regressors(protocol: Protocol, n_features: int) -> int:
     """How many numbers the linear prediction of a channel is made from; see `base.regressors`."""
     features = n_features * (1 + len(SMOOTHING_S))
-    return {"reconstruct": 0, "track": LAGS + 4 + features, "free": 1 + features}[protocol]
+    of = {"track": LAGS + 4 + features, "free": 1 + features}
+    return of.get(protocol, 0)
 
 
 def smoothing(rate_hz: float) -> tuple[float, ...]:
@@ -162,8 +163,8 @@ def _span(
 
 
 def limited(channels: Channels, protocol: Protocol) -> bool:
-    """Whether there is an envelope: `reconstruct` only repeats what it is given."""
-    return bool(channels.place) and protocol != "reconstruct"
+    """Whether there is an envelope: what repeats what it is given, or sees nothing, has none."""
+    return bool(channels.place) and protocol in ("track", "free")
 
 
 def _distance(raw: Array, channels: Channels, scaling: Scaling, protocol: Protocol) -> Array:

@@ -52,7 +52,7 @@ LINEAR_PART = "linear part alone"
 class Compensator(nn.Module):
     """Streaming model; everything it needs is in its buffers and weights."""
 
-    family = "fc_mc_svq"
+    family = "svq"
     mean: Tensor
     scale: Tensor
     reading: Tensor

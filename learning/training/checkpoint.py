@@ -41,13 +41,14 @@ def save_checkpoint(
     standing: Standing,
     weights: Mapping[str, Tensor],
     best: Mapping[str, Tensor],
-    optimiser: torch.optim.Optimizer,
+    optimisers: Mapping[str, torch.optim.Optimizer],
 ) -> None:
     """Write everything in one go; a kill meanwhile leaves the checkpoint before."""
     tensors = {f"weights.{k}": v for k, v in weights.items()}
     tensors |= {f"best.{k}": v for k, v in best.items()}
-    for number, state in optimiser.state_dict()["state"].items():
-        tensors |= {f"optimiser.{number}.{k}": v for k, v in state.items()}
+    for name, optimiser in optimisers.items():
+        for number, state in optimiser.state_dict()["state"].items():
+            tensors |= {f"optimiser.{name}.{number}.{k}": v for k, v in state.items()}
     part = folder / f"{CHECKPOINT}.part"
     copies = {k: v.detach().clone().contiguous() for k, v in tensors.items()}
     save_file(copies, part, metadata={"standing": json.dumps(asdict(standing))})
@@ -55,9 +56,9 @@ def save_checkpoint(
 
 
 def load_checkpoint(
-    folder: Path, training: str, optimiser: torch.optim.Optimizer
+    folder: Path, training: str, optimisers: Mapping[str, torch.optim.Optimizer]
 ) -> tuple[Standing, dict[str, Tensor], dict[str, Tensor]] | None:
-    """Standing, weights and best weights; the optimiser takes up its state. None without one.
+    """Standing, weights and best weights; optimisers take up their states. None without one.
 
     Raises:
         ModelError: The checkpoint is of another training, or not readable.
@@ -76,13 +77,13 @@ def load_checkpoint(
             f"{path}: of another training (other flights, preset, protocol, horizon or seed); "
             "delete it, or train into another folder"
         )
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, tensor in tensors.items():
-        if name.startswith("optimiser."):
-            _, number, key = name.split(".")
+    for name, optimiser in optimisers.items():
+        state: dict[int, dict[str, Tensor]] = {}
+        for place, tensor in _under(tensors, f"optimiser.{name}.").items():
+            number, key = place.split(".")
             state.setdefault(int(number), {})[key] = tensor
-    groups = optimiser.state_dict()["param_groups"]
-    optimiser.load_state_dict({"state": state, "param_groups": groups})
+        groups = optimiser.state_dict()["param_groups"]
+        optimiser.load_state_dict({"state": state, "param_groups": groups})
     return standing, _under(tensors, "weights."), _under(tensors, "best.")
 
 

@@ -34,6 +34,8 @@ from .problem import Workpiece
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+NETWORK = "network"
+"""Its optimiser, in the checkpoint."""
 SLOWEST_RATE = 0.01
 """Share of the learning rate at the end of its schedule."""
 
@@ -111,7 +113,7 @@ def _fit(
     preset, network = piece.preset, piece.network
     optimiser = _optimiser(network, preset)
     standing, best = Standing(training), _copy(network)
-    found = load_checkpoint(folder, training, optimiser)
+    found = load_checkpoint(folder, training, {NETWORK: optimiser})
     if found is not None:
         standing, weights, best = found
         network.load_state_dict(weights)
@@ -130,7 +132,7 @@ def _fit(
         standing.curve.append(entry)
         now = time.monotonic()
         if now - saved >= checkpoint_s:
-            save_checkpoint(folder, standing, network.state_dict(), best, optimiser)
+            save_checkpoint(folder, standing, network.state_dict(), best, {NETWORK: optimiser})
             saved = time.monotonic()
         per_epoch = (now - began) / (standing.epoch - done_before)
         progress(standing.epoch / preset.epochs, per_epoch * (preset.epochs - standing.epoch))

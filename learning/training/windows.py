@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol as Interface
 
 import numpy as np
 import torch
@@ -13,7 +14,6 @@ from ..data.flights import ResidualFlight
 from ..data.scaling import in_spans
 from ..data.sequences import SpanSequence
 from ..model.compensator import network_inputs
-from ..preset import Preset
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -73,6 +73,35 @@ def _ends(flight: ResidualFlight, share: float, wanted: BoolArray) -> BoolArray:
     return rows
 
 
+class Windowed(Interface):
+    """How training samples are cut into windows; as in `learning.preset.Preset`."""
+
+    @property
+    def batch(self) -> int:
+        """Windows per step."""
+        ...
+
+    @property
+    def window(self) -> int:
+        """Samples of each."""
+        ...
+
+    @property
+    def stride(self) -> int | None:
+        """Samples between the starts of two."""
+        ...
+
+    @property
+    def carry(self) -> int:
+        """Windows through which a state is carried on."""
+        ...
+
+    @property
+    def augment(self) -> float:
+        """Spread of random amplitudes and offsets."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """Samples for one step of the optimiser, shapes (batch, time, ...).
@@ -116,7 +145,7 @@ class TrainingSamples:
         ends = np.cumsum([len(span.d) for span in spans])
         self.bounds = [(int(e) - len(s.d), int(e)) for s, e in zip(spans, ends, strict=True)]
 
-    def windows(self, preset: Preset, seed: int, epoch: int) -> Iterator[Window]:
+    def windows(self, preset: Windowed, seed: int, epoch: int) -> Iterator[Window]:
         """The windows of one epoch, in random order: the same for the same seed and epoch."""
         rng = np.random.default_rng([seed, epoch])
         segments = self._segments(preset, rng)
@@ -140,7 +169,7 @@ class TrainingSamples:
                     scored=self.scored[rows],
                 )
 
-    def _segments(self, preset: Preset, rng: np.random.Generator) -> list[tuple[int, int]]:
+    def _segments(self, preset: Windowed, rng: np.random.Generator) -> list[tuple[int, int]]:
         """Rows [a, b) over which the state is carried on; only those with a sample that counts."""
         length = preset.carry * preset.window
         stride = preset.stride or length

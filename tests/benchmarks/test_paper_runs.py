@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from compensator_rig import tiny
+from learning_rigs.compensator_rig import tiny
 
 from benchmarks.compensator import paper
 from benchmarks.compensator.trainings import Run, run_all, scores, shortened

@@ -20,14 +20,32 @@ from .evaluate import evaluate
 from .explain import explain
 from .export import export
 from .gap import gap
+from .generate import generate
 from .options import Exit
-from .printing import STDERR
+from .printing import STDERR, STDOUT
 from .simulate import simulate
 from .train import train
 from .vehicle import vehicle
-from .version import print_version, version
 
-VERBS = (check, gap, calibrate, explain, demo, export, simulate, train, evaluate, bench, version)
+
+def version() -> None:
+    """Print the version."""
+    _print_version(True)
+
+
+def _print_version(wanted: bool) -> None:
+    """Print the version and end, where it is wanted."""
+    import uavtwin
+
+    if wanted:
+        STDOUT.print(uavtwin.__version__)
+        raise typer.Exit(Exit.FINE)
+
+
+VERBS = (
+    *(check, gap, calibrate, explain, demo, export, simulate),
+    *(train, evaluate, generate, bench, version),
+)
 
 app = typer.Typer(
     add_completion=False,
@@ -44,7 +62,9 @@ app.add_typer(vehicle, name="vehicle")
 def _options(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=print_version, is_eager=True, help="Print the version."),
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     """Options before the verb."""

@@ -8,25 +8,33 @@ import typer
 from .options import Exit, Force, Out, VehicleName
 from .printing import STDOUT, print_damage, progress
 
-Protocol = Literal["force", "reconstruct", "track", "free"]
+Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
 
 
 def train(
     flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
     vehicle: VehicleName,
-    preset: Annotated[
-        str,
+    model: Annotated[
+        str | None,
         typer.Option(
-            help="best: ours; paper: the paper's text; published: its code; linear: no network; "
+            help="svq: ours; linear: no network; trivial; or a system of the paper's comparison: "
+            "cvae, vqvae, wgan, tsgan, vqgan, cgan, mrgan, vqwwvae, tdm, timeddpm, autofiltervq, "
+            "contrastvq, mcvq. Default: that of the preset, or svq."
+        ),
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            help="Of svq: best: ours; paper: the paper's text; published: its code. Of trivial: "
             "mean, last, ...: docs/guide/compensator.md."
         ),
-    ] = "best",
+    ] = None,
     protocol: Annotated[
         Protocol,
         typer.Option(
             help="force: force and moment inside the equations. Of the sensors: track: it sees "
             "residuals as old as the horizon; free: none; reconstruct: the present one, for "
-            "comparison with the paper."
+            "comparison with the paper; generate: none, it draws what might have been."
         ),
     ] = "track",
     horizon: Annotated[int, typer.Option(min=1, help="Of track, samples.")] = 1,
@@ -52,13 +60,14 @@ def train(
     from ..vehicles import load_vehicle
 
     check_extra_learn()
-    model = load_vehicle(vehicle)
+    twin = load_vehicle(vehicle)
     read = [read_flight(path) for path in flights]
     with progress("training") as step:
         trained = train_model(
             read,
-            model,
+            twin,
             out,
+            model=model,
             preset=preset,
             protocol=protocol,
             horizon=horizon,

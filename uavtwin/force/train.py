@@ -28,19 +28,27 @@ from .network import NETWORK
 from .refinement import REFINED
 
 REPORT = "report.html"
-_DEFAULTS = {"preset": "best", "horizon": 1, "rate": 100.0, "epochs": None}
+_DEFAULTS = {"model": None, "preset": None, "horizon": 1, "rate": 100.0, "epochs": None}
 """Options of `train` that a learned force has not."""
 NAMES = tuple(f"{kind} {a}" for kind, a in OUTPUTS)
 """Of the outputs, for a reader."""
 
 
-def check_force_options(preset: str, horizon: int, rate: float, epochs: int | None) -> None:
+def check_force_options(
+    model: str | None, preset: str | None, horizon: int, rate: float, epochs: int | None
+) -> None:
     """Refuse options of a training that has none of them.
 
     Raises:
         TwinError: One is given.
     """
-    given = {"preset": preset, "horizon": horizon, "rate": rate, "epochs": epochs}
+    given = {
+        "model": model,
+        "preset": preset,
+        "horizon": horizon,
+        "rate": rate,
+        "epochs": epochs,
+    }
     for name, value in given.items():
         if value != _DEFAULTS[name]:
             raise TwinError(

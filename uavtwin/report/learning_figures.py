@@ -9,6 +9,8 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
+from twin.residuals.spectra import spectrum
+
 from .figures import pretty_unit
 
 if TYPE_CHECKING:
@@ -45,16 +47,20 @@ def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> go.Figu
         best_epoch: The one whose weights were kept.
     """
     figure = go.Figure()
-    for name, colour in _LOSSES.items():
+    names = dict.fromkeys(n for e in curve for n in e if n not in ("epoch", "learning_rate"))
+    for name in names:
         points = [(e["epoch"], e[name]) for e in curve if e.get(name)]
         if not points:
             continue
         x, y = zip(*points, strict=True)
         mode = "lines+markers" if name == "validation" else "lines"
-        figure.add_scatter(x=x, y=y, name=name, mode=mode, line={"color": colour, "width": 1.5})
+        line = {"color": _LOSSES.get(name), "width": 1.5}
+        figure.add_scatter(x=x, y=y, name=name, mode=mode, line=line)
     figure.add_vline(x=best_epoch, line={"color": _GREY, "dash": "dot"}, annotation_text="kept")
     figure.update_xaxes(title_text="epoch")
-    figure.update_yaxes(title_text="loss, standardised units", type="log")
+    positive = all(e[n] > 0 for e in curve for n in names if e.get(n))
+    scale = "log" if positive else "linear"  # scores of a critic may have either sign
+    figure.update_yaxes(title_text="loss, standardised units", type=scale)
     return _styled(figure, 380)
 
 
@@ -117,6 +123,37 @@ def correction_figure(
     figure.update_yaxes(title_text=f"left, {shown}", row=2, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
     return _styled(figure, 420)
+
+
+def spectra_figure(
+    title: str, names: Sequence[str], t_s: Array, lines: Mapping[str, Array]
+) -> go.Figure:
+    """Power spectra of several signals, a panel per channel.
+
+    Args:
+        title: Of the figure.
+        names: Of the channels.
+        t_s: Times of the samples, shape (n,).
+        lines: By name, shape (n, channels).
+    """
+    figure = make_subplots(rows=1, cols=len(names), shared_yaxes=True, subplot_titles=list(names))
+    for i in range(len(names)):
+        for (line, values), colour in zip(lines.items(), ("#000000", "#e07b1a"), strict=True):
+            found = spectrum(t_s, values[:, i])
+            figure.add_scatter(
+                x=found.f_hz[1:],
+                y=np.where(found.psd[1:] > 0, found.psd[1:], np.nan),
+                name=line,
+                mode="lines",
+                line={"color": colour, "width": 1.2},
+                showlegend=i == 0,
+                row=1,
+                col=i + 1,
+            )
+    figure.update_xaxes(title_text="Hz", type="log")
+    figure.update_yaxes(type="log")
+    figure.update_layout(title_text=escape(title))
+    return _styled(figure, 320)
 
 
 def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:

@@ -12,10 +12,18 @@ import fmpy
 import numpy as np
 import onnx
 import pytest
-from compensator_rig import Rows, changed, compensator, exported, flight, rows_of, tiny
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from instance import Array, Instance, library, unzip
+from learning_rigs.compensator_rig import (
+    Rows,
+    changed,
+    compensator,
+    exported,
+    flight,
+    rows_of,
+    tiny,
+)
 from places import needs_package
 
 from cosim.master import Master

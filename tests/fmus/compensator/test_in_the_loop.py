@@ -6,7 +6,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from compensator_rig import compensator, exported, tiny
+from learning_rigs.compensator_rig import compensator, exported, tiny
 from numpy.typing import NDArray
 
 from cosim.master import Master

@@ -12,10 +12,10 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from compensator_rig import changed, compensator, exported
 from fmpy import simulate_fmu
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from learning_rigs.compensator_rig import changed, compensator, exported
 from onnx import TensorProto, helper, numpy_helper
 
 from fmus import build

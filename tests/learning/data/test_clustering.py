@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from residual_rig import made_up, tiny
+from learning_rigs.residual_rig import made_up, tiny
 
 from learning.data.channels import CHANNELS
 from learning.data.clustering import channel_statistics, clusters_of, kmeans_clusters

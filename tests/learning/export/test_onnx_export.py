@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
+from learning_rigs.compensator_rig import Rows, compensator, exported, flight, rows_of, tiny
 from places import ROOT
 
 from learning.data.channels import CHANNELS, FORCES, GROUPS, PHASE_CODES, UNITS

@@ -11,7 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from residual_rig import UNITS, made_up, tiny
+from learning_rigs.residual_rig import UNITS, made_up, tiny
 
 from learning.data.channels import CHANNELS
 from learning.data.clustering import clusters_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from residual_rig import made_up, tiny
+from learning_rigs.residual_rig import made_up, tiny
 
 from learning.data.channels import CHANNELS
 from learning.model.compensator import Compensator

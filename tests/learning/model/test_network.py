@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from residual_rig import tiny
+from learning_rigs.residual_rig import tiny
 from torch import Tensor
 
 from learning.data.channels import CHANNELS, N_PHASES

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from residual_rig import tiny
+from learning_rigs.residual_rig import tiny
 
 from learning.model.network import Latent, NetworkOut, Quantiser
 from learning.training.losses import losses, moments_loss, quantiser_loss

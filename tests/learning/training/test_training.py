@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from residual_rig import made_up, tiny
+from learning_rigs.residual_rig import made_up, tiny
 from scipy.signal import lfilter
 
 from learning.data.channels import CHANNELS

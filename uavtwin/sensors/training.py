@@ -14,20 +14,20 @@ from learning.data.flights import ResidualFlight, residual_flight, restart_befor
 from learning.data.residual_table import write_residuals
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
-from learning.model.registry import FamilyRow, check_preset, family_row, preset_named
+from learning.model.registry import FamilyRow, check_preset, chosen, family_row
 from learning.preset import SEEDS, Protocol
 from learning.training.checkpoint import CHECKPOINT
 from learning.training.fit import fit_model
 from twin.errors import TwinError
 from twin.logs import Flight
 
-from .flights import check_names
-from .output import check_folder
-from .report.figures import embedded, pretty_unit
-from .report.gap import number, percent
-from .report.learning_figures import curve_figure
-from .report.page import render
-from .vehicles import Vehicle
+from ..flights import check_names
+from ..output import check_folder
+from ..report.figures import embedded, pretty_unit
+from ..report.gap import number, percent
+from ..report.learning_figures import curve_figure
+from ..report.page import render
+from ..vehicles import Vehicle
 
 RESIDUALS, REPORT = "training.parquet", "report.html"
 VEHICLE_FILE = "vehicle.toml"
@@ -60,7 +60,8 @@ class Plan:
 
 
 def plan_training(
-    preset: str,
+    model: str | None,
+    preset: str | None,
     protocol: Protocol,
     horizon: int,
     epochs: int | None,
@@ -71,19 +72,19 @@ def plan_training(
     """Check everything that can be wrong before the work begins.
 
     Raises:
-        TwinError: An unknown preset, one that does not go with the protocol or has no epochs, or
-            a folder that holds something else than an interrupted training.
+        TwinError: An unknown model or preset, one that does not go with the protocol or has no
+            epochs, or a folder that holds something else than an interrupted training.
     """
-    family, chosen = preset_named(preset)
-    check_preset(family, chosen, protocol)
+    family, made = chosen(model, preset)
+    check_preset(family, made, protocol)
     if epochs is not None:
-        if "epochs" not in {f.name for f in fields(chosen)}:
-            raise TwinError(f"preset {preset} is in closed form and has no epochs; give none")
-        chosen = replace(chosen, epochs=epochs)
+        if "epochs" not in {f.name for f in fields(made)}:
+            raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
+        made = replace(made, epochs=epochs)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
-    drawn = SEEDS.get(preset, 0) if seed is None else seed
-    return Plan(family, chosen, protocol, horizon if protocol == "track" else 0, drawn)
+    drawn = SEEDS.get(made.name, 0) if seed is None else seed
+    return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn)
 
 
 def prepare(

@@ -22,14 +22,15 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
+from ..flights import check_names
+from ..output import output_file
+from ..report.figures import embedded, pretty_unit
+from ..report.gap import number, percent
+from ..report.learning_figures import anomaly_figure, correction_figure
+from ..report.page import render
+from ..shown import Shown, TextTable, counted
 from .compiled import compiled_compensator
-from .flights import check_names
-from .output import output_file
-from .report.figures import embedded, pretty_unit
-from .report.gap import number, percent
-from .report.learning_figures import anomaly_figure, correction_figure
-from .report.page import render
-from .shown import Shown, TextTable, counted
+from .generated import GeneratedEvaluation, evaluate_drawn
 from .training import RESIDUALS, VEHICLE_FILE
 
 MODEL = "model"
@@ -90,8 +91,11 @@ class Evaluation(Shown):
 
 def evaluate_model(
     folder: Path, given: Sequence[Flight], explained: Vehicle | None, progress: Progress
-) -> Evaluation:
+) -> Evaluation | GeneratedEvaluation:
     """Compare, correct and score; what corrects is the exported FMU, where the family has one.
+
+    What a model of the protocol `generate` draws corrects nothing, and is held against the flights
+    by distribution and spectrum.
 
     Args:
         folder: That `train` wrote.
@@ -125,6 +129,8 @@ def evaluate_model(
             found.append(residual_flight(flight, each, rate_hz, before_s, share))
             done += 1
     flights = residuals[0]
+    if model.info.protocol == "generate":
+        return evaluate_drawn(model, train, flights)
     compiled = (folder / FILE).is_file()
     if compiled:
         with compiled_compensator(folder) as fmu:

@@ -17,9 +17,9 @@ from twin.logs import read_flight, write_flight
 from twin.residuals.aligned import align_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli import main
-from uavtwin.compiled import compiled_compensator
 from uavtwin.demo.flights import fly
 from uavtwin.driving import driving_inputs
+from uavtwin.sensors.compiled import compiled_compensator
 
 COPTER = load_vehicle("copter_default")
 PLANT = replace(

@@ -1,0 +1,1 @@
+"""Generators that the paper compares its own with, one module each."""

@@ -1,0 +1,54 @@
+"""Flights whose residual is known beforehand, and small systems that learn it in seconds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from learning.data.flights import ResidualFlight
+from learning.model.family import TrainingTask
+from learning.model.generative import SystemModel
+from learning.model.registry import family_row
+from learning.preset import Protocol
+from learning.training.fit import fit_model
+
+SYSTEMS = (
+    *("cvae", "vqvae", "wgan", "tsgan", "vqgan", "cgan", "mrgan", "vqwwvae", "tdm", "timeddpm"),
+    *("autofiltervq", "contrastvq", "mcvq"),
+)
+PHASES = (1, 2)
+LEVEL = 2.0
+"""Distance of the phases' means, in spreads within each."""
+
+
+def known(seed: int, n: int = 400) -> ResidualFlight:
+    """Takeoff and hover, a span each; waves of two frequencies about a mean of each phase."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(n) / 100.0
+    hz, begin = np.where(np.arange(15) % 2, 2.0, 4.0), rng.uniform(0, 2 * np.pi)
+    waves = np.sqrt(2) * np.sin(2 * np.pi * t[:, None] * hz + begin + np.arange(15))
+    phase = np.repeat(PHASES, [n // 2, n - n // 2])
+    residual = waves + np.where(phase == PHASES[0], 0.0, LEVEL)[:, None]
+    return ResidualFlight(
+        name=f"known_{seed}",
+        rate_hz=100.0,
+        t_s=t,
+        virtual=np.zeros((n, 15)),
+        residual=residual,
+        fresh=np.ones((n, 15), dtype=np.bool_),
+        commands=np.zeros((n, 0)),
+        phase=phase,
+        spans=((0, n // 2), (n // 2, n)),
+    )
+
+
+def small(name: str, protocol: Protocol, epochs: int, folder: Path, seed: int = 0) -> SystemModel:
+    """A system of that name with 64 codes of 32 numbers, trained on four such flights."""
+    row = family_row(name)
+    preset = replace(
+        row.load().presets()[name], epochs=epochs, code_size=32, n_codes=64, units=32, window=50
+    )
+    task = TrainingTask(protocol, seed=seed)
+    model = fit_model([known(k) for k in range(4)], row, preset, task, folder)
+    assert isinstance(model, SystemModel)
+    return model

@@ -1,0 +1,1 @@
+"""Compensators of the sensors: trained, flown as FMUs, measured, drawn from."""
