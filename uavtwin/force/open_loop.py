@@ -1,8 +1,8 @@
 """How far a driven twin is off some time after it was left alone: exported FMUs over flights.
 
-The FMU follows the measured motion (`uavtwin.driving`) in the air: on the ground, what carries the
-aircraft would be taken for a disturbance. Every `EVERY_S` its state is saved, it flies on the
-recorded commands alone for the longest horizon, and is taken back.
+The FMU follows the measured motion (`uavtwin.driving`) once the aircraft is clear of the ground:
+what carries it there would be taken for a disturbance. Every `EVERY_S` its state is saved, it flies
+on the recorded commands alone for the longest horizon, and is taken back.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +18,7 @@ from twin.errors import LogError
 from twin.frames import AXES, multiply, rotation_vector
 from twin.logs import Flight
 from twin.representation import short_repr
-from twin.residuals.aligned import align_flight
+from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
@@ -27,6 +27,8 @@ from ..driving import PREFIX, driving_inputs, true_motion
 Array = NDArray[np.float64]
 HORIZONS_S = (0.05, 0.2, 0.5, 1.0, 2.0)
 EVERY_S = 0.25
+CLEAR_S = 0.5
+"""So long it has been in the air before it is followed. Not chosen on flights."""
 WARM_S = 1.0
 """So long it has followed before it is left alone."""
 DISTANCE = "residual_force.distance"
@@ -69,13 +71,13 @@ class Replay:
             LogError: It cannot be, or is nowhere long enough in the air.
         """
         aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(aligned.airborne))
+        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
         self._names = [n for n in whole.dtype.names or () if n != "time"]
         self._given = np.column_stack([whole[n] for n in self._names])
         self._changes = _changes(self._names, self._given)
         self._there = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
-        known = aligned.airborne & np.isfinite(self._there).all(axis=1)
+        known = clear(aligned) & np.isfinite(self._there).all(axis=1)
         self._left = _left_alone(known, self._steps[-1])
         if not len(self._left):
             raise LogError(
@@ -95,7 +97,7 @@ class Replay:
         """
         other = copy(self)
         aligned = align_flight(flight, vehicle)
-        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(aligned.airborne))
+        whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
         other._names = [n for n in whole.dtype.names or () if n != "time"]
         other._given = np.column_stack([whole[n] for n in other._names])
         other._changes = _changes(other._names, other._given)
@@ -191,6 +193,13 @@ class Replay:
         slave.inputs[self._names.index(f"{PREFIX}restart")] *= follow
         slave.write_inputs()
         slave.step(row * GRID_S, steps * GRID_S)
+
+
+def clear(aligned: AlignedFlight) -> NDArray[np.bool_]:
+    """Where an aircraft has been in the air for `CLEAR_S`, shape (n,)."""
+    grounded = np.where(aligned.airborne, 0, np.arange(1, len(aligned.airborne) + 1))
+    since = np.arange(len(grounded)) - np.maximum.accumulate(grounded)
+    return np.asarray(aligned.airborne & (since >= round(CLEAR_S / GRID_S)))
 
 
 def _changes(names: Sequence[str], given: Array) -> NDArray[np.intp]:
