@@ -1,4 +1,5 @@
-"""Which law is used: that which flies better on flights it has not seen, and does no harm."""
+"""Which observers and laws are used: those that fly better on flights they have not seen, and do no
+harm."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,9 +14,11 @@ from twin.physics.residual_force import OUTPUTS
 from .fold import Fold, Lesson
 
 Array = NDArray[np.float64]
+OBSERVER = "observer"
+"""Its name beside those of the laws."""
 BETTER = 0.01
-"""Share by which a law must lower the error, in the geometric mean over flights, quantities and
-horizons."""
+"""Share by which an observer or a law must lower the error, in the geometric mean over flights,
+quantities and horizons."""
 WORSE = 1.02
 """No quantity may grow by more, in the geometric mean over flights and horizons."""
 _TINY = 1e-30
@@ -56,7 +59,7 @@ class Steps:
 
 
 def as_flown(law: str, gain: float, squares: Array, without: Array) -> Flown:
-    """What a law does.
+    """What a law or an observer does.
 
     Args:
         law: Its name.
@@ -80,6 +83,37 @@ def best_law(flown: Sequence[Flown]) -> str:
         return "none"
     least = min(ratio for _, ratio in good)
     return next(law for law, ratio in good if ratio <= least + BETTER)
+
+
+def chosen_observers(
+    folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]
+) -> tuple[list[Fold], Lesson, list[Flown]]:
+    """Observer of each output, one after the other beside those of the others, no law used yet.
+
+    It is kept where the twin is closer with it in the mean. That no quantity is farther is asked of
+    laws alone: where two disturbances hid each other, the other one shows when one is taken away.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights.
+        progress: Called with the share done.
+
+    Returns:
+        The same without the observers that do not fly better, and what each did.
+    """
+    kept, laws, found = list(folds), Choice.nothing().laws, []
+    steps = Steps(len(OUTPUTS) + 1, progress)
+    least = left_out(kept, laws)
+    steps.one()
+    for i in range(len(OUTPUTS)):
+        silent = [fold.unobserved(i) for fold in kept]
+        without = left_out(silent, laws)
+        found.append(as_flown(OBSERVER, 0.0, least, without))
+        ratio = found[-1].ratio
+        if ratio is None or ratio >= 1 - BETTER:
+            kept, lesson, least = silent, lesson.unobserved(i), without
+        steps.one()
+    return kept, lesson, found
 
 
 def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float], None]) -> Choice:

@@ -1,7 +1,7 @@
 """A flight that is left out, and what the others teach."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,19 +9,25 @@ from numpy.typing import NDArray
 
 from cosim.whole_twin import fused_model
 from fmus import build
-from learning.force.candidates import Candidate
+from learning.data.envelope import INSIDE
+from learning.force.candidates import LAWS, Candidate
+from learning.force.forecast import AHEAD_S, NO_OBSERVER
 from learning.force.instants import Instants
 from learning.force.model import observer_starts
 from learning.force.train import Prepared, prepare
 from twin.flight.assembly import driven_twin
-from twin.physics.residual_force import ForceLaw, weight_names
+from twin.physics.residual_force import OUTPUTS, WAVES_END, ForceLaw, weight_names
 from twin.physics.rotors import Drive
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
-from .open_loop import Replay
+from .open_loop import DISTANCE, Replay
 
 Array = NDArray[np.float64]
+ALONE_S = 0.5
+"""So long a twin that is let go has to stay inside the envelope."""
+WIDER = WAVES_END
+"""Most by which the envelope grows for that: where a law has faded before, it has not been."""
 _PART = "residual_force."
 
 
@@ -76,6 +82,31 @@ class Lesson:
         """The law of these names, made passive."""
         return self.prepared.law(self.chosen(names))[0]
 
+    def running(self, replays: Sequence[Replay]) -> "Lesson":
+        """The same, its envelope as wide as the twin goes in half a second by itself.
+
+        A twin that is let go does not stay where the aircraft was, and laws are chosen by where it
+        goes: what is judged there is said there.
+
+        Args:
+            replays: Of its flights, at `AHEAD_S`.
+        """
+        starts = self.starts([LAWS[0]] * len(OUTPUTS))
+        near = [i for i, s in enumerate(AHEAD_S) if s <= ALONE_S]
+        away = [r.through(self.fmu, starts, (DISTANCE,)).watched[:, near, 0] for r in replays]
+        wider = float(np.clip(np.quantile(np.concatenate(away), INSIDE), 1.0, WIDER))
+        empty = replace(self.prepared.empty, reach=wider * self.prepared.empty.reach)
+        place = self.place.with_stem(f"{self.place.stem}_running")
+        return replace(self, prepared=replace(self.prepared, empty=empty), place=place)
+
+    def unobserved(self, output: int) -> "Lesson":
+        """The same without the observer of one output."""
+        fitted = list(self.fitted)
+        fitted[output] = {
+            law: replace(c, observer=NO_OBSERVER) for law, c in fitted[output].items()
+        }
+        return replace(self, fitted=fitted)
+
     def starts(self, names: Sequence[str]) -> dict[str, float]:
         """Start values that make the FMU fly them, each beside its observer."""
         return law_starts(self.prepared, self.chosen(names))
@@ -97,9 +128,27 @@ class Fold:
 
     __repr__ = short_repr
 
+    def unobserved(self, output: int) -> "Fold":
+        """The same without the observer of one output."""
+        return replace(self, lesson=self.lesson.unobserved(output))
+
     def squares(self, fmu: Path, starts: Mapping[str, float]) -> Array:
         """Mean squares of what a twin is off in the flight left out, shape (horizons, 4, 3)."""
         return np.asarray(np.mean(self.replay.through(fmu, starts).off ** 2, axis=0))
+
+
+def running(folds: Sequence[Fold], lesson: Lesson) -> tuple[list[Fold], Lesson]:
+    """Envelopes as wide as each twin goes in half a second by itself, in the flights it knows.
+
+    Args:
+        folds: One per flight.
+        lesson: Of all flights.
+    """
+    wider = [
+        replace(fold, lesson=fold.lesson.running([f.replay for f in folds if f is not fold]))
+        for fold in folds
+    ]
+    return wider, lesson.running([f.replay for f in folds])
 
 
 def law_starts(prepared: Prepared, chosen: Sequence[Candidate]) -> dict[str, float]:

@@ -1,12 +1,14 @@
 """The law of what a vehicle's equations leave, chosen by the twin that flies it.
 
-For each output the laws of `learning.force.candidates` by which flights left out are more probable
-than without are put into the FMU of the driven twin, one after the other beside what was chosen
-before, and flights that took no part in their fit are replayed through it. A law is taken where the
-twin is then less far off, beside its observer, and in no quantity farther. Then all of them are
-refined together by flying (`refinement`), and kept so on the same condition. Last, missions in
-random air withdraw what makes the controller lose the vehicle (`closed_loop`). These flights
-choose; what the law is worth, others say.
+First each output's observer has to bring the driven twin closer on flights that took no part in
+its choice, and the envelope grows to where the twin goes by itself (`fold`). Then the laws of
+`learning.force.candidates` by which flights left out are more probable than without are put into
+the FMU of the driven twin, one after the other beside what was chosen before, and flights that took
+no part in their fit are replayed through it. A law is taken where the twin is then less far off,
+beside its observer, and in no quantity farther. Then all of them are refined together by flying
+(`refinement`), and kept so on the same condition. Last, missions in random air withdraw what makes
+the controller lose the vehicle (`closed_loop`). These flights choose; what the law is worth, others
+say.
 """
 
 import hashlib
@@ -26,15 +28,15 @@ from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
 from ..vehicles import Vehicle
-from .choice import Choice, best_law, chosen_laws
+from .choice import Choice, best_law, chosen_laws, chosen_observers
 from .closed_loop import kept
-from .fold import Fold, Lesson
+from .fold import Fold, Lesson, running
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 from .refinement import refine
 
 Progress = Callable[[float], None]
-_READING, _LAWS, _REFINED, _NETWORK = 0.1, 0.45, 0.65, 0.9
+_READING, _OBSERVERS, _LAWS, _REFINED, _NETWORK = 0.1, 0.2, 0.45, 0.65, 0.9
 """Shares of the work that are done after each part, about."""
 
 
@@ -69,7 +71,11 @@ def learn_force(
                 others = [s for s in seen if s is not seen[k]]
                 taught = Lesson.of(others, vehicle, drive, seed, Path(name, f"{k}.fmu"))
                 folds.append(Fold(Replay(flight, vehicle, AHEAD_S), seen[k], taught))
-            choice = chosen_laws(folds, lesson, _part(progress, _READING, _LAWS))
+            part = _part(progress, _READING, _OBSERVERS)
+            folds, lesson, observers = chosen_observers(folds, lesson, part)
+            folds, lesson = running(folds, lesson)
+            choice = chosen_laws(folds, lesson, _part(progress, _OBSERVERS, _LAWS))
+            choice = choice.tried_too(observers)
             folds, lesson, choice = refine(folds, lesson, choice, _part(progress, _LAWS, _REFINED))
             part = _part(progress, _REFINED, _NETWORK)
             networks = flown_network(folds, choice.laws, drive, seed, part)

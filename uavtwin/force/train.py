@@ -22,7 +22,7 @@ from ..flights import check_names
 from ..report.gap import number, percent
 from ..report.page import render
 from ..vehicles import Vehicle
-from .choice import BETTER, WORSE
+from .choice import BETTER, OBSERVER, WORSE
 from .learn import Progress, learn_force
 from .network import NETWORK
 from .refinement import REFINED
@@ -107,7 +107,11 @@ def _claim(model: ForceModel) -> str:
     )
     gone = model.closed_loop.withdrawn
     lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
-    return f"force: {law}{lost}; beside it an observer of what is left."
+    seen = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]
+    beside = "an observer of what is left"
+    if len(seen) < len(NAMES):
+        beside = f"{beside} of {', '.join(seen)}" if seen else "no observer"
+    return f"force: {law}{lost}; beside it {beside}."
 
 
 def _laws(output: Output) -> str:
@@ -125,7 +129,7 @@ def _page(model: ForceModel) -> str:
         worse=WORSE,
         claim=_claim(model),
         model=model,
-        laws=(*LAWS[1:], REFINED, NETWORK),
+        laws=(OBSERVER, *LAWS[1:], REFINED, NETWORK),
         outputs=[
             {
                 "name": name,

@@ -1,0 +1,88 @@
+"""Observers and envelopes of a flight that is left out, against a drag that is known exactly."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from learning.force.candidates import Candidate
+from learning.force.forecast import AHEAD_S, NEVER_S, NO_OBSERVER, Observer
+from learning.force.instants import instants
+from twin.physics.residual_force import OUTPUTS
+from twin.residuals.teacher_forced import choose_drive
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.force.choice import OBSERVER, chosen_observers
+from uavtwin.force.fold import ALONE_S, WIDER, Fold, Lesson
+from uavtwin.force.open_loop import DISTANCE, Replay
+
+COPTER = load_vehicle("copter_default")
+DRAGGED = replace(
+    COPTER,
+    drag_linear_n_s_m=COPTER.drag_linear_n_s_m + 0.6 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0]),
+)
+QUICK = Observer(0.05, 0.5)
+"""Takes what noise says for what stays."""
+ROUND: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.5, (0.0, 0.0, -2.0)),
+    ("tour", 3.5, (6.0, 3.0, -2.0)),
+    ("tour", 3.5, (-3.0, -2.0, -2.5)),
+)
+
+
+def _fold(plant: Vehicle, observers: list[Observer], place: Path) -> Fold:
+    """A flight of a plant, and a twin of COPTER with these observers."""
+    flight = fly(COPTER, plant, 1, "one", ROUND)
+    seen = instants(flight, COPTER)
+    lesson = Lesson.of([seen], COPTER, choose_drive(flight, COPTER), 0, place / "twin.fmu")
+    nothing = np.zeros(len(lesson.prepared.size))
+    fitted = [{"none": Candidate("none", 0.0, nothing, 0.0, o)} for o in observers]
+    return Fold(Replay(flight, COPTER, AHEAD_S), seen, replace(lesson, fitted=fitted))
+
+
+def _used(lesson: Lesson) -> list[str]:
+    """Outputs that have an observer."""
+    found = lesson.chosen(["none"] * len(OUTPUTS))
+    return [
+        f"{kind} {a}"
+        for (kind, a), c in zip(OUTPUTS, found, strict=True)
+        if c.observer.lag_s < NEVER_S
+    ]
+
+
+@pytest.mark.slow
+def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(tmp_path: Path) -> None:
+    fold = _fold(DRAGGED, [QUICK] * len(OUTPUTS), tmp_path)
+    (kept,), lesson, flown = chosen_observers([fold], fold.lesson, lambda _: None)
+    assert "force x" in _used(lesson) == _used(kept.lesson)
+    assert not [name for name in _used(lesson) if name.startswith("moment")]
+    assert [f.law for f in flown] == [OBSERVER] * len(OUTPUTS)
+    assert flown[0].ratio is not None and flown[0].ratio < 0.9
+
+
+@pytest.mark.slow
+def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path) -> None:
+    fold = _fold(COPTER, [QUICK] * len(OUTPUTS), tmp_path)
+    _, lesson, _ = chosen_observers([fold], fold.lesson, lambda _: None)
+    assert _used(lesson) == []
+
+
+@pytest.mark.slow
+def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> None:
+    """But not where a law has faded before."""
+    fold = _fold(DRAGGED, [NO_OBSERVER] * len(OUTPUTS), tmp_path)
+    narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 1.3)
+    lesson = replace(fold.lesson, prepared=replace(fold.lesson.prepared, empty=narrow))
+    wide = lesson.running([fold.replay])
+    share = wide.prepared.empty.reach / narrow.reach
+    assert 1.0 < share < WIDER
+    starts = wide.starts(["none"] * len(OUTPUTS))
+    away = fold.replay.through(wide.fmu, starts, (DISTANCE,)).watched[..., 0]
+    near = np.array(AHEAD_S) <= ALONE_S
+    assert np.mean(away[:, near] <= 1) >= 0.98
+    tiny = replace(narrow, reach=narrow.reach / 10)
+    capped = replace(lesson, prepared=replace(lesson.prepared, empty=tiny), place=tmp_path / "2")
+    assert capped.running([fold.replay]).prepared.empty.reach == pytest.approx(WIDER * tiny.reach)
