@@ -2,16 +2,18 @@
 
     OUT/runs/KEY.json  scores of one training    OUT/models/KEY/  a training under way
 
-A run counts as long as preset, seed, flights, share of the data and the sources of `learning` are
-the same.
+A run counts as long as model, preset, protocol, seed, flights, share of the data and the sources of
+`learning` are the same. What reconstructs is scored by what it leaves, what draws by its draws; an
+autoencoder, which draws by what it learned of reconstructing, by both.
 """
 
 import hashlib
 import json
+import platform
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from itertools import repeat
@@ -21,22 +23,33 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import nn
 
 import learning
 from learning.data.channels import GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
 from learning.data.paper_tables import GAUSS_T, paper_flights
 from learning.evaluation import metrics
+from learning.model.corrected import Model
+from learning.model.family import FamilyPreset, TrainingTask
 from learning.model.folder import write_json
-from learning.preset import Preset, preset_json
-from learning.training.train import train
+from learning.model.recording import fit_recording
+from learning.model.registry import family_row
+from learning.preset import Protocol
+from learning.threads import one_thread
+from twin.errors import ModelError
 
 Array = NDArray[np.float64]
+RECORDING = "recording"
+"""In the place of a family: a training flight played back."""
+DRAWS = 8
+"""Of each generator."""
 MODALITIES = ("takeoff", "hover")
 SYSTEMS = ("standardised", "physical", "range")
 """Units: spread of the training residual = 1; SI but gauss, as published; each phase's range over
 all three flights = -1..1, as in the published code."""
-METRICS = ("mse", "mae", "wasserstein")
+METRICS = ("mse", "rmse", "mae", "wasserstein")
+DRAWN = ("rmse", "wasserstein", "spectral_db")
 ALL = (1, 2, 3)
 
 
@@ -46,29 +59,34 @@ class Run:
 
     Attributes:
         name: Of the variant, as printed.
-        preset: Hyper-parameters.
+        preset: Hyper-parameters; None where there are none.
         seed: Of everything that is drawn.
         train: Numbers of the flights.
         test: Number of the flight scored; 0: the training flights themselves, as published.
         share: Of each phase of each training flight, from its start.
+        model: Row of the registry, or `RECORDING`.
+        protocol: What it is trained for.
     """
 
     name: str
-    preset: Preset
+    preset: FamilyPreset | None
     seed: int = 0
     train: tuple[int, ...] = (1, 2)
     test: int = 3
     share: float = 1.0
+    model: str = "svq"
+    protocol: Protocol = "reconstruct"
 
     def key(self) -> str:
         """Name of its files: hash of all that decides the scores, sources included."""
-        content = {**asdict(self), "preset": preset_json(self.preset), "name": ""}
+        content = {**asdict(self), "name": ""}
         digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
         root = Path(str(learning.__file__)).parent
         for path in sorted(root.rglob("*.py")):
             if "export" not in path.relative_to(root).parts:
                 digest.update(path.read_bytes())
-        return f"{self.preset.name}_{self.seed}_{digest.hexdigest()[:12]}"
+        name = self.model if self.preset is None else self.preset.name
+        return f"{name}_{self.protocol}_{self.seed}_{digest.hexdigest()[:12]}"
 
 
 def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[dict[str, Any]]:
@@ -116,59 +134,154 @@ def scores(
         trained: They give the standardised unit.
         everything: All flights: they give the range.
     """
+    return {
+        name: {
+            system: _means(residual / unit, said / unit)
+            for system, unit in units(name, trained, everything).items()
+        }
+        for name, residual, said in _by_modality(corrections, tests)
+    }
+
+
+def drawn_scores(
+    draws: Sequence[Sequence[Array]],
+    tests: Sequence[ResidualFlight],
+    trained: Sequence[ResidualFlight],
+    everything: Sequence[ResidualFlight],
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Modality -> units -> metric, each the mean over the 15 channels.
+
+    `rmse` is that of the mean of all draws; `wasserstein` and `spectral_db`, the distance of the
+    spectra, are means over the draws.
+
+    Args:
+        draws: One per seed and test flight, shape (n, 15).
+        tests: Flights they are compared with.
+        trained: As of `scores`.
+        everything: As of `scores`.
+    """
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    parts = [list(_by_modality(one, tests)) for one in draws]
+    for name, residual, middle in _by_modality(np.mean(draws, axis=0), tests):
+        own = [said for part in parts for n, _, said in part if n == name]
+        t_s = np.arange(len(residual)) / tests[0].rate_hz
+        spectral = [
+            metrics.log_spectral_distance(t_s, r, s)
+            for said in own
+            for r, s in zip(residual.T, said.T, strict=True)
+        ]
+        found[name] = {
+            system: {
+                "rmse": _means(residual / u, middle / u)["rmse"],
+                "wasserstein": float(
+                    np.mean([_means(residual / u, said / u)["wasserstein"] for said in own])
+                ),
+                "spectral_db": float(np.nanmean(spectral)),
+            }
+            for system, u in units(name, trained, everything).items()
+        }
+    return found
+
+
+def units(
+    modality: str, trained: Sequence[ResidualFlight], everything: Sequence[ResidualFlight]
+) -> dict[str, Array]:
+    """Sizes of the residual's units in `SYSTEMS`, shape (15,) each; `scores` says of what."""
     spread = np.concatenate([f.residual[f.fresh.all(1)] for f in trained]).std(axis=0)
     gauss = np.ones_like(spread)
     gauss[GROUPS["mag"]] = GAUSS_T
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    code = PHASE_CODES[modality]
+    pooled = np.concatenate([f.residual[f.phase == code] for f in everything])
+    return dict(zip(SYSTEMS, (spread, gauss, np.ptp(pooled, axis=0) / 2), strict=True))
+
+
+def _by_modality(
+    said: Sequence[Array], tests: Sequence[ResidualFlight]
+) -> Iterator[tuple[str, Array, Array]]:
+    """Name, residual and what was said of it, of all flights together."""
     for name in MODALITIES:
-        code = PHASE_CODES[name]
-        pooled = np.concatenate([f.residual[f.phase == code] for f in everything])
-        units = dict(zip(SYSTEMS, (spread, gauss, np.ptp(pooled, axis=0) / 2), strict=True))
-        residual = np.concatenate([f.residual[f.phase == code] for f in tests])
-        said = np.concatenate([c[f.phase == code] for c, f in zip(corrections, tests, strict=True)])
-        found[name] = {system: _means(residual / u, said / u) for system, u in units.items()}
-    return found
+        rows = [f.phase == PHASE_CODES[name] for f in tests]
+        residual = np.concatenate([f.residual[r] for f, r in zip(tests, rows, strict=True)])
+        yield name, residual, np.concatenate([s[r] for s, r in zip(said, rows, strict=True)])
 
 
 def _means(residual: Array, said: Array) -> dict[str, float]:
     columns = list(zip(residual.T, said.T, strict=True))
     return {
         "mse": float(np.mean([metrics.mse(r - s) for r, s in columns])),
+        "rmse": float(np.mean([metrics.rmse(r - s) for r, s in columns])),
         "mae": float(np.mean([metrics.mae(r - s) for r, s in columns])),
         "wasserstein": float(np.mean([metrics.wasserstein(r, s) for r, s in columns])),
     }
 
 
+@one_thread()
 def _score(run: Run, data: Path, out: Path) -> str:
     """Train, score, keep the scores; returns a line to print."""
     flights = dict(zip(ALL, paper_flights(data, ALL), strict=True))
     trained = [shortened(flights[k], run.share) for k in run.train]
     folder = out / "models" / run.key()
+    folder.mkdir(parents=True, exist_ok=True)
     began = time.process_time()
-    model = train(trained, run.preset, "reconstruct", 0, run.seed, folder)
+    model = _fitted(run, trained, folder)
     seconds = time.process_time() - began  # one thread: its wall clock on a quiet machine
     tests = trained if run.test == 0 else [flights[run.test]]
-    corrections = [model.run(f).correction for f in tests]
-    found = scores(corrections, tests, trained, list(flights.values()))
-    epochs = model.info.metrics["epochs"]
-    clusters = [list(c) for c in model.info.clusters]
-    write_json(
-        _file(out, run),
-        {
-            "run": asdict(run),
-            "seconds": seconds,
-            "epochs": epochs,
-            "clusters": clusters,
-            "weights": sum(p.numel() for p in model.parameters()),
-            "scores": found,
-        },
-    )
+    every = list(flights.values())
+    content: dict[str, Any] = {
+        "run": asdict(run),
+        "seconds": seconds,
+        "machine": platform.machine(),
+        "weights": _weights(model),
+    }
+    shown = []
+    if run.protocol != "generate":
+        began = time.process_time()
+        corrections = [model.run(f).correction for f in tests]
+        samples = sum(len(c) for c in corrections)
+        content["ms_per_sample"] = 1e3 * (time.process_time() - began) / samples
+        content["scores"] = scores(corrections, tests, trained, every)
+        shown.append(_shown(content["scores"], METRICS))
+    if (seeded := _seeded(model)) is not None:
+        draws = [[seeded(k).run(f).correction for f in tests] for k in range(DRAWS)]
+        content["drawn"] = drawn_scores(draws, tests, trained, every)
+        shown.append("drawn " + _shown(content["drawn"], DRAWN))
+    write_json(_file(out, run), content)
     shutil.rmtree(folder)
-    shown = " | ".join(
-        f"{m} " + " ".join(f"{found[m]['standardised'][k]:.4f}" for k in METRICS)
-        for m in MODALITIES
+    return f"{run.name}, seed {run.seed}: {seconds:.0f} s, {'; '.join(shown)}"
+
+
+def _fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path) -> Model:
+    """The model of a run, trained."""
+    if run.model == RECORDING:
+        return fit_recording(trained)
+    task = TrainingTask(run.protocol, seed=run.seed)
+    fitted: Model = (
+        family_row(run.model).load().fit(trained, run.preset, task, folder, lambda *_: None)
     )
-    return f"{run.name}, seed {run.seed}: {seconds:.0f} s, {shown}"
+    return fitted
+
+
+def _seeded(model: Model) -> Callable[[int], Model] | None:
+    """What makes a generator of a seed of a model, None where it draws nothing."""
+    with_seed: Callable[[int], Model] | None = getattr(model, "with_seed", None)
+    try:
+        if with_seed is not None:
+            with_seed(0)
+    except ModelError:  # it was trained for something else
+        return None
+    return with_seed
+
+
+def _weights(model: Model) -> int:
+    """Numbers of its network that were trained."""
+    network = model if isinstance(model, nn.Module) else getattr(model, "system", None)
+    return sum(p.numel() for p in network.parameters()) if network is not None else 0
+
+
+def _shown(found: dict[str, dict[str, dict[str, float]]], names: Sequence[str]) -> str:
+    return " | ".join(
+        f"{m} " + " ".join(f"{found[m]['standardised'][k]:.4f}" for k in names) for m in MODALITIES
+    )
 
 
 def _file(out: Path, run: Run) -> Path:
