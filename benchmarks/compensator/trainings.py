@@ -23,8 +23,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import nn
-
 import learning
 from learning.data.channels import GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
@@ -274,8 +272,8 @@ def _seeded(model: Model) -> Callable[[int], Model] | None:
 
 def _weights(model: Model) -> int:
     """Numbers of its network that were trained."""
-    network = model if isinstance(model, nn.Module) else getattr(model, "system", None)
-    return sum(p.numel() for p in network.parameters()) if network is not None else 0
+    network: Any = model if hasattr(model, "parameters") else getattr(model, "system", None)
+    return 0 if network is None else sum(p.numel() for p in network.parameters())
 
 
 def _shown(found: dict[str, dict[str, dict[str, float]]], names: Sequence[str]) -> str:

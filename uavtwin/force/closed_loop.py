@@ -134,8 +134,21 @@ def fly_both(
         ]
 
 
-def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Tracked:
-    reads = (*_TRACKED, DISTANCE)
+def flown(
+    fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequence[str]
+) -> tuple[float, Array]:
+    """Fly a mission.
+
+    Args:
+        fmu: Of a twin that flies by itself.
+        duration_s: How long.
+        starts: Start values.
+        reads: Outputs that are kept.
+
+    Returns:
+        Step, s, and outputs at the end of each, infinite after the twin has stopped,
+        shape (n, len(reads)).
+    """
     found = np.full((round(duration_s / STEP_S), len(reads)), np.inf)
     slave = Slave("twin", fmu)
     try:
@@ -150,6 +163,11 @@ def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Track
         pass
     finally:
         slave.close()
+    return STEP_S, found
+
+
+def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Tracked:
+    _, found = flown(fmu, duration_s, starts, (*_TRACKED, DISTANCE))
     inside = float(np.mean(found[:, 6] <= 1))
     if not np.isfinite(found).all():
         return Tracked(float("inf"), float("inf"), inside)

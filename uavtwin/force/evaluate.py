@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from ..report.page import render
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
 from .fold import weight_starts
+from .hovering import Steadiness, hovers
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
 PHYSICS, EXPLAINED, OBSERVED, SHIPPED = "physics", "explained", "explained + observer", "corrected"
@@ -48,12 +49,15 @@ class ForceEvaluation(Shown):
         inside: By flight: at each of `HORIZONS_S` after it was left alone, how often the corrected
             twin was inside the envelope of the training, shares.
         windows: By flight: how often the twins were left alone.
+        hovers: How each flight hovered, and each twin that flies by itself, by name; empty where no
+            flight did.
     """
 
     model: ForceModel
     table: pd.DataFrame
     inside: Mapping[str, tuple[float, ...]]
     windows: Mapping[str, int]
+    hovers: Mapping[str, Steadiness]
 
     @property
     def claim(self) -> str:
@@ -83,6 +87,7 @@ class ForceEvaluation(Shown):
             "horizons_s": list(HORIZONS_S),
             "inside": {name: list(shares) for name, shares in self.inside.items()},
             "windows": dict(self.windows),
+            "hovers": {name: _numbers(h) for name, h in self.hovers.items()},
             "summary": summary(self.table).to_dict("records"),
             "cells": self.table.to_dict("records"),
         }
@@ -139,7 +144,13 @@ def evaluate_force(
             near = np.mean(flown[SHIPPED].watched[..., 0] <= 1, axis=0)
             inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
-    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows)
+    steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady)
+
+
+def _numbers(hover: Steadiness) -> dict[str, float | None]:
+    """As JSON content: what is not known is null."""
+    return {k: v if np.isfinite(v) else None for k, v in asdict(hover).items()}
 
 
 class _Fleet:
@@ -279,6 +290,7 @@ def write_force_report(found: ForceEvaluation, path: Path) -> None:
         ],
         quantities=QUANTITIES,
         rows=rows.to_dict("records"),
+        hovers=[{"name": name, **_numbers(h)} for name, h in found.hovers.items()],
         figure={"json": embedded(figure), "height": int(figure.layout.height)},
     )
     path.write_text(page, encoding="utf-8")
