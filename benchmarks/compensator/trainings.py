@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
 import learning
 from learning.data.channels import GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
