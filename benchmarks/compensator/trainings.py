@@ -9,7 +9,6 @@ autoencoder, which draws by what it learned of reconstructing, by both.
 
 import hashlib
 import json
-import platform
 import shutil
 import sys
 import time
@@ -229,7 +228,6 @@ def _score(run: Run, data: Path, out: Path) -> str:
     content: dict[str, Any] = {
         "run": asdict(run),
         "seconds": seconds,
-        "machine": platform.machine(),
         "weights": _weights(model),
     }
     shown = []

@@ -2,8 +2,8 @@
 
     python docs/_generate/paper.py --data ../shared/data --work out/paper
 
-Runs what is not done yet, some ninety minutes on two cores; it may be stopped and goes on from
-there.
+Runs what is not done yet, some hours on two cores (`--seeds 1 --share 1` makes the least of the
+main table); it may be stopped and goes on from there.
 """
 
 import argparse
@@ -28,10 +28,13 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
     parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seeds", type=int, default=3, help="of the main table")
+    parser.add_argument("--share", action="append", help="of the data, in the main table")
     given = parser.parse_args()
     tables = given.data / "rflysimdt" / "paper_residuals"
     common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
-    paper.main([*common, "--only=table2"])
+    shares = [f"--share={s}" for s in given.share or ()]
+    paper.main([*common, "--only=table2", f"--seeds={given.seeds}", *shares])
     table2 = (given.work / "paper.md").read_text("utf-8")
     some = [f"--only={name}" for name in ("ablations", "samples", "weights")]
     paper.main([*common, f"--epochs={EPOCHS}", *some])

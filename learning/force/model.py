@@ -24,11 +24,12 @@ _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """One law of one output, over flights that took no part in its fit.
+    """One law of one output, or its observer, over flights that took no part in its fit.
 
     Attributes:
-        law: Of `learning.force.candidates.LAWS`.
-        gain: Nats by which the flights are more probable than without it.
+        law: Of `learning.force.candidates.LAWS`, or what flying added to them.
+        gain: Nats by which the flights are more probable than without it; 0 of an observer, which
+            flying alone decides on.
         ratio: Error over that without it, geometric mean over flights, quantities and horizons;
             None of one that was not flown, as nothing speaks for it.
         worst: The largest ratio of a quantity, flights and horizons together.

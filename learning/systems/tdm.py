@@ -30,6 +30,7 @@ class _Layer(nn.Module):
         self.out = nn.Conv1d(width, 2 * width, 1)
 
     def forward(self, x: Tensor, step: Tensor, conditions: Tensor) -> tuple[Tensor, Tensor]:
+        """What goes on to the next layer and what goes out, (batch, width, time) each."""
         inside = self.convolution(x + self.of_step(step)[..., None]) + self.of_conditions(
             conditions
         )

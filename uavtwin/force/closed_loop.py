@@ -134,10 +134,8 @@ def fly_both(
         ]
 
 
-def flown(
-    fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequence[str]
-) -> tuple[float, Array]:
-    """Fly a mission.
+def flown(fmu: Path, duration_s: float, starts: Mapping[str, float], reads: Sequence[str]) -> Array:
+    """Fly a mission in steps of `STEP_S`.
 
     Args:
         fmu: Of a twin that flies by itself.
@@ -146,8 +144,8 @@ def flown(
         reads: Outputs that are kept.
 
     Returns:
-        Step, s, and outputs at the end of each, infinite after the twin has stopped,
-        shape (n, len(reads)).
+        Outputs at the end of each step, infinite after the twin has stopped, shape
+        (n, len(reads)).
     """
     found = np.full((round(duration_s / STEP_S), len(reads)), np.inf)
     slave = Slave("twin", fmu)
@@ -163,11 +161,11 @@ def flown(
         pass
     finally:
         slave.close()
-    return STEP_S, found
+    return found
 
 
 def _tracked(fmu: Path, duration_s: float, starts: Mapping[str, float]) -> Tracked:
-    _, found = flown(fmu, duration_s, starts, (*_TRACKED, DISTANCE))
+    found = flown(fmu, duration_s, starts, (*_TRACKED, DISTANCE))
     inside = float(np.mean(found[:, 6] <= 1))
     if not np.isfinite(found).all():
         return Tracked(float("inf"), float("inf"), inside)

@@ -128,7 +128,7 @@ def evaluate_force(
     rows, inside, windows = [], {}, {}
     with tempfile.TemporaryDirectory() as place:
         fleet = _Fleet(force, vehicle, physics, Path(place))
-        total, done = len(flights) * len(fleet.names), 0
+        total, done = len(flights) * len(fleet.names) + 1, 0  # the last one hovers
         for flight in flights:
             replay = Replay(flight, vehicle)
             flown = {LAST_READING: replay.last_reading(), LAST_MOTION: replay.last_motion()}
@@ -145,6 +145,7 @@ def evaluate_force(
             inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
     steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
+    progress(1.0)
     return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady)
 
 

@@ -19,13 +19,13 @@ from twin.logs import Flight
 from twin.logs.columns import motor_columns
 from twin.residuals.aligned import AlignedFlight, align_flight
 from twin.residuals.measured import Signal
-from twin.residuals.teacher_forced import RIGID
+from twin.residuals.teacher_forced import GRID_S, RIGID
 from twin.vehicle import Vehicle
 
 from ..driving import true_motion
 from ..exports.parts import LearnedForce, twin
 from ..exports.write import export
-from .closed_loop import flown
+from .closed_loop import STEP_S, flown
 
 Array = NDArray[np.float64]
 HOVER = "hover"
@@ -55,7 +55,7 @@ class Steadiness:
 
 
 def flown_hover(flight: Flight, vehicle: Vehicle) -> Steadiness | None:
-    """How an aircraft hovered, all its hovers together; None where it did not.
+    """How an aircraft hovered, all its hovers of which the whole motion is known; None without one.
 
     Args:
         flight: With phases.
@@ -67,22 +67,20 @@ def flown_hover(flight: Flight, vehicle: Vehicle) -> Steadiness | None:
     if not hovers:
         return None
     rows = np.concatenate(hovers)
-    t_s = aligned.inputs.t_s
     command = np.full((len(rows), 1), np.nan)
     columns = motor_columns("cmd", vehicle.rotors.count)
     if set(columns) <= set(aligned.inputs.columns):
-        command = Signal(*flight.signal(list(columns))).held(t_s)[rows]
-    return _steadiness(motion[rows], command, len(rows) * float(t_s[1] - t_s[0]))
+        command = Signal(*flight.signal(list(columns))).held(aligned.inputs.t_s)[rows]
+    return _steadiness(motion[rows], command, GRID_S * len(rows))
 
 
 def _hovers(aligned: AlignedFlight) -> list[NDArray[np.intp]]:
     """Rows of each hover in the air, its ends left out."""
-    t_s, there = aligned.inputs.t_s, (aligned.phases == HOVER) & aligned.airborne
+    there = (aligned.phases == HOVER) & aligned.airborne
     pieces = np.split(np.arange(len(there)), np.flatnonzero(np.diff(there)) + 1)
-    settled = round(SETTLED_S / float(t_s[1] - t_s[0]))
+    settled = round(SETTLED_S / GRID_S)
     inner = [p[settled : len(p) - settled] for p in pieces if there[p[0]]]
-    shortest = SHORTEST_S / float(t_s[1] - t_s[0])
-    return [p for p in inner if len(p) >= shortest]
+    return [p for p in inner if len(p) >= SHORTEST_S / GRID_S]
 
 
 def twin_hover(vehicle: Vehicle, force: LearnedForce | None) -> Steadiness | None:
@@ -101,14 +99,14 @@ def twin_hover(vehicle: Vehicle, force: LearnedForce | None) -> Steadiness | Non
     with tempfile.TemporaryDirectory() as place:
         fmu = Path(place, "twin.fmu")
         export(twin(vehicle, HOVER, force=force), fmu)
-        step_s, found = flown(fmu, mission_duration_s(HOVER), {}, reads)
+        found = flown(fmu, mission_duration_s(HOVER), {}, reads)
     if not np.isfinite(found).all():
         return None
     rows = np.flatnonzero(np.round(found[:, len(RIGID)]) == PHASES[HOVER])
-    settled = round(SETTLED_S / step_s)
+    settled = round(SETTLED_S / STEP_S)
     inner = found[rows[settled : len(rows) - settled]]
     command = inner[:, len(RIGID) + 1 :] if columns else np.full((len(inner), 1), np.nan)
-    return _steadiness(inner[:, : len(RIGID)], command, step_s * len(inner))
+    return _steadiness(inner[:, : len(RIGID)], command, STEP_S * len(inner))
 
 
 def _steadiness(motion: Array, command: Array, seconds: float) -> Steadiness:
