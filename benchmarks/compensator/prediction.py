@@ -227,7 +227,8 @@ def explained_text(logs: Sequence[Flight], preset: Preset, seeds: int, out: Path
             per = pooled(rows, ("model", "group")).set_index(["model", "group"])["rmse"]
             for model in ("none", MODEL):
                 label = name if model == "none" else f"{name} + compensator"
-                cells = [f"{per[model, g]:.3g}" for g in GROUPS]
+                here = per[model].reindex(GROUPS)
+                cells = ["-" if np.isnan(v) else f"{v:.3g}" for v in here]
                 lines.append(f"| {_task(task)} | {label} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])
 
@@ -266,8 +267,8 @@ def generated_text(split: Split) -> str:
     for model, own in hover.groupby("model", sort=False):
         means = own.groupby("group")[["wasserstein_std", "log_spectral_db"]].mean()
         cells = [
-            f"{means['wasserstein_std'][g]:.2f}, {means['log_spectral_db'][g]:.1f} dB"
-            for g in GROUPS
+            "-" if np.isnan(far) else f"{far:.2f}, {unlike:.1f} dB"
+            for far, unlike in means.reindex(GROUPS).to_numpy()
         ]
         lines.append(f"| {model} | {' | '.join(cells)} |")
     return "\n".join([*lines, ""])

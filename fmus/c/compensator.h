@@ -55,26 +55,63 @@ static inline float network_tanh(float x) {
     return (p * x) / q;
 }
 
+/* The nearest whole number, the even one of two; of numbers below 2^22. */
+static inline float network_round(float x) { return (x + 12582912.0f) - 12582912.0f; }
 static inline float network_max(float a, float b) { return a > b ? a : b; }
 static inline float network_min(float a, float b) { return a < b ? a : b; }
 
-/* out = x w: x of `depth` numbers, w of `depth` rows of `width`, read four rows at a time. Each sum runs over the
- * rows in order, in whichever registers, so that wide ones change no bit; a single column is the sum of eight sums. */
+/* Whether processor and system keep registers of 256 bits: what is computed in them is the same to the last bit. */
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <cpuid.h>
+#include <immintrin.h>
+#define WIDE __attribute__((target("avx2")))
+
+static int has_avx2(void) {
+    unsigned a, b, c, d, kept, high;
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE)) return 0;
+    __asm__("xgetbv" : "=a"(kept), "=d"(high) : "c"(0));
+    return (kept & 6) == 6 && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & bit_AVX2);
+}
+
+static int wide_registers(void) {
+    static volatile int wide; /* 0: not asked yet; whoever asks finds the same */
+    if (!wide) wide = has_avx2() ? 1 : -1;
+    return wide > 0;
+}
+#endif
+
+/* out = x w: x of `rows` rows of `depth` numbers, w of `depth` rows of `width`, read four rows at a time. Each sum runs
+ * over the rows of w in order; of a single column it is the sum of eight sums. */
 #if defined(__GNUC__)
 typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
 #define LANES 8
 #define AT(p) (*(const Lanes*)(p))
+#define ACROSS(s) (((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7])))
 
 #define PRODUCT(NAME, ATTRIBUTE)                                                                     \
-    ATTRIBUTE static void NAME(const float* x, const float* w, float* out, int depth, int width) {   \
-        int k = 0, i;                                                                                \
-        if (width == 1) {                                                                            \
-            Lanes s = {0};                                                                           \
-            for (; k + LANES <= depth; k += LANES) s += AT(x + k) * AT(w + k);                       \
-            for (; k < depth; k++) s[0] += x[k] * w[k];                                              \
-            *out = ((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7]));                \
-            return;                                                                                  \
+    ATTRIBUTE static void NAME##_column(const float* x, const float* w, float* out, int rows, int depth) { \
+        const int whole = depth - depth % LANES;                                                     \
+        int row = 0, k;                                                                              \
+        for (; row + 4 <= rows; row += 4, x += 4 * depth) {                                          \
+            const float *x1 = x + depth, *x2 = x1 + depth, *x3 = x2 + depth;                         \
+            Lanes s = {0}, s1 = {0}, s2 = {0}, s3 = {0};                                             \
+            for (k = 0; k < whole; k += LANES) {                                                     \
+                const Lanes u = AT(w + k);                                                           \
+                s += AT(x + k) * u, s1 += AT(x1 + k) * u, s2 += AT(x2 + k) * u, s3 += AT(x3 + k) * u; \
+            }                                                                                        \
+            for (; k < depth; k++)                                                                   \
+                s[0] += x[k] * w[k], s1[0] += x1[k] * w[k], s2[0] += x2[k] * w[k], s3[0] += x3[k] * w[k]; \
+            out[row] = ACROSS(s), out[row + 1] = ACROSS(s1), out[row + 2] = ACROSS(s2), out[row + 3] = ACROSS(s3); \
         }                                                                                            \
+        for (; row < rows; row++, x += depth) {                                                      \
+            Lanes s = {0};                                                                           \
+            for (k = 0; k < whole; k += LANES) s += AT(x + k) * AT(w + k);                           \
+            for (; k < depth; k++) s[0] += x[k] * w[k];                                              \
+            out[row] = ACROSS(s);                                                                    \
+        }                                                                                            \
+    }                                                                                                \
+    ATTRIBUTE static void NAME##_row(const float* x, const float* w, float* out, int depth, int width) { \
+        int k = 0, i;                                                                                \
         memset(out, 0, (size_t)width * sizeof *out);                                                 \
         for (; k + 4 <= depth; k += 4, w += 4 * width) {                                             \
             const float *w1 = w + width, *w2 = w1 + width, *w3 = w2 + width;                         \
@@ -90,44 +127,133 @@ typedef float Lanes __attribute__((vector_size(32), aligned(4), may_alias));
         }                                                                                            \
         for (; k < depth; k++, w += width)                                                           \
             for (i = 0; i < width; i++) out[i] += x[k] * w[i];                                       \
+    }                                                                                                \
+    static void NAME(const float* x, const float* w, float* out, int rows, int depth, int width) {   \
+        if (width == 1) NAME##_column(x, w, out, rows, depth);                                       \
+        else                                                                                         \
+            for (int row = 0; row < rows; row++) NAME##_row(x + row * depth, w, out + row * width, depth, width); \
     }
 
 #if defined(__x86_64__)
-#include <cpuid.h>
-
-PRODUCT(product_avx2, __attribute__((target("avx2"))))
-
-/* Whether processor and system keep registers of 256 bits. */
-static int has_avx2(void) {
-    unsigned a, b, c, d, kept, high;
-    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE)) return 0;
-    __asm__("xgetbv" : "=a"(kept), "=d"(high) : "c"(0));
-    return (kept & 6) == 6 && __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & bit_AVX2);
-}
+PRODUCT(product_wide, WIDE)
 #endif
-
 PRODUCT(product_narrow, )
 
-static void network_product(const float* x, const float* w, float* out, int depth, int width) {
+static void network_product(const float* x, const float* w, float* out, int rows, int depth, int width) {
 #if defined(__x86_64__)
-    static volatile int wide; /* 0: not asked yet; whoever asks finds the same */
-    if (!wide) wide = has_avx2() ? 1 : -1;
-    if (wide > 0) {
-        product_avx2(x, w, out, depth, width);
+    if (wide_registers()) {
+        product_wide(x, w, out, rows, depth, width);
         return;
     }
 #endif
-    product_narrow(x, w, out, depth, width);
+    product_narrow(x, w, out, rows, depth, width);
 }
 #else
-static void network_product(const float* x, const float* w, float* out, int depth, int width) {
-    for (int column = 0; column < width; column++) {
-        float sum = 0;
-        for (int k = 0; k < depth; k++) sum += x[k] * w[k * width + column];
-        out[column] = sum;
-    }
+static void network_product(const float* x, const float* w, float* out, int rows, int depth, int width) {
+    for (int row = 0; row < rows; row++)
+        for (int column = 0; column < width; column++) {
+            float sum = 0;
+            for (int k = 0; k < depth; k++) sum += x[row * depth + k] * w[k * width + column];
+            out[row * width + column] = sum;
+        }
 }
 #endif
+
+/* Largest of n numbers: of each of eight columns first, so that a compiler compares eight at once. */
+static float network_largest(const float* x, int n) {
+    float most[8], largest = x[0];
+    int k = 0;
+    for (int i = 0; i < 8; i++) most[i] = x[0];
+    for (; k + 8 <= n; k += 8)
+        for (int i = 0; i < 8; i++) most[i] = network_max(most[i], x[k + i]);
+    for (; k < n; k++) largest = network_max(largest, x[k]);
+    for (int i = 0; i < 8; i++) largest = network_max(largest, most[i]);
+    return largest;
+}
+
+static void network_softmax(const float* x, float* out, int n) {
+    const float largest = network_largest(x, n);
+    float sums[8] = {0}, sum = 0;
+    int k = 0;
+    for (int i = 0; i < n; i++) out[i] = network_exp(x[i] - largest);
+    for (; k + 8 <= n; k += 8)
+        for (int i = 0; i < 8; i++) sums[i] += out[k + i];
+    for (; k < n; k++) sum += out[k];
+    for (int i = 0; i < 8; i++) sum += sums[i];
+    for (int i = 0; i < n; i++) out[i] /= sum;
+}
+
+/* Numbers as 8-bit steps of `scale` from `zero` on, as ONNX defines DynamicQuantizeLinear; numbers that are all 0 are
+ * steps of nothing. */
+static void network_steps(const float* x, uint8_t* out, float* scale, uint8_t* zero, int n) {
+    float low[8] = {0}, high[8] = {0}, least = 0, most = 0;
+    int k = 0;
+    for (; k + 8 <= n; k += 8)
+        for (int i = 0; i < 8; i++) {
+            low[i] = network_min(low[i], x[k + i]);
+            high[i] = network_max(high[i], x[k + i]);
+        }
+    for (; k < n; k++) least = network_min(least, x[k]), most = network_max(most, x[k]);
+    for (int i = 0; i < 8; i++) least = network_min(least, low[i]), most = network_max(most, high[i]);
+    const float step = (most - least) / 255.0f, nothing = step > 0 ? network_round(-least / step) : 0.0f;
+    for (int i = 0; i < n; i++) {
+        const float place = network_round(step > 0 ? x[i] / step : 0.0f) + nothing;
+        out[i] = (uint8_t)(int32_t)network_min(network_max(place, 0.0f), 255.0f);
+    }
+    *scale = step;
+    *zero = (uint8_t)(int32_t)nothing;
+}
+
+/* out = w (x - zero): w of `rows` rows of `depth` weights of 8 bits, in integers, so that no register and no order
+ * changes a bit; a sum too large for 32 bits wraps around, as ONNX has it. */
+#define BLOCK 256
+static void rows_narrow(const int16_t* x, const int8_t* w, int32_t* sums, int rows, int depth, int n) {
+    for (int row = 0; row < rows; row++, w += depth) {
+        int32_t sum = 0;
+        for (int k = 0; k < n; k++) sum += x[k] * w[k];
+        sums[row] = (int32_t)((uint32_t)sums[row] + (uint32_t)sum);
+    }
+}
+
+#if defined(__x86_64__) && defined(__GNUC__)
+/* Four rows at a time, of which sixteen products; the rest as above. */
+WIDE static void rows_wide(const int16_t* x, const int8_t* w, int32_t* sums, int rows, int depth, int n) {
+    const int whole = n - n % 16;
+    int row = 0;
+    for (; row + 4 <= rows; row += 4) {
+        const int8_t* first = w + (size_t)row * (size_t)depth;
+        __m256i s[4] = {_mm256_setzero_si256(), _mm256_setzero_si256(), _mm256_setzero_si256(), _mm256_setzero_si256()};
+        for (int k = 0; k < whole; k += 16) {
+            const __m256i u = _mm256_loadu_si256((const __m256i*)(x + k));
+            for (int i = 0; i < 4; i++) {
+                const __m128i weights = _mm_loadu_si128((const __m128i*)(first + i * depth + k));
+                s[i] = _mm256_add_epi32(s[i], _mm256_madd_epi16(u, _mm256_cvtepi8_epi16(weights)));
+            }
+        }
+        const __m256i pairs = _mm256_hadd_epi32(_mm256_hadd_epi32(s[0], s[1]), _mm256_hadd_epi32(s[2], s[3]));
+        const __m128i four = _mm_add_epi32(_mm256_castsi256_si128(pairs), _mm256_extracti128_si256(pairs, 1));
+        _mm_storeu_si128((__m128i*)(sums + row), _mm_add_epi32(_mm_loadu_si128((const __m128i*)(sums + row)), four));
+    }
+    rows_narrow(x + whole, w + whole, sums, row, depth, n - whole);
+    rows_narrow(x, w + (size_t)row * (size_t)depth, sums + row, rows - row, depth, n);
+}
+#endif
+
+static void network_rows(const int8_t* w, const uint8_t* x, int zero, int32_t* out, int rows, int depth) {
+    memset(out, 0, (size_t)rows * sizeof *out);
+    for (int first = 0; first < depth; first += BLOCK) {
+        const int n = depth - first < BLOCK ? depth - first : BLOCK;
+        int16_t block[BLOCK];
+        for (int k = 0; k < n; k++) block[k] = (int16_t)(x[first + k] - zero);
+#if defined(__x86_64__) && defined(__GNUC__)
+        if (wide_registers()) {
+            rows_wide(block, w + first, out, rows, depth, n);
+            continue;
+        }
+#endif
+        rows_narrow(block, w + first, out, rows, depth, n);
+    }
+}
 
 static void model_initial(const Part* p, double* x) {
     static const double spread[N_CHANNELS] = INITIAL_SPREAD;

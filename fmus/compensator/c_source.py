@@ -13,18 +13,24 @@ from .graph import check_graph, missing_package, parse_network, plain_copy
 
 PREAMBLE = """\
 #if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC optimize("no-trapping-math") /* vectorises exp and tanh; clang does without */
+#pragma GCC optimize("O3", "no-trapping-math") /* vectorises, exp and tanh too; clang does anyway */
 #endif
 static inline float network_exp(float), network_tanh(float);
 static inline float network_max(float, float), network_min(float, float);
-static void network_product(const float*, const float*, float*, int, int);
+static void network_product(const float*, const float*, float*, int, int, int);
+static void network_rows(const int8_t*, const uint8_t*, int, int32_t*, int, int);
+static void network_steps(const float*, uint8_t*, float*, uint8_t*, int);
+static void network_softmax(const float*, float*, int);
 #define expf network_exp
 #define tanhf network_tanh
 #define fmaxf network_max
 #define fminf network_min
 """
 """In front of the network's C: what stands for functions of the C library, c/compensator.h."""
-_TEMPLATE = "matmul_op.c.j2"
+_TEMPLATES = tuple(
+    f"{name}_op.c.j2" for name in ("matmul", "matmul_integer", "dynamic_quantize_linear", "softmax")
+)
+"""Ours, in the place of the generator's."""
 _EXPORTED = re.compile(
     r"^extern const [^\n]*;\n|^_Bool network_load\(.*?^\}\n", re.MULTILINE | re.DOTALL
 )
@@ -58,8 +64,8 @@ def network_source(content: bytes) -> str:
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as name:
         templates = Path(name, "templates")
         shutil.copytree(Path(emx_onnx_cgen.__file__).parent / "templates", templates)
-        ours = resources.files("fmus") / "c" / _TEMPLATE
-        (templates / _TEMPLATE).write_text(ours.read_text())
+        for ours in _TEMPLATES:
+            (templates / ours).write_text((resources.files("fmus") / "c" / ours).read_text())
         options = CompilerOptions(
             template_dir=templates,
             model_name="network",

@@ -217,9 +217,10 @@ def _check_numbers(path: Path, tensor: Any) -> None:
     where = f"tensor {tensor.name}"
     if tensor.data_location != kind.DEFAULT or tensor.external_data:
         raise _refusal(path, where, "in another file", "all numbers must be in this one")
-    if tensor.data_type not in (kind.FLOAT, kind.INT64, kind.INT32, kind.BOOL):
+    known = ("FLOAT", "INT64", "INT32", "INT8", "UINT8", "BOOL")
+    if tensor.data_type not in [kind.DataType.Value(name) for name in known]:
         name = kind.DataType.Name(tensor.data_type) if tensor.data_type in _types() else "unknown"
-        raise _refusal(path, f"type of {where}", name, "FLOAT, INT64, INT32 and BOOL are known")
+        raise _refusal(path, f"type of {where}", name, f"{', '.join(known)} are known")
     if any(d < 0 for d in tensor.dims):
         raise _refusal(path, f"shape of {where}", tuple(tensor.dims), "no size may be negative")
     try:

@@ -23,8 +23,8 @@ from .graph import (
     row_widths,
 )
 
-FILE = "model.onnx"
-"""In the folder of a trained model."""
+FILE, INT8_FILE = "model.onnx", "model_int8.onnx"
+"""In the folder of a trained model: as trained, and with weights of 8 bits."""
 FORMAT = "uavtwin compensator 1"
 PROTOCOLS = ("reconstruct", "track", "free")
 MAX_CHANNELS, MAX_COMMANDS, MAX_PHASES, MAX_HORIZON = 64, 64, 64, 10_000
@@ -87,8 +87,8 @@ class NetworkFile:
         return tuple(self.groups.index(c.rpartition("_")[0]) for c in self.channels)
 
 
-def read_network(folder: Path) -> NetworkFile:
-    """The network in the folder of a trained model.
+def read_network(folder: Path, file: str = FILE) -> NetworkFile:
+    """The network in the folder of a trained model, by the name of its file.
 
     The file may come from anywhere: names, sizes and numbers in it are checked before they are
     used, so that what is read can be written into an FMU.
@@ -97,14 +97,14 @@ def read_network(folder: Path) -> NetworkFile:
         FmuError: There is none, it is damaged or foreign, something in it cannot stand in an FMU,
             or the package onnx is missing.
     """
-    path = folder / FILE
+    path = folder / file
     if not path.is_file():
         raise FmuError(
-            f"{folder}: holds no {FILE}; give the folder that uavtwin train wrote, of a preset "
+            f"{folder}: holds no {file}; give the folder that uavtwin train wrote, of a preset "
             f"that has an ONNX form (docs/guide/compensator.md)."
         )
-    with path.open("rb") as file:
-        content = file.read(MAX_FILE_BYTES + 1)
+    with path.open("rb") as opened:
+        content = opened.read(MAX_FILE_BYTES + 1)
     model = parse_network(path, content)
     said = _Metadata(path, model.metadata_props)
     said.check_format(model.graph)

@@ -2,13 +2,16 @@
 
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
+Each row of `whitening` is an input beyond what those before it tell of it, over how far it went by
+itself: a vehicle that turned fast and stood still has been to fast turns, and not to speed.
+
 Up to d = 1 a model may say all that it learned. From there to `WAVES_END` a network fades, from
 `LINEAR_BEGIN` to `LINEAR_END` what is linear, neither in a step; a learned force fades alike
 (`twin.physics.residual_force`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +41,7 @@ class Envelope:
         centre: Shape (k,).
         scale: Above 0, shape (k,); `UNLIMITED` of an input that training never knew, which counts
             for nothing.
-        whitening: Makes z uncorrelated, shape (k, k).
+        whitening: Makes z uncorrelated, each row over its own reach; lower triangle, shape (k, k).
         reach: Distance up to which training has been, above 0.
     """
 
@@ -51,28 +54,47 @@ class Envelope:
 
     @classmethod
     def of(cls, flights: Sequence[Array], reserve: Array) -> "Envelope":
-        """That of a training.
+        """That of a training, with room for the next flight: beyond the farthest of n by 1/n of
+        it, as is to be expected where all ways are equally likely (the German tank problem).
 
         Args:
             flights: Inputs of each, NaN where unknown, shape (n, k).
             reserve: By input, what is no other place, in its unit, shape (k,).
         """
         whole = _metric(flights, reserve)
-        reach = [np.quantile(_known(whole.distance(np.vstack(flights))), INSIDE)]
+        ends = [whole.ends(np.vstack(flights))]
         for i, one in enumerate(flights if len(flights) > 1 else ()):
             others = _metric([f for j, f in enumerate(flights) if j != i], reserve)
-            reach.append(np.quantile(_known(others.distance(one)), INSIDE))
-        return cls(whole.centre, whole.scale, whole.whitening, max(float(max(reach)), TRIFLE))
+            ends.append(others.ends(one) * others.widths / whole.widths)
+        farthest = np.maximum(np.max(ends, axis=0), 1.0)
+        rows = replace(whole, whitening=whole.whitening / farthest[:, None])
+        reach = max(float(np.quantile(_known(rows.distance(f)), INSIDE)) for f in flights)
+        return replace(rows, reach=max(reach * (1 + 1 / len(flights)), TRIFLE))
 
     @classmethod
     def none(cls, k: int) -> "Envelope":
         """One that holds everything."""
         return cls(np.zeros(k), np.ones(k), np.eye(k), UNLIMITED)
 
+    @property
+    def widths(self) -> Array:
+        """Of each row of `whitening`, in the unit of its input, shape (k,)."""
+        return np.asarray(self.scale / np.diag(self.whitening))
+
+    def white(self, x: Array) -> Array:
+        """Inputs along the rows of `whitening`, NaN where one is unknown; shape (n, k)."""
+        z = np.where(self.scale < UNLIMITED, (x - self.centre) / self.scale, 0.0)
+        return np.asarray(z @ self.whitening.T)
+
+    def ends(self, x: Array) -> Array:
+        """How far inputs go along each row, but for the last of them, shape (k,)."""
+        white = np.abs(self.white(x))
+        known = white[np.isfinite(white).all(axis=1)]
+        return np.quantile(known, INSIDE, axis=0) if len(known) else np.ones(white.shape[1])
+
     def distance(self, x: Array) -> Array:
         """Of inputs, infinite where one of them is unknown; shape (n, k) to (n,)."""
-        z = np.where(self.scale < UNLIMITED, (x - self.centre) / self.scale, 0.0)
-        away = np.sqrt(np.mean((z @ self.whitening.T) ** 2, axis=1)) / self.reach
+        away = np.sqrt(np.mean(self.white(x) ** 2, axis=1)) / self.reach
         return np.asarray(np.where(np.isfinite(away), away, np.inf))
 
 

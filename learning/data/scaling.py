@@ -31,6 +31,7 @@ class Scaling:
         mean: Of the residual, shape (phases, 15), units of the channels.
         scale: Spread of the residual, > 0, shape (phases, 15), units of the channels.
         reading: Mean of what the twin reads, shape (phases, 15), units of the channels.
+        largest: Residual of the training about its mean, over the scale, its size, shape (15,).
         feature_mean: Shape (features,), units of the features.
         feature_scale: > 0, shape (features,); `UNLIMITED` for one never seen, which leaves 0.
         least: Smallest standardised feature of the training: the network sees none below it,
@@ -46,6 +47,7 @@ class Scaling:
     mean: Array
     scale: Array
     reading: Array
+    largest: Array
     feature_mean: Array
     feature_scale: Array
     least: Array
@@ -175,11 +177,13 @@ def fit_scaling(
     if channels.place:
         places = [places_of(raw, channels) for raw in each if len(raw)]
         envelope = Envelope.of(places, _reserve(np.vstack(places), channels))
+    about = np.nan_to_num((residual - mean[phase]) / scale[phase])
     least, most, centre, spread = np.array([_limits(column) for column in features.T]).T
     return Scaling(
         mean=mean,
         scale=scale,
         reading=_readings(virtual, phase),
+        largest=np.abs(about).max(axis=0),
         feature_mean=centre,
         feature_scale=spread,
         least=(least - centre) / spread,

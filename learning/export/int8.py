@@ -1,41 +1,87 @@
-"""The exported model with weights of 8 bits: less than half of the size, nearly the same numbers.
+"""The exported model with weights of 8 bits: half of the size, nearly the same numbers.
 
-Quantised are the products with the weights of the LSTM cells and of the latent, each with one scale
-(dynamic: that of the other factor is found per sample). Codebook, linear prediction and read-out
-stay as they are, and so do the tables in physical units.
+Quantised are the products of weights with what a cluster computed itself: LSTM cells and latent,
+most of all weights. A row of weights has one scale; what it is multiplied by has one that is found
+at each sample; sums are exact, of integers, and the same in every runtime. What comes in stays
+float, since a single large reading would leave few steps for the others, and so do codebook, linear
+prediction and read-out.
 """
 
-import logging
-import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import onnx
 import onnxruntime
 from numpy.typing import NDArray
-from onnxruntime.quantization import QuantType, quantize_dynamic
+from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 from .step import INPUTS, OUTPUTS
 
 Vectors = Mapping[str, NDArray[np.float32]]
+LARGEST = 127
+"""Of a weight; -128 is left out, so that a row and its negative have the same steps."""
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
-    """The model with smaller weights; without shapes of what is between its operators."""
+    """The model with smaller weights, checked; without shapes of what is between its operators."""
     given = onnx.ModelProto()
     given.CopyFrom(model)
-    with tempfile.TemporaryDirectory(prefix="uavtwin-") as name, _quiet():
-        path = Path(name, "model.onnx")
-        quantize_dynamic(
-            given,
-            path,
-            op_types_to_quantize=["MatMul"],
-            nodes_to_quantize=_wide_products(model),
-            weight_type=QuantType.QInt8,
-        )
-        return onnx.load_model(path)
+    wide = set(_wide_products(model))
+    weights = {t.name: numpy_helper.to_array(t) for t in given.graph.initializer}
+    nodes: list[NodeProto] = []
+    numbers = list(given.graph.initializer)
+    for node in given.graph.node:
+        if node.name not in wide:
+            nodes.append(node)
+            continue
+        x, name = node.input
+        rows, scale = _rows(weights[name])
+        numbers = [t for t in numbers if t.name != name]
+        numbers += [
+            numpy_helper.from_array(rows, f"{name}_rows"),
+            numpy_helper.from_array(scale, f"{name}_scale"),
+        ]
+        nodes += _integer_product(x, name, node.output[0])
+    whole = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
+    for field, kept in (("node", nodes), ("initializer", [*numbers, whole])):
+        given.graph.ClearField(field)
+        getattr(given.graph, field).extend(kept)
+    onnx.checker.check_model(given, full_check=True)
+    return given
+
+
+def _rows(weights: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """A column of weights as a row of integers, and what they are to be multiplied by.
+
+    Args:
+        weights: Shape (C, n, m).
+
+    Returns:
+        Shapes (C, m, n) and (C, 1, m).
+    """
+    scale = np.abs(weights).max(axis=1, keepdims=True) / LARGEST
+    scale[scale == 0] = 1
+    return np.rint(weights / scale).astype(np.int8).swapaxes(1, 2), scale
+
+
+_FLAT = "flat"
+"""Constant: shape of a row per cluster."""
+
+
+def _integer_product(x: str, weights: str, out: str) -> list[NodeProto]:
+    """`out` = x times the weights, by way of integers; shapes (C, 1, n) and (C, 1, m)."""
+    steps, step, zero, column, sums = (f"{out}_{n}" for n in ("x", "step", "zero", "column", "sum"))
+    row, floats, factor = (f"{out}_{n}" for n in ("row", "float", "factor"))
+    make = helper.make_node
+    return [
+        make("DynamicQuantizeLinear", [x], [steps, step, zero]),
+        make("Transpose", [steps], [column], perm=[0, 2, 1]),
+        make("MatMulInteger", [f"{weights}_rows", column, "", zero], [sums]),
+        make("Reshape", [sums, _FLAT], [row]),
+        make("Cast", [row], [floats], to=TensorProto.FLOAT),
+        make("Mul", [f"{weights}_scale", step], [factor]),
+        make("Mul", [floats, factor], [out]),
+    ]
 
 
 def deviation(model: onnx.ModelProto, reference: Vectors) -> float:
@@ -81,20 +127,13 @@ def streamed(model: onnx.ModelProto, inputs: Vectors) -> dict[str, NDArray[np.fl
     return dict(zip(OUTPUTS[:-1], columns, strict=True))
 
 
-def _wide_products(model: onnx.ModelProto) -> list[str]:
-    """Names of the products with a batch of weights that is used once: not the codebook."""
+def _wide_products(model: onnx.ModelProto) -> Iterator[str]:
+    """Names of the products of what each cluster computed with weights used once: no codebook."""
+    inferred = onnx.shape_inference.infer_shapes(model).graph
     batches = {t.name for t in model.graph.initializer if len(t.dims) == 3}
+    own = {v.name for v in inferred.value_info if len(v.type.tensor_type.shape.dim) == 3}
     uses = [name for node in model.graph.node for name in node.input]
-    once = {name for name in batches if uses.count(name) == 1}
-    return [n.name for n in model.graph.node if n.op_type == "MatMul" and n.input[1] in once]
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Without the quantiser's advice to prepare the model, which is written out already."""
-    before = logging.root.manager.disable
-    logging.disable(logging.WARNING)
-    try:
-        yield
-    finally:
-        logging.disable(before)
+    for node in model.graph.node:
+        once = [name for name in node.input if name in batches and uses.count(name) == 1]
+        if node.op_type == "MatMul" and node.input[0] in own and once == [node.input[1]]:
+            yield node.name

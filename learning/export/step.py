@@ -19,6 +19,7 @@ from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
 from ..data.channels import N_PHASES
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
 from ..model.compensator import Compensator
+from ..model.linear_predictor import MOST
 from .graph import Graph
 from .network import network, numbers
 
@@ -115,7 +116,7 @@ def _step(g: Graph, model: Compensator) -> None:
         seen = g.concat(about, offset, change, own, axis=0)  # (lags + 4, 15)
         products = g.op("Mul", seen, g.floats(base[:, : LAGS + 4].T))
         said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
-    linear = g.op("Add", mean, g.op("Mul", scale, said)) if said else mean
+    linear = g.op("Add", mean, g.op("Mul", scale, _bounded(g, model, said))) if said else mean
     more = g.op("Mul", scale, y)
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
@@ -184,6 +185,12 @@ def _remembered(
     fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
     held = g.op("Where", fresh, new, past if rows == 1 else g.columns(past, 0, n))
     return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * n), axis=1)
+
+
+def _bounded(g: Graph, model: Compensator, said: str) -> str:
+    """As `learning.model.linear_predictor.bounded`, shape (1, 15)."""
+    most = MOST * _row(model.largest)
+    return g.op("Min", g.op("Max", said, g.floats(-most)), g.floats(most))
 
 
 def _read_then(

@@ -37,7 +37,7 @@ from ..preset import Preset
 from ..threads import one_thread
 from .corrected import Corrected, between
 from .info import ModelInfo
-from .linear_predictor import predict_base
+from .linear_predictor import bounded, predict_base
 from .network import NetworkOut, SvqNetwork
 
 __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrained_compensator"]
@@ -56,6 +56,7 @@ class Compensator(nn.Module):
     mean: Tensor
     scale: Tensor
     reading: Tensor
+    largest: Tensor
     feature_mean: Tensor
     feature_scale: Tensor
     least: Tensor
@@ -86,6 +87,7 @@ class Compensator(nn.Module):
             "mean": (N_PHASES, n_channels),
             "scale": (N_PHASES, n_channels),
             "reading": (N_PHASES, n_channels),
+            "largest": (n_channels,),
             "feature_mean": (n_features,),
             "feature_scale": (n_features,),
             "least": (n_features,),
@@ -245,7 +247,7 @@ class Compensator(nn.Module):
         distance = self._distance(raw)
         near, close = linear_share(distance), network_share(distance)
         inside = (distance <= 1).to(raw.dtype)
-        correction = near * (mean + scale * prediction)
+        correction = near * (mean + scale * bounded(prediction, self.largest))
         correction = correction + close * scale * self.gate * self.leftover * out.y
         expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
         spread = self.rms + close * (expected - self.rms)
@@ -271,7 +273,8 @@ class Compensator(nn.Module):
             out = self.outputs([span])[0]
             near, close = linear_share(span.distance), network_share(span.distance)
             mean, scale = scaling.mean[span.phase], scaling.scale[span.phase]
-            said = mean + scale * predict_base(span, base, self.info.protocol)
+            linear = predict_base(span, base, self.info.protocol)
+            said = mean + scale * bounded(linear, scaling.largest)
             more = scale * gain * out.y.double().numpy()
             correction[span.rows] = near[:, None] * said + close[:, None] * more
             expected = scale * factor[span.phase] * np.exp(out.log_spread.double().numpy())

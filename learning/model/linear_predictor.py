@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..data.envelope import Values
 from ..data.sequences import LAGS, SpanSequence
 from ..preset import Protocol
 
@@ -22,6 +23,9 @@ MOST_FOLDS = 8
 """Parts of the data, each said by the fit without it."""
 BLOCK_S = 1.0
 """Residuals a second apart count as independent evidence."""
+MOST = 2.0
+"""Times the largest residual of the training: the linear prediction says no more. Flights that go
+where no flight of the training went are not made arbitrarily wrong. Not chosen on flights."""
 EVIDENCE = 1.5
 """Gain per block over its standard error, below which it is taken for chance."""
 
@@ -67,6 +71,16 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Arra
     """Linear prediction over a span, shape (n, 15)."""
     columns = [regressors(span, protocol, c) @ w for c, w in enumerate(weights)]
     return np.stack(columns, axis=-1)
+
+
+def bounded(prediction: Values, largest: Values) -> Values:
+    """No more than `MOST` times the largest residual of the training, shape (..., 15) as given.
+
+    Args:
+        prediction: Array or tensor.
+        largest: Of `Scaling`, shape (15,).
+    """
+    return prediction.clip(-MOST * largest, MOST * largest)
 
 
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:

@@ -83,6 +83,10 @@ def export(
     mission: Annotated[str, typer.Option(help="Of mission and corrected-twin.")] = "hover",
     controller: Annotated[str, typer.Option(help="Of corrected-twin: lqr or px4.")] = "lqr",
     position: Annotated[str, typer.Option(help="Position sensor: gnss or mocap.")] = "gnss",
+    int8: Annotated[
+        bool,
+        typer.Option("--int8", help="The compensator's weights in 8 bits: smaller and faster."),
+    ] = False,
     python_slave: Annotated[
         bool,
         typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
@@ -94,7 +98,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
-    from fmus.compensator import FILE
+    from fmus.compensator import FILE, INT8_FILE
     from learning.force.model import FILE as FORCE_FILE
     from learning.force.model import NETWORK_FILE
 
@@ -113,10 +117,12 @@ def export(
         controller,
         model,
         position,
+        int8,
         python_slave,
     )
     plan = export_components(components, choice)
-    trained = [] if model is None else [model / n for n in (FILE, FORCE_FILE, NETWORK_FILE)]
+    files = (INT8_FILE if int8 else FILE, FORCE_FILE, NETWORK_FILE)
+    trained = [] if model is None else [model / n for n in files]
     given = (Path(choice.vehicle), flight, *trained)
     inputs = [p for p in given if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
@@ -144,6 +150,7 @@ class Choice:
         controller: Of the corrected twin.
         model: Folder of a trained compensator, for `compensator` and `corrected-twin`.
         position: Kind of position sensor.
+        int8: Whether the compensator's weights have 8 bits.
         python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
     """
 
@@ -158,6 +165,7 @@ class Choice:
     controller: str = "lqr"
     model: Path | None = None
     position: str = "gnss"
+    int8: bool = False
     python_slave: bool = False
 
     def told(self) -> dict[str, Any]:
@@ -215,6 +223,8 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
         raise TwinError("compensator needs a trained model: --model FOLDER.")
     if choice.model is not None and not {COMPENSATOR, FUSED} & set(names):
         raise TwinError("--model goes with compensator and corrected-twin.")
+    if choice.int8 and choice.model is None:
+        raise TwinError("--int8 goes with --model: it is the form of a trained compensator.")
 
 
 def _part(
@@ -256,13 +266,17 @@ def _learned(
     if choice.model is None:
         return None
     if is_force(choice.model):
+        if choice.int8:
+            raise TwinError(
+                f"{choice.model}: a learned force has no form of 8 bits; leave out --int8."
+            )
         if COMPENSATOR in names:
             raise TwinError(
                 f"{choice.model}: is a learned force, which acts inside the equations; it has no "
                 f"FMU of its own. Export {FUSED}."
             )
         return learned_force(choice.model)
-    network = compensator(choice.model)
+    network = compensator(choice.model, choice.int8)
     check_compensator(network, vehicle)
     return network
 

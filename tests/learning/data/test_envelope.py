@@ -29,9 +29,12 @@ def wandering(seed: int, n: int = 2000, centre: float = 0.0) -> Array:
 
 
 def test_a_flight_is_inside_as_far_as_it_was_said() -> None:
+    """With the room that the next flight is expected to need: as much again, after one flight."""
     one = wandering(1)
     envelope = Envelope.of([one], RESERVE)
-    assert np.mean(envelope.distance(one) <= 1) == pytest.approx(INSIDE, abs=1e-3)
+    assert np.mean(envelope.distance(one) <= 0.5) == pytest.approx(INSIDE, abs=1e-3)
+    again = Envelope.of([one] * 10, RESERVE)
+    assert np.mean(again.distance(one) <= 1 / 1.1) == pytest.approx(INSIDE, abs=1e-3)
 
 
 def test_what_goes_together_is_far_where_it_does_not() -> None:
@@ -46,6 +49,25 @@ def test_flights_that_differ_reach_farther() -> None:
     apart = Envelope.of([wandering(1), wandering(2, centre=3.0)], RESERVE)
     other = wandering(3, centre=4.0)
     assert apart.distance(other).mean() < 0.5 * alike.distance(other).mean()
+
+
+def test_fast_turns_are_no_speed() -> None:
+    """A vehicle that turned and stood still has not been to speeds, however fast it turned."""
+    rng = np.random.default_rng(0)
+    flights = [rng.normal(size=(2000, 3)) * [5.0, 0.002, 0.002] for _ in range(2)]
+    envelope = Envelope.of(flights, RESERVE)
+    turning, moving = envelope.distance(np.array([[9.0, 0.0, 0.0], [0.0, 0.5, 0.0]]))
+    assert turning < 1 < 2 < moving
+
+
+def test_where_one_flight_alone_has_been_is_reached_along_that_alone() -> None:
+    """Turned in one flight of three: the others cannot know how far, and speed is what it was."""
+    still = [wandering(k) * 0.1 for k in range(2)]
+    turning = [*still, wandering(2) * 0.1 + [8.0, 8.0, 0.0]]
+    before, after = Envelope.of(still, RESERVE), Envelope.of(turning, RESERVE)
+    turn, speed = np.array([[8.0, 8.0, 0.0]]), np.array([[0.0, 0.0, 3.0]])
+    assert before.distance(turn) > 10 and after.distance(turn) < 1
+    assert after.distance(speed) > 0.5 * before.distance(speed) > 1
 
 
 def test_what_training_never_knew_counts_for_nothing() -> None:

@@ -261,6 +261,23 @@ def test_a_twin_of_no_use_is_not_looked_at() -> None:
         assert error.max() < 0.13, protocol
 
 
+def test_a_twin_that_leaves_is_not_corrected_by_all_the_way_it_has_gone(tmp_path: Path) -> None:
+    """Taught that the sensor reads 5, whatever the twin says, by flights that stay in place."""
+    flights = []
+    for seed in range(2):
+        flight, rng = made_up(seed, n=600), np.random.default_rng(seed)
+        virtual = rng.normal(size=flight.virtual.shape)
+        flights.append(replace(flight, virtual=virtual, residual=5.0 - virtual))
+    gone = flights[0].virtual.copy()
+    gone[:, [i for i, c in enumerate(CHANNELS) if c.startswith("pos")]] += 1000.0
+    leaving = replace(flights[0], virtual=gone)
+    tasks: list[tuple[Protocol, int]] = [("track", 10), ("free", 0)]
+    for protocol, horizon in tasks:
+        model = train(flights, tiny(), protocol, horizon, 0, tmp_path / protocol)
+        at_home, away = (np.abs(model.run(f).correction).max() for f in (flights[0], leaving))
+        assert at_home > 3 and away < 3 * at_home, protocol
+
+
 def test_held_back_for_validation() -> None:
     few = validation_rows(FLIGHTS, 0.2, seed=0)
     for flight, rows in zip(FLIGHTS, few, strict=True):

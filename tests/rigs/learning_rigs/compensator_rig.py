@@ -77,6 +77,7 @@ def compensator(
     model.mean.normal_(std=0.1)
     model.scale.uniform_(0.5, 1.5)
     model.reading.normal_(std=0.1)
+    model.largest.fill_(0.5)
     model.feature_mean.normal_()
     model.feature_scale.uniform_(0.5, 1.5)
     model.feature_mean[-commands:] = 0.5

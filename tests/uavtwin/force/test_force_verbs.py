@@ -146,6 +146,7 @@ def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
             "not of",
         ),
         (lambda m, logs, t: ("export", "compensator", "--model", m), "no FMU of its own"),
+        (lambda m, logs, t: ("export", "corrected-twin", "--model", m, "--int8"), "no form of 8"),
         (
             lambda m, logs, t: (
                 *("train", logs["one"], "--vehicle", "copter_default"),

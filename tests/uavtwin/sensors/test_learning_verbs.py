@@ -221,6 +221,19 @@ def test_a_twin_that_follows_a_flight_is_inside_and_corrected(
 
 
 @pytest.mark.slow
+def test_a_compensator_of_8_bits_is_smaller(free: Path, tmp_path: Path) -> None:
+    sizes = []
+    for options in ((), ("--int8",)):
+        out = tmp_path / f"fmus{len(sizes)}"
+        _run("export", "compensator", "--model", free, *options, "--out", out)
+        sizes.append((out / "compensator.fmu").stat().st_size)
+        run = json.loads((out / "run.json").read_text())
+        read = [i["name"] for i in run["inputs"]]
+        assert read == ["vehicle.toml", "model_int8.onnx" if options else "model.onnx"]
+    assert sizes[1] < 0.8 * sizes[0]
+
+
+@pytest.mark.slow
 def test_a_twin_that_flies_a_mission_is_inside_and_corrected(free: Path, tmp_path: Path) -> None:
     out = tmp_path / "fmus"
     _run("export", "corrected-twin", "--mission", "takeoff", "--model", free, "--out", out)
