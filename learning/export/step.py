@@ -97,7 +97,7 @@ def _step(g: Graph, model: Compensator) -> None:
     known = past if rows <= 1 else g.columns(past, first, first + n)
     y, log_spread, alarm, cells = network(g, model, known, features, here, cells)
 
-    said, base = "", numbers(model.base)
+    said, today, base = "", "", numbers(model.base)
     if looks:
         inputs = g.op("Concat", features, slow, axis=1)
         of_inputs = base[:, -len(model.features) * (1 + len(SMOOTHING_S)) :]
@@ -116,7 +116,9 @@ def _step(g: Graph, model: Compensator) -> None:
         seen = g.concat(about, offset, change, own, axis=0)  # (lags + 4, 15)
         products = g.op("Mul", seen, g.floats(base[:, : LAGS + 4].T))
         said = g.op("Add", said, g.op("ReduceSum", products, g.integers(0), keepdims=1))
-    linear = g.op("Add", mean, g.op("Mul", scale, _bounded(g, model, said))) if said else mean
+    linear = mean
+    if said:
+        linear = g.op("Add", mean, g.op("Mul", scale, _bounded(g, model, said, today)))
     more = g.op("Mul", scale, y)
     if log_spread:
         expected = g.op("Mul", expected, g.op("Exp", log_spread))
@@ -187,10 +189,12 @@ def _remembered(
     return held if rows == 1 else g.concat(held, g.columns(past, 0, (rows - 1) * n), axis=1)
 
 
-def _bounded(g: Graph, model: Compensator, said: str) -> str:
-    """As `learning.model.linear_predictor.bounded`, shape (1, 15)."""
+def _bounded(g: Graph, model: Compensator, said: str, today: str) -> str:
+    """As `learning.model.linear_predictor.bounded`, shape (1, 15); `today` "" for no offset."""
     most = MOST * _row(model.largest)
-    return g.op("Min", g.op("Max", said, g.floats(-most)), g.floats(most))
+    about = g.op("Sub", said, today) if today else said
+    about = g.op("Min", g.op("Max", about, g.floats(-most)), g.floats(most))
+    return g.op("Add", today, about) if today else about
 
 
 def _read_then(

@@ -75,7 +75,8 @@ class LinearModel:
         protocol, horizon = self.info.protocol, self.info.horizon
         for span in sequences([flight], self.scaling, protocol, horizon):
             phase, near = span.phase, linear_share(span.distance)[:, None]
-            said = bounded(predict_base(span, self.weights, protocol), self.scaling.largest)
+            linear = predict_base(span, self.weights, protocol)
+            said = bounded(linear, span.offset[..., 0], self.scaling.largest)
             about = self.scaling.mean[phase] + self.scaling.scale[phase] * said
             correction[span.rows] = near * about
             spread[span.rows] = between(near, self.expected[phase], spread[span.rows])

@@ -213,7 +213,7 @@ class Compensator(nn.Module):
         features = torch.minimum(torch.maximum(features, self.least), self.most)
         own = (virtual - here @ self.reading) / scale
         known = torch.zeros_like(mean)
-        prediction = torch.zeros_like(mean)
+        prediction, today = torch.zeros_like(mean), torch.zeros_like(mean)
         if rows:
             new = (measured - virtual - mean) / scale
             held = torch.where(valid > 0.5, new, past[:, :n])
@@ -236,7 +236,8 @@ class Compensator(nn.Module):
             mean_so_far = kept * mean_so_far + new
             sums = mean_so_far.reshape(3, n)
             offset = sums[:2] / (sums[2:] + prior)
-            seen = torch.cat([lags - offset[:1], offset, change, own], dim=0)  # (lags + 4, 15)
+            today = offset[:1]
+            seen = torch.cat([lags - today, offset, change, own], dim=0)  # (lags + 4, 15)
             of_past, of_inputs = self.base[:, : len(seen)], self.base[:, len(seen) :]
             prediction = (seen * of_past.T).sum(0, keepdim=True)
             prediction = prediction + torch.cat([features, slow], dim=-1) @ of_inputs.T
@@ -247,7 +248,7 @@ class Compensator(nn.Module):
         distance = self._distance(raw)
         near, close = linear_share(distance), network_share(distance)
         inside = (distance <= 1).to(raw.dtype)
-        correction = near * (mean + scale * bounded(prediction, self.largest))
+        correction = near * (mean + scale * bounded(prediction, today, self.largest))
         correction = correction + close * scale * self.gate * self.leftover * out.y
         expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
         spread = self.rms + close * (expected - self.rms)
@@ -274,7 +275,7 @@ class Compensator(nn.Module):
             near, close = linear_share(span.distance), network_share(span.distance)
             mean, scale = scaling.mean[span.phase], scaling.scale[span.phase]
             linear = predict_base(span, base, self.info.protocol)
-            said = mean + scale * bounded(linear, scaling.largest)
+            said = mean + scale * bounded(linear, span.offset[..., 0], scaling.largest)
             more = scale * gain * out.y.double().numpy()
             correction[span.rows] = near[:, None] * said + close[:, None] * more
             expected = scale * factor[span.phase] * np.exp(out.log_spread.double().numpy())

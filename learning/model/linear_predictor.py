@@ -24,8 +24,9 @@ MOST_FOLDS = 8
 BLOCK_S = 1.0
 """Residuals a second apart count as independent evidence."""
 MOST = 2.0
-"""Times the largest residual of the training: the linear prediction says no more. Flights that go
-where no flight of the training went are not made arbitrarily wrong. Not chosen on flights."""
+"""Times the largest residual of the training: so far the linear prediction goes from none, or in
+`track` from the offset that is known today. Flights that go where no flight of the training went
+are not made arbitrarily wrong. Not chosen on flights."""
 EVIDENCE = 1.5
 """Gain per block over its standard error, below which it is taken for chance."""
 
@@ -73,14 +74,15 @@ def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Arra
     return np.stack(columns, axis=-1)
 
 
-def bounded(prediction: Values, largest: Values) -> Values:
-    """No more than `MOST` times the largest residual of the training, shape (..., 15) as given.
+def bounded(prediction: Values, offset: Values, largest: Values) -> Values:
+    """No farther from an offset than `MOST` times the largest residual of the training.
 
     Args:
-        prediction: Array or tensor.
+        prediction: Array or tensor, shape (n, 15).
+        offset: Running mean of the known residual, 0 unless in `track`; the same shape.
         largest: Of `Scaling`, shape (15,).
     """
-    return prediction.clip(-MOST * largest, MOST * largest)
+    return offset + (prediction - offset).clip(-MOST * largest, MOST * largest)
 
 
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:
