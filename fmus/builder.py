@@ -6,7 +6,7 @@ import subprocess
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -101,7 +101,7 @@ def _binaries(
     fmi: int,
     platforms: tuple[Platform, ...],
     sources: Mapping[str, str],
-    compiled: Iterable[str],
+    compiled: Sequence[str],
 ) -> dict[str, bytes]:
     """Archive members of the shared libraries."""
     made = {
@@ -122,37 +122,69 @@ def _compile(
     platform: Platform,
     compiler: Compiler,
     sources: Mapping[str, str],
-    compiled: Iterable[str],
+    compiled: Sequence[str],
 ) -> bytes:
-    """Shared library of the sources, from the cache when the same was compiled before."""
+    """Shared library of the sources, from the cache when the same was compiled before.
+
+    Objects are kept as well: twins of one vehicle share most of theirs.
+    """
     file = f"{name}{platform.suffix}"
-    digest = hashlib.sha256(repr((file, CFLAGS, compiler.identity)).encode())
-    for source in sorted(sources):
-        digest.update(source.encode() + sources[source].encode())
-    cached = cache_folder() / f"{digest.hexdigest()}{platform.suffix}"
+    cached = _cached(file, (compiler.identity,), sources, platform.suffix)
     if cached.is_file():
         return cached.read_bytes()
-    cached.parent.mkdir(parents=True, exist_ok=True)
+    headers = {n: text for n, text in sources.items() if n not in compiled}
     with tempfile.TemporaryDirectory() as folder:
         for source, text in sources.items():
             Path(folder, source).write_text(text)
         # Relative names and a fixed order: nothing of this machine enters the binary.
-        command = [*compiler.command, *CFLAGS, "-shared", "-s", "-o", file, *compiled, "-lm"]
-        environment = {
-            **os.environ,
-            "ZIG_GLOBAL_CACHE_DIR": str(cache_folder().absolute() / "zig"),  # its system libraries
-            "ZIG_LOCAL_CACHE_DIR": str(Path(folder, "zig")),
-        }
-        result = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, check=False
-        )
-        if result.returncode != 0:
-            raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
+        objects = []
+        for source in compiled:
+            objects.append(f"{Path(source).stem}.o")
+            used = {**headers, source: sources[source]}
+            kept = _cached(source, (compiler.identity, platform.name), used, ".o")
+            if kept.is_file():
+                Path(folder, objects[-1]).write_bytes(kept.read_bytes())
+                continue
+            _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", objects[-1]], folder)
+            _keep(kept, Path(folder, objects[-1]).read_bytes())
+        _run(name, [*compiler.command, "-shared", "-s", "-o", file, *objects, "-lm"], folder)
         binary = Path(folder, file).read_bytes()
-    partial = cached.with_suffix(f".{os.getpid()}")
-    partial.write_bytes(binary)
-    partial.replace(cached)
+    _keep(cached, binary)
     return binary
+
+
+def _cached(file: str, key: tuple[str, ...], sources: Mapping[str, str], suffix: str) -> Path:
+    """Where what is made of these sources is kept."""
+    digest = hashlib.sha256(repr((file, CFLAGS, *key)).encode())
+    for source in sorted(sources):
+        digest.update(source.encode() + sources[source].encode())
+    return cache_folder() / f"{digest.hexdigest()}{suffix}"
+
+
+def _keep(cached: Path, content: bytes) -> None:
+    """Write into the cache; whoever reads finds all of it or nothing."""
+    cached.parent.mkdir(parents=True, exist_ok=True)
+    partial = cached.with_suffix(f".{os.getpid()}")
+    partial.write_bytes(content)
+    partial.replace(cached)
+
+
+def _run(name: str, command: Sequence[str], folder: str) -> None:
+    """One call of the compiler in a folder.
+
+    Raises:
+        FmuError: It failed.
+    """
+    environment = {
+        **os.environ,
+        "ZIG_GLOBAL_CACHE_DIR": str(cache_folder().absolute() / "zig"),  # its system libraries
+        "ZIG_LOCAL_CACHE_DIR": str(Path(folder, "zig")),
+    }
+    result = subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    if result.returncode != 0:
+        raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
 
 
 def cache_folder() -> Path:

@@ -40,8 +40,8 @@ CLOSED = (
     "where the mission wants it, and not so without the law."
 )
 HOVERING = (
-    "Mean command, and rms about the mean of velocity, tilt and body rates: of the flight, and of the "
-    "fused FMU that hovers by itself, in air that is still."
+    "Mean command, and rms about the mean of velocity, tilt and body rates: of the flight, and of "
+    "the fused FMU that hovers by itself, in air that is still."
 )
 STEADY = (("command", "0..1"), ("velocity", "m/s"), ("tilt", "rad"), ("rates", "rad/s"))
 WORSE = 0.1

@@ -39,6 +39,20 @@ def test_two_builds_are_the_same_bytes(
     assert list((tmp_path / "empty").glob("*.so"))
 
 
+def test_what_is_the_same_is_not_compiled_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One number differs, and with it the part and the token; the library is that from nothing."""
+    other = component_model(component("battery").with_starts({"resistance": 0.25}))
+    kept = []
+    for cache, one in (("warm", model("battery")), ("warm", other), ("empty", other)):
+        monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / cache))
+        build(one, tmp_path / f"{len(kept)}.fmu", 2)
+        kept.append(len(list((tmp_path / cache).glob("*.o"))))
+    assert kept == [4, 6, 4]
+    assert sha256(tmp_path / "1.fmu") == sha256(tmp_path / "2.fmu")
+
+
 def test_another_process_builds_the_same_bytes(fmu_file: FmuFile, tmp_path: Path) -> None:
     """Another hash seed, another clock, the component written down anew."""
     program = (
