@@ -44,7 +44,7 @@ def test_what_is_the_same_is_not_compiled_again(
 ) -> None:
     """One number differs, and with it the part and the token; the library is that from nothing."""
     other = component_model(component("battery").with_starts({"resistance": 0.25}))
-    kept = []
+    kept: list[int] = []
     for cache, one in (("warm", model("battery")), ("warm", other), ("empty", other)):
         monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / cache))
         build(one, tmp_path / f"{len(kept)}.fmu", 2)

@@ -222,7 +222,7 @@ def test_a_twin_that_follows_a_flight_is_inside_and_corrected(
 
 @pytest.mark.slow
 def test_a_compensator_of_8_bits_is_smaller(free: Path, tmp_path: Path) -> None:
-    sizes = []
+    sizes: list[int] = []
     for options in ((), ("--int8",)):
         out = tmp_path / f"fmus{len(sizes)}"
         _run("export", "compensator", "--model", free, *options, "--out", out)
