@@ -183,7 +183,7 @@ def test_envelope_of_the_training_data_holds_them() -> None:
     model = untrained("free", 0, tiny())
     found = model.run(FLIGHT)
     flown = in_spans(FLIGHT)
-    assert found.inside[flown].mean() == pytest.approx(INSIDE, abs=1 / flown.sum())
+    assert found.inside[flown].mean() >= INSIDE - 1 / flown.sum()
     assert not found.inside[~flown].any() and not found.correction[~flown].any()
 
 

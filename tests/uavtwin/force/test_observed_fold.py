@@ -74,7 +74,7 @@ def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path) -> None:
 def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> None:
     """But not where a law has faded before."""
     fold = _fold(DRAGGED, [NO_OBSERVER] * len(OUTPUTS), tmp_path)
-    narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 1.3)
+    narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 2.6)
     lesson = replace(fold.lesson, prepared=replace(fold.lesson.prepared, empty=narrow))
     wide = lesson.running([fold.replay])
     share = wide.prepared.empty.reach / narrow.reach
