@@ -129,7 +129,7 @@ def _compile(
     Objects are kept as well: twins of one vehicle share most of theirs.
     """
     file = f"{name}{platform.suffix}"
-    cached = _cached(file, (compiler.identity,), sources, platform.suffix)
+    cached = _cached(file, compiler, sources, platform.suffix)
     if cached.is_file():
         return cached.read_bytes()
     headers = {n: text for n, text in sources.items() if n not in compiled}
@@ -139,23 +139,23 @@ def _compile(
         # Relative names and a fixed order: nothing of this machine enters the binary.
         objects = []
         for source in compiled:
+            kept = _cached(source, compiler, {**headers, source: sources[source]}, ".o")
             objects.append(f"{Path(source).stem}.o")
-            used = {**headers, source: sources[source]}
-            kept = _cached(source, (compiler.identity, platform.name), used, ".o")
+            made = Path(folder, objects[-1])
             if kept.is_file():
-                Path(folder, objects[-1]).write_bytes(kept.read_bytes())
-                continue
-            _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", objects[-1]], folder)
-            _keep(kept, Path(folder, objects[-1]).read_bytes())
+                made.write_bytes(kept.read_bytes())
+            else:
+                _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", made.name], folder)
+                _keep(kept, made.read_bytes())
         _run(name, [*compiler.command, "-shared", "-s", "-o", file, *objects, "-lm"], folder)
         binary = Path(folder, file).read_bytes()
     _keep(cached, binary)
     return binary
 
 
-def _cached(file: str, key: tuple[str, ...], sources: Mapping[str, str], suffix: str) -> Path:
-    """Where what is made of these sources is kept."""
-    digest = hashlib.sha256(repr((file, CFLAGS, *key)).encode())
+def _cached(file: str, compiler: Compiler, sources: Mapping[str, str], suffix: str) -> Path:
+    """Where what a compiler, which knows its platform, makes of these sources is kept."""
+    digest = hashlib.sha256(repr((file, CFLAGS, compiler.identity)).encode())
     for source in sorted(sources):
         digest.update(source.encode() + sources[source].encode())
     return cache_folder() / f"{digest.hexdigest()}{suffix}"

@@ -1,4 +1,4 @@
-"""Write what learned forces are worth as a page: 13 rotations of some minutes each.
+"""Write what learned forces are worth as a page: 16 rotations of some minutes each.
 
     python docs/_generate/learned_force.py --data ../shared/data --jobs 2
 

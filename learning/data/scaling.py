@@ -183,7 +183,7 @@ def fit_scaling(
         mean=mean,
         scale=scale,
         reading=_readings(virtual, phase),
-        largest=np.abs(about).max(axis=0),
+        largest=np.abs(about).max(axis=0, initial=0.0),
         feature_mean=centre,
         feature_scale=spread,
         least=(least - centre) / spread,

@@ -1,4 +1,4 @@
-"""The exported model with weights of 8 bits: half of the size, nearly the same numbers.
+"""The exported model with weights of 8 bits: about half of the size, nearly the same numbers.
 
 Quantised are the products of weights with what a cluster computed itself: LSTM cells and latent,
 most of all weights. A row of weights has one scale; what it is multiplied by has one that is found
@@ -20,6 +20,8 @@ from .step import INPUTS, OUTPUTS
 Vectors = Mapping[str, NDArray[np.float32]]
 LARGEST = 127
 """Of a weight; -128 is left out, so that a row and its negative have the same steps."""
+_FLAT = "flat"
+"""Constant: shape of a row per cluster."""
 
 
 def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -27,23 +29,19 @@ def quantised(model: onnx.ModelProto) -> onnx.ModelProto:
     given = onnx.ModelProto()
     given.CopyFrom(model)
     wide = set(_wide_products(model))
-    weights = {t.name: numpy_helper.to_array(t) for t in given.graph.initializer}
+    numbers = {t.name: t for t in given.graph.initializer}
+    numbers[_FLAT] = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
     nodes: list[NodeProto] = []
-    numbers = list(given.graph.initializer)
     for node in given.graph.node:
         if node.name not in wide:
             nodes.append(node)
             continue
         x, name = node.input
-        rows, scale = _rows(weights[name])
-        numbers = [t for t in numbers if t.name != name]
-        numbers += [
-            numpy_helper.from_array(rows, f"{name}_rows"),
-            numpy_helper.from_array(scale, f"{name}_scale"),
-        ]
+        rows, scale = _rows(numpy_helper.to_array(numbers.pop(name)))
+        for array, suffix in ((rows, "rows"), (scale, "scale")):
+            numbers[f"{name}_{suffix}"] = numpy_helper.from_array(array, f"{name}_{suffix}")
         nodes += _integer_product(x, name, node.output[0])
-    whole = numpy_helper.from_array(np.array([0, 1, -1], np.int64), _FLAT)
-    for field, kept in (("node", nodes), ("initializer", [*numbers, whole])):
+    for field, kept in (("node", nodes), ("initializer", numbers.values())):
         given.graph.ClearField(field)
         getattr(given.graph, field).extend(kept)
     onnx.checker.check_model(given, full_check=True)
@@ -62,10 +60,6 @@ def _rows(weights: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.fl
     scale = np.abs(weights).max(axis=1, keepdims=True) / LARGEST
     scale[scale == 0] = 1
     return np.rint(weights / scale).astype(np.int8).swapaxes(1, 2), scale
-
-
-_FLAT = "flat"
-"""Constant: shape of a row per cluster."""
 
 
 def _integer_product(x: str, weights: str, out: str) -> list[NodeProto]:

@@ -212,7 +212,7 @@ def compensator(folder: str | Path, int8: bool = False) -> NetworkFile:
 
     Args:
         folder: With its `model.onnx`.
-        int8: With weights of 8 bits: less than half of the size, and faster.
+        int8: With weights of 8 bits: about half of the size, and faster.
 
     Raises:
         FmuError: The folder holds none.
