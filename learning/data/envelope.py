@@ -26,6 +26,9 @@ Values = Any
 INSIDE = 0.995
 """Share of the training that is inside, and of each flight that the others have not seen: flights
 differ by more than a flight does within itself."""
+BEYOND = 2.0
+"""Times as far as on its training flights, that what is linear goes at most. Not chosen on
+flights."""
 TRIFLE = 1e-6
 """An input that moves by less, in its unit, did not move."""
 UNLIMITED = 1e30

@@ -133,7 +133,7 @@ def _span(
     phase = flight.phase[rows]
     fresh = flight.fresh[rows]
     new = (flight.residual[rows] - scaling.mean[phase]) / scaling.scale[phase]
-    d = _held(new, fresh)
+    d = held(new, fresh)
     raw = features_of(flight)[rows]
     features = standardised(raw, scaling)
     slow = [lfilter([a], [1.0, a - 1.0], features, axis=0) for a in smoothing(flight.rate_hz)]
@@ -143,7 +143,7 @@ def _span(
     own = np.nan_to_num((virtual - scaling.reading[phase]) / scaling.scale[phase])
     if protocol == "track":
         virtual = np.nan_to_num(virtual)
-        then = _delayed(_held(virtual, fresh, virtual[0]), horizon, virtual[0])
+        then = _delayed(held(virtual, fresh, virtual[0]), horizon, virtual[0])
         change = (then - virtual) / scaling.scale[phase]
         offset = _running_means(lags[0], lags[0] + change + own, *running_mean(flight.rate_hz))
     return SpanSequence(
@@ -178,7 +178,7 @@ def one_hot(phase: NDArray[np.intp]) -> Array:
     return np.eye(N_PHASES)[phase]
 
 
-def _held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
+def held(values: Array, fresh: BoolArray, before: Array | float = 0.0) -> Array:
     """Each fresh value held until the next; shape (n, k).
 
     Args:

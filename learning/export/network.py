@@ -27,7 +27,8 @@ def network(
     """Output times its gain, its log spread, alarm of each cluster, next cells.
 
     Returns:
-        Shapes (1, 15), (1, 15), (clusters, 1), (1, numbers); "" for the log spread without a head.
+        Shapes (1, 15), (1, 15), (clusters, 1), (1, numbers); "" for the log spread without a head,
+        and for the alarm in `track`, which knows innovations.
     """
     network, preset = model.network, model.info.preset
     clusters = [n for n in network.networks if isinstance(n, ClusterNetwork)]
@@ -129,9 +130,12 @@ def _quantised(
 ) -> tuple[str, str]:
     """Code (C, 1, D) and alarm (C, 1, 1): |z - e|^2 of the nearest code over what is usual."""
     kind, temperature = model.info.preset.quantiser, model.info.preset.temperature
-    usual = numbers(model.anomaly_scale)[:, None, None]
-    square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
-    square = g.op("Mul", square, g.floats(temperature**2 / 4 / usual))
+    looks = model.info.protocol != "track"
+    usual, square = np.ones((1, 1, 1)), ""
+    if looks:
+        usual = numbers(model.anomaly_scale)[:, None, None]
+        square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
+        square = g.op("Mul", square, g.floats(temperature**2 / 4 / usual))
     if kind == "none":
         return g.op("Mul", z, g.floats(temperature / 2)), square
     codes = np.stack([numbers(c.quantiser.codes) for c in clusters])  # (C, K, D)
@@ -145,6 +149,8 @@ def _quantised(
     else:
         nearest = g.op("Cast", g.op("Equal", logits, largest), to=onnx.TensorProto.FLOAT)
         shares = g.op("Div", nearest, g.op("ReduceSum", nearest, g.integers(2), keepdims=1))
+    if not looks:
+        return g.op("MatMul", shares, book), ""
     # |z - e|^2 = |z|^2 - (2 z.e - |e|^2)
     nearness = g.op("Mul", largest, g.floats(temperature / usual))
     return g.op("MatMul", shares, book), g.op("Sub", square, nearness)

@@ -17,9 +17,9 @@ from torch import Tensor
 from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
 
 from ..data.channels import N_PHASES
+from ..data.envelope import BEYOND
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
-from ..model.compensator import Compensator
-from ..model.linear_predictor import MOST
+from ..model.compensator import TRIFLE, Compensator
 from .graph import Graph
 from .network import network, numbers
 
@@ -82,7 +82,7 @@ def _step(g: Graph, model: Compensator) -> None:
     """`Compensator.step` as operators."""
     rows, protocol, n = model.history, model.info.protocol, len(model.info.channels)
     parts = g.split("state", list(model.state_sizes), axis=1)
-    past, mean_so_far, readings, begun, slow, cells = parts
+    past, mean_so_far, readings, begun, strange, slow, cells = parts
     sample = _sample(g, model)
     here = _one_hot(g, sample)
     mean, scale, reading, expected = _tables(g, model, here)
@@ -134,10 +134,14 @@ def _step(g: Graph, model: Compensator) -> None:
     correction, nothing = g.op("Add", linear, more), g.floats(np.zeros((1, n)))
     g.output("correction", n, "Where", sample.whole, correction, nothing)
     g.output("spread", n, "Where", sample.whole, expected, rms)
-    alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
+    if protocol == "track":
+        strange = _strangeness(g, model, sample, correction, expected, strange)
+        alarm = g.op("ReduceMax", strange, axes=[1], keepdims=1)
+    else:
+        alarm = g.op("ReduceMax", alarm, axes=[0], keepdims=0)
     g.output("anomaly", 1, "Where", sample.whole, alarm, g.floats([[0.0]]))
     g.output("inside", 1, "Cast", inside, to=_FLOAT)
-    later = g.concat(past, mean_so_far, readings, begun, slow, cells, axis=1)
+    later = g.concat(past, mean_so_far, readings, begun, strange, slow, cells, axis=1)
     g.output("state_out", model.state_size, "Where", sample.whole, later, "state")
 
 
@@ -191,7 +195,7 @@ def _remembered(
 
 def _bounded(g: Graph, model: Compensator, said: str, today: str) -> str:
     """As `learning.model.linear_predictor.bounded`, shape (1, 15); `today` "" for no offset."""
-    most = MOST * _row(model.largest)
+    most = BEYOND * _row(model.largest)
     about = g.op("Sub", said, today) if today else said
     about = g.op("Min", g.op("Max", about, g.floats(-most)), g.floats(most))
     return g.op("Add", today, about) if today else about
@@ -223,6 +227,18 @@ def _offset(
     sums, weights = g.split(mean_so_far, [2 * n, n], axis=1)
     weights = g.op("Add", weights, g.floats([[prior]]))
     return g.op("Div", g.reshape(sums, 2, n), weights), mean_so_far
+
+
+def _strangeness(
+    g: Graph, model: Compensator, sample: _Sample, correction: str, spread: str, before: str
+) -> str:
+    """Of the newest reading of each channel, shape (1, 15)."""
+    residual = g.op("Sub", sample.measured, sample.virtual)
+    new = g.op("Abs", g.op("Sub", residual, correction))
+    level = g.floats(_row(model.anomaly_scale))
+    usual = g.op("Mul", g.op("Max", spread, g.floats([[TRIFLE]])), level)
+    fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
+    return g.op("Where", fresh, g.op("Div", new, usual), before)
 
 
 def _smoothed(g: Graph, model: Compensator, features: str, slow: str) -> str:

@@ -22,7 +22,7 @@ from ..model.baselines import by_phase
 from ..model.corrected import Corrected, between
 from ..model.family import Family, Progress, Tensors, TrainingTask, no_alarm
 from ..model.info import ModelInfo
-from ..model.linear_predictor import bounded, fit_base, predict_base
+from ..model.linear_predictor import fit_base, predict_base
 from ..preset import Normalise, Protocol
 from ..training.inputs import describe_training
 from ..training.left_out import left_out_errors
@@ -75,9 +75,8 @@ class LinearModel:
         protocol, horizon = self.info.protocol, self.info.horizon
         for span in sequences([flight], self.scaling, protocol, horizon):
             phase, near = span.phase, linear_share(span.distance)[:, None]
-            linear = predict_base(span, self.weights, protocol)
-            said = bounded(linear, span.offset[..., 0], self.scaling.largest)
-            about = self.scaling.mean[phase] + self.scaling.scale[phase] * said
+            linear = predict_base(span, self.weights, protocol, self.scaling.largest)
+            about = self.scaling.mean[phase] + self.scaling.scale[phase] * linear
             correction[span.rows] = near * about
             spread[span.rows] = between(near, self.expected[phase], spread[span.rows])
             inside[span.rows] = span.inside

@@ -75,14 +75,18 @@ class Design:
         force, moment = (moments_of(columns - columns.mean(axis=0), pieces) for columns in both)
         return cls(features, left, piece, (force, moment))
 
-    def leaves(self, weights: Array) -> Array:
-        """What weights leave of the outputs, shape (n, 6).
+    def says(self, weights: Array) -> Array:
+        """What weights make of the features, shape (n, 6).
 
         Args:
             weights: Per output and feature, shape (6, k).
         """
         said = [x @ weights[three].T for x, three in zip(self.features, HALVES, strict=True)]
-        return self.left - np.hstack(said)
+        return np.hstack(said)
+
+    def leaves(self, weights: Array) -> Array:
+        """What weights leave of the outputs, shape (n, 6); arguments as of `says`."""
+        return self.left - self.says(weights)
 
 
 @dataclass(frozen=True, slots=True)

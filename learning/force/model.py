@@ -17,7 +17,7 @@ from .forecast import Observer
 
 FILE, VEHICLE_FILE, NETWORK_FOLDER = "force.json", "vehicle.toml", "network"
 NETWORK_FILE = f"{NETWORK_FOLDER}/model.onnx"
-FORMAT = 1
+FORMAT = 2
 """Version of the file's layout."""
 _OUTPUTS = tuple(f"{kind}_{a}" for kind, a in OUTPUTS)
 
@@ -77,12 +77,13 @@ class Checked:
 
     Attributes:
         flights: How many; 0 where no law was chosen.
-        lost: With all chosen laws, of those that are flown without.
+        harmed: With all chosen laws: lost though flown without, or farther off where no flight has
+            taught the laws.
         withdrawn: What is not used for that.
     """
 
     flights: int
-    lost: int
+    harmed: int
     withdrawn: tuple[str, ...]
 
     @classmethod
@@ -114,7 +115,7 @@ class ForceModel:
         law: As it is used.
         rivals: The same with every output by one law, by its name.
         outputs: Of `OUTPUTS`, in order.
-        closed_loop: What was withdrawn before, because it lost missions.
+        closed_loop: What was withdrawn before, because missions went wrong with it.
         taken: Largest rate at which the linear part would have fed energy in, 1/s; taken out.
         flights: That taught it.
         vehicle: Name of the vehicle.
@@ -247,7 +248,7 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
 
 
 def _checked(content: Mapping[str, Any]) -> Checked:
-    return Checked(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
+    return Checked(int(content["flights"]), int(content["harmed"]), tuple(content["withdrawn"]))
 
 
 def _plain(law: ForceLaw) -> dict[str, Any]:

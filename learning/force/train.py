@@ -15,7 +15,7 @@ from twin.representation import short_repr
 from twin.residuals.channels import CHANNEL_HZ
 from twin.vehicle import Vehicle
 
-from ..data.envelope import TRIFLE, Envelope
+from ..data.envelope import BEYOND, TRIFLE, Envelope
 from .candidates import Candidate, Design, candidates
 from .instants import Instants, inputs_of, linear_features, random_features
 from .regression import ORDER
@@ -74,7 +74,14 @@ class Prepared:
         weights = np.stack([c.weights for c in chosen]) / self.size
         n = len(FEATURES)
         law = replace(self.empty, linear=weights[:, :n], waves=weights[:, n:])
-        return made_passive(law, self.vehicle)
+        law, taken = made_passive(law, self.vehicle)
+        return replace(law, most=BEYOND * self.largest(law)), taken
+
+    def largest(self, law: ForceLaw) -> Array:
+        """What a law says at most in its flights, bounds aside, as sensors show it, shape (6,)."""
+        weights = self.weights(law)
+        said = [np.abs(d.says(weights)).max(axis=0) for d in self.designs]
+        return np.asarray(np.max(said, axis=0))
 
     def weights(self, law: ForceLaw) -> Array:
         """Of a law, per output and feature of the designs, shape (6, k)."""
@@ -136,6 +143,7 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
         scale=envelope.scale,
         whitening=envelope.whitening,
         reach=envelope.reach,
+        most=np.zeros(len(OUTPUTS)),
         units=np.asarray(np.linalg.inv(_agility(vehicle))),
     )
 

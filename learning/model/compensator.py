@@ -3,6 +3,9 @@
     correction = near * (mean + scale * linear prediction) + close * scale * gate * network
 
 `near` and `close` are 1 in the envelope of the training and fade beyond (`learning.data.envelope`).
+The alarm is the innovation, what a reading has beyond its correction, over its spread, and over
+what that reached on flights left out; where no reading is corrected (`free`) or none foretold
+(`reconstruct`), the distance of the encoder's latent to the codes.
 
 `Compensator.step` is the definition, one sample per call with all memory in `state`; `run` gives
 the same numbers for whole flights, fast.
@@ -18,13 +21,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ..data.channels import N_PHASES
-from ..data.envelope import linear_share, network_share
+from ..data.envelope import Values, linear_share, network_share
 from ..data.flights import ResidualFlight
 from ..data.scaling import Scaling, feature_names, place_names
 from ..data.sequences import (
     SMOOTHING_S,
     SpanSequence,
     check_protocol,
+    held,
     limited,
     n_lags,
     n_regressors,
@@ -45,6 +49,8 @@ __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrain
 Array = NDArray[np.float64]
 CHUNK = 4096
 """Samples per call of the network over a long flight, to bound memory."""
+TRIFLE = 1e-12
+"""A spread below which there is none."""
 LINEAR_PART = "linear part alone"
 """What `Compensator.without_network` is called in a table."""
 
@@ -101,7 +107,8 @@ class Compensator(nn.Module):
             "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
             "gate": (n_channels,),
             "spread_factor": (N_PHASES, n_channels),  # makes the spread right on validation time
-            "anomaly_scale": (len(info.clusters),),  # squared distance, 99 % of training samples
+            # spreads by channel, or a squared distance by cluster, above which something is strange
+            "anomaly_scale": (n_channels if info.protocol == "track" else len(info.clusters),),
         }
         for name, shape in shapes.items():
             self.register_buffer(name, torch.ones(shape))
@@ -129,14 +136,14 @@ class Compensator(nn.Module):
         return len(SMOOTHING_S) * len(self.features)
 
     @property
-    def state_sizes(self) -> tuple[int, int, int, int, int, int]:
-        """Parts of the packed state: history, running means, readings, 1 once begun, slow features,
-        network."""
+    def state_sizes(self) -> tuple[int, int, int, int, int, int, int]:
+        """Parts of the packed state: history, running means, readings, 1 once begun, strangeness of
+        the newest reading of each channel, slow features, network."""
         n = len(self.info.channels)
-        rows = self.history * n, self.readings * n
-        past, readings = rows
+        past, readings = self.history * n, self.readings * n
         begun = min(self.readings, 1)
-        return past, self.n_offset, readings, begun, self.n_slow, self.network.state_size
+        now = begun, begun * n, self.n_slow
+        return past, self.n_offset, readings, *now, self.network.state_size
 
     @property
     def state_size(self) -> int:
@@ -205,7 +212,7 @@ class Compensator(nn.Module):
         """One sample of finite numbers."""
         n, rows = len(self.info.channels), self.history
         parts = torch.split(state, list(self.state_sizes), dim=-1)
-        past, mean_so_far, readings, begun, slow, network_state = parts
+        past, mean_so_far, readings, begun, strange, slow, network_state = parts
         here = torch.relu(1 - torch.abs(phase - self.phases))  # one-hot, (1, phases)
         mean, scale = here @ self.mean, here @ self.scale
         raw = torch.cat([virtual[:, list(self.info.channels.seen)], command], dim=-1)
@@ -216,8 +223,8 @@ class Compensator(nn.Module):
         prediction, today = torch.zeros_like(mean), torch.zeros_like(mean)
         if rows:
             new = (measured - virtual - mean) / scale
-            held = torch.where(valid > 0.5, new, past[:, :n])
-            past = torch.cat([held, past[:, : (rows - 1) * n]], dim=-1)
+            last = torch.where(valid > 0.5, new, past[:, :n])
+            past = torch.cat([last, past[:, : (rows - 1) * n]], dim=-1)
             known = past[:, self.info.horizon * n : (self.info.horizon + 1) * n]
         slow_parts = []
         for part, share in zip(slow.chunk(len(SMOOTHING_S), dim=-1), self._shares(), strict=True):
@@ -252,8 +259,14 @@ class Compensator(nn.Module):
         correction = correction + close * scale * self.gate * self.leftover * out.y
         expected = here @ (self.scale.abs() * self.spread_factor) * torch.exp(out.log_spread)
         spread = self.rms + close * (expected - self.rms)
-        anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
-        state = torch.cat([past, mean_so_far, readings, begun, slow, network_state], dim=-1)
+        if self.info.protocol == "track":
+            now = strangeness(measured - virtual - correction, spread, self.anomaly_scale)
+            strange = torch.where(valid > 0.5, now, strange)
+            anomaly = strange.amax(-1, keepdim=True)
+        else:
+            anomaly = (out.distance / self.anomaly_scale).amax(-1, keepdim=True)
+        after = [past, mean_so_far, readings, begun, strange, slow, network_state]
+        state = torch.cat(after, dim=-1)
         return correction, spread, anomaly, inside, state
 
     def run(self, flight: ResidualFlight) -> Corrected:
@@ -274,13 +287,18 @@ class Compensator(nn.Module):
             out = self.outputs([span])[0]
             near, close = linear_share(span.distance), network_share(span.distance)
             mean, scale = scaling.mean[span.phase], scaling.scale[span.phase]
-            linear = predict_base(span, base, self.info.protocol)
-            said = mean + scale * bounded(linear, span.offset[..., 0], scaling.largest)
+            linear = predict_base(span, base, self.info.protocol, scaling.largest)
+            said = mean + scale * linear
             more = scale * gain * out.y.double().numpy()
             correction[span.rows] = near[:, None] * said + close[:, None] * more
             expected = scale * factor[span.phase] * np.exp(out.log_spread.double().numpy())
             spread[span.rows] = between(close[:, None], expected, spread[span.rows])
-            anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
+            if self.info.protocol == "track":
+                new = np.nan_to_num(flight.residual[span.rows] - correction[span.rows])
+                now = strangeness(new, spread[span.rows], self.anomaly_scale.double().numpy())
+                anomaly[span.rows] = held(now, span.fresh).max(axis=1)
+            else:
+                anomaly[span.rows] = (out.distance / self.anomaly_scale).amax(-1).numpy()
             inside[span.rows] = span.inside
         return Corrected(correction, spread, anomaly, inside)
 
@@ -347,6 +365,17 @@ class Compensator(nn.Module):
         places = torch.cat([*seen, raw[:, len(channels.seen) :]], dim=-1)
         white = ((places - self.place_centre) / self.place_scale) @ self.place_whitening.T
         return torch.sqrt((white**2).mean(-1, keepdim=True)) / self.place_reach
+
+
+def strangeness(innovation: Values, spread: Values, level: Values) -> Values:
+    """Of readings: what is new in them over its spread and over its level.
+
+    Args:
+        innovation: Reading less corrected virtual reading, array or tensor, shape (n, 15).
+        spread: Expected of it, the same shape; 0 of a channel that training never had.
+        level: In spreads, above which it is strange, shape (15,).
+    """
+    return abs(innovation) / (spread.clip(min=TRIFLE) * level)
 
 
 def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.envelope import Values
+from ..data.envelope import BEYOND, Values
 from ..data.sequences import LAGS, SpanSequence
 from ..preset import Protocol
 
@@ -23,10 +23,6 @@ MOST_FOLDS = 8
 """Parts of the data, each said by the fit without it."""
 BLOCK_S = 1.0
 """Residuals a second apart count as independent evidence."""
-MOST = 2.0
-"""Times the largest residual of the training: so far the linear prediction goes from none, or in
-`track` from the offset that is known today. Flights that go where no flight of the training went
-are not made arbitrarily wrong. Not chosen on flights."""
 EVIDENCE = 1.5
 """Gain per block over its standard error, below which it is taken for chance."""
 
@@ -68,21 +64,30 @@ def fit_base(
     return np.array(weights)
 
 
-def predict_base(span: SpanSequence, weights: Array, protocol: Protocol) -> Array:
-    """Linear prediction over a span, shape (n, 15)."""
+def predict_base(span: SpanSequence, weights: Array, protocol: Protocol, largest: Array) -> Array:
+    """Linear prediction over a span, bounded, shape (n, 15).
+
+    Args:
+        span: Of a flight.
+        weights: As from `fit_base`.
+        protocol: Decides the regressors.
+        largest: Of `Scaling`, shape (15,).
+    """
     columns = [regressors(span, protocol, c) @ w for c, w in enumerate(weights)]
-    return np.stack(columns, axis=-1)
+    return np.asarray(bounded(np.stack(columns, axis=-1), span.offset[..., 0], largest))
 
 
 def bounded(prediction: Values, offset: Values, largest: Values) -> Values:
-    """No farther from an offset than `MOST` times the largest residual of the training.
+    """No farther from an offset than `BEYOND` times the largest residual of the training.
+
+    Flights that go where no flight of the training went are not made arbitrarily wrong.
 
     Args:
         prediction: Array or tensor, shape (n, 15).
         offset: Running mean of the known residual, 0 unless in `track`; the same shape.
         largest: Of `Scaling`, shape (15,).
     """
-    return offset + (prediction - offset).clip(-MOST * largest, MOST * largest)
+    return offset + (prediction - offset).clip(-BEYOND * largest, BEYOND * largest)
 
 
 def regressors(span: SpanSequence, protocol: Protocol, channel: int) -> Array:

@@ -55,7 +55,7 @@ def left_out_errors(
         seen = sequences(others, theirs, protocol, horizon)
         base = fit_base(seen, [s.fresh for s in seen], protocol, one.rate_hz)
         for span in sequences([one], theirs, protocol, horizon):
-            left = span.d - predict_base(span, base, protocol)
+            left = span.d - predict_base(span, base, protocol, theirs.largest)
             error = left * theirs.scale[span.phase] / scaling.scale[span.phase]
             errors.append(np.where(span.inside[:, None], error, np.nan))
     return errors

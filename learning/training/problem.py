@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from ..data.channels import N_PHASES
 from ..data.clustering import clusters_of
+from ..data.envelope import UNLIMITED
 from ..data.flights import ResidualFlight
 from ..data.scaling import fit_scaling, in_spans
 from ..data.sequences import sequences
-from ..model.compensator import Compensator, ModelInfo
+from ..model.compensator import TRIFLE, Compensator, ModelInfo
 from ..model.linear_predictor import fit_base, gates, predict_base, time_blocks
 from ..model.network import NetworkOut, SvqNetwork
 from ..preset import Preset, Protocol
@@ -25,6 +26,8 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 
 ANOMALY_QUANTILE = 0.99
+STRANGE_QUANTILE = 0.999
+"""Of each of many channels, any of which raises an alarm. Not chosen on flights."""
 ENOUGH = 20
 """Samples of a channel in a phase from which a spread is told."""
 
@@ -80,7 +83,7 @@ class Workpiece:
         if preset.linear:
             base = fit_base(self.spans, [s.fresh for s in self.spans], protocol, rate_hz)
         self.compensator.base.copy_(torch.from_numpy(base))
-        self.left = [s.d - predict_base(s, base, protocol) for s in self.spans]
+        self.left = [s.d - predict_base(s, base, protocol, scaling.largest) for s in self.spans]
         self.leftover = np.ones(len(flights[0].channels))
         if protocol != "reconstruct":
             square = _mean_square(self.left, self.train)
@@ -125,27 +128,49 @@ class Workpiece:
         model.gate.copy_(torch.from_numpy(gate))
         self.error_without = _mean_square([left], [validate])
         self.error_with = _mean_square([left - gate * y], [validate])
-        factor = self._spread_factor(left - gate * y, outs, validate, phases)
+        error, told = self._told(left - gate * y, validate)
+        log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
+        error = error * np.exp(-log_spread)
+        factor = _factor(error, told, phases)
         model.spread_factor.copy_(torch.from_numpy(factor))
-        model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=1e-12))
+        if model.info.protocol == "track":
+            level = self._usual_strangeness(error / np.maximum(factor[phases], TRIFLE), told)
+            model.anomaly_scale.copy_(torch.from_numpy(level))
+        else:
+            model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=TRIFLE))
 
-    def _spread_factor(
-        self, error: Array, outs: Sequence[NetworkOut], validate: BoolArray, phases: IntArray
-    ) -> Array:
-        """What makes predicted spreads right, shape (phases, 15).
+    def _told(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
+        """Errors that tell what is to be expected, and which of them do, shape (n, 15) both.
 
-        Of time held back; where there are several flights, of what the linear prediction leaves of
-        flights that took no part in it, less what the network saves of time held back.
+        Those of time held back; where there are several flights, what the linear prediction leaves
+        of flights that took no part in it, less what the network saves of time held back.
         """
         if self.unseen is None:
-            scored = np.where(validate.any(0), validate, np.concatenate(self.train))
-            return _factor(error, outs, scored, phases)
+            return error, np.where(validate.any(0), validate, np.concatenate(self.train))
         unseen = np.concatenate(self.unseen)
         fresh = np.concatenate([s.fresh for s in self.spans]) & np.isfinite(unseen)
         known = self.error_without > 0
         saved = np.ones(len(known))
         saved[known] = np.sqrt(self.error_with[known] / self.error_without[known])
-        return _factor(np.nan_to_num(unseen) * saved, outs, fresh, phases)
+        return np.nan_to_num(unseen) * saved, fresh
+
+    def _usual_strangeness(self, error: Array, told: BoolArray) -> Array:
+        """What one reading in a thousand exceeds, of the flight that has most, with room for the
+        next flight as the envelope has it; shape (15,), `UNLIMITED` of a channel without any.
+
+        Args:
+            error: Over its spread, shape (n, 15).
+            told: Which of them count, shape (n, 15).
+        """
+        of = np.concatenate([np.full(len(s.d), s.flight) for s in self.spans])
+        flights = np.unique(of)
+        level = np.zeros(error.shape[1])
+        for flight in flights:
+            counts = told & (of == flight)[:, None]
+            for c in np.flatnonzero(counts.any(axis=0)):
+                usual = np.quantile(np.abs(error[counts[:, c], c]), STRANGE_QUANTILE)
+                level[c] = max(level[c], float(usual))
+        return np.where(level > 0, level * (1 + 1 / len(flights)), UNLIMITED)
 
     def _usual_distance(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
         """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).
@@ -170,13 +195,12 @@ class Workpiece:
         return {n: {"linear": float(a), "with_network": float(b)} for n, a, b in rows}
 
 
-def _factor(error: Array, outs: Sequence[NetworkOut], scored: BoolArray, phases: IntArray) -> Array:
+def _factor(error: Array, scored: BoolArray, phases: IntArray) -> Array:
     """Rms of error over predicted spread per phase and channel, shape (phases, 15).
 
     A phase without enough samples of a channel gets that of all phases, a channel without any 0.
     """
-    log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
-    square = np.where(scored, (error * np.exp(-log_spread)) ** 2, 0.0)
+    square = np.where(scored, error**2, 0.0)
     count = scored.sum(0)
     factor = np.tile(np.sqrt(square.sum(0) / np.maximum(count, 1)), (N_PHASES, 1))
     for p in range(N_PHASES):

@@ -1,12 +1,14 @@
 """What the equations leave of force and moment, as a law of the motion that flights have taught.
 
-    [force, moment] = units * (near(d) * linear @ features(x) + close(d) * waves @ cos(k z + phase))
+    [force, moment] = units * bound(near(d) * linear @ features(x)
+                                    + close(d) * waves @ cos(k z + phase))
     z = (x - centre) / scale           d = |whitening @ z| / sqrt(len(z)) / reach
 
 x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
 it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
 taught it; `close` fades to zero from there to `WAVES_END`, `near` from `LINEAR_BEGIN` to
-`LINEAR_END`, both without a step. So force and moment are bounded, however the vehicle moves.
+`LINEAR_END`, both without a step; and nothing is said beyond `most`. So force and moment are
+bounded, however the vehicle moves.
 
 Source: random features, Rahimi & Recht, NIPS 2007; the fade, Perlin's smoothstep.
 """
@@ -71,6 +73,8 @@ class ForceLaw:
         scale: Of the inputs, above 0, the same shape.
         whitening: Makes z uncorrelated, shape (len(INPUTS), len(INPUTS)).
         reach: Distance up to which training has been, above 0.
+        most: Of specific force, m/s2, and angular acceleration, rad/s2, that is said either way, at
+            least 0, shape (6,).
         units: Force, N, and moment, N m, per specific force and angular acceleration, shape (6, 6).
     """
 
@@ -82,6 +86,7 @@ class ForceLaw:
     scale: Array
     whitening: Array
     reach: float
+    most: Array
     units: Array
 
     __repr__ = short_repr
@@ -97,6 +102,7 @@ class ForceLaw:
             "centre": (d,),
             "scale": (d,),
             "whitening": (d, d),
+            "most": (6,),
             "units": (6, 6),
         }
         for name, shape in shapes.items():
@@ -107,6 +113,8 @@ class ForceLaw:
                 raise ModelError(f"force law: {name} must be finite numbers.")
         if not (self.scale > 0).all() or not 0 < self.reach < np.inf:
             raise ModelError("force law: scale and reach must be above 0.")
+        if not (self.most >= 0).all():
+            raise ModelError("force law: most must be at least 0.")
 
     def arrays(self) -> dict[str, Array]:
         """All its numbers by name."""
@@ -183,7 +191,7 @@ def waves(law: ForceLaw, x: ca.SX) -> ca.SX:
     return ca.vertcat(*[cosine(angles[i]) for i in range(len(law.phases))])
 
 
-def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, of_waves: ca.SX) -> ca.SX:
+def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, of_waves: ca.SX, most: ca.SX) -> ca.SX:
     """Specific force, m/s2, and angular acceleration, rad/s2, that a law gives, shape (6, 1).
 
     Args:
@@ -191,25 +199,36 @@ def accelerations(law: ForceLaw, x: ca.SX, linear: ca.SX, of_waves: ca.SX) -> ca
         x: `INPUTS`.
         linear: Weights in the place of the law's.
         of_waves: The same of the random features.
+        most: In the place of the law's, shape (6, 1).
     """
     d = distance(law, x)
     said = _fade(d, LINEAR_BEGIN, LINEAR_END) * ca.mtimes(linear, features(x))
     if len(law.phases):
         said += _fade(d, 1.0, WAVES_END) * ca.mtimes(of_waves, waves(law, x))
-    return said
+    return ca.fmin(ca.fmax(said, -most), most)
 
 
-def weight_names(law: ForceLaw) -> tuple[list[list[str]], list[list[str]]]:
-    """Parameters of the component that are the law's weights: linear ones, and those of waves."""
+def parameter_values(law: ForceLaw) -> dict[str, float]:
+    """What the component may be given of another law with the same envelope and random features."""
+    linear, of_waves, most = _parameter_names(law)
+    names = [*(n for table in (linear, of_waves) for row in table for n in row), *most]
+    values = np.concatenate([law.linear.ravel(), law.waves.ravel(), law.most])
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def _parameter_names(law: ForceLaw) -> tuple[list[list[str]], list[list[str]], list[str]]:
+    """Parameters of the component: linear weights, weights of waves, and bounds."""
     outputs = [f"{kind}_{a}" for kind, a in OUTPUTS]
     linear = [[f"linear.{o}.{f.replace(' ', '_')}" for f in FEATURES] for o in outputs]
-    return linear, [[f"wave.{o}.{i}" for i in range(1, len(law.phases) + 1)] for o in outputs]
+    of_waves = [[f"wave.{o}.{i}" for i in range(1, len(law.phases) + 1)] for o in outputs]
+    return linear, of_waves, [f"most.{o}" for o in outputs]
 
 
 def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Component:
     """The law as a component: fed by the airframe's outputs, it feeds its forces and moments.
 
-    Its weights are tunable parameters (`weight_names`), so that anybody can read what it says.
+    Its weights and bounds are tunable parameters (`parameter_values`), so that anybody can read
+    what it says.
 
     Args:
         vehicle: Whose equations leave something.
@@ -235,11 +254,9 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     )
     air_b = to_body(q_nb, [v - w for v, w in zip(vel_n, wind_n, strict=True)])
     x = motion_inputs(vehicle, air_b, omega_b, spin, voltage, ground - down)
-    linear, of_waves = (
-        _weights(m, names, values)
-        for names, values in zip(weight_names(law), (law.linear, law.waves), strict=True)
-    )
-    said = accelerations(law, x, linear, of_waves)
+    of_linear, of_waves, bounds = _parameter_names(law)
+    linear, amplitudes = _weights(m, of_linear, law.linear), _weights(m, of_waves, law.waves)
+    said = accelerations(law, x, linear, amplitudes, _bounds(m, bounds, law.most))
     if network:
         for i, (kind, a) in enumerate(OUTPUTS):
             m.output(f"left_{kind}_{a}", _unit(kind), f"What the law says of {kind} {a}", said[i])
@@ -303,6 +320,17 @@ def _weights(m: ComponentBuilder, names: list[list[str]], values: Array) -> ca.S
             )
         )
     return ca.vertcat(*rows)
+
+
+def _bounds(m: ComponentBuilder, names: Sequence[str], values: Array) -> ca.SX:
+    """Parameters that start at a law's bounds, shape (6, 1)."""
+    rows = zip(OUTPUTS, names, values.tolist(), strict=True)
+    return ca.vertcat(
+        *[
+            m.parameter(name, most, _unit(kind), f"Most that is said of {kind} {a}", minimum=0)
+            for (kind, a), name, most in rows
+        ]
+    )
 
 
 def _fade(d: ca.SX, begin: float, end: float) -> ca.SX:

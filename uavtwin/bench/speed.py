@@ -152,6 +152,7 @@ def _linear_law() -> ForceLaw:
         scale=np.ones(d),
         whitening=np.tri(d),
         reach=1e3,
+        most=np.ones(6),
         units=np.eye(6),
     )
 

@@ -27,7 +27,7 @@ from ..report.learning_figures import horizons_figure
 from ..report.page import render
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
-from .fold import weight_starts
+from .fold import in_force
 from .hovering import Steadiness, hovers
 from .open_loop import DISTANCE, HORIZONS_S, QUANTITIES, OpenLoop, Replay
 
@@ -169,7 +169,7 @@ class _Fleet:
             own = f"{OBSERVED}{law}"
             model = replace(force.model, law=rival.law, outputs=plain)
             self._forces[own] = LearnedForce(model)
-            self._starts[own] = weight_starts(rival.law) | observer_starts(rival.observers)
+            self._starts[own] = in_force(rival.law) | observer_starts(rival.observers)
             if not len(rival.law.phases):  # what tells them apart are start values
                 self._files[own] = OBSERVED
         self._forces[SHIPPED] = force

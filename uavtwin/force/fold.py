@@ -16,7 +16,7 @@ from learning.force.instants import Instants
 from learning.force.model import observer_starts
 from learning.force.train import Prepared, prepare
 from twin.flight.assembly import driven_twin
-from twin.physics.residual_force import OUTPUTS, WAVES_END, ForceLaw, weight_names
+from twin.physics.residual_force import OUTPUTS, WAVES_END, ForceLaw, parameter_values
 from twin.physics.rotors import Drive
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
@@ -158,12 +158,10 @@ def law_starts(prepared: Prepared, chosen: Sequence[Candidate]) -> dict[str, flo
         prepared: Flights that the laws were fitted to.
         chosen: One law per output.
     """
-    weights = weight_starts(prepared.law(chosen)[0])
-    return weights | observer_starts([c.observer for c in chosen])
+    of_law = in_force(prepared.law(chosen)[0])
+    return of_law | observer_starts([c.observer for c in chosen])
 
 
-def weight_starts(law: ForceLaw) -> dict[str, float]:
-    """The weights of a law as start values of the fused FMU."""
-    names = [n for table in weight_names(law) for row in table for n in row]
-    values = np.concatenate([law.linear.ravel(), law.waves.ravel()]).tolist()
-    return {_PART + n: v for n, v in zip(names, values, strict=True)}
+def in_force(law: ForceLaw) -> dict[str, float]:
+    """Start values by which a fused FMU of the same envelope flies a law."""
+    return {_PART + n: v for n, v in parameter_values(law).items()}

@@ -37,6 +37,7 @@ def _law(n: int) -> ForceLaw:
         scale=np.ones(d),
         whitening=np.eye(d),
         reach=1.5,
+        most=np.ones(6),
         units=np.eye(6),
     )
 

@@ -223,7 +223,7 @@ def test_linear_prediction_is_the_autoregression_that_made_the_data() -> None:
     expected[[0, LAGS]] = 0.9**3, 1.0  # about the running mean, and that
     size = np.mean([np.std(regressors(spans[0], "track", c), axis=0) for c in range(15)], axis=0)
     np.testing.assert_allclose(weights.mean(0) * size, expected * size, atol=0.03)
-    share = np.var(spans[1].d - predict_base(spans[1], weights, "track"), axis=0)
+    share = np.var(spans[1].d - predict_base(spans[1], weights, "track", scaling.largest), axis=0)
     np.testing.assert_allclose(share.mean(), 1 - 0.9**6, atol=0.03)
 
 
@@ -237,7 +237,7 @@ def test_a_steady_sensor_under_a_twin_that_jitters_reads_what_it_read() -> None:
     scaling = fit_scaling([jittery], [in_spans(jittery)], "pooled")
     spans = sequences([jittery], scaling, "track", 10)
     weights = fit_base(spans, [s.fresh for s in spans], "track", jittery.rate_hz)
-    left = np.concatenate([s.d - predict_base(s, weights, "track") for s in spans])
+    left = np.concatenate([s.d - predict_base(s, weights, "track", scaling.largest) for s in spans])
     assert np.median(np.mean(left**2, axis=0)) < 0.02
 
 
@@ -256,7 +256,11 @@ def test_a_twin_of_no_use_is_not_looked_at() -> None:
         taught = [s for s in spans if s.flight < 2]
         weights = fit_base(taught, [s.fresh for s in taught], protocol, flights[0].rate_hz)
         (new,) = {s.flight for s in spans} - {s.flight for s in taught}
-        left = [s.d - predict_base(s, weights, protocol) for s in spans if s.flight == new]
+        left = [
+            s.d - predict_base(s, weights, protocol, scaling.largest)
+            for s in spans
+            if s.flight == new
+        ]
         error = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0)) * scaling.scale[0]
         assert error.max() < 0.13, protocol
 
@@ -327,6 +331,33 @@ def test_spread_is_calibrated(tmp_path: Path) -> None:
     assert 0.55 < within.mean() < 0.8
 
 
+@pytest.mark.slow
+def test_an_alarm_rings_for_a_fault_and_hardly_without(tmp_path: Path) -> None:
+    """On a flight like the training's; the fault, a step of ten spreads, from its first sample on
+    until its sensor is followed again."""
+    flights = [made_up(seed, n=900) for seed in range(3)]
+    model = train(flights, tiny(), "track", 2, 0, tmp_path)
+    away, at = made_up(9, n=900), 600
+    clean, rows = model.run(away), in_spans(away)
+    assert np.mean(clean.anomaly[rows] > 1) < 0.01
+    assert np.mean(clean.anomaly[rows]) > 0.1  # not for being silent
+    residual = away.residual.copy()
+    residual[at:, 0] += 10 * clean.spread[at, 0]
+    broken = model.run(replace(away, residual=residual))
+    np.testing.assert_array_equal(broken.anomaly[:at], clean.anomaly[:at])
+    assert np.all(broken.anomaly[at : at + 2] > 1)
+
+
+def test_a_channel_that_training_never_had_rings_no_alarm(tmp_path: Path) -> None:
+    blind = made_up(5)
+    blind.fresh[:, 6:9] = False
+    model = train([blind], tiny(epochs=2), "track", 2, 0, tmp_path)
+    seen, unseen = (made_up(2) for _ in range(2))
+    unseen.fresh[:, 6:9] = False
+    alarms = [model.run(flight).anomaly for flight in (seen, unseen)]
+    np.testing.assert_allclose(*alarms, rtol=1e-3)
+
+
 def test_wrong_presets_are_refused() -> None:
     with pytest.raises(ModelError, match="paper, published, best"):
         preset_named("worst")
@@ -349,6 +380,8 @@ def test_an_offset_of_another_size_than_all_that_were_learned_from_is_followed()
     weights = fit_base(taught, [s.fresh for s in taught], "track", flights[0].rate_hz)
     for span in new:
         late = slice(len(span.d) // 2, None)
-        left = ((span.d - predict_base(span, weights, "track")) * scaling.scale[0])[late]
+        left = (
+            (span.d - predict_base(span, weights, "track", scaling.largest)) * scaling.scale[0]
+        )[late]
         assert np.all(np.abs(left.mean(axis=0)) < 25 / 3)
         assert np.all(left.std(axis=0) < 1.3)

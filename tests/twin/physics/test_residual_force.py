@@ -53,6 +53,7 @@ def law(n: int = 5, seed: int = 0) -> ForceLaw:
         scale=np.ones(d),
         whitening=np.eye(d),
         reach=1.0,
+        most=np.full(6, 1e6),
         units=units(VEHICLE),
     )
 
@@ -143,6 +144,18 @@ def test_waves_end_before_the_linear_part() -> None:
         assert any(answer[n] != 0 for n in NAMES) == acts
 
 
+@settings(max_examples=25)
+@given(three, st.floats(0, 3), st.integers(0, 99))
+def test_nothing_is_said_beyond_what_may_be(vel: Array, most: float, seed: int) -> None:
+    """And the same is said below it."""
+    free = replace(law(seed=seed), units=np.eye(6))
+    bound = replace(free, most=np.linspace(0, most, len(NAMES)))
+    rigs = [Rig(residual_force(VEHICLE, one)) for one in (free, bound)]
+    both = [r.outputs(np.zeros(0), r.inputs(motion(**vec("vel", vel)))) for r in rigs]
+    said, held = (np.array([answer[n] for n in NAMES]) for answer in both)
+    np.testing.assert_array_equal(held, np.clip(said, -bound.most, bound.most))
+
+
 def test_wind_is_no_ground_speed() -> None:
     rig = Rig(residual_force(VEHICLE, alone(force_x__air_x=-0.5)))
     still = rig.outputs(np.zeros(0), rig.inputs(motion(vel_x=2.0)))
@@ -172,6 +185,7 @@ def test_power_is_what_force_and_moment_do_per_second() -> None:
         ({"centre": np.full(len(INPUTS), np.nan)}, "finite"),
         ({"scale": np.zeros(len(INPUTS))}, "above 0"),
         ({"reach": np.inf}, "above 0"),
+        ({"most": np.full(6, -1.0)}, "at least 0"),
     ],
 )
 def test_numbers_that_make_no_law_are_refused(change: dict[str, Array], text: str) -> None:

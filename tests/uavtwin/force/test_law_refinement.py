@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from learning.data.envelope import BEYOND
 from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NO_OBSERVER
 from learning.force.instants import instants
@@ -85,6 +86,18 @@ def test_what_is_not_there_goes(lesson: tuple[Lesson, Replay]) -> None:
     given = {("force_x", "air_x"): -DRAG_1_S, ("moment_y", "thrust"): false}
     found = _refined(lesson, given)
     assert abs(found[4, FEATURES.index("thrust")]) < 0.1 * false
+
+
+def test_a_law_says_at_most_so_many_times_what_it_said_in_its_flights(
+    lesson: tuple[Lesson, Replay],
+) -> None:
+    taught, _ = lesson
+    laws = _laws(taught.prepared, {("force_x", "air_x"): -DRAG_1_S})
+    law, _ = taught.prepared.law([every["linear"] for every in laws])
+    (seen,) = taught.prepared.seen
+    speed = np.abs(seen.motion[seen.airborne, FEATURES.index("air_x") - 1]).max()
+    assert law.most[0] == pytest.approx(BEYOND * DRAG_1_S * speed, rel=0.05)  # low-passed
+    assert not law.most[1:].any()
 
 
 def test_nothing_is_refined_where_no_law_is(lesson: tuple[Lesson, Replay]) -> None:
