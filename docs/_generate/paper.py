@@ -1,4 +1,4 @@
-"""Write results/paper.md: the paper's tables.
+"""Write results/paper.md: the paper's tables; and WORK/figures.html: its figures.
 
     python docs/_generate/paper.py --data ../shared/data --work out/paper
 
@@ -8,6 +8,7 @@ main table); it may be stopped and goes on from there.
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import jinja2
@@ -16,10 +17,14 @@ sys.path.insert(
     0, str(Path(__file__).parents[2])
 )  # benchmarks are no part of the installed package
 
-from benchmarks.compensator import paper
+from benchmarks.compensator import edge, paper
+from benchmarks.compensator.paper_figures import figures_page
+from learning.data.paper_tables import paper_flights
 
 EPOCHS = 12
 """Of the tables with many variants."""
+NEEDED_EPOCHS = 50
+"""Of that of the protocols in which the answer is not given."""
 
 
 def main() -> None:
@@ -36,14 +41,32 @@ def main() -> None:
     shares = [f"--share={s}" for s in given.share or ()]
     paper.main([*common, "--only=table2", f"--seeds={given.seeds}", *shares])
     table2 = (given.work / "paper.md").read_text("utf-8")
+    paper.main([*common, f"--epochs={NEEDED_EPOCHS}", "--only=needed"])
+    needed = (given.work / "paper.md").read_text("utf-8")
     some = [f"--only={name}" for name in ("ablations", "samples", "weights")]
     paper.main([*common, f"--epochs={EPOCHS}", *some])
     variants = (given.work / "paper.md").read_text("utf-8")
+    edge.main([f"--out={given.work}"])
     template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
     filled = jinja2.Template(template, keep_trailing_newline=True).render(
-        table2=table2, variants=variants, epochs=EPOCHS
+        table2=table2,
+        needed=needed,
+        needed_epochs=NEEDED_EPOCHS,
+        variants=variants,
+        epochs=EPOCHS,
+        edge=(given.work / "edge.md").read_text("utf-8"),
     )
     (Path(__file__).parents[1] / "results" / "paper.md").write_text(filled, "utf-8")
+    whole = paper.Options(None, given.seeds, published=False, shares=(1.0,))
+    variants_of_best = [
+        r for r in paper.ablations(replace(whole, epochs=EPOCHS)) if r.preset and "best" in r.name
+    ]
+    page = figures_page(
+        paper_flights(tables),
+        paper.corrections(paper.table2(whole), given.work),
+        paper.corrections(variants_of_best, given.work),
+    )
+    (given.work / "figures.html").write_text(page, "utf-8")
 
 
 if __name__ == "__main__":

@@ -1,23 +1,29 @@
 """The paper's tables: scores by hand, a finished training is not done again, every row is there."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
+import torch
 from learning_rigs.compensator_rig import tiny
 
-from benchmarks.compensator import paper
+from benchmarks.compensator import edge, paper
+from benchmarks.compensator.paper_figures import Said, error_distributions, figures_page
 from benchmarks.compensator.trainings import (
     METRICS,
     RECORDING,
     Run,
     drawn_scores,
     run_all,
+    said_by,
     scores,
     shortened,
 )
-from learning.data.channels import GROUPS
+from learning.data.channels import GROUPS, N_PHASES
 from learning.data.paper_tables import paper_flights
+from learning.model.registry import family_row
 
 SMALL = tiny(name="small", clustering="none", epochs=2)
 
@@ -84,6 +90,7 @@ def test_less_data_is_the_start_of_each_phase(tables: Path) -> None:
 def test_a_training_is_done_once(
     tables: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    flights = paper_flights(tables)
     runs = [Run("one", SMALL, share=0.1), Run("same by another name", SMALL, share=0.1)]
     first = run_all(tables, tmp_path, runs)
     assert "1 trainings, 1 to be done" in capsys.readouterr().err
@@ -91,10 +98,27 @@ def test_a_training_is_done_once(
     assert "1 trainings, 0 to be done" in capsys.readouterr().err
     assert [f["run"]["name"] for f in first] == [r.name for r in runs]
     assert list(tmp_path.glob("models/*")) == []
+    said = said_by(runs[0], tmp_path)["correction"]
+    again = scores([said], flights[2:], [shortened(f, 0.1) for f in flights[:2]], flights)
+    assert again == first[0]["scores"]
     text = paper.table2_text(first)
     assert "| one (n = 1) |" in text
     assert "| paper's claim, modality 1, RMSE read as MSE | 0.0012 | 0.0346 |" in text
     assert "| paper's claim, modality 1, RMSE as headed | 0.000001 | 0.0012 |" in text
+
+
+def test_figures_show_what_each_system_said(tables: Path) -> None:
+    """The better one first; every figure is there, and nothing is fetched."""
+    flights = paper_flights(tables)
+    residual = flights[2].residual
+    said = {"half": residual / 2, "none": np.zeros_like(residual), "tenth": 0.9 * residual}
+    assert list(Said.of(flights, said).errors()) == ["tenth", "half", "none"]
+    (histograms, *_) = error_distributions(Said.of(flights, said)).data
+    assert histograms.name == "tenth"
+    page = figures_page(flights, said, {"full": said["tenth"], "hard": said["half"]})
+    assert page.count('<script type="application/json"') == 6
+    assert "Figure 12" in page and "Figure 12" not in figures_page(flights, said, {})
+    assert "src=" not in page.split("<script>", 1)[0]
 
 
 @pytest.mark.parametrize("table", paper.TABLES)
@@ -103,3 +127,32 @@ def test_every_table_names_its_runs(table: str) -> None:
     assert len(runs) >= 6
     assert {getattr(r.preset, "epochs", 7) for r in runs} == {7}
     assert all(r.test not in r.train for r in runs)
+
+
+@pytest.mark.slow
+def test_every_system_is_written_as_what_it_says(tmp_path: Path) -> None:
+    """In onnxruntime as in torch, where nothing is drawn; and what a process says it costs."""
+    family: Any = family_row("vqvae").load()
+    preset = family.presets()["vqvae"]
+    torch.manual_seed(0)
+    system = family.system(preset, 15, 15).eval()
+    file = edge.written_system(system, preset.window, tmp_path / "vqvae.onnx")
+    given, phase = torch.randn(1, preset.window, 15), torch.eye(N_PHASES)[[1] * preset.window][None]
+    session = onnxruntime.InferenceSession(file)
+    (said,) = session.run(None, {"given": given.numpy(), "phase": phase.numpy()})
+    with torch.no_grad():
+        np.testing.assert_allclose(said, system.reconstruct(given, phase), atol=1e-5)
+    cost = edge.measured("vqvae", system, preset.window, file)
+    assert 0 < cost.ms < 10 and 1 < cost.memory_mb < 500
+    assert cost.row().startswith(f"| vqvae | 100 | {cost.numbers} |")
+
+
+def test_where_a_system_cannot_be_trained_the_table_says_so() -> None:
+    score = {m: {"standardised": {"rmse": 0.5}} for m in ("takeoff", "hover")}
+    found = [
+        {"run": {"name": n, "protocol": p}, "scores": score, "seconds": 1.0}
+        for n, p in (("linear", "track"), ("linear", "free"), ("tsgan", "free"))
+    ]
+    *_, linear, tsgan, _ = paper.needed_text(found).split("\n")
+    assert linear == "| linear | 0.5000 | 0.5000 | 0.5000 | 0.5000 | 2 |"
+    assert tsgan == "| tsgan | - | - | 0.5000 | 0.5000 | 1 |"

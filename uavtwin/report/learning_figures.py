@@ -157,7 +157,7 @@ def spectra_figure(
 
 
 def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
-    """Anomaly score over time, with the level that one training sample in 100 exceeds."""
+    """Anomaly score over time, with the level above which it is an alarm."""
     every = max(1, -(-len(t_s) // MAX_POINTS))
     figure = go.Figure()
     figure.add_scatter(
@@ -167,7 +167,7 @@ def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
         line={"color": "#c23b66", "width": 1.2},
         name="anomaly score",
     )
-    figure.add_hline(y=1, line={"color": _GREY, "dash": "dot"}, annotation_text="1 in 100")
+    figure.add_hline(y=1, line={"color": _GREY, "dash": "dot"}, annotation_text="alarm")
     figure.update_xaxes(title_text="time, s")
     figure.update_yaxes(title_text="anomaly score", rangemode="tozero")
     return _styled(figure, 260)

@@ -257,7 +257,7 @@ def _records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
-    """How often the score exceeds the level of one training sample in 100, and where most.
+    """How often the score is an alarm, and where most.
 
     None of it from a model that gives no alarm.
     """

@@ -354,8 +354,8 @@ def test_a_channel_that_training_never_had_rings_no_alarm(tmp_path: Path) -> Non
     model = train([blind], tiny(epochs=2), "track", 2, 0, tmp_path)
     seen, unseen = (made_up(2) for _ in range(2))
     unseen.fresh[:, 6:9] = False
-    alarms = [model.run(flight).anomaly for flight in (seen, unseen)]
-    np.testing.assert_allclose(*alarms, rtol=1e-3)
+    one, other = (model.run(flight).anomaly for flight in (seen, unseen))
+    np.testing.assert_allclose(one, other, rtol=1e-3)
 
 
 def test_wrong_presets_are_refused() -> None:

@@ -1,0 +1,241 @@
+"""The paper's figures 5 to 8 and 12, of trainings that are done: one page that needs nothing else.
+
+Each figure can be saved as PNG or SVG by its buttons. Error of a channel: measured residual minus
+what a system said of it, over the spread of the training residual. Flight 3, which no training saw.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
+from learning.data.flights import ResidualFlight
+from learning.data.paper_tables import GAUSS_T
+from learning.evaluation.metrics import mse, rmse
+from uavtwin.report.figures import embedded
+from uavtwin.report.page import render
+
+from .trainings import MODALITIES, units
+
+Array = NDArray[np.float64]
+BINS = 80
+ALL_BUT = 0.002
+"""Share of the samples that lies beyond the ends of a histogram's axis."""
+SHOWN = ("gyro_x", "acc_x", "mag_x", "pos_x", "vel_x")
+"""Channels whose reconstruction is drawn, one of each sensor."""
+BEST = 4
+"""Systems whose reconstruction is drawn."""
+MOST_POINTS = 2500
+"""Of a line, above which it is thinned."""
+COLOURS = (
+    *("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#c23b66", "#5fb8c9", "#b58900", "#8a8f98"),
+    *("#7a5230", "#d98cb3", "#3f3f3f", "#9bbf3b", "#4b6f9e", "#e3b23c", "#6b8e7f", "#b04a2f"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What systems said of a flight.
+
+    Attributes:
+        flight: That was held out.
+        unit: Of each channel, the spread of the training residual, shape (15,).
+        by_system: Correction of each, shape (n, 15).
+    """
+
+    flight: ResidualFlight
+    unit: Array
+    by_system: Mapping[str, Array]
+
+    @classmethod
+    def of(cls, flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]) -> "Said":
+        """Of the last flight, which the others taught."""
+        *trained, held = flights
+        return cls(held, units(MODALITIES[0], trained, flights)["standardised"], by_system)
+
+    def errors(self) -> dict[str, Array]:
+        """Of each system, the best first, standardised, shape (n, 15)."""
+        left = {n: (self.flight.residual - c) / self.unit for n, c in self.by_system.items()}
+        return dict(sorted(left.items(), key=lambda named: rmse(named[1].ravel())))
+
+
+def figures_page(
+    flights: Sequence[ResidualFlight],
+    by_system: Mapping[str, Array],
+    ablations: Mapping[str, Array],
+) -> str:
+    """The page.
+
+    Args:
+        flights: Of the paper's tables; the last was held out.
+        by_system: What each system said of it, shape (n, 15).
+        ablations: The same of variants of the compensator; {}: not made yet.
+    """
+    said = Said.of(flights, by_system)
+    parts = [
+        ("Figure 5: distributions of what sensors and twin read", readings(flights)),
+        ("Figure 5: distributions of the residual", residuals(flights)),
+        (f"Figure 6: reconstruction of flight 3, {BEST} best systems", reconstructions(said)),
+        ("Figure 7: distribution of the error", error_distributions(said)),
+        ("Figure 8: mean and variance of the error", error_moments(said)),
+    ]
+    if ablations:
+        variants = Said.of(flights, ablations)
+        parts.append(("Figure 12: variants, sensor by sensor", by_sensor(variants)))
+    drawn = [
+        {"id": f"f{i}", "title": title, "height": figure.layout.height, "json": embedded(figure)}
+        for i, (title, figure) in enumerate(parts)
+    ]
+    return render("paper_figures.html.j2", {}, Path(__file__).parent, figures=drawn)
+
+
+def readings(flights: Sequence[ResidualFlight]) -> go.Figure:
+    """Density of what sensors and twin read in all flights."""
+    virtual = np.concatenate([f.virtual for f in flights])
+    measured = virtual + np.concatenate([f.residual for f in flights])
+    return _densities({"measured": measured, "simulated": virtual})
+
+
+def residuals(flights: Sequence[ResidualFlight]) -> go.Figure:
+    """Density of the residual in all flights, by phase."""
+    whole = np.concatenate([f.residual for f in flights])
+    phase = np.concatenate([f.phase for f in flights])
+    return _densities({name: whole[phase == PHASE_CODES[name]] for name in MODALITIES})
+
+
+def reconstructions(said: Said) -> go.Figure:
+    """Residual and what the best systems say of it, a panel per sensor."""
+    figure = make_subplots(rows=len(SHOWN), cols=1, shared_xaxes=True, vertical_spacing=0.03)
+    best = list(said.errors())[:BEST]
+    every = max(1, -(-len(said.flight.t_s) // MOST_POINTS))
+    size = _printed_units()
+    for row, name in enumerate(SHOWN, start=1):
+        c = CHANNELS.index(name)
+        lines = {"residual": said.flight.residual, **{n: said.by_system[n] for n in best}}
+        for k, (line, values) in enumerate(lines.items()):
+            figure.add_scatter(
+                x=said.flight.t_s[::every],
+                y=_short(values[::every, c] / size[c]),
+                name=line,
+                legendgroup=line,
+                showlegend=row == 1,
+                mode="lines",
+                line={"color": "#000000" if k == 0 else COLOURS[k - 1], "width": 1.2},
+                row=row,
+                col=1,
+            )
+        figure.update_yaxes(title_text=f"{name}, {_unit(c)}", row=row, col=1)
+    figure.update_xaxes(title_text="takeoff, then hover; time, s", row=len(SHOWN), col=1)
+    return _styled(figure, 170 * len(SHOWN))
+
+
+def error_distributions(said: Said) -> go.Figure:
+    """Density of the error of each system, all channels together."""
+    figure, errors = go.Figure(), said.errors()
+    edge = max(float(np.quantile(np.abs(e), 1 - ALL_BUT)) for e in errors.values())
+    for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
+        density, edges = np.histogram(error, BINS, (-edge, edge), density=True)
+        figure.add_scatter(
+            x=_short((edges[1:] + edges[:-1]) / 2),
+            y=_short(np.where(density > 0, density, np.nan)),
+            name=name,
+            mode="lines",
+            line={"color": colour, "width": 1.5, "shape": "hvh"},
+        )
+    figure.update_xaxes(title_text="error, standardised")
+    figure.update_yaxes(title_text="density", type="log")
+    return _styled(figure, 480)
+
+
+def error_moments(said: Said) -> go.Figure:
+    """Size of the mean error and its variance, mean over the channels, by phase."""
+    errors = said.errors()
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
+    for phase, colour in zip(MODALITIES, COLOURS, strict=False):
+        here = said.flight.phase == PHASE_CODES[phase]
+        moments = (
+            [np.abs(e[here].mean(axis=0)).mean() for e in errors.values()],
+            [e[here].var(axis=0).mean() for e in errors.values()],
+        )
+        for row, values in enumerate(moments, start=1):
+            figure.add_bar(
+                x=list(errors),
+                y=_short(values),
+                name=phase,
+                marker_color=colour,
+                showlegend=row == 1,
+                row=row,
+                col=1,
+            )
+    for row, title in enumerate(("size of the mean", "variance"), start=1):
+        figure.update_yaxes(title_text=title, type="log", row=row, col=1)
+    return _styled(figure, 560)
+
+
+def by_sensor(said: Said) -> go.Figure:
+    """Mean square error of each variant, sensor by sensor."""
+    figure = go.Figure()
+    errors = said.errors()
+    for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
+        values = [mse(error[:, columns].ravel()) for columns in GROUPS.values()]
+        figure.add_bar(x=list(GROUPS), y=_short(values), name=name, marker_color=colour)
+    figure.update_yaxes(title_text="mean square error, standardised", type="log")
+    return _styled(figure, 520)
+
+
+def _densities(lines: Mapping[str, Array]) -> go.Figure:
+    """A panel per channel, a line per name."""
+    axes, size = 3, _printed_units()
+    figure = make_subplots(rows=len(GROUPS), cols=axes, vertical_spacing=0.07)
+    for c, channel in enumerate(CHANNELS):
+        row, column = c // axes + 1, c % axes + 1
+        every = np.concatenate([values[:, c] for values in lines.values()]) / size[c]
+        low, high = np.quantile(every, [ALL_BUT / 2, 1 - ALL_BUT / 2])
+        for (name, values), colour in zip(lines.items(), COLOURS, strict=False):
+            ends = (low, high) if high > low else (low - 1, low + 1)
+            density, edges = np.histogram(values[:, c] / size[c], BINS, ends, density=True)
+            figure.add_scatter(
+                x=_short((edges[1:] + edges[:-1]) / 2),
+                y=_short(density),
+                name=name,
+                legendgroup=name,
+                showlegend=c == 0,
+                mode="lines",
+                line={"color": colour, "width": 1.2, "shape": "hvh"},
+                row=row,
+                col=column,
+            )
+        figure.update_xaxes(title_text=f"{channel}, {_unit(c)}", row=row, col=column)
+    return _styled(figure, 190 * len(GROUPS))
+
+
+def _printed_units() -> Array:
+    """SI units in one of those that are printed, shape (15,)."""
+    return np.array([GAUSS_T if unit == "T" else 1.0 for unit in UNITS])
+
+
+def _unit(channel: int) -> str:
+    return "gauss" if UNITS[channel] == "T" else UNITS[channel]
+
+
+def _colours(count: int) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(count)]
+
+
+def _short(values: Array | Sequence[float]) -> list[float]:
+    return [float(f"{v:.5g}") for v in values]
+
+
+def _styled(figure: go.Figure, height: int) -> go.Figure:
+    figure.update_layout(
+        template="plotly_white",
+        height=height,
+        margin={"l": 76, "r": 20, "t": 24, "b": 44},
+        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"},
+    )
+    return figure
