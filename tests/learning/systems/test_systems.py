@@ -15,7 +15,7 @@ from twin.errors import ModelError
 AWAY = known(9)
 EPOCHS = {"vqvae": 150, "vqgan": 150, "vqwwvae": 150, "tdm": 420, "timeddpm": 250}
 """To learn the waves; 60 for the others."""
-DRAWN = {"tdm": 60, "timeddpm": 60, "tsgan": 10}
+DRAWN = {"tdm": 60, "timeddpm": 60, "cgan": 300, "tsgan": 10}
 """To learn what belongs to a phase; those that draw by what they learned of the waves need none."""
 AUTOENCODERS = [
     n
@@ -68,8 +68,8 @@ def test_draws_of_an_autoencoder_belong_to_their_phase(model: SystemModel) -> No
         pytest.param(
             n,
             marks=pytest.mark.xfail(
-                n in ("cgan", "tsgan"),
-                reason="the critic wins before the generator has found the phases",
+                n == "tsgan",
+                reason="its phases come apart after some 200 epochs, minutes of training",
                 strict=True,
             ),
         )
