@@ -22,13 +22,13 @@ from twin.representation import short_repr
 
 Array = NDArray[np.float64]
 Values = Any
-"""An array or a tensor: whatever has `+ - * /` and `clip`."""
+"""An array or a tensor: whatever has `+ - * /`, `abs` and `clip`."""
 INSIDE = 0.995
 """Share of the training that is inside, and of each flight that the others have not seen: flights
 differ by more than a flight does within itself."""
 BEYOND = 2.0
-"""Times as far as on its training flights, that what is linear goes at most. Not chosen on
-flights."""
+"""Times as far as on the training flights: so far a learned law goes from nothing, and a linear
+prediction from today's offset, at most. Not chosen on flights."""
 TRIFLE = 1e-6
 """An input that moves by less, in its unit, did not move."""
 UNLIMITED = 1e30

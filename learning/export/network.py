@@ -128,32 +128,40 @@ def _lstm(
 def _quantised(
     g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], z: str
 ) -> tuple[str, str]:
-    """Code (C, 1, D) and alarm (C, 1, 1): |z - e|^2 of the nearest code over what is usual."""
+    """Code (C, 1, D) and alarm (C, 1, 1): |z - e|^2 of the nearest code over what is usual; "" for
+    the alarm in `track`."""
     kind, temperature = model.info.preset.quantiser, model.info.preset.temperature
-    looks = model.info.protocol != "track"
-    usual, square = np.ones((1, 1, 1)), ""
-    if looks:
-        usual = numbers(model.anomaly_scale)[:, None, None]
-        square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
-        square = g.op("Mul", square, g.floats(temperature**2 / 4 / usual))
+    alarmed = model.info.protocol != "track"  # which knows innovations
     if kind == "none":
-        return g.op("Mul", z, g.floats(temperature / 2)), square
+        code = g.op("Mul", z, g.floats(temperature / 2))
+        return code, _far(g, model, z) if alarmed else ""
     codes = np.stack([numbers(c.quantiser.codes) for c in clusters])  # (C, K, D)
     n, k, size = codes.shape
     book = g.floats(codes)  # one constant for both products: its numbers are read once
     logits = g.reshape(g.op("MatMul", book, g.reshape(z, n, size, 1)), n, 1, k)
     logits = g.op("Sub", logits, g.floats((codes**2).sum(-1)[:, None] / temperature))
-    largest = g.op("ReduceMax", logits, axes=[2], keepdims=1)
+    largest = ""
+    if alarmed or kind == "hard":
+        largest = g.op("ReduceMax", logits, axes=[2], keepdims=1)
     if kind == "soft":
         shares = g.op("Softmax", logits, axis=2)
     else:
         nearest = g.op("Cast", g.op("Equal", logits, largest), to=onnx.TensorProto.FLOAT)
         shares = g.op("Div", nearest, g.op("ReduceSum", nearest, g.integers(2), keepdims=1))
-    if not looks:
-        return g.op("MatMul", shares, book), ""
+    code = g.op("MatMul", shares, book)
+    if not alarmed:
+        return code, ""
     # |z - e|^2 = |z|^2 - (2 z.e - |e|^2)
+    usual = numbers(model.anomaly_scale)[:, None, None]
     nearness = g.op("Mul", largest, g.floats(temperature / usual))
-    return g.op("MatMul", shares, book), g.op("Sub", square, nearness)
+    return code, g.op("Sub", _far(g, model, z), nearness)
+
+
+def _far(g: Graph, model: Compensator, z: str) -> str:
+    """|z|^2 over what is usual, shape (C, 1, 1)."""
+    usual = numbers(model.anomaly_scale)[:, None, None]
+    square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
+    return g.op("Mul", square, g.floats(model.info.preset.temperature**2 / 4 / usual))
 
 
 def _read_out(

@@ -19,7 +19,7 @@ from twin.physics.residual_force import LINEAR_BEGIN, LINEAR_END, WAVES_END
 from ..data.channels import N_PHASES
 from ..data.envelope import BEYOND
 from ..data.sequences import LAGS, SMOOTHING_S, limited, running_mean, smoothing
-from ..model.compensator import TRIFLE, Compensator
+from ..model.compensator import NO_SPREAD, Compensator
 from .graph import Graph
 from .network import network, numbers
 
@@ -236,7 +236,7 @@ def _strangeness(
     residual = g.op("Sub", sample.measured, sample.virtual)
     new = g.op("Abs", g.op("Sub", residual, correction))
     level = g.floats(_row(model.anomaly_scale))
-    usual = g.op("Mul", g.op("Max", spread, g.floats([[TRIFLE]])), level)
+    usual = g.op("Mul", g.op("Max", spread, g.floats([[NO_SPREAD]])), level)
     fresh = g.op("Greater", sample.valid, g.floats([[0.5]]))
     return g.op("Where", fresh, g.op("Div", new, usual), before)
 

@@ -77,8 +77,8 @@ class Checked:
 
     Attributes:
         flights: How many; 0 where no law was chosen.
-        harmed: With all chosen laws: lost though flown without, or farther off where no flight has
-            taught the laws.
+        harmed: With all chosen laws: lost though flown without, or farther off mostly outside the
+            envelope.
         withdrawn: What is not used for that.
     """
 

@@ -23,7 +23,8 @@ def residual_sequence(instants: Instants, design: Design, weights: Array) -> Res
     Args:
         instants: Of the flight.
         design: The same, as features.
-        weights: Of the law that is used, per output and feature, shape (6, k).
+        weights: Of the law that is used, per output and feature, shape (6, k); its bounds, which
+            no flight that taught it reaches, are left aside.
 
     Returns:
         Residuals of `FORCES`, by the motion as low-passed as they are.

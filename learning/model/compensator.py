@@ -3,9 +3,10 @@
     correction = near * (mean + scale * linear prediction) + close * scale * gate * network
 
 `near` and `close` are 1 in the envelope of the training and fade beyond (`learning.data.envelope`).
-The alarm is the innovation, what a reading has beyond its correction, over its spread, and over
-what that reached on flights left out; where no reading is corrected (`free`) or none foretold
-(`reconstruct`), the distance of the encoder's latent to the codes.
+The alarm is the innovation, what a reading has beyond the corrected twin, over its spread, and over
+what that reached on flights left out, or on time held back where there is but one; where no reading
+is seen (`free`), or it is given to be returned (`reconstruct`), the distance of the encoder's
+latent to the codes.
 
 `Compensator.step` is the definition, one sample per call with all memory in `state`; `run` gives
 the same numbers for whole flights, fast.
@@ -49,8 +50,8 @@ __all__ = ["LINEAR_PART", "Compensator", "ModelInfo", "network_inputs", "untrain
 Array = NDArray[np.float64]
 CHUNK = 4096
 """Samples per call of the network over a long flight, to bound memory."""
-TRIFLE = 1e-12
-"""A spread below which there is none."""
+NO_SPREAD = 1e-12
+"""In the place of that of a channel which training never had: its level is `UNLIMITED`."""
 LINEAR_PART = "linear part alone"
 """What `Compensator.without_network` is called in a table."""
 
@@ -375,7 +376,7 @@ def strangeness(innovation: Values, spread: Values, level: Values) -> Values:
         spread: Expected of it, the same shape; 0 of a channel that training never had.
         level: In spreads, above which it is strange, shape (15,).
     """
-    return abs(innovation) / (spread.clip(min=TRIFLE) * level)
+    return abs(innovation) / (spread.clip(min=NO_SPREAD) * level)
 
 
 def untrained_compensator(info: ModelInfo[Preset], seed: int = 0) -> Compensator:

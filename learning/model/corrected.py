@@ -21,8 +21,8 @@ class Corrected:
     Attributes:
         correction: To be added to what the twin reads, shape (n, 15), units of the channels.
         spread: Standard deviation expected of what is left, shape (n, 15).
-        anomaly: How strange the newest readings are, above 1 rarely, (n,); NaN where a model gives
-            no alarm.
+        anomaly: How strange the newest readings are, or what is known in their place, above 1
+            rarely, (n,); NaN where a model gives no alarm.
         inside: Whether the features are within the envelope of the training data, shape (n,).
     """
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 WEIGHTS = "weights.safetensors"
 MODEL = "model.json"
 CURVE = "learning_curve.json"
-FORMAT = 2
+FORMAT = 3
 """Version of the folder's layout."""
 
 

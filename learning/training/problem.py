@@ -14,7 +14,7 @@ from ..data.envelope import UNLIMITED
 from ..data.flights import ResidualFlight
 from ..data.scaling import fit_scaling, in_spans
 from ..data.sequences import sequences
-from ..model.compensator import TRIFLE, Compensator, ModelInfo
+from ..model.compensator import Compensator, ModelInfo
 from ..model.linear_predictor import fit_base, gates, predict_base, time_blocks
 from ..model.network import NetworkOut, SvqNetwork
 from ..preset import Preset, Protocol
@@ -28,6 +28,10 @@ IntArray = NDArray[np.intp]
 ANOMALY_QUANTILE = 0.99
 STRANGE_QUANTILE = 0.999
 """Of each of many channels, any of which raises an alarm. Not chosen on flights."""
+NO_DISTANCE = 1e-12
+"""Squared, from a code, below which there is none."""
+ROUNDING = 10 * float(np.finfo(np.float32).eps)
+"""Share of a number that is below what a model in float32 can tell."""
 ENOUGH = 20
 """Samples of a channel in a phase from which a spread is told."""
 
@@ -74,6 +78,8 @@ class Workpiece:
         )
         scaling = fit_scaling(flights, usable, preset.normalise)
         self.compensator.set_scaling(scaling)
+        size = 1 + (np.abs(scaling.mean) + np.abs(scaling.reading)) / scaling.scale
+        self.least = ROUNDING * size  # of a spread, (phases, 15)
         self.spans = sequences(flights, self.compensator.scaling(), protocol, horizon)
         held = [held_back[s.flight][s.rows, None] for s in self.spans]
         self.train = [s.fresh & ~h for s, h in zip(self.spans, held, strict=True)]
@@ -114,7 +120,7 @@ class Workpiece:
         return float(square[known].mean()) if known.any() else math.nan
 
     def calibrate(self) -> None:
-        """Gates, spreads and the anomaly's scale, from the validation time."""
+        """Gates, spreads and the alarm's level, from flights left out or time held back."""
         model = self.compensator
         phases = np.concatenate([s.phase for s in self.spans])
         trained = phases[np.concatenate(self.train).any(1)]
@@ -131,32 +137,38 @@ class Workpiece:
         error, told = self._told(left - gate * y, validate)
         log_spread = np.concatenate([o.log_spread.double().numpy() for o in outs])
         error = error * np.exp(-log_spread)
-        factor = _factor(error, told, phases)
+        factor = np.where(told.any(axis=0), np.maximum(_factor(error, told, phases), self.least), 0)
         model.spread_factor.copy_(torch.from_numpy(factor))
         if model.info.protocol == "track":
-            level = self._usual_strangeness(error / np.maximum(factor[phases], TRIFLE), told)
+            known = np.where(factor > 0, factor, 1.0)[phases]
+            level = self._usual_strangeness(error / known, told)
             model.anomaly_scale.copy_(torch.from_numpy(level))
         else:
-            model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=TRIFLE))
+            model.anomaly_scale.copy_(self._usual_distance(outs).clamp(min=NO_DISTANCE))
 
     def _told(self, error: Array, validate: BoolArray) -> tuple[Array, BoolArray]:
         """Errors that tell what is to be expected, and which of them do, shape (n, 15) both.
 
         Those of time held back; where there are several flights, what the linear prediction leaves
-        of flights that took no part in it, less what the network saves of time held back.
+        of flights that took no part in it, less what the network saves of time held back, but for
+        channels of which no such time is inside the envelope of the others.
         """
+        held_back = np.where(validate.any(0), validate, np.concatenate(self.train))
         if self.unseen is None:
-            return error, np.where(validate.any(0), validate, np.concatenate(self.train))
+            return error, held_back
         unseen = np.concatenate(self.unseen)
         fresh = np.concatenate([s.fresh for s in self.spans]) & np.isfinite(unseen)
         known = self.error_without > 0
         saved = np.ones(len(known))
         saved[known] = np.sqrt(self.error_with[known] / self.error_without[known])
-        return np.nan_to_num(unseen) * saved, fresh
+        left_out = fresh.any(axis=0)
+        told = np.where(left_out, fresh, held_back)
+        return np.where(left_out, np.nan_to_num(unseen) * saved, error), told
 
     def _usual_strangeness(self, error: Array, told: BoolArray) -> Array:
-        """What one reading in a thousand exceeds, of the flight that has most, with room for the
-        next flight as the envelope has it; shape (15,), `UNLIMITED` of a channel without any.
+        """What one reading in a thousand exceeds, of the flight that has most, at least one spread,
+        with room for the next flight as the envelope has it; shape (15,), `UNLIMITED` of a channel
+        without any.
 
         Args:
             error: Over its spread, shape (n, 15).
@@ -164,13 +176,13 @@ class Workpiece:
         """
         of = np.concatenate([np.full(len(s.d), s.flight) for s in self.spans])
         flights = np.unique(of)
-        level = np.zeros(error.shape[1])
+        level = np.ones(error.shape[1])
         for flight in flights:
             counts = told & (of == flight)[:, None]
             for c in np.flatnonzero(counts.any(axis=0)):
                 usual = np.quantile(np.abs(error[counts[:, c], c]), STRANGE_QUANTILE)
                 level[c] = max(level[c], float(usual))
-        return np.where(level > 0, level * (1 + 1 / len(flights)), UNLIMITED)
+        return np.where(told.any(axis=0), level * (1 + 1 / len(flights)), UNLIMITED)
 
     def _usual_distance(self, outs: Sequence[NetworkOut]) -> torch.Tensor:
         """What one sample in a hundred exceeds, of the flight that has most, shape (clusters,).

@@ -7,8 +7,8 @@
 x is the motion as the air and the rotors know it (`INPUTS`): no gravity, heading or position is in
 it, so that the law means the same on every mission. Up to d = 1 it has been among the flights that
 taught it; `close` fades to zero from there to `WAVES_END`, `near` from `LINEAR_BEGIN` to
-`LINEAR_END`, both without a step; and nothing is said beyond `most`. So force and moment are
-bounded, however the vehicle moves.
+`LINEAR_END`, both without a step; and of each nothing is said beyond `most`. So force and
+moment are bounded, however the vehicle moves; a network adds its own, as far as the waves count.
 
 Source: random features, Rahimi & Recht, NIPS 2007; the fade, Perlin's smoothstep.
 """

@@ -79,6 +79,14 @@ def test_onnxruntime_is_torch_over_a_flight(protocol: Any) -> None:
     assert 0.8 < found.inside.mean() <= 1.0
 
 
+@pytest.mark.parametrize("name", MODELS)
+def test_nothing_is_computed_for_nothing(name: str) -> None:
+    graph = streaming_model(compensator(**MODELS[name])).graph
+    used = {i for node in graph.node for i in node.input} | {o.name for o in graph.output}
+    unused = [n.name for n in graph.node if not used & set(n.output)]
+    assert not unused
+
+
 @pytest.mark.parametrize("protocol", ["track", "free"])
 def test_state_of_the_graph_is_that_of_torch(protocol: Any) -> None:
     """Slow features apart, which `free` alone looks at: elsewhere theirs stays as it is."""

@@ -358,6 +358,35 @@ def test_a_channel_that_training_never_had_rings_no_alarm(tmp_path: Path) -> Non
     np.testing.assert_allclose(one, other, rtol=1e-3)
 
 
+def test_flights_that_know_nothing_of_each_other_still_tell_an_alarm(tmp_path: Path) -> None:
+    """One on the spot, one that is fast: neither is inside the envelope of the other."""
+    slow, fast = made_up(0), made_up(1)
+    fast.virtual[:, 12:14] += 30.0
+    model = train([slow, fast], tiny(), "track", 2, 0, tmp_path)
+    assert (model.spread_factor > 0).all()
+    residual = slow.residual.copy()
+    residual[200:, 0] += 1000.0
+    assert model.run(replace(slow, residual=residual)).anomaly[200] > 1
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.37])
+def test_a_residual_that_never_changed_rings_when_it_does_and_not_before(
+    offset: float, tmp_path: Path
+) -> None:
+    steady, away = made_up(5), made_up(2)
+    for flight in (steady, away):
+        flight.residual[:, 9] = offset
+    model = train([steady], tiny(epochs=2), "track", 2, 0, tmp_path)
+    clean = model.run(away).anomaly
+    fresh = away.fresh.copy()
+    fresh[:, 9] = False
+    unseen = model.run(replace(away, fresh=fresh)).anomaly
+    np.testing.assert_allclose(clean, unseen, rtol=0.05, atol=0.05)
+    broken = away.residual.copy()
+    broken[200:, 9] += 50.0
+    assert model.run(replace(away, residual=broken)).anomaly[200] > 1
+
+
 def test_wrong_presets_are_refused() -> None:
     with pytest.raises(ModelError, match="paper, published, best"):
         preset_named("worst")
