@@ -7,6 +7,9 @@ main table); it may be stopped and goes on from there.
 """
 
 import argparse
+import os
+import platform
+import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -34,12 +37,17 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seeds", type=int, default=3, help="of the main table")
-    parser.add_argument("--share", action="append", help="of the data, in the main table")
+    parser.add_argument(
+        "--share", type=float, action="append", help="of the data, in the main table"
+    )
     given = parser.parse_args()
+    if given.share and 1 not in given.share:
+        parser.error("--share without 1: the figures are of trainings on all of the data")
     tables = given.data / "rflysimdt" / "paper_residuals"
     common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
-    shares = [f"--share={s}" for s in given.share or ()]
-    paper.main([*common, "--only=table2", f"--seeds={given.seeds}", *shares])
+    shares = [f"--share={s:g}" for s in given.share or ()]
+    sizes = [f"--seeds={given.seeds}", *shares]
+    paper.main([*common, "--only=table2", *sizes])
     table2 = (given.work / "paper.md").read_text("utf-8")
     paper.main([*common, f"--epochs={NEEDED_EPOCHS}", "--only=needed"])
     needed = (given.work / "paper.md").read_text("utf-8")
@@ -48,7 +56,13 @@ def main() -> None:
     variants = (given.work / "paper.md").read_text("utf-8")
     edge.main([f"--out={given.work}"])
     template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
-    filled = jinja2.Template(template, keep_trailing_newline=True).render(
+    environment = jinja2.Environment(
+        keep_trailing_newline=True, trim_blocks=True, undefined=jinja2.StrictUndefined
+    )
+    filled = environment.from_string(template).render(
+        options=" ".join(sizes),
+        commit=_commit(),
+        machine=f"{os.cpu_count()} cores, {_processor()}",
         table2=table2,
         needed=needed,
         needed_epochs=NEEDED_EPOCHS,
@@ -67,6 +81,21 @@ def main() -> None:
         paper.corrections(variants_of_best, given.work),
     )
     (given.work / "figures.html").write_text(page, "utf-8")
+
+
+def _commit() -> str:
+    """Of the code that made the tables."""
+    said = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True
+    )
+    return said.stdout.strip()
+
+
+def _processor() -> str:
+    """Its kind, as Linux names it."""
+    lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
 
 
 if __name__ == "__main__":
