@@ -14,7 +14,6 @@ import json
 import subprocess
 import sys
 import time
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,20 +21,17 @@ from typing import Any
 
 import numpy as np
 import onnx
-import torch
-from torch import Tensor, nn
 
-from learning.data.channels import CHANNELS, GROUPS, N_PHASES
+from learning.data.channels import CHANNELS, GROUPS
 from learning.export.step import streaming_model
+from learning.export.system import export_system, untrained_system
 from learning.model.compensator import untrained_compensator
 from learning.model.info import ModelInfo
 from learning.model.registry import FAMILIES
 from learning.preset import BEST, PAPER, Preset
-from learning.systems.system import System
 
 CLAIMED_MS, CLAIMED_MB = 165, 2741
 """Of the proposed model on the paper's edge device."""
-OPSET = 17
 WARM_S, CALLS = 0.5, 5
 RATE_HZ = 100.0
 
@@ -66,18 +62,6 @@ class Cost:
         return f"| {' | '.join(map(str, cells))} | {self.memory_mb:.0f} |"
 
 
-class _Reconstructs(nn.Module):
-    """A system as what it says."""
-
-    def __init__(self, system: System) -> None:
-        super().__init__()
-        self.system = system
-
-    def forward(self, given: Tensor, phase: Tensor) -> Tensor:
-        """As `System.reconstruct`."""
-        return self.system.reconstruct(given, phase)
-
-
 def costs(folder: Path) -> Iterator[Cost]:
     """Of every system of the comparison, and of the compensator.
 
@@ -87,12 +71,9 @@ def costs(folder: Path) -> Iterator[Cost]:
     folder.mkdir(parents=True, exist_ok=True)
     for row in FAMILIES:
         if row.member.startswith("systems."):
-            family: Any = row.load()
-            preset = family.presets()[row.name]
-            torch.manual_seed(0)
-            system = family.system(preset, len(CHANNELS), len(CHANNELS)).eval()
-            file = written_system(system, preset.window, folder / f"{row.name}.onnx")
-            yield measured(row.name, system, preset.window, file)
+            system = untrained_system(row)
+            file = export_system(system, folder / f"{row.name}.onnx")
+            yield measured(row.name, system, system.preset.window, file)
     for preset in (PAPER, BEST):
         model = untrained_compensator(
             ModelInfo(preset, "reconstruct", 0, RATE_HZ, 0, _clusters(preset))
@@ -100,24 +81,6 @@ def costs(folder: Path) -> Iterator[Cost]:
         file = folder / f"{preset.name}.onnx"
         onnx.save(streaming_model(model), file)
         yield measured(f"{preset.name}, ours", model, 1, file)
-
-
-def written_system(system: System, window: int, file: Path) -> Path:
-    """A system as ONNX: `given` and `phase` of a window to `residual`, shapes (1, window, ...)."""
-    phase = torch.eye(N_PHASES)[torch.zeros(1, window, dtype=torch.long)]
-    given = torch.zeros(1, window, system.n_given)
-    with warnings.catch_warnings():  # of a tracer that is to be replaced, and of LSTM in batches
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            _Reconstructs(system),
-            (given, phase),
-            str(file),
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=["given", "phase"],
-            output_names=["residual"],
-        )
-    return file
 
 
 def _clusters(preset: Preset) -> tuple[tuple[int, ...], ...]:
@@ -129,7 +92,7 @@ def _clusters(preset: Preset) -> tuple[tuple[int, ...], ...]:
     return tuple(tuple(int(c) for c in part) for part in parts)
 
 
-def measured(name: str, network: nn.Module, samples: int, file: Path) -> Cost:
+def measured(name: str, network: Any, samples: int, file: Path) -> Cost:
     """Of a file, by a process of its own."""
     done = subprocess.run(
         [sys.executable, "-m", __spec__.name if __spec__ else __name__, "--one", str(file)],

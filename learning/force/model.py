@@ -77,13 +77,12 @@ class Checked:
 
     Attributes:
         flights: How many; 0 where no law was chosen.
-        harmed: With all chosen laws: lost though flown without, or farther off mostly outside the
-            envelope.
+        lost: With all chosen laws, of those that are flown without.
         withdrawn: What is not used for that.
     """
 
     flights: int
-    harmed: int
+    lost: int
     withdrawn: tuple[str, ...]
 
     @classmethod
@@ -115,7 +114,7 @@ class ForceModel:
         law: As it is used.
         rivals: The same with every output by one law, by its name.
         outputs: Of `OUTPUTS`, in order.
-        closed_loop: What was withdrawn before, because missions went wrong with it.
+        closed_loop: What was withdrawn before, because it lost missions.
         taken: Largest rate at which the linear part would have fed energy in, 1/s; taken out.
         flights: That taught it.
         vehicle: Name of the vehicle.
@@ -248,7 +247,7 @@ def _model(content: Mapping[str, Any]) -> ForceModel:
 
 
 def _checked(content: Mapping[str, Any]) -> Checked:
-    return Checked(int(content["flights"]), int(content["harmed"]), tuple(content["withdrawn"]))
+    return Checked(int(content["flights"]), int(content["lost"]), tuple(content["withdrawn"]))
 
 
 def _plain(law: ForceLaw) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """The paper's tables: scores by hand, a finished training is not done again, every row is there."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnxruntime
@@ -23,6 +22,7 @@ from benchmarks.compensator.trainings import (
 )
 from learning.data.channels import GROUPS, N_PHASES
 from learning.data.paper_tables import paper_flights
+from learning.export.system import export_system, untrained_system
 from learning.model.registry import family_row
 
 SMALL = tiny(name="small", clustering="none", epochs=2)
@@ -132,17 +132,15 @@ def test_every_table_names_its_runs(table: str) -> None:
 @pytest.mark.slow
 def test_every_system_is_written_as_what_it_says(tmp_path: Path) -> None:
     """In onnxruntime as in torch, where nothing is drawn; and what a process says it costs."""
-    family: Any = family_row("vqvae").load()
-    preset = family.presets()["vqvae"]
-    torch.manual_seed(0)
-    system = family.system(preset, 15, 15).eval()
-    file = edge.written_system(system, preset.window, tmp_path / "vqvae.onnx")
-    given, phase = torch.randn(1, preset.window, 15), torch.eye(N_PHASES)[[1] * preset.window][None]
+    system = untrained_system(family_row("vqvae"))
+    window = system.preset.window
+    file = export_system(system, tmp_path / "vqvae.onnx")
+    given, phase = torch.randn(1, window, 15), torch.eye(N_PHASES)[[1] * window][None]
     session = onnxruntime.InferenceSession(file)
     (said,) = session.run(None, {"given": given.numpy(), "phase": phase.numpy()})
     with torch.no_grad():
         np.testing.assert_allclose(said, system.reconstruct(given, phase), atol=1e-5)
-    cost = edge.measured("vqvae", system, preset.window, file)
+    cost = edge.measured("vqvae", system, window, file)
     assert 0 < cost.ms < 10 and 1 < cost.memory_mb < 500
     assert cost.row().startswith(f"| vqvae | 100 | {cost.numbers} |")
 

@@ -40,9 +40,6 @@ START_M = 0.5
 """Spread of where a flight begins, north and east."""
 LOST_M = 10.0
 """So far from where it should be, a vehicle is not flying its mission any more."""
-FARTHER = 1.1
-"""Times as far off that a law may bring a mission that is mostly outside the envelope. Within,
-flights have spoken for the law, and what it does there is taken for true."""
 ENABLED = "residual_force.enabled"
 _SEEDED = ("environment", "imu", "magnetometer", "barometer", "position")
 _TRACKED = tuple(f"airframe.pos_{a}" for a in AXES) + tuple(
@@ -87,12 +84,6 @@ class Both:
     def lost(self) -> bool:
         """Whether the learned force lost it: without, it is flown."""
         return self.learned.lost and not self.alone.lost
-
-    @property
-    def harmed(self) -> bool:
-        """Whether it was lost, or flown farther off where no flight has taught the law."""
-        known = self.learned.inside > 0.5
-        return self.lost or (not known and self.learned.off_m > FARTHER * self.alone.off_m)
 
 
 def random_air(count: int, seed: int, wind_m_s: float = WIND_M_S) -> list[dict[str, float]]:
@@ -189,7 +180,7 @@ def kept(
     vehicle: Vehicle,
     progress: Callable[[float], None],
 ) -> ForceModel:
-    """The learned force with which no mission is lost that is flown without it, or harmed.
+    """The learned force with which no mission is lost that is flown without it.
 
     One after the other is withdrawn until that is so: the network first, then the law by which
     flights left out gain least.
@@ -204,21 +195,21 @@ def kept(
     airs = random_air(FLIGHTS, chosen.seed)
     missions = [(m, airs[i :: len(MISSIONS)]) for i, m in enumerate(MISSIONS)]
     withdrawn: list[str] = []
-    harmed: list[int] = []
+    lost: list[int] = []
     left, most = chosen, len(_used(chosen))
     while _used(left):
         network = read_network(folder / NETWORK_FOLDER) if left.network_starts else None
         force = LearnedForce(left, network)
         flown = [b for name, own in missions for b in fly_both(vehicle, force, name, own)]
-        harmed.append(sum(b.harmed for b in flown))
-        progress(len(harmed) / (most + 1))
-        if not harmed[-1]:
+        lost.append(sum(b.lost for b in flown))
+        progress(len(lost) / (most + 1))
+        if not lost[-1]:
             break
         laws, networks, name = _without_weakest(left.outputs)
         withdrawn.append(name)
         left = model(laws, networks)
-    flights = len(airs) if harmed else 0
-    return replace(left, closed_loop=Checked(flights, sum(harmed[:1]), tuple(withdrawn)))
+    flights = len(airs) if lost else 0
+    return replace(left, closed_loop=Checked(flights, sum(lost[:1]), tuple(withdrawn)))
 
 
 def _used(model: ForceModel) -> list[str]:

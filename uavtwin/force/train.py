@@ -106,12 +106,12 @@ def _claim(model: ForceModel) -> str:
         else "no law flies better on flights left out than none"
     )
     gone = model.closed_loop.withdrawn
-    less = f"; withdrawn, as missions went wrong with it: {', '.join(gone)}" if gone else ""
+    lost = f"; withdrawn, as missions were lost with it: {', '.join(gone)}" if gone else ""
     seen = [n for n, o in zip(NAMES, model.outputs, strict=True) if o.observer.lag_s < NEVER_S]
     beside = "an observer of what is left"
     if len(seen) < len(NAMES):
         beside = f"{beside} of {', '.join(seen)}" if seen else "no observer"
-    return f"force: {law}{less}; beside it {beside}."
+    return f"force: {law}{lost}; beside it {beside}."
 
 
 def _laws(output: Output) -> str:

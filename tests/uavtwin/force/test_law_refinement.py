@@ -8,7 +8,7 @@ import pytest
 from learning.data.envelope import BEYOND
 from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NO_OBSERVER
-from learning.force.instants import instants
+from learning.force.instants import inputs_of, instants
 from learning.force.train import Prepared
 from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
@@ -95,7 +95,7 @@ def test_a_law_says_at_most_so_many_times_what_it_said_in_its_flights(
     laws = _laws(taught.prepared, {("force_x", "air_x"): -DRAG_1_S})
     law, _ = taught.prepared.law([every["linear"] for every in laws])
     (seen,) = taught.prepared.seen
-    speed = np.abs(seen.motion[seen.airborne, FEATURES.index("air_x") - 1]).max()
+    speed = np.abs(inputs_of(seen)[:, FEATURES.index("air_x") - 1]).max()
     assert law.most[0] == pytest.approx(BEYOND * DRAG_1_S * speed, rel=0.05)  # low-passed
     assert not law.most[1:].any()
 
