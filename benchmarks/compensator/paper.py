@@ -378,7 +378,7 @@ def corrections(runs: Sequence[Run], out: Path) -> dict[str, Array]:
     found: dict[str, Array] = {}
     for run in runs:
         if run.share == 1 and run.protocol == "reconstruct" and run.name not in found:
-            found[run.name] = said_by(run, out)["correction"]
+            found[run.name] = said_by(run, out)
     return found
 
 

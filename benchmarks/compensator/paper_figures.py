@@ -18,6 +18,7 @@ from learning.data.flights import ResidualFlight
 from learning.data.paper_tables import GAUSS_T
 from learning.evaluation.metrics import mse, rmse
 from uavtwin.report.figures import embedded
+from uavtwin.report.learning_figures import MAX_POINTS, styled, thin
 from uavtwin.report.page import render
 
 from .trainings import MODALITIES, units
@@ -30,8 +31,6 @@ SHOWN = ("gyro_x", "acc_x", "mag_x", "pos_x", "vel_x")
 """Channels whose reconstruction is drawn, one of each sensor."""
 BEST = 4
 """Systems whose reconstruction is drawn."""
-MOST_POINTS = 2500
-"""Of a line, above which it is thinned."""
 COLOURS = (
     *("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#c23b66", "#5fb8c9", "#b58900", "#8a8f98"),
     *("#7a5230", "#d98cb3", "#3f3f3f", "#9bbf3b", "#4b6f9e", "#e3b23c", "#6b8e7f", "#b04a2f"),
@@ -112,7 +111,7 @@ def reconstructions(said: Said) -> go.Figure:
     """Residual and what the best systems say of it, a panel per sensor."""
     figure = make_subplots(rows=len(SHOWN), cols=1, shared_xaxes=True, vertical_spacing=0.03)
     best = list(said.errors())[:BEST]
-    every = max(1, -(-len(said.flight.t_s) // MOST_POINTS))
+    every = max(1, -(-len(said.flight.t_s) // MAX_POINTS))
     size = _printed_units()
     for row, name in enumerate(SHOWN, start=1):
         c = CHANNELS.index(name)
@@ -120,7 +119,7 @@ def reconstructions(said: Said) -> go.Figure:
         for k, (line, values) in enumerate(lines.items()):
             figure.add_scatter(
                 x=said.flight.t_s[::every],
-                y=_short(values[::every, c] / size[c]),
+                y=thin(values[:, c] / size[c], every),
                 name=line,
                 legendgroup=line,
                 showlegend=row == 1,
@@ -131,7 +130,7 @@ def reconstructions(said: Said) -> go.Figure:
             )
         figure.update_yaxes(title_text=f"{name}, {_unit(c)}", row=row, col=1)
     figure.update_xaxes(title_text="takeoff, then hover; time, s", row=len(SHOWN), col=1)
-    return _styled(figure, 170 * len(SHOWN))
+    return styled(figure, 170 * len(SHOWN))
 
 
 def error_distributions(said: Said) -> go.Figure:
@@ -141,15 +140,15 @@ def error_distributions(said: Said) -> go.Figure:
     for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
         density, edges = np.histogram(error, BINS, (-edge, edge), density=True)
         figure.add_scatter(
-            x=_short((edges[1:] + edges[:-1]) / 2),
-            y=_short(np.where(density > 0, density, np.nan)),
+            x=thin((edges[1:] + edges[:-1]) / 2),
+            y=thin(np.where(density > 0, density, np.nan)),
             name=name,
             mode="lines",
             line={"color": colour, "width": 1.5, "shape": "hvh"},
         )
     figure.update_xaxes(title_text="error, standardised")
     figure.update_yaxes(title_text="density", type="log")
-    return _styled(figure, 480)
+    return styled(figure, 480)
 
 
 def error_moments(said: Said) -> go.Figure:
@@ -165,7 +164,7 @@ def error_moments(said: Said) -> go.Figure:
         for row, values in enumerate(moments, start=1):
             figure.add_bar(
                 x=list(errors),
-                y=_short(values),
+                y=thin(values),
                 name=phase,
                 marker_color=colour,
                 showlegend=row == 1,
@@ -174,7 +173,7 @@ def error_moments(said: Said) -> go.Figure:
             )
     for row, title in enumerate(("size of the mean", "variance"), start=1):
         figure.update_yaxes(title_text=title, type="log", row=row, col=1)
-    return _styled(figure, 560)
+    return styled(figure, 560)
 
 
 def by_sensor(said: Said) -> go.Figure:
@@ -183,9 +182,9 @@ def by_sensor(said: Said) -> go.Figure:
     errors = said.errors()
     for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
         values = [mse(error[:, columns].ravel()) for columns in GROUPS.values()]
-        figure.add_bar(x=list(GROUPS), y=_short(values), name=name, marker_color=colour)
+        figure.add_bar(x=list(GROUPS), y=thin(values), name=name, marker_color=colour)
     figure.update_yaxes(title_text="mean square error, standardised", type="log")
-    return _styled(figure, 520)
+    return styled(figure, 520)
 
 
 def _densities(lines: Mapping[str, Array]) -> go.Figure:
@@ -200,8 +199,8 @@ def _densities(lines: Mapping[str, Array]) -> go.Figure:
             ends = (low, high) if high > low else (low - 1, low + 1)
             density, edges = np.histogram(values[:, c] / size[c], BINS, ends, density=True)
             figure.add_scatter(
-                x=_short((edges[1:] + edges[:-1]) / 2),
-                y=_short(density),
+                x=thin((edges[1:] + edges[:-1]) / 2),
+                y=thin(density),
                 name=name,
                 legendgroup=name,
                 showlegend=c == 0,
@@ -211,7 +210,7 @@ def _densities(lines: Mapping[str, Array]) -> go.Figure:
                 col=column,
             )
         figure.update_xaxes(title_text=f"{channel}, {_unit(c)}", row=row, col=column)
-    return _styled(figure, 190 * len(GROUPS))
+    return styled(figure, 190 * len(GROUPS))
 
 
 def _printed_units() -> Array:
@@ -225,17 +224,3 @@ def _unit(channel: int) -> str:
 
 def _colours(count: int) -> list[str]:
     return [COLOURS[i % len(COLOURS)] for i in range(count)]
-
-
-def _short(values: Array | Sequence[float]) -> list[float]:
-    return [float(f"{v:.5g}") for v in values]
-
-
-def _styled(figure: go.Figure, height: int) -> go.Figure:
-    figure.update_layout(
-        template="plotly_white",
-        height=height,
-        margin={"l": 76, "r": 20, "t": 24, "b": 44},
-        legend={"orientation": "h", "y": 1.02, "yanchor": "bottom"},
-    )
-    return figure

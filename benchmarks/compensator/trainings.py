@@ -1,7 +1,7 @@
 """Trainings on the paper's tables, each kept as JSON: a run that was cut short goes on.
 
     OUT/runs/KEY.json  scores of one training    OUT/models/KEY/  a training under way
-    OUT/runs/KEY.npz   what it said of the test flights
+    OUT/runs/KEY.npy   its corrections of the test flights
 
 A run counts as long as model, preset, protocol, seed, flights, share of the data and the sources of
 `learning` are the same. What reconstructs is scored by what it leaves, what draws by its draws; an
@@ -106,11 +106,10 @@ def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[d
     return [{**f, "run": asdict(r)} for f, r in zip(found, runs, strict=True)]
 
 
-def said_by(run: Run, out: Path) -> dict[str, Array]:
-    """What a run that is done said of its test flights, one after the other, shape (n, 15) each:
-    `correction` where it corrects, `draw` where it draws, the first of its draws."""
-    with np.load(_file(out, run).with_suffix(".npz")) as series:
-        return {name: series[name] for name in series.files}
+def said_by(run: Run, out: Path) -> Array:
+    """Corrections of the test flights by a run that is done and does not generate, one flight after
+    the other, shape (n, 15)."""
+    return np.asarray(np.load(_file(out, run).with_suffix(".npy")))
 
 
 def _follow(each: Any, count: int, began: float) -> None:
@@ -240,21 +239,19 @@ def _score(run: Run, data: Path, out: Path) -> str:
         "seconds": seconds,
         "weights": _weights(model),
     }
-    shown, said = [], {}
+    shown = []
     if run.protocol != "generate":
         began = time.process_time()
         corrections = [model.run(f).correction for f in tests]
         samples = sum(len(c) for c in corrections)
         content["ms_per_sample"] = 1e3 * (time.process_time() - began) / samples
         content["scores"] = scores(corrections, tests, trained, every)
-        said["correction"] = np.concatenate(corrections)
+        np.save(_file(out, run).with_suffix(".npy"), np.concatenate(corrections))
         shown.append(_shown(content["scores"], METRICS))
     if (seeded := _seeded(model)) is not None:
         draws = [[seeded(k).run(f).correction for f in tests] for k in range(DRAWS)]
         content["drawn"] = drawn_scores(draws, tests, trained, every)
-        said["draw"] = np.concatenate(draws[0])
         shown.append("drawn " + _shown(content["drawn"], DRAWN))
-    np.savez_compressed(_file(out, run).with_suffix(".npz"), allow_pickle=False, **said)
     write_json(_file(out, run), content)
     shutil.rmtree(folder)
     return f"{run.name}, seed {run.seed}: {seconds:.0f} s, {'; '.join(shown)}"

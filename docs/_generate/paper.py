@@ -73,7 +73,7 @@ def main() -> None:
     (Path(__file__).parents[1] / "results" / "paper.md").write_text(filled, "utf-8")
     whole = paper.Options(None, given.seeds, published=False, shares=(1.0,))
     variants_of_best = [
-        r for r in paper.ablations(replace(whole, epochs=EPOCHS)) if r.preset and "best" in r.name
+        r for r in paper.ablations(replace(whole, epochs=EPOCHS)) if r.name.startswith("best: ")
     ]
     page = figures_page(
         paper_flights(tables),
@@ -85,9 +85,8 @@ def main() -> None:
 
 def _commit() -> str:
     """Of the code that made the tables."""
-    said = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], check=True, capture_output=True, text=True
-    )
+    command, here = ["git", "rev-parse", "--short", "HEAD"], Path(__file__).parent
+    said = subprocess.run(command, cwd=here, check=True, capture_output=True, text=True)
     return said.stdout.strip()
 
 

@@ -107,7 +107,7 @@ class Compensator(nn.Module):
             "base": (n_channels, regressors),  # weights of the linear prediction
             "leftover": (n_channels,),  # spread of what it leaves: unit of the network's output
             "gate": (n_channels,),
-            "spread_factor": (N_PHASES, n_channels),  # makes the spread right on validation time
+            "spread_factor": (N_PHASES, n_channels),  # makes the spread right where it is told
             # spreads by channel, or a squared distance by cluster, above which something is strange
             "anomaly_scale": (n_channels if info.protocol == "track" else len(info.clusters),),
         }

@@ -46,8 +46,10 @@ rng, seconds = np.random.default_rng(0), []
 fed = {{i.name: rng.random(i.shape).astype(np.float32) for i in session.get_inputs()}}
 for _ in range(samples):
     begin = time.perf_counter()
-    *said, fed["state"] = session.run(None, fed)
+    said = session.run(None, fed)
     seconds.append(time.perf_counter() - begin)
+    if "state" in fed:
+        fed["state"] = said[-1]
 used = resident()
 {_TAIL}"""
 _FMU = f"""{_HEAD}
@@ -88,7 +90,7 @@ def compensator_rows(folder: Path) -> list[Row]:
     ):
         fmu = build(native_model(read_network(folder, file)), folder / "compensator.fmu")
         unpacked = fmpy.extract(str(fmu), str(folder / file.replace(".", "_")))
-        runtime, native = _measured(_ONNXRUNTIME, folder / file), _measured(_FMU, unpacked)
+        runtime, native = onnxruntime_cost(folder / file), _measured(_FMU, unpacked, SAMPLES)
         rows += _rows(f"one sample in onnxruntime{what}", runtime, *goals[:2])
         rows += _rows(f"one sample in the native FMU{what}", native, *goals[2:])
     return rows
@@ -107,9 +109,23 @@ def _rows(
     return rows if mb is None else [*rows, Row(f"{name}, {whole}", mb, "MB", memory)]
 
 
-def _measured(program: str, path: Path | str) -> tuple[float, float, float | None]:
+def onnxruntime_cost(file: Path, calls: int = SAMPLES) -> tuple[float, float, float | None]:
+    """Of a call of an ONNX file, one thread of a process that has loaded nothing else: median and
+    99th percentile, ms; memory of the process, MB, None where not told.
+
+    Args:
+        file: Its inputs are fed with random numbers; what it says last is its next `state`.
+        calls: A multiple of `RUNS`.
+
+    Raises:
+        FmuError: The file does not run.
+    """
+    return _measured(_ONNXRUNTIME, file, calls)
+
+
+def _measured(program: str, path: Path | str, calls: int) -> tuple[float, float, float | None]:
     """Median and 99th percentile, ms, and resident memory, MB (None where not told)."""
-    command = [sys.executable, "-c", program, str(path), str(SAMPLES)]
+    command = [sys.executable, "-c", program, str(path), str(calls)]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.returncode != 0:
         raise FmuError(f"{Path(path).name}: the measurement failed:\n{result.stderr}")

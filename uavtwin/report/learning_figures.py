@@ -61,7 +61,7 @@ def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> go.Figu
     positive = all(e[n] > 0 for e in curve for n in names if e.get(n))
     scale = "log" if positive else "linear"  # scores of a critic may have either sign
     figure.update_yaxes(title_text="loss, standardised units", type=scale)
-    return _styled(figure, 380)
+    return styled(figure, 380)
 
 
 def correction_figure(
@@ -80,12 +80,12 @@ def correction_figure(
     figure = make_subplots(
         rows=2, cols=1, shared_xaxes=True, row_heights=[0.62, 0.38], vertical_spacing=0.06
     )
-    t = _thin(t_s, every)
+    t = thin(t_s, every)
     for line, values in lines.items():
         colour, dash, width = _LINES[line]
         figure.add_scatter(
             x=t,
-            y=_thin(values, every),
+            y=thin(values, every),
             name=line,
             mode="lines",
             line={"color": colour, "dash": dash, "width": width},
@@ -96,14 +96,14 @@ def correction_figure(
         left = lines["measured"] - lines[line]
         figure.add_scatter(
             x=t,
-            y=_thin(left, every),
+            y=thin(left, every),
             name=f"measured - {line}",
             mode="lines",
             line={"color": _LINES[line][0], "width": 1},
             row=2,
             col=1,
         )
-    edge = _thin(2 * spread, every)
+    edge = thin(2 * spread, every)
     for sign, fill in ((1, None), (-1, "tonexty")):
         figure.add_scatter(
             x=t,
@@ -122,7 +122,7 @@ def correction_figure(
     figure.update_yaxes(title_text=f"{escape(name)}, {shown}", row=1, col=1)
     figure.update_yaxes(title_text=f"left, {shown}", row=2, col=1)
     figure.update_xaxes(title_text="time, s", row=2, col=1)
-    return _styled(figure, 420)
+    return styled(figure, 420)
 
 
 def spectra_figure(
@@ -153,7 +153,7 @@ def spectra_figure(
     figure.update_xaxes(title_text="Hz", type="log")
     figure.update_yaxes(type="log")
     figure.update_layout(title_text=escape(title))
-    return _styled(figure, 320)
+    return styled(figure, 320)
 
 
 def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
@@ -161,8 +161,8 @@ def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
     every = max(1, -(-len(t_s) // MAX_POINTS))
     figure = go.Figure()
     figure.add_scatter(
-        x=_thin(t_s, every),
-        y=_thin(anomaly, every),
+        x=thin(t_s, every),
+        y=thin(anomaly, every),
         mode="lines",
         line={"color": "#c23b66", "width": 1.2},
         name="anomaly score",
@@ -170,7 +170,7 @@ def anomaly_figure(t_s: Array, anomaly: Array) -> go.Figure:
     figure.add_hline(y=1, line={"color": _GREY, "dash": "dot"}, annotation_text="alarm")
     figure.update_xaxes(title_text="time, s")
     figure.update_yaxes(title_text="anomaly score", rangemode="tozero")
-    return _styled(figure, 260)
+    return styled(figure, 260)
 
 
 def horizons_figure(rows: "pd.DataFrame", quantities: Sequence[tuple[str, str]]) -> go.Figure:
@@ -199,14 +199,16 @@ def horizons_figure(rows: "pd.DataFrame", quantities: Sequence[tuple[str, str]])
         title = f"{escape(quantity)}, {escape(pretty_unit(unit))}"
         figure.update_yaxes(title_text=title, type="log", row=1, col=column)
         figure.update_xaxes(title_text="left alone for, s", type="log", row=1, col=column)
-    return _styled(figure, 420)
+    return styled(figure, 420)
 
 
-def _thin(values: Array, every: int) -> list[float]:
+def thin(values: Array | Sequence[float], every: int = 1) -> list[float]:
+    """Every `every`-th value, with six digits: what a page holds of it."""
     return [float(f"{v:.6g}") for v in np.asarray(values, dtype=np.float64)[::every]]
 
 
-def _styled(figure: go.Figure, height: int) -> go.Figure:
+def styled(figure: go.Figure, height: int) -> go.Figure:
+    """The figure in the style of all pages, height in pixels."""
     figure.update_layout(
         template="plotly_white",
         height=height,
