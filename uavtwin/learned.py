@@ -78,6 +78,7 @@ def train(
     rate_hz: float = 100.0,
     epochs: int | None = None,
     seed: int | None = None,
+    device: str = "cpu",
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> TrainResult:
@@ -100,6 +101,8 @@ def train(
         rate_hz: Samples per second: 1000 over an integer.
         epochs: Default: the preset's; none for a preset in closed form.
         seed: Of everything that is drawn; default: the preset's, 0 in most.
+        device: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one. The same seed gives the
+            same bytes on `cpu` alone.
         force: Whether the folder may hold other files already.
         progress: Called with the share done, 0..1.
 
@@ -111,7 +114,7 @@ def train(
     if protocol == "force":
         with extra_learn():
             from .force.train import check_force_options, force_claim, train_force
-        check_force_options(model, preset, horizon, rate_hz, epochs)
+        check_force_options(model, preset, horizon, rate_hz, epochs, device)
         _check_kind(out, "model.json", "a compensator of the sensors")
         with results_folder(out, force) as place:
             made = train_force(several, twin, seed or 0, place, progress)
@@ -119,7 +122,9 @@ def train(
     with extra_learn():
         from .sensors import training
     _check_kind(out, "force.json", "a learned force")
-    plan = training.plan_training(model, preset, protocol, horizon, epochs, seed, out, force)
+    plan = training.plan_training(
+        model, preset, protocol, horizon, epochs, seed, device, out, force
+    )
     residuals = training.prepare(plan, several, twin, rate_hz, lambda done: progress(0.1 * done))
     written = training.run_training(
         plan, residuals, twin, out, lambda done: progress(0.1 + 0.9 * done)
@@ -131,6 +136,7 @@ def train(
         "horizon": plan.horizon,
         "rate": rate_hz,
         "epochs": plan.epochs,
+        "device": plan.device,
     }
     return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
 

@@ -395,6 +395,9 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--published", action="store_true", help="also the published code's preset")
     parser.add_argument("--jobs", type=int, default=1, help="trainings at a time, one thread each")
+    parser.add_argument(
+        "--device", default="cpu", choices=("cpu", "cuda", "auto"), help="to train on"
+    )
     given = parser.parse_args(arguments)
     shares = tuple(given.share or SHARES["table2"])
     options = Options(given.epochs, given.seeds, given.published, shares)
@@ -402,9 +405,8 @@ def main(arguments: list[str] | None = None) -> int:
     for table in given.only or TABLES:
         runs, text, title = PRODUCERS[table]
         print(f"{title}:", file=sys.stderr)
-        parts.append(
-            f"## {title}\n\n{text(run_all(given.data, given.out, runs(options), given.jobs))}"
-        )
+        found = run_all(given.data, given.out, runs(options), given.jobs, given.device)
+        parts.append(f"## {title}\n\n{text(found)}")
     page = "\n".join(parts)
     (given.out / "paper.md").write_text(page, "utf-8")
     print(page)

@@ -28,6 +28,7 @@ import learning
 from learning.data.channels import GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
 from learning.data.paper_tables import GAUSS_T, paper_flights
+from learning.devices import device_named
 from learning.evaluation import metrics
 from learning.model.corrected import Model
 from learning.model.family import FamilyPreset, TrainingTask
@@ -90,18 +91,28 @@ class Run:
         return f"{name}_{self.protocol}_{self.seed}_{digest.hexdigest()[:12]}"
 
 
-def run_all(data: Path, out: Path, runs: Sequence[Run], jobs: int = 1) -> list[dict[str, Any]]:
-    """Scores of every run, in order; those that are there already are not run again."""
+def run_all(
+    data: Path, out: Path, runs: Sequence[Run], jobs: int = 1, device: str = "cpu"
+) -> list[dict[str, Any]]:
+    """Scores of every run, in order; those that are there already are not run again.
+
+    Args:
+        data: Folder of the paper's tables.
+        out: Folder of the results.
+        runs: To be done.
+        jobs: Trainings at a time.
+        device: To train on, as of `learning.devices`; it is no part of what a run is known by.
+    """
     distinct = list({r.key(): r for r in runs}.values())
     missing = [r for r in distinct if not _file(out, r).is_file()]
     print(f"{len(distinct)} trainings, {len(missing)} to be done", file=sys.stderr)
     began = time.perf_counter()
+    arguments = missing, repeat(data), repeat(out), repeat(device)
     if jobs == 1:
-        each = map(_score, missing, repeat(data), repeat(out))
-        _follow(each, len(missing), began)
+        _follow(map(_score, *arguments), len(missing), began)
     elif missing:
         with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-            _follow(pool.map(_score, missing, repeat(data), repeat(out)), len(missing), began)
+            _follow(pool.map(_score, *arguments), len(missing), began)
     found = [json.loads(_file(out, r).read_text("utf-8")) for r in runs]
     return [{**f, "run": asdict(r)} for f, r in zip(found, runs, strict=True)]
 
@@ -223,19 +234,23 @@ def _means(residual: Array, said: Array) -> dict[str, float]:
 
 
 @one_thread()
-def _score(run: Run, data: Path, out: Path) -> str:
+def _score(run: Run, data: Path, out: Path, device: str) -> str:
     """Train, score, keep the scores; returns a line to print."""
     flights = dict(zip(ALL, paper_flights(data, ALL), strict=True))
     trained = [shortened(flights[k], run.share) for k in run.train]
     folder = out / "models" / run.key()
     folder.mkdir(parents=True, exist_ok=True)
-    began = time.process_time()
-    model = _fitted(run, trained, folder)
-    seconds = time.process_time() - began  # one thread: its wall clock on a quiet machine
+    # of one thread: its wall clock on a quiet machine
+    where = device_named(device).type
+    clock = time.process_time if where == "cpu" else time.perf_counter
+    began = clock()
+    model = _fitted(run, trained, folder, device)
+    seconds = clock() - began
     tests = trained if run.test == 0 else [flights[run.test]]
     every = list(flights.values())
     content: dict[str, Any] = {
         "run": asdict(run),
+        "device": where,
         "seconds": seconds,
         "weights": _weights(model),
     }
@@ -257,11 +272,11 @@ def _score(run: Run, data: Path, out: Path) -> str:
     return f"{run.name}, seed {run.seed}: {seconds:.0f} s, {'; '.join(shown)}"
 
 
-def _fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path) -> Model:
+def _fitted(run: Run, trained: Sequence[ResidualFlight], folder: Path, device: str) -> Model:
     """The model of a run, trained."""
     if run.model == RECORDING:
         return fit_recording(trained)
-    task = TrainingTask(run.protocol, run.horizon, run.seed)
+    task = TrainingTask(run.protocol, run.horizon, run.seed, device=device)
     fitted: Model = (
         family_row(run.model).load().fit(trained, run.preset, task, folder, lambda *_: None)
     )

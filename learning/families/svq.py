@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from ..data.flights import ResidualFlight
+from ..devices import device_named
 from ..model.compensator import Compensator
 from ..model.family import Family, Progress, Tensors, TrainingTask
 from ..model.info import ModelInfo
@@ -43,6 +44,7 @@ class Svq(Family[Preset, Compensator]):
             progress,
             vehicle=task.vehicle,
             vehicle_sha256=task.vehicle_sha256,
+            device=device_named(task.device),
         )
 
     def build(self, info: ModelInfo[Preset], tensors: Tensors) -> Compensator:

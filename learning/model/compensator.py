@@ -307,10 +307,10 @@ class Compensator(nn.Module):
     @torch.no_grad()
     def outputs(self, spans: Sequence[SpanSequence]) -> list[NetworkOut]:
         """Output of the network over each span, from the state zero, shapes (n, ...)."""
-        found = []
+        found, device = [], self.network.phase_embedding.device
         for span in spans:
-            known, features, phase = network_inputs(span)
-            state = torch.zeros(1, self.network.state_size)
+            known, features, phase = (t.to(device) for t in network_inputs(span))
+            state = torch.zeros(1, self.network.state_size, device=device)
             parts = []
             for k in range(0, len(span.d), CHUNK):
                 rows = slice(k, k + CHUNK)
@@ -318,7 +318,7 @@ class Compensator(nn.Module):
                     known[None, rows], features[None, rows], phase[None, rows], state
                 )
                 parts.append((out.y[0], out.log_spread[0], out.distance[0]))
-            y, log_spread, distance = (torch.cat(p) for p in zip(*parts, strict=True))
+            y, log_spread, distance = (torch.cat(p).cpu() for p in zip(*parts, strict=True))
             found.append(NetworkOut(y, log_spread, distance))
         return found
 

@@ -82,6 +82,7 @@ class TrainingTask:
         seed: Of everything that is drawn.
         vehicle: Name of the twin's vehicle, to be written down.
         vehicle_sha256: Of its file.
+        device: On which a network is trained, as of `learning.devices`: it decides rounding alone.
     """
 
     protocol: Protocol
@@ -89,6 +90,7 @@ class TrainingTask:
     seed: int = 0
     vehicle: str = ""
     vehicle_sha256: str = ""
+    device: str = "cpu"
 
 
 PresetT = TypeVar("PresetT", bound=FamilyPreset)

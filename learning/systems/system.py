@@ -85,6 +85,8 @@ class System(nn.Module, ABC):
     """Whether it generates by what it learned in `reconstruct`; else it learns to `generate`."""
     sees_ahead: ClassVar[bool] = False
     """Whether what it says of a sample depends on later ones of its window."""
+    against: ClassVar[tuple[float, float]] = 0.5, 0.9
+    """Memory of Adam where players work against each other (Radford, Metz & Chintala 2016)."""
 
     def __init__(self, preset: SystemPreset, n_given: int, n_channels: int) -> None:
         super().__init__()

@@ -1,8 +1,9 @@
 """TSGAN: noise and phase to a spectrogram, the spectrogram to a series, a WGAN-GP each.
 
 Source: Smith & Smith, Conditional GAN for timeseries generation, 2020; gradient penalty of weight
-10 and five steps of each critic as Gulrajani et al., 2017. Spectrogram: logarithm of the size of a
-short-time Fourier transform, windows of 20 samples (Hann), 10 apart.
+10, five steps of each critic and Adam without momentum as Gulrajani et al., 2017, Algorithm 1.
+Spectrogram: logarithm of the size of a short-time Fourier transform, windows of 20 samples (Hann),
+10 apart.
 """
 
 import torch
@@ -26,6 +27,7 @@ class TsGan(System):
     """Four networks: painter and its critic, player and its critic."""
 
     sees_ahead = True
+    against = 0.0, 0.9
 
     def __init__(self, preset: SystemPreset, n_given: int, n_channels: int) -> None:
         super().__init__(preset, n_given, n_channels)
@@ -50,15 +52,16 @@ class TsGan(System):
     def loss(self, player: str, batch: Batch) -> Tensor:
         """Scores of two WGANs, with the penalty for critics."""
         real, slow = self._spectrogram(batch.target * batch.scored), self._frames(batch)
-        if player in ("painter", "painted"):
-            fake, conditions, critic = self._paint(slow), slow, self.painted
-        else:
-            conditions = torch.cat([self._long(real, batch.target), _conditions(batch)], dim=-1)
-            fake, critic = self._play(conditions), self.played
-            fake, real = fake * batch.scored, batch.target * batch.scored
-        if player in ("painter", "player"):
+        judging = player in ("painted", "played")
+        with torch.set_grad_enabled(not judging):
+            if player in ("painter", "painted"):
+                fake, conditions, critic = self._paint(slow), slow, self.painted
+            else:
+                conditions = torch.cat([self._long(real, batch.target), _conditions(batch)], dim=-1)
+                fake, critic = self._play(conditions) * batch.scored, self.played
+                real = batch.target * batch.scored
+        if not judging:
             return -torch.mean(critic(fake, conditions))
-        fake = fake.detach()
         gap = torch.mean(critic(fake, conditions)) - torch.mean(critic(real, conditions))
         penalty = gradient_penalty(lambda x: critic(x, conditions), real, fake)
         return gap + PENALTY * penalty

@@ -14,14 +14,14 @@ from torch import Tensor
 
 from twin.errors import ModelError
 
+from ..devices import CPU
 from ..model.family import Progress
 from ..systems.system import Batch, System, SystemPreset
 from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
 from .windows import TrainingSamples, Window
 
-ALONE, AGAINST = (0.9, 0.999), (0.5, 0.9)
-"""Memory of Adam; players that work against each other forget sooner (Gulrajani et al. 2017,
-Algorithm 1; Radford, Metz & Chintala 2016)."""
+ALONE = 0.9, 0.999
+"""Memory of Adam; players that work against each other forget sooner: `System.against`."""
 CHECKPOINT_S = 15.0
 """Between two of them."""
 
@@ -35,11 +35,12 @@ def train_players(
     training: str,
     folder: Path,
     progress: Progress,
+    device: torch.device = CPU,
 ) -> list[dict[str, float]]:
     """Train a system to the end of its epochs.
 
     Args:
-        system: Begun; ends trained.
+        system: Begun; ends trained, on the processor.
         samples: Residuals, as `target`, and what goes with them.
         given: What the system may see of a window.
         preset: Of the system.
@@ -47,6 +48,7 @@ def train_players(
         training: Hash of all that decides the weights.
         folder: For the checkpoint.
         progress: Called after each epoch.
+        device: To train on.
 
     Returns:
         Mean loss of each player by epoch.
@@ -54,8 +56,9 @@ def train_players(
     Raises:
         ModelError: A loss is not finite, or the folder's checkpoint is of another training.
     """
+    system.to(device)
     players = system.players()
-    betas = ALONE if len(players) == 1 else AGAINST
+    betas = ALONE if len(players) == 1 else system.against
     optimisers = {
         name: torch.optim.Adam(
             player.parameters(), lr=preset.learning_rate, betas=betas, fused=True
@@ -71,7 +74,7 @@ def train_players(
     before = standing.epoch
     system.train()
     while standing.epoch < preset.epochs:
-        losses = _epoch(system, optimisers, samples, given, preset, seed, standing.epoch)
+        losses = _epoch(system, optimisers, samples, given, preset, seed, standing.epoch, device)
         standing.epoch += 1
         standing.curve.append({"epoch": standing.epoch, **losses})
         now = time.monotonic()
@@ -80,7 +83,7 @@ def train_players(
             saved = time.monotonic()
         left = (now - began) / (standing.epoch - before) * (preset.epochs - standing.epoch)
         progress(standing.epoch / preset.epochs, left)
-    system.eval()
+    system.to(CPU).eval()
     (folder / CHECKPOINT).unlink(missing_ok=True)
     return standing.curve
 
@@ -93,13 +96,15 @@ def _epoch(
     preset: SystemPreset,
     seed: int,
     epoch: int,
+    device: torch.device,
 ) -> dict[str, float]:
     """One pass over the windows; mean loss by player."""
     torch.manual_seed(int(np.random.SeedSequence([seed, epoch]).generate_state(1)[0]))
     sums: dict[str, list[float]] = {}
     done, players = epoch / preset.epochs, system.players()
     for window in samples.windows(preset, seed, epoch):
-        batch = Batch(given(window), window.phase, window.target, window.scored, done)
+        here = window.at(device)
+        batch = Batch(given(here), here.phase, here.target, here.scored, done)
         for player in system.turns(done):
             loss = system.loss(player, batch)
             system.zero_grad(set_to_none=True)

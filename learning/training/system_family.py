@@ -14,6 +14,7 @@ from ..data.channels import N_PHASES
 from ..data.flights import ResidualFlight
 from ..data.scaling import fit_scaling, in_spans
 from ..data.sequences import SpanSequence, one_hot, sequences
+from ..devices import device_named
 from ..model.baselines import by_phase
 from ..model.family import Family, Progress, Tensors, TrainingTask
 from ..model.folder import CURVE, write_json
@@ -64,7 +65,10 @@ class SystemFamily(Family[SystemPreset, SystemModel]):
             samples = TrainingSamples(spans, [s.d for s in spans], [s.fresh for s in spans])
             given = partial(_given, self.system, task.protocol)
             seed, training = task.seed, info.training
-            curve = train_players(system, samples, given, preset, seed, training, folder, progress)
+            device = device_named(task.device)
+            curve = train_players(
+                system, samples, given, preset, seed, training, folder, progress, device
+            )
             prior = self._prior(system, spans, task.protocol)
         write_json(folder / CURVE, curve)
         nothing = np.zeros((N_PHASES, len(info.channels)))

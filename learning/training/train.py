@@ -21,6 +21,7 @@ from twin.errors import ModelError
 
 from ..data.flights import ResidualFlight
 from ..data.sequences import check_protocol
+from ..devices import CPU
 from ..model.compensator import Compensator
 from ..model.family import Progress, silent
 from ..model.folder import CURVE, MODEL, load, save, write_json
@@ -52,6 +53,7 @@ def train(
     vehicle: str = "",
     vehicle_sha256: str = "",
     checkpoint_s: float = 15.0,
+    device: torch.device = CPU,
 ) -> Compensator:
     """Train on all flights and write the model's folder: weights, description, learning curve.
 
@@ -67,6 +69,7 @@ def train(
         vehicle: Name of the twin's vehicle, to be written down.
         vehicle_sha256: Of its file.
         checkpoint_s: Seconds between two checkpoints.
+        device: To train on; the model ends on the processor.
 
     Raises:
         ModelError: The flights do not fit together, or the folder belongs to another training.
@@ -85,7 +88,9 @@ def train(
     with one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         piece = Workpiece(flights, preset, protocol, horizon, seed)
+        piece.network.to(device)
         standing = _fit(piece, training, folder, progress or silent, checkpoint_s)
+        piece.network.to(CPU)
         piece.calibrate()
     compensator = piece.compensator
     compensator.info = replace(
@@ -148,15 +153,17 @@ def _epoch(piece: Workpiece, optimiser: torch.optim.Optimizer, epoch: int) -> di
     for group in optimiser.param_groups:
         group["lr"] = rate
     quantisers = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
-    state = torch.zeros(0)
+    device = network.phase_embedding.device
+    state = torch.zeros(0, device=device)
     sums, steps = np.zeros(4), 0
     for window in piece.samples.windows(preset, piece.seed, epoch):
         if window.begins:
-            state = torch.zeros(len(window.known), network.state_size)
-        out, state = network(window.known, window.features, window.phase, state.detach())
+            state = torch.zeros(len(window.known), network.state_size, device=device)
+        here = window.at(device)
+        out, state = network(here.known, here.features, here.phase, state.detach())
         if not bool(window.scored.any()):
             continue
-        parts = losses(out, window.target, window.scored, network.clusters, quantisers, preset)
+        parts = losses(out, here.target, here.scored, network.clusters, quantisers, preset)
         optimiser.zero_grad(set_to_none=True)
         parts.total.backward()  # type: ignore[no-untyped-call]
         if preset.clip is not None:

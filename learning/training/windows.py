@@ -1,7 +1,7 @@
 """Training samples: what is held back for validation, and random windows of the rest."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol as Interface
 
 import numpy as np
@@ -121,6 +121,11 @@ class Window:
     phase: Tensor
     target: Tensor
     scored: Tensor
+
+    def at(self, device: torch.device) -> "Window":
+        """The same on a device."""
+        names = ("known", "features", "phase", "target", "scored")
+        return replace(self, **{name: getattr(self, name).to(device) for name in names})
 
 
 class TrainingSamples:

@@ -44,6 +44,13 @@ def train(
         int | None,
         typer.Option(min=0, help="Of everything that is drawn. Default: the preset's, 0 in most."),
     ] = None,
+    device: Annotated[
+        Literal["cpu", "cuda", "auto"],
+        typer.Option(
+            help="Of the training; auto: a GPU where torch finds one. The same seed gives the same "
+            "bytes on cpu alone."
+        ),
+    ] = "cpu",
     out: Out = Path("model"),
     force: Force = False,
 ) -> None:
@@ -74,6 +81,7 @@ def train(
             rate_hz=rate,
             epochs=epochs,
             seed=seed,
+            device=device,
             force=force,
             progress=step,
         )

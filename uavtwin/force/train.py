@@ -28,14 +28,26 @@ from .network import NETWORK
 from .refinement import REFINED
 
 REPORT = "report.html"
-_DEFAULTS = {"model": None, "preset": None, "horizon": 1, "rate": 100.0, "epochs": None}
+_DEFAULTS = {
+    "model": None,
+    "preset": None,
+    "horizon": 1,
+    "rate": 100.0,
+    "epochs": None,
+    "device": "cpu",
+}
 """Options of `train` that a learned force has not."""
 NAMES = tuple(f"{kind} {a}" for kind, a in OUTPUTS)
 """Of the outputs, for a reader."""
 
 
 def check_force_options(
-    model: str | None, preset: str | None, horizon: int, rate: float, epochs: int | None
+    model: str | None,
+    preset: str | None,
+    horizon: int,
+    rate: float,
+    epochs: int | None,
+    device: str,
 ) -> None:
     """Refuse options of a training that has none of them.
 
@@ -48,6 +60,7 @@ def check_force_options(
         "horizon": horizon,
         "rate": rate,
         "epochs": epochs,
+        "device": device,
     }
     for name, value in given.items():
         if value != _DEFAULTS[name]:

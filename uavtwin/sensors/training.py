@@ -12,6 +12,7 @@ import numpy as np
 from learning.data.channels import CHANNELS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import write_residuals
+from learning.devices import device_named
 from learning.model.family import TrainingTask
 from learning.model.folder import CURVE, MODEL, WEIGHTS
 from learning.model.registry import FamilyRow, check_preset, chosen, family_row
@@ -45,6 +46,7 @@ class Plan:
         protocol: What the model sees.
         horizon: Samples, in `track`; else 0.
         seed: Of everything that is drawn.
+        device: Name of that on which a network is trained.
     """
 
     family: FamilyRow
@@ -52,6 +54,7 @@ class Plan:
     protocol: Protocol
     horizon: int
     seed: int
+    device: str
 
     @property
     def epochs(self) -> int | None:
@@ -66,14 +69,15 @@ def plan_training(
     horizon: int,
     epochs: int | None,
     seed: int | None,
+    device: str,
     out: Path,
     force: bool,
 ) -> Plan:
     """Check everything that can be wrong before the work begins.
 
     Raises:
-        TwinError: An unknown model or preset, one that does not go with the protocol or has no
-            epochs, or a folder that holds something else than an interrupted training.
+        TwinError: An unknown model, preset or device, one that does not go with the protocol or
+            has no epochs, or a folder that holds something else than an interrupted training.
     """
     family, made = chosen(model, preset)
     check_preset(family, made, protocol)
@@ -81,10 +85,11 @@ def plan_training(
         if "epochs" not in {f.name for f in fields(made)}:
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
         made = replace(made, epochs=epochs)
+    found = device_named(device)
     interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
     check_folder(out, force or interrupted)
     drawn = SEEDS.get(made.name, 0) if seed is None else seed
-    return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn)
+    return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn, found.type)
 
 
 def prepare(
@@ -126,6 +131,7 @@ def run_training(
         seed=plan.seed,
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
+        device=plan.device,
     )
     model = fit_model(
         residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)

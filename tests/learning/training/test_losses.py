@@ -4,7 +4,9 @@ import pytest
 import torch
 from learning_rigs.residual_rig import tiny
 
-from learning.model.network import Latent, NetworkOut, Quantiser
+from learning.data.channels import N_PHASES
+from learning.model.network import ClusterNetwork, Latent, NetworkOut, Quantiser, SvqNetwork
+from learning.preset import BEST, PAPER, PUBLISHED, Preset
 from learning.training.losses import losses, moments_loss, quantiser_loss
 
 CLUSTERS = (tuple(range(4)), tuple(range(4, 15)))
@@ -105,3 +107,19 @@ def test_spread_is_least_at_the_size_of_the_error() -> None:
     loss.backward()  # type: ignore[no-untyped-call]
     assert log_spread.grad is not None and bool((log_spread.grad > 0).all())  # 1 is too wide
     assert y.grad is None or not bool(y.grad.any())
+
+
+@pytest.mark.parametrize("preset", [PAPER, PUBLISHED, BEST], ids=lambda p: p.name)
+def test_network_and_losses_are_on_the_device_that_they_are_moved_to(preset: Preset) -> None:
+    """A device without memory refuses whatever is still on the processor, as a GPU would."""
+    network = SvqNetwork(preset, "reconstruct", CLUSTERS, 0).to("meta")
+
+    def some(*shape: int) -> torch.Tensor:
+        return torch.zeros(*shape, device="meta")
+
+    seen = some(2, 9, 15), some(2, 9, 0), some(2, 9, N_PHASES)
+    out, state = network(*seen, some(2, network.state_size))
+    codebooks = [n.quantiser for n in network.networks if isinstance(n, ClusterNetwork)]
+    found = losses(out, some(2, 9, 15), some(2, 9, 15), CLUSTERS, codebooks, preset)
+    torch.autograd.backward(found.total)
+    assert found.total.device.type == state.device.type == "meta"

@@ -154,6 +154,13 @@ def test_a_mission_is_flown_with_the_law(model: Path, tmp_path: Path) -> None:
             ),
             "epochs 3: protocol force has no such choice",
         ),
+        (
+            lambda m, logs, t: (
+                *("train", logs["one"], "--vehicle", "copter_default"),
+                *("--protocol", "force", "--device", "auto"),
+            ),
+            "device auto: protocol force has no such choice",
+        ),
     ],
 )
 def test_what_cannot_be_done_says_why(

@@ -8,6 +8,7 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
+import torch
 
 from learning.data.channels import GROUPS
 from learning.data.flights import residual_flight
@@ -173,6 +174,11 @@ def test_mistakes_are_found_before_the_work(logs: dict[str, Path], tmp_path: Pat
         _train(logs, tmp_path / "m", "--preset", "last", "--protocol", "free")
     with pytest.raises(TwinError, match="preset mean is in closed form and has no epochs"):
         _train(logs, tmp_path / "m", "--preset", "mean")
+    if not torch.cuda.is_available():
+        with pytest.raises(
+            TwinError, match=r"device cuda: torch .* finds no GPU; train on the pro"
+        ):
+            _train(logs, tmp_path / "m", "--device", "cuda")
     with pytest.raises(TwinError, match=r"rate 30 Hz: needs 1000 Hz over a whole number"):
         _train(logs, tmp_path / "m", "--rate", 30)
     (tmp_path / "full").mkdir()
