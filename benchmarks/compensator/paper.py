@@ -69,9 +69,10 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "codebook as published": {"codebook_start": "uniform"},
     "code detached": {"straight_through": True},
     "no quantiser": {"quantiser": "none"},
+    "k-means, two clusters for four": {"clustering": "kmeans", "n_clusters": 2},
 }
-WEIGHTS = ((1, 1, 1), (1, 0.25, 1), (1, 1, 0.25), (1, 0.25, 0.25), (1, 0, 1), (1, 1, 0), (1, 0, 0))
-"""Of reconstruction, quantiser, distribution. Which ones the paper tried is not known here."""
+WEIGHTS = (0.1, 0.5, 0.9)
+"""Of the quantiser (gamma_vq), and of the distribution (gamma_VAE), in Table V."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ def table2(options: Options) -> list[Run]:
         Run(name, options.shortened(preset), seed, share=share)
         for share in options.shares
         for name, preset in rows.items()
-        for seed in range(SEEDS.get(name, 0), SEEDS.get(name, 0) + options.seeds)
+        for seed in _seeds(preset, options)
     ]
     for share in options.shares:
         runs += [r for name in COMPARED for r in _compared(name, options, share)]
@@ -191,27 +192,32 @@ def ablations(options: Options) -> list[Run]:
 def samples(options: Options) -> list[Run]:
     """Fewer and fewer samples."""
     return [
-        Run(preset.name, options.shortened(preset), share=share)
+        Run(preset.name, options.shortened(preset), seed, share=share)
         for preset in (PAPER, BEST)
         for share in SHARES["samples"]
+        for seed in _seeds(preset, options)
     ]
 
 
 def weights(options: Options) -> list[Run]:
-    """Weights of the losses."""
-    return [
-        Run(
-            f"{preset.name}: {r:g} / {q:g} / {d:g}",
-            replace(
-                options.shortened(preset),
-                weight_reconstruction=float(r),
-                weight_quantiser=float(q),
-                weight_distribution=float(d),
-            ),
-        )
-        for preset in (PAPER, BEST)
-        for r, q, d in WEIGHTS
-    ]
+    """Weights of the losses, one changed at a time; the preset as it is stands first."""
+    runs = []
+    for preset in (PAPER, BEST):
+        turned = {"": preset}
+        turned |= {f", gamma_vq {w:g}": replace(preset, weight_quantiser=w) for w in WEIGHTS}
+        turned |= {f", gamma_VAE {w:g}": replace(preset, weight_distribution=w) for w in WEIGHTS}
+        runs += [
+            Run(preset.name + what, options.shortened(one), seed)
+            for what, one in turned.items()
+            for seed in _seeds(preset, options)
+        ]
+    return runs
+
+
+def _seeds(preset: Preset, options: Options) -> range:
+    """The preset's own, and those that follow."""
+    first = SEEDS.get(preset.name, 0)
+    return range(first, first + options.seeds)
 
 
 def table2_text(found: Sequence[dict[str, Any]]) -> str:
@@ -295,7 +301,8 @@ def share_text(found: Sequence[dict[str, Any]]) -> str:
         for share in shares:
             here = [f for f in group if f["run"]["share"] == share]
             cells.append("; ".join(_both(here, metric) for metric in ("mse", "mae")))
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+        count = len({f["run"]["seed"] for f in group})
+        lines.append(f"| {name} (n = {count}) | " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
 
@@ -311,8 +318,8 @@ PRODUCERS = {
     "needed": (needed, needed_text, "Where the answer is not given: `track` 10 and `free`"),
     "folds": (folds, plain_text, "Each flight held out in turn"),
     "ablations": (ablations, share_text, "Ablations"),
-    "samples": (samples, share_text, "Small samples"),
-    "weights": (weights, plain_text, "Weights of reconstruction / quantiser / distribution"),
+    "samples": (samples, share_text, "Table III: small samples"),
+    "weights": (weights, plain_text, "Table V: weights of the losses"),
 }
 
 
@@ -346,8 +353,7 @@ def _row(name: str, group: Sequence[dict[str, Any]], system: str, costs: Sequenc
 
 def _both(group: Sequence[dict[str, Any]], metric: str) -> str:
     return " / ".join(
-        f"{np.mean([f['scores'][m]['standardised'][metric] for f in group]):.4f}"
-        for m in MODALITIES
+        _spread([f["scores"][m]["standardised"][metric] for f in group]) for m in MODALITIES
     )
 
 
@@ -368,16 +374,19 @@ def _places(value: float) -> int:
     return 2 if value >= 10 else 4 if value >= 1e-3 else 5 if value >= 1e-4 else 6
 
 
-def corrections(runs: Sequence[Run], out: Path) -> dict[str, Array]:
+def corrections(
+    runs: Sequence[Run], out: Path, protocol: Protocol = "reconstruct"
+) -> dict[str, Array]:
     """What each row that was trained on everything said of flight 3, by its name, shape (n, 15).
 
     Args:
         runs: Done ones; the first of a name counts.
         out: As of `run_all`.
+        protocol: For which they were trained.
     """
     found: dict[str, Array] = {}
     for run in runs:
-        if run.share == 1 and run.protocol == "reconstruct" and run.name not in found:
+        if run.share == 1 and run.protocol == protocol and run.name not in found:
             found[run.name] = said_by(run, out)
     return found
 
@@ -388,7 +397,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--data", type=Path, required=True, help="folder of the paper's tables")
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--epochs", type=int, help="of every run; default: the preset's")
-    parser.add_argument("--seeds", type=int, default=3, help="of the main table and the folds")
+    parser.add_argument(
+        "--seeds", type=int, default=3, help="of Tables II, III and V and the folds"
+    )
     parser.add_argument("--only", action="append", choices=TABLES, help="these tables")
     parser.add_argument(
         "--share", type=float, action="append", help="of the data, in the main table"

@@ -1,4 +1,4 @@
-"""The paper's figures 5 to 8 and 12, of trainings that are done: one page that needs nothing else.
+"""The paper's figures 5 to 8 and 12, of trainings that are done, and the page of all of them.
 
 Each figure can be saved as PNG or SVG by its buttons. Error of a channel: measured residual minus
 what a system said of it, over the spread of the training residual. Flight 3, which no training saw.
@@ -7,34 +7,29 @@ what a system said of it, over the spread of the training residual. Flight 3, wh
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES, UNITS
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
-from learning.data.paper_tables import GAUSS_T
 from learning.evaluation.metrics import mse, rmse
 from uavtwin.report.figures import embedded
 from uavtwin.report.learning_figures import MAX_POINTS, styled, thin
 from uavtwin.report.page import render
 
-from .trainings import MODALITIES, units
+from .palette import COLOURS, SHOWN, colours, printed_units, unit_of
+from .trainings import MODALITIES, rows_of, units
 
 Array = NDArray[np.float64]
 BINS = 80
 ALL_BUT = 0.002
 """Share of the samples that lies beyond the ends of a histogram's axis."""
-SHOWN = ("gyro_x", "acc_x", "mag_x", "pos_x", "vel_x")
-"""Channels whose reconstruction is drawn, one of each sensor."""
 BEST = 4
 """Systems whose reconstruction is drawn."""
-COLOURS = (
-    *("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#c23b66", "#5fb8c9", "#b58900", "#8a8f98"),
-    *("#7a5230", "#d98cb3", "#3f3f3f", "#9bbf3b", "#4b6f9e", "#e3b23c", "#6b8e7f", "#b04a2f"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,35 +57,39 @@ class Said:
         left = {n: (self.flight.residual - c) / self.unit for n, c in self.by_system.items()}
         return dict(sorted(left.items(), key=lambda named: rmse(named[1].ravel())))
 
+    def best(self) -> list[str]:
+        """Names of the best systems."""
+        return list(self.errors())[:BEST]
 
-def figures_page(
-    flights: Sequence[ResidualFlight],
-    by_system: Mapping[str, Array],
-    ablations: Mapping[str, Array],
-) -> str:
-    """The page.
+
+Figures = Sequence[tuple[str, go.Figure]]
+"""Each with its title."""
+
+
+def figures_page(figures: Figures) -> str:
+    """One page that needs nothing else."""
+    drawn = [
+        {"id": f"f{i}", "title": title, "height": figure.layout.height, "json": embedded(figure)}
+        for i, (title, figure) in enumerate(figures)
+    ]
+    return render("paper_figures.html.j2", {}, Path(__file__).parent, figures=drawn)
+
+
+def comparison(flights: Sequence[ResidualFlight], by_system: Mapping[str, Array]) -> Figures:
+    """Figures 5 to 8.
 
     Args:
         flights: Of the paper's tables; the last was held out.
         by_system: What each system said of it, shape (n, 15).
-        ablations: The same of variants of the compensator; {}: not made yet.
     """
     said = Said.of(flights, by_system)
-    parts = [
+    return [
         ("Figure 5: distributions of what sensors and twin read", readings(flights)),
         ("Figure 5: distributions of the residual", residuals(flights)),
         (f"Figure 6: reconstruction of flight 3, {BEST} best systems", reconstructions(said)),
         ("Figure 7: distribution of the error", error_distributions(said)),
         ("Figure 8: mean and variance of the error", error_moments(said)),
     ]
-    if ablations:
-        variants = Said.of(flights, ablations)
-        parts.append(("Figure 12: variants, sensor by sensor", by_sensor(variants)))
-    drawn = [
-        {"id": f"f{i}", "title": title, "height": figure.layout.height, "json": embedded(figure)}
-        for i, (title, figure) in enumerate(parts)
-    ]
-    return render("paper_figures.html.j2", {}, Path(__file__).parent, figures=drawn)
 
 
 def readings(flights: Sequence[ResidualFlight]) -> go.Figure:
@@ -110,9 +109,9 @@ def residuals(flights: Sequence[ResidualFlight]) -> go.Figure:
 def reconstructions(said: Said) -> go.Figure:
     """Residual and what the best systems say of it, a panel per sensor."""
     figure = make_subplots(rows=len(SHOWN), cols=1, shared_xaxes=True, vertical_spacing=0.03)
-    best = list(said.errors())[:BEST]
+    best = said.best()
     every = max(1, -(-len(said.flight.t_s) // MAX_POINTS))
-    size = _printed_units()
+    size = printed_units()
     for row, name in enumerate(SHOWN, start=1):
         c = CHANNELS.index(name)
         lines = {"residual": said.flight.residual, **{n: said.by_system[n] for n in best}}
@@ -128,7 +127,7 @@ def reconstructions(said: Said) -> go.Figure:
                 row=row,
                 col=1,
             )
-        figure.update_yaxes(title_text=f"{name}, {_unit(c)}", row=row, col=1)
+        figure.update_yaxes(title_text=f"{name}, {unit_of(c)}", row=row, col=1)
     figure.update_xaxes(title_text="takeoff, then hover; time, s", row=len(SHOWN), col=1)
     return styled(figure, 170 * len(SHOWN))
 
@@ -137,7 +136,7 @@ def error_distributions(said: Said) -> go.Figure:
     """Density of the error of each system, all channels together."""
     figure, errors = go.Figure(), said.errors()
     edge = max(float(np.quantile(np.abs(e), 1 - ALL_BUT)) for e in errors.values())
-    for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
+    for (name, error), colour in zip(errors.items(), colours(len(errors)), strict=True):
         density, edges = np.histogram(error, BINS, (-edge, edge), density=True)
         figure.add_scatter(
             x=thin((edges[1:] + edges[:-1]) / 2),
@@ -156,7 +155,7 @@ def error_moments(said: Said) -> go.Figure:
     errors = said.errors()
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.06)
     for phase, colour in zip(MODALITIES, COLOURS, strict=False):
-        here = said.flight.phase == PHASE_CODES[phase]
+        here = rows_of(said.flight, phase)
         moments = (
             [np.abs(e[here].mean(axis=0)).mean() for e in errors.values()],
             [e[here].var(axis=0).mean() for e in errors.values()],
@@ -180,16 +179,46 @@ def by_sensor(said: Said) -> go.Figure:
     """Mean square error of each variant, sensor by sensor."""
     figure = go.Figure()
     errors = said.errors()
-    for (name, error), colour in zip(errors.items(), _colours(len(errors)), strict=True):
+    for (name, error), colour in zip(errors.items(), colours(len(errors)), strict=True):
         values = [mse(error[:, columns].ravel()) for columns in GROUPS.values()]
         figure.add_bar(x=list(GROUPS), y=thin(values), name=name, marker_color=colour)
     figure.update_yaxes(title_text="mean square error, standardised", type="log")
     return styled(figure, 520)
 
 
+def by_share(found: Sequence[Mapping[str, Any]]) -> go.Figure:
+    """Mean square error of each variant over the share of the data that taught it, by phase.
+
+    Args:
+        found: Trainings as of `trainings.run_all`, each at several shares.
+    """
+    names = list(dict.fromkeys(f["run"]["name"] for f in found))
+    figure = make_subplots(rows=1, cols=2, subplot_titles=MODALITIES, shared_yaxes=True)
+    for name, colour in zip(names, colours(len(names)), strict=True):
+        own = sorted(
+            (f for f in found if f["run"]["name"] == name), key=lambda f: f["run"]["share"]
+        )
+        for column, phase in enumerate(MODALITIES, start=1):
+            figure.add_scatter(
+                x=thin([100 * f["run"]["share"] for f in own]),
+                y=thin([f["scores"][phase]["standardised"]["mse"] for f in own]),
+                name=name,
+                legendgroup=name,
+                showlegend=column == 1,
+                mode="lines+markers",
+                line={"color": colour, "width": 1.5},
+                row=1,
+                col=column,
+            )
+    figure.update_xaxes(title_text="of the data, %")
+    figure.update_yaxes(title_text="mean square error, standardised", type="log", row=1, col=1)
+    figure.update_yaxes(type="log", row=1, col=2)
+    return styled(figure, 520)
+
+
 def _densities(lines: Mapping[str, Array]) -> go.Figure:
     """A panel per channel, a line per name."""
-    axes, size = 3, _printed_units()
+    axes, size = 3, printed_units()
     figure = make_subplots(rows=len(GROUPS), cols=axes, vertical_spacing=0.07)
     for c, channel in enumerate(CHANNELS):
         row, column = c // axes + 1, c % axes + 1
@@ -209,18 +238,5 @@ def _densities(lines: Mapping[str, Array]) -> go.Figure:
                 row=row,
                 col=column,
             )
-        figure.update_xaxes(title_text=f"{channel}, {_unit(c)}", row=row, col=column)
+        figure.update_xaxes(title_text=f"{channel}, {unit_of(c)}", row=row, col=column)
     return styled(figure, 190 * len(GROUPS))
-
-
-def _printed_units() -> Array:
-    """SI units in one of those that are printed, shape (15,)."""
-    return np.array([GAUSS_T if unit == "T" else 1.0 for unit in UNITS])
-
-
-def _unit(channel: int) -> str:
-    return "gauss" if UNITS[channel] == "T" else UNITS[channel]
-
-
-def _colours(count: int) -> list[str]:
-    return [COLOURS[i % len(COLOURS)] for i in range(count)]

@@ -81,14 +81,18 @@ class Run:
 
     def key(self) -> str:
         """Name of its files: hash of all that decides the scores, sources included."""
-        content = {**asdict(self), "name": ""}
-        digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-        root = Path(str(learning.__file__)).parent
-        for path in sorted(root.rglob("*.py")):
-            if "export" not in path.relative_to(root).parts:
-                digest.update(path.read_bytes())
         name = self.model if self.preset is None else self.preset.name
-        return f"{name}_{self.protocol}_{self.seed}_{digest.hexdigest()[:12]}"
+        return f"{name}_{self.protocol}_{self.seed}_{keyed({**asdict(self), 'name': ''})}"
+
+
+def keyed(content: object) -> str:
+    """Short hash of JSON content, and of the sources of `learning` that decide what is learned."""
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
+    root = Path(str(learning.__file__)).parent
+    for path in sorted(root.rglob("*.py")):
+        if "export" not in path.relative_to(root).parts:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
 
 
 def run_all(
@@ -213,12 +217,17 @@ def units(
     return dict(zip(SYSTEMS, (spread, gauss, np.ptp(pooled, axis=0) / 2), strict=True))
 
 
+def rows_of(flight: ResidualFlight, modality: str) -> NDArray[np.bool_]:
+    """Its samples of a modality, shape (n,)."""
+    return np.asarray(flight.phase == PHASE_CODES[modality])
+
+
 def _by_modality(
     said: Sequence[Array], tests: Sequence[ResidualFlight]
 ) -> Iterator[tuple[str, Array, Array]]:
     """Name, residual and what was said of it, of all flights together."""
     for name in MODALITIES:
-        rows = [f.phase == PHASE_CODES[name] for f in tests]
+        rows = [rows_of(f, name) for f in tests]
         residual = np.concatenate([f.residual[r] for f, r in zip(tests, rows, strict=True)])
         yield name, residual, np.concatenate([s[r] for s, r in zip(said, rows, strict=True)])
 

@@ -2,8 +2,8 @@
 
     python docs/_generate/paper.py --data ../shared/data --work out/paper
 
-Runs what is not done yet, some hours on two cores (`--seeds 1 --share 1` makes the least of the
-main table); it may be stopped and goes on from there.
+Runs what is not done yet, some hours on two cores (`--seeds 1 --share 1 --variant-seeds 1` makes
+the least); it may be stopped and goes on from there.
 """
 
 import argparse
@@ -21,9 +21,23 @@ sys.path.insert(
 )  # benchmarks are no part of the installed package
 
 from benchmarks.compensator import edge, paper
-from benchmarks.compensator.paper_figures import figures_page
+from benchmarks.compensator.mission_figures import best_systems, improvements, timelines
+from benchmarks.compensator.missions import real_missions, simulated_missions
+from benchmarks.compensator.paper_figures import (
+    Figures,
+    Said,
+    by_sensor,
+    by_share,
+    comparison,
+    figures_page,
+)
+from benchmarks.compensator.trainings import run_all
+from benchmarks.compensator.usage import usage, usage_figure
 from learning.data.paper_tables import paper_flights
+from learning.devices import device_named
+from learning.preset import BEST, PAPER
 
+OURS = (PAPER.name, BEST.name)
 EPOCHS = 12
 """Of the tables with many variants."""
 NEEDED_EPOCHS = 50
@@ -36,51 +50,91 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
     parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--seeds", type=int, default=3, help="of the main table")
-    parser.add_argument(
-        "--share", type=float, action="append", help="of the data, in the main table"
-    )
+    parser.add_argument("--device", default="cpu", help="to train on: cpu, cuda or auto")
+    parser.add_argument("--seeds", type=int, default=3, help="of Table II")
+    parser.add_argument("--variant-seeds", type=int, default=3, help="of Tables III and V")
+    parser.add_argument("--share", type=float, action="append", help="of the data, in Table II")
+    parser.add_argument("--published", action="store_true", help="the published code in Table II")
     given = parser.parse_args()
     if given.share and 1 not in given.share:
         parser.error("--share without 1: the figures are of trainings on all of the data")
     tables = given.data / "rflysimdt" / "paper_residuals"
-    common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
-    shares = [f"--share={s:g}" for s in given.share or ()]
-    sizes = [f"--seeds={given.seeds}", *shares]
-    paper.main([*common, "--only=table2", *sizes])
-    table2 = (given.work / "paper.md").read_text("utf-8")
-    paper.main([*common, f"--epochs={NEEDED_EPOCHS}", "--only=needed"])
-    needed = (given.work / "paper.md").read_text("utf-8")
-    some = [f"--only={name}" for name in ("ablations", "samples", "weights")]
-    paper.main([*common, f"--epochs={EPOCHS}", *some])
-    variants = (given.work / "paper.md").read_text("utf-8")
+    sizes = [f"--seeds={given.seeds}", *(f"--share={s:g}" for s in given.share or ())]
+    sizes += ["--published"] * given.published
+    variants = f"--seeds={given.variant_seeds}"
+
+    def made(*what: str) -> str:
+        common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
+        paper.main([*common, "--device", given.device, *what])
+        return Path(given.work, "paper.md").read_text("utf-8")
+
+    text = {
+        "table2": made("--only=table2", *sizes),
+        "needed": made("--only=needed", f"--epochs={NEEDED_EPOCHS}"),
+        "samples": made("--only=samples", variants),
+        "weights": made("--only=weights", variants),
+        "ablations": made("--only=ablations", f"--epochs={EPOCHS}"),
+    }
     edge.main([f"--out={given.work}"])
     template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
     environment = jinja2.Environment(
         keep_trailing_newline=True, trim_blocks=True, undefined=jinja2.StrictUndefined
     )
     filled = environment.from_string(template).render(
-        options=" ".join(sizes),
+        options=" ".join([*sizes, f"--variant-seeds={given.variant_seeds}"]),
         commit=_commit(),
         machine=f"{os.cpu_count()} cores, {_processor()}",
-        table2=table2,
-        needed=needed,
+        device=device_named(given.device).type,
         needed_epochs=NEEDED_EPOCHS,
-        variants=variants,
         epochs=EPOCHS,
         edge=(given.work / "edge.md").read_text("utf-8"),
+        **text,
     )
     (Path(__file__).parents[1] / "results" / "paper.md").write_text(filled, "utf-8")
-    whole = paper.Options(None, given.seeds, published=False, shares=(1.0,))
-    variants_of_best = [
-        r for r in paper.ablations(replace(whole, epochs=EPOCHS)) if r.name.startswith("best: ")
-    ]
-    page = figures_page(
-        paper_flights(tables),
-        paper.corrections(paper.table2(whole), given.work),
-        paper.corrections(variants_of_best, given.work),
-    )
+    page = figures_page(_figures(tables, given.work, given.jobs))
     (given.work / "figures.html").write_text(page, "utf-8")
+
+
+def _figures(tables: Path, work: Path, jobs: int) -> Figures:
+    """All of the paper's that are drawn, of trainings that are done but for the missions'."""
+    flights = paper_flights(tables)
+    options = paper.Options(None, seeds=1, published=False, shares=(1.0,))
+    runs = {r.name: r for r in paper.table2(options) if r.protocol == "reconstruct"}
+    said = paper.corrections(list(runs.values()), work)
+    compared = {n: s for n, s in said.items() if n in (*OURS, *paper.COMPARED)}
+    best = Said.of(flights, compared).best()
+    old = replace(options, epochs=NEEDED_EPOCHS)
+    aged = [r for r in paper.needed(old) if r.protocol == "track" and r.name == BEST.name]
+    folder = work / "missions"
+    asked = [runs[n] for n in dict.fromkeys([*OURS, *best])]
+    given = {**real_missions(flights, said), **simulated_missions(folder, asked, jobs)}
+    late = {
+        **real_missions(flights, paper.corrections(aged, work, "track")),
+        **simulated_missions(folder, aged, jobs),
+    }
+    variants = paper.ablations(replace(options, epochs=EPOCHS))
+    ours = [r for r in variants if r.name.startswith(f"{BEST.name}: ")]
+    used = {n: usage(work / "onnx" / f"{n}.onnx") for n in OURS}
+    ways = {
+        f"{BEST.name}, given the residual": (given, BEST.name),
+        f"{PAPER.name}, given the residual": (given, PAPER.name),
+        f"{BEST.name}, given that of ten samples ago": (late, BEST.name),
+    }
+    return [
+        *comparison(flights, said),
+        (f"Figure 9: four missions, {BEST.name}", timelines(given, BEST.name)),
+        ("Figure 10: improvement per sensor", improvements(ways)),
+        ("Figure 11: the four best systems", best_systems(given, best)),
+        (
+            f"Figure 12: variants, sensor by sensor, {EPOCHS} epochs",
+            by_sensor(Said.of(flights, paper.corrections(ours, work))),
+        ),
+        (
+            f"Figure 12: variants by share of the data, {EPOCHS} epochs",
+            by_share(run_all(tables, work, ours)),
+        ),
+        ("Figure 13: processor and memory over a run, onnxruntime", usage_figure(used)),
+    ]
 
 
 def _commit() -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import jinja2
 import jinja2.meta
 import numpy as np
+import onnx
 import onnxruntime
 import pytest
 import torch
@@ -13,7 +14,20 @@ from learning_rigs.compensator_rig import tiny
 from places import ROOT
 
 from benchmarks.compensator import edge, paper
-from benchmarks.compensator.paper_figures import Said, error_distributions, figures_page
+from benchmarks.compensator.mission_figures import (
+    best_systems,
+    improvements,
+    removed,
+    timelines,
+)
+from benchmarks.compensator.missions import real_missions, simulated_missions
+from benchmarks.compensator.paper_figures import (
+    Said,
+    by_share,
+    comparison,
+    error_distributions,
+    figures_page,
+)
 from benchmarks.compensator.trainings import (
     METRICS,
     RECORDING,
@@ -24,9 +38,12 @@ from benchmarks.compensator.trainings import (
     scores,
     shortened,
 )
+from benchmarks.compensator.usage import usage, usage_figure
 from learning.data.channels import GROUPS, N_PHASES
 from learning.data.paper_tables import paper_flights
+from learning.export.step import streaming_model
 from learning.export.system import export_system, untrained_system
+from learning.model.compensator import ModelInfo, untrained_compensator
 from learning.model.registry import family_row
 
 SMALL = tiny(name="small", clustering="none", epochs=2)
@@ -119,10 +136,65 @@ def test_figures_show_what_each_system_said(tables: Path) -> None:
     assert list(Said.of(flights, said).errors()) == ["tenth", "half", "none"]
     (histograms, *_) = error_distributions(Said.of(flights, said)).data
     assert histograms.name == "tenth"
-    page = figures_page(flights, said, {"full": said["tenth"], "hard": said["half"]})
-    assert page.count('<script type="application/json"') == 6
-    assert "Figure 12" in page and "Figure 12" not in figures_page(flights, said, {})
-    assert "src=" not in page.split("<script>", 1)[0]
+    page = figures_page(comparison(flights, said))
+    assert page.count('<script type="application/json"') == 5
+    assert "Figure 8" in page and "src=" not in page.split("<script>", 1)[0]
+
+
+@pytest.mark.slow
+def test_missions_are_drawn_as_they_were_flown(tables: Path, tmp_path: Path) -> None:
+    """Four missions of two aircraft; what is passed through leaves nothing, nothing leaves all."""
+    flights = paper_flights(tables)
+    residual = flights[2].residual
+    real = real_missions(flights, {"all": residual, "half": residual / 2})
+    run = Run("all", SMALL)
+    missions = {**real, **simulated_missions(tmp_path, [run], 1)}
+    again = simulated_missions(tmp_path, [run], 1)
+    for kind in ("forward", "tour"):
+        np.testing.assert_array_equal(missions[kind].by_system["all"], again[kind].by_system["all"])
+        assert np.isfinite(missions[kind].residual).all() and len(missions[kind].t_s) > 1000
+    assert {k: f.aircraft for k, f in missions.items()} == {
+        **dict.fromkeys(("takeoff", "hover"), "real"),
+        **dict.fromkeys(("forward", "tour"), "simulated"),
+    }
+    hover = missions["hover"]
+    whole, left = hover.residual / hover.unit, hover.left()
+    np.testing.assert_allclose(removed(whole, left["all"]), 100)
+    np.testing.assert_allclose(removed(whole, left["half"]), 50)
+    figures = [
+        timelines(missions, "all"),
+        improvements({"all of it": (missions, "all")}),
+        best_systems(missions, ["all"]),
+    ]
+    traces = {name for figure in figures for name in (t.name for t in figure.data)}
+    assert {"measured", "simulated", "corrected", "all of it", "residual", "all"} <= traces
+    (bars, *_) = (t for t in figures[1].data if t.name == "all of it")
+    np.testing.assert_allclose(bars.y, 100)  # of hover, each sensor
+
+
+@pytest.mark.slow
+def test_usage_is_that_of_the_process_that_runs(tmp_path: Path) -> None:
+    model = untrained_compensator(ModelInfo(SMALL, "reconstruct", 0, 100.0, 0, (tuple(range(15)),)))
+    onnx.save(streaming_model(model), tmp_path / "small.onnx")
+    used = usage(tmp_path / "small.onnx", seconds=2.0)
+    assert used.t_s[-1] > 2.0 and len(used.t_s) == len(used.processor) == len(used.memory_mb)
+    assert 20 < used.memory_mb[-1] < 500
+    assert max(used.processor) > 30 > used.processor[-1]  # it loads, then mostly waits
+    assert [t.name for t in usage_figure({"small": used}).data] == ["small", "small"]
+
+
+def test_less_data_is_drawn_from_most_to_least() -> None:
+    found = [
+        {
+            "run": {"name": name, "share": share},
+            "scores": {m: {"standardised": {"mse": 1 / share}} for m in ("takeoff", "hover")},
+        }
+        for name in ("one", "other")
+        for share in (1.0, 0.25, 0.5)
+    ]
+    drawn = by_share(found).data
+    assert [t.name for t in drawn] == ["one", "one", "other", "other"]
+    assert list(drawn[0].x) == [25, 50, 100] and list(drawn[0].y) == [4, 2, 1]
 
 
 @pytest.mark.parametrize("table", paper.TABLES)
@@ -172,4 +244,11 @@ def test_the_page_shows_all_that_was_made_for_it() -> None:
     )
     template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
     named = jinja2.meta.find_undeclared_variables(jinja2.Environment().parse(template))
-    assert named == {k.arg for k in render.keywords}
+    (text,) = (
+        node.value
+        for node in ast.walk(generator)
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "text"
+    )
+    assert isinstance(text, ast.Dict)
+    tables = {k.value for k in text.keys if isinstance(k, ast.Constant)}
+    assert named == {k.arg for k in render.keywords if k.arg} | tables
