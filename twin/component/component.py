@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from .along import mapped
 from .noise import normal
 
 Array = NDArray[np.float64]
@@ -202,8 +203,8 @@ class Component:
             inputs: Shape (n, n_u).
             changes: Parameters that differ from their start values.
         """
-        p = np.tile(self.parameter_values(changes)[:, None], len(states))
-        return np.asarray(self.outputs(states.T, inputs.T, p), dtype=np.float64).T
+        p = self.parameter_values(changes)
+        return mapped(self.outputs, states, inputs, np.broadcast_to(p, (len(states), len(p))))
 
     def with_starts(self, starts: Mapping[str, float]) -> "Component":
         """The same equations with other start values of parameters or inputs.

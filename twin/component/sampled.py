@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .along import accumulated, mapped
 from .component import Component
 
 Array = NDArray[np.float64]
@@ -33,10 +34,11 @@ def noiseless_outputs(
     assert sampling is not None, component.name
     p = component.parameter_values({**(parameters or {}), sampling.period: step_s})
     start = np.asarray(component.initial(u[0], p), dtype=np.float64).ravel()
-    every_p = np.tile(p[:, None], len(u))
-    path = component.step.mapaccum("path", len(u))(start, u.T, every_p, step_s)
-    states = np.column_stack([start, np.asarray(path, dtype=np.float64)[:, :-1]])
-    signals = np.asarray(sampling.signals(states, u.T, every_p), dtype=np.float64)
+    every_p = np.broadcast_to(p, (len(u), len(p)))
+    every_step = np.broadcast_to(step_s, (len(u), 1))
+    (path,) = accumulated(component.step, start, u, every_p, every_step)
+    states = np.vstack([start, path[:-1]])
+    signals = mapped(sampling.signals, states, u, every_p).T
     delays_s = np.asarray(sampling.delays(p), dtype=np.float64).ravel()
     t = step_s * np.arange(len(u))
     late = [np.interp(t - d, t, s) for d, s in zip(delays_s, signals, strict=True)]
@@ -45,6 +47,6 @@ def noiseless_outputs(
     d = ca.SX.sym("d", len(late))
     after = sampling.update(x, v, p, np.zeros(sampling.channels), d)
     both = ca.Function("both", [x, v, d], [component.step(after, v, p, step_s), after])
-    delayed = np.reshape(late, (len(late), len(u)))
-    _, sampled = both.mapaccum("samples", len(u))(start, u.T, delayed)
-    return np.asarray(component.outputs(sampled, u.T, every_p), dtype=np.float64).T
+    delayed = np.reshape(late, (len(late), len(u))).T
+    _, sampled = accumulated(both, start, u, delayed)
+    return mapped(component.outputs, sampled, u, every_p)

@@ -23,6 +23,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..component.along import accumulated
+
 Array = NDArray[np.float64]
 Course = tuple[Array, Array]
 """Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3)."""
@@ -61,8 +63,8 @@ def observe_swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) 
     p = p / ca.norm_2(p)
     step = ca.Function("swing_step", [state, free, felt], [ca.vertcat(p, w - ca.dot(w, p) * p)])
     start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    after = step.mapaccum("swing", len(free_n))(start, free_n.T, felt_n.T)
-    rows = np.vstack([start, np.asarray(after, dtype=np.float64).T[:-1]])
+    (after,) = accumulated(step, start, free_n, felt_n)
+    rows = np.vstack([start, after[:-1]])
     return rows[:, :3], rows[:, 3:]
 
 

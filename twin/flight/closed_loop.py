@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..component.along import accumulated
 from ..errors import ModelError
 from ..frames import AXES
 from ..physics.airframe import airframe
@@ -32,7 +33,6 @@ SETPOINTS = (
 """Inputs of a controller that a mission gives, in order."""
 AT_BOUND = 1e-6
 """A command that close to a bound is at it."""
-_CHUNK = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,20 +180,13 @@ def fly(
     both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
     everything = ca.vertcat(x, c, past)
     step = ca.Function("closed_loop", [everything, setpoint, due], [both, ca.cse(u)])
-    run, n = step.mapaccum("flight", _CHUNK), len(setpoints)
     start = [body.initial(u0, p_body), control.initial(control.input_values(), p_control)]
     _, first_u = step(ca.vertcat(*start, np.zeros(line.size)), setpoints[0], True)
     start[:1], begun = line.begun(body.initial(first_u, p_body), first_u)
     state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
-    states, inputs = [], []
-    for first in range(0, n, _CHUNK):
-        rows = np.minimum(np.arange(first, first + _CHUNK), n - 1)
-        after_step, given = run(state, setpoints[rows].T, (rows % every == 0)[None, :])
-        trail = np.asarray(after_step, dtype=np.float64).T
-        states.append(np.vstack([state, trail[:-1]]))
-        inputs.append(np.asarray(given, dtype=np.float64).T)
-        state = trail[-1]
-    return np.vstack(states)[:n, : len(body.states)], np.vstack(inputs)[:n]
+    now = (np.arange(len(setpoints)) % every == 0).astype(np.float64)
+    trail, inputs = accumulated(step, state, setpoints, now[:, None])
+    return np.vstack([state, trail[:-1]])[:, : len(body.states)], inputs
 
 
 class _Memory:

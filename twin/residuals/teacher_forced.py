@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..component.along import accumulated
 from ..component.sampled import noiseless_outputs
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
@@ -165,8 +166,7 @@ def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
     warm = round(_WARM_UP_S / step_s)
     held = np.vstack([np.tile(u[:1], (warm, 1)), u[:-1]])
     start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
-    states = step.mapaccum("rotor_states", len(held))(start, held.T)
-    return np.asarray(states, dtype=np.float64).T[warm - 1 :]
+    return accumulated(step, start, held)[0][warm - 1 :]
 
 
 def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..component.along import accumulated, mapped
 
 Array = NDArray[np.float64]
 
@@ -50,8 +51,8 @@ def integrate_states(
     full[index] = z
     if not _sampled(component, index):
         step = ca.Function("hidden_step", [z, at, v], [component.step(full, v, p, step_s)[index]])
-        after = step.mapaccum("hidden_states", len(x))(start, path.T, inputs.T)
-        return np.vstack([start, np.asarray(after, dtype=np.float64).T[:-1]])
+        (after,) = accumulated(step, start, path, inputs)
+        return np.vstack([start, after[:-1]])
     return _with_samples(component, index, path, inputs, p, step_s, start)
 
 
@@ -80,8 +81,7 @@ def _with_samples(
     names = [v.name for v in component.parameters]
     period = float(p[names.index(sampling.period)])
     often, seldom = max(1, round(step_s / period)), max(1, round(period / step_s))
-    every_p = np.tile(np.asarray(p)[:, None], len(path))
-    signals = np.asarray(sampling.signals(path.T, inputs.T, every_p), dtype=np.float64)
+    signals = mapped(sampling.signals, path, inputs, np.broadcast_to(p, (len(path), len(p)))).T
     delays_s = np.asarray(sampling.delays(p), dtype=np.float64).ravel()
     t = step_s * np.arange(len(path))
     late = [np.interp(t - d, t, s) for d, s in zip(delays_s, signals, strict=True)]
@@ -115,6 +115,5 @@ def _with_samples(
         then = advance(sample(then), step_s / often)
     both = ca.Function("both", [z, at, v, d, now], [then, here])
     instants = (np.arange(len(path)) % seldom == 0).astype(np.float64)
-    delayed = np.reshape(late, (len(late), len(path)))
-    _, shown = both.mapaccum("samples", len(path))(start, path.T, inputs.T, delayed, instants[None])
-    return np.asarray(shown, dtype=np.float64).T
+    delayed = np.reshape(late, (len(late), len(path))).T
+    return accumulated(both, start, path, inputs, delayed, instants[:, None])[1]
