@@ -47,9 +47,10 @@ def flight_gap(
     """
     if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
-    aligned = align_flight(flight, vehicle)
-    progress(0.3)
+    # the coarse grid first, and gone before the fine one is there: both together need more memory
     channels = imu_channels(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ))
+    progress(0.2)
+    aligned = align_flight(flight, vehicle)
     progress(0.5)
     short, notes = _short_horizon(aligned, horizon_s, lambda done: progress(0.5 + 0.5 * done))
     notes += _wrong_vehicle(channels, vehicle)
