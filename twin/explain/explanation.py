@@ -21,6 +21,7 @@ from .localization import Place, localize
 from .model.model import Model
 from .model.numbers import with_effects
 from .model.payload import Payloads
+from .part import part_read
 from .settings import DEFAULT, SearchSettings
 from .split import Span, held_out_spans, hidden
 from .stochastic.finding import StochasticEffect
@@ -157,7 +158,9 @@ def explain(
         ModelError: The vehicle holds no calibration to ask since.
     """
     asked = calibrated_on(vehicle) if since else None
-    flights, holdout = ([sited(f, indoors) for f in some] for some in (flights, holdout))
+    cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
+    flights, holdout = ([f for f, _ in some] for some in cut)
+    partly = [note for some in cut for _, note in some if note is not None]
     stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f, settings.stochastic.stuck)]
     fit, held = ([without_stuck(f, stuck) for f in some] for some in (flights, holdout))
     parts = _parts(fit, held, vehicle, payloads, settings)
@@ -166,7 +169,7 @@ def explain(
         vehicle,
         tuple(f.name for f in parts.fit or flights),
         reasons=tuple(() if parts.fit else parts.unread),
-        warnings=tuple(parts.warnings),
+        warnings=(*partly, *parts.warnings),
         holdout=parts.away,
         settings=settings,
         since=asked,

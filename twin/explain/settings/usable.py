@@ -11,6 +11,13 @@ class UsableSettings(Group):
     """Of `twin.explain.usable`."""
 
     shortest_s: float = setting(3.0, "s", "time in the air at least", "made up")
+    longest_s: float = setting(
+        240.0,
+        "s",
+        "of a longer flight the part of this length is read in which it moves most",
+        "made up: is searched in a minute",
+    )
+    block_s: float = setting(10.0, "s", "such a part begins at a multiple of this", "made up")
     most_saturated: float = setting(
         0.2, "share", "of the time in the air that motors may spend at a limit", "made up", 1.0
     )
