@@ -1,14 +1,20 @@
 """`check` looks into archives of any origin without unpacking or loading them."""
 
 import io
+import time
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from fmpy.model_description import ModelDescription, ModelVariable
+from fmpy.validation import _validate_variable_names
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fmus import build, component_model
 from fmus.inspect import inspect_fmu
+from fmus.inspect.report import MAX_PROBLEMS, name_problems
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
 from twin.vehicle.file import load_vehicle
@@ -64,12 +70,103 @@ PROBLEMS: dict[str, tuple[Edit, str]] = {
 }
 
 
+LIBRARY = "binaries/linux64/imu.so"
+
+
+def library(edit: Callable[[bytes], bytes]) -> Edit:
+    return lambda m: {**m, LIBRARY: edit(m[LIBRARY])}
+
+
+def arm(content: bytes) -> bytes:
+    """For another processor: e_machine of the ELF header."""
+    return content[:18] + (183).to_bytes(2, "little") + content[20:]
+
+
+PROBLEMS |= {
+    "text as a library": (library(lambda _: b"not a library\n"), f"{LIBRARY} is no shared"),
+    "library of ARM": (library(arm), f"{LIBRARY} is for aarch64 on linux, not for linux64"),
+    "library of Windows": (
+        lambda m: {**m, "binaries/win64/imu.dll": m[LIBRARY]},
+        "binaries/win64/imu.dll is for x86_64 on linux, not for win64",
+    ),
+    "cut library": (library(lambda x: x[: len(x) // 2]), f"{LIBRARY} is cut"),
+    "library of another name": (
+        lambda m: {(k.replace("imu.so", "other.so")): v for k, v in m.items()},
+        "binaries/linux64 holds no imu.so",
+    ),
+    "start that is no number": (
+        described(lambda x: x.replace(b'start="0.0"', b'start="NaN"', 1)),
+        "start = 'NaN' is not finite",
+    ),
+    "start that is infinite": (
+        described(lambda x: x.replace(b'start="0.0"', b'start="-INF"', 1)),
+        "start = '-INF' is not finite",
+    ),
+    "stop time that is no number": (
+        described(lambda x: x.replace(b'stopTime="10"', b'stopTime="NaN"')),
+        "stopTime = 'NaN' is not finite",
+    ),
+    "name of no convention": (
+        described(lambda x: x.replace(b'name="omega_x"', b'name="omega x"')),
+        "'omega x' (line",
+    ),
+}
+
+
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_problems_are_listed(name: str, members: dict[str, bytes], tmp_path: Path) -> None:
     edit, word = PROBLEMS[name]
     report = inspect_fmu(pack(edit(members), tmp_path / "bad.fmu"))
     assert any(word in p for p in report.problems), report.problems
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bad.fmu"]  # nothing was unpacked
+
+
+def test_a_damaged_member_is_a_problem(members: dict[str, bytes], tmp_path: Path) -> None:
+    """Every member in turn: one byte of what is packed, then of the checksum."""
+    whole = pack(members, tmp_path / "bad.fmu").read_bytes()
+    with zipfile.ZipFile(tmp_path / "bad.fmu") as archive:
+        infos = [m for m in archive.infolist() if m.filename != "modelDescription.xml"]
+    assert len(infos) > 5
+    for info in infos:
+        content = bytearray(whole)
+        content[info.header_offset + 30 + len(info.filename) + info.compress_size // 2] ^= 0xFF
+        (tmp_path / "bad.fmu").write_bytes(content)
+        (problem,) = inspect_fmu(tmp_path / "bad.fmu").problems
+        assert f"'{info.filename}' is damaged" in problem
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("convention", ["structured", "flat"])
+def test_many_variables_take_seconds(
+    members: dict[str, bytes], tmp_path: Path, convention: str
+) -> None:
+    """200,000: what took minutes takes seconds, and what is wrong with all is not said of all."""
+    rows = "".join(
+        f'<ScalarVariable name="a{i}.b[1,2]" valueReference="{i}" causality="parameter" '
+        f'variability="tunable"><Real start="NaN"/></ScalarVariable>'
+        for i in range(200_000)
+    )
+    text = (
+        f'<fmiModelDescription fmiVersion="2.0" modelName="imu" guid="g" '
+        f'variableNamingConvention="{convention}"><CoSimulation modelIdentifier="imu"/>'
+        f"<ModelVariables>{rows}</ModelVariables><ModelStructure/></fmiModelDescription>"
+    )
+    path = pack({**members, "modelDescription.xml": text.encode()}, tmp_path / "many.fmu")
+    begun = time.process_time()
+    problems = inspect_fmu(path).problems
+    assert time.process_time() - begun < 60
+    assert len(problems) == MAX_PROBLEMS + 1
+    assert problems[-1] == f"and {200_000 - MAX_PROBLEMS} more problems"
+
+
+@given(name=st.from_regex(r"(der\()?[a_9'.\[\]1, \\(){}é]{0,12}\)?", fullmatch=True))
+def test_names_are_judged_as_by_fmpy(name: str) -> None:
+    """FMPy's grammar, a hundred times slower."""
+    described = ModelDescription()
+    described.variableNamingConvention = "structured"
+    described.modelVariables = [ModelVariable(name=name, valueReference=1, type="Real")]
+    ours = list(name_problems(described))
+    assert bool(ours) == bool(_validate_variable_names(described))
 
 
 REFUSED: dict[str, tuple[Edit, str]] = {

@@ -1,0 +1,5 @@
+"""FMUs of any origin looked at: nothing is unpacked, no library is loaded."""
+
+from .report import FmuReport, inspect_fmu
+
+__all__ = ["FmuReport", "inspect_fmu"]
