@@ -25,6 +25,10 @@ from .vehicles import load_vehicle
 
 Array = NDArray[np.float64]
 _INTERVAL_S = 0.01
+MAX_STEPS = 10**8
+"""Of one run: 28 hours in steps of 1 ms."""
+MAX_VALUES = 2**28
+"""Recorded in one run: 2 GiB."""
 DEFAULT_VEHICLE = "copter_default"
 """Built-in vehicle that flies where none is named."""
 
@@ -157,8 +161,8 @@ def run_scenario(
         progress: Called with the share done.
 
     Raises:
-        TwinError: No stop time is known, a time is not positive, or the interval is not a whole
-            number of steps.
+        TwinError: No stop time is known, a time is not positive, the interval is not a whole
+            number of steps, or there would be too many steps or rows.
     """
     step = step_s if step_s is not None else system.step_s or STEP_S
     stop = system.stop_time_s if stop_s is None else stop_s
@@ -177,7 +181,19 @@ def run_scenario(
             f"stop {stop:g}: not even one interval of {every * step:g} s after the start at "
             f"{begin:g} s."
         )
+    steps = (last - begin) / step
+    if steps > MAX_STEPS:
+        raise TwinError(
+            f"stop {stop:g} s in steps of {step:g} s: {steps:.3g} steps, at most {MAX_STEPS:g} are "
+            f"taken. Give an earlier stop or a longer step."
+        )
     with Master(system) as master:
+        if steps / every * len(master.record_names) > MAX_VALUES:
+            raise TwinError(
+                f"stop {stop:g} s with a row every {every * step:g} s: {steps / every:.3g} rows of "
+                f"{len(master.record_names)} outputs, at most {MAX_VALUES} values are held. Give "
+                f"an earlier stop or a longer interval."
+            )
         master.initialize(begin)
         return master.run(
             float(last),

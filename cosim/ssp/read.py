@@ -4,6 +4,7 @@ The portable subset of SSP 1.0: one flat system of co-simulation FMUs with scala
 What lies outside is refused with what to do about it, never left out in silence.
 """
 
+import math
 import shutil
 import tempfile
 import weakref
@@ -276,13 +277,13 @@ class _Reader:
             f"{tag('ssd:DefaultExperiment')}/{annotation}/{tag('osp:Algorithm')}"
             f"/{tag('osp:FixedStepAlgorithm')}"
         )
-        step_s = None if fixed is None else self.number(fixed.get("baseStepSize", ""), "step")
+        step_s = None if fixed is None else self.positive(fixed.get("baseStepSize", ""), "step")
         periods: dict[str, int] = {}
         for element in top.iterfind(f"{tag('ssd:Elements')}/{tag('ssd:Component')}"):
             hint = element.find(f"{annotation}/{tag('osp:StepSizeHint')}")
             if hint is None or step_s is None:
                 continue
-            ratio = self.number(hint.get("value", ""), "StepSizeHint") / step_s
+            ratio = self.positive(hint.get("value", ""), "StepSizeHint") / step_s
             if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6 * ratio:
                 raise self.error(
                     f"{element.get('name')} steps every {hint.get('value')} s, no whole number of "
@@ -307,11 +308,21 @@ class _Reader:
         return file
 
     def number(self, text: str, what: str) -> float:
-        """A number of the file."""
+        """A finite number of the file."""
         try:
-            return float(text)
+            value = float(text)
         except ValueError:
-            raise self.error(f"{what} = {text!r} is no number.") from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.error(f"{what} = {text!r} is no finite number.")
+        return value
+
+    def positive(self, text: str, what: str) -> float:
+        """A number of seconds above 0."""
+        value = self.number(text, what)
+        if value <= 0:
+            raise self.error(f"{what} = {text!r} must be above 0 s, e.g. 0.001.")
+        return value
 
     def missing(self, kind: str, name: str, known: Iterable[str]) -> FmuError:
         """The error for a misspelt name."""

@@ -338,7 +338,21 @@ REFUSED: dict[str, tuple[dict[str, str], str]] = {
         {r'baseStepSize="0.01"': 'baseStepSize="0.03"'},
         r"second steps every 0\.04 s, no whole number of base steps of 0\.03 s",
     ),
-    "number": ({r'stopTime="3.5"': 'stopTime="soon"'}, r"stopTime = 'soon' is no number"),
+    "number": ({r'stopTime="3.5"': 'stopTime="soon"'}, r"stopTime = 'soon' is no finite number"),
+    "stop that is no number": ({r'stopTime="3.5"': 'stopTime="NaN"'}, r"stopTime = 'NaN' is no"),
+    "start that is infinite": (
+        {r'startTime="[^"]*"': 'startTime="-INF"'},
+        r"startTime = '-INF' is",
+    ),
+    "no step": ({r'baseStepSize="0.01"': 'baseStepSize="0"'}, r"step = '0' must be above 0 s"),
+    "step back": (
+        {r'baseStepSize="0.01"': 'baseStepSize="-0.01"'},
+        r"step = '-0.01' must be above",
+    ),
+    "step of no slave": (
+        {r'StepSizeHint value="[^"]*"': 'StepSizeHint value="0"'},
+        r"StepSizeHint = '0' must be above 0 s",
+    ),
     "doctype": (
         {r"<ssd:SystemStr": '<!DOCTYPE a [<!ENTITY b "c">]><ssd:SystemStr'},
         r"SystemStructure\.ssd has a DOCTYPE",
@@ -359,7 +373,7 @@ def test_refused(ssp: Path, case: str) -> None:
     [
         ({r'name="on"': 'name="onn"'}, r"no variable of 'second' 'onn'\. Did you mean 'on'\?"),
         ({r"<ssv:Boolean": "<ssv:Real"}, r"second\.on is Real, but Boolean in the FMU"),
-        ({r'value="false"': 'value="no"'}, r"second\.on = 'no' is no number"),
+        ({r'value="false"': 'value="no"'}, r"second\.on = 'no' is no finite number"),
         ({r'(<ssv:Real value="[^"]*")': r'\1 unit="rpm"'}, r"second\.initial\.speed is in rpm"),
         ({r"<ssv:Boolean[^>]*>": ""}, r"second\.on has no value"),
         ({r"<ssv:ParameterSet": "<!DOCTYPE a><ssv:ParameterSet"}, r"second\.ssv has a DOCTYPE"),

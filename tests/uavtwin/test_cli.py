@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -340,12 +341,45 @@ def test_check_tells_a_motor_without_samples(
     assert "good for: nothing yet: neither commands" in said
 
 
-def test_check_tells_of_the_files_before_one_that_cannot_be_read(
+def test_one_bad_file_hides_no_other(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
-    code, said, error = run(capsys, "check", table, tmp_path / "nothing.ulg")
-    assert (code, "good for: gap" in said) == (2, True)
+    (tmp_path / "bad.toml").write_text("name =", "utf-8")
+    files = (tmp_path / "nothing.ulg", table, tmp_path / "bad.toml", "hover.toml", table)
+    code, said, error = run(capsys, "check", *files)
+    assert (code, said.count("good for: gap, teacher-forced")) == (2, 2)
+    assert [line.split(":")[0] for line in error.splitlines()] == ["error"] * 3
     assert "nothing.ulg: no such file" in error
+    code, said, error = run(capsys, "check", "--json", *files)
+    told = json.loads(said)
+    assert code == 2
+    assert [t["file"] for t in told] == [Path(f).name for f in files]
+    assert ["error" in t for t in told] == [True, False, True, True, False]
+
+
+def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
+    capsys: pytest.CaptureFixture[str],
+    table: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An equation that divides by zero, in `check` and in a verb that does not look for it."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr("uavtwin.file_check.told_by", lambda flight: 1 / 0)
+    monkeypatch.setattr("uavtwin.vehicles.load_vehicle", lambda name: 1 / 0)
+    for arguments, doing in (
+        (("check", table), f"check {table}"),
+        (("simulate", "hover", "--out", tmp_path / "o"), "simulate hover --out"),
+    ):
+        code, said, error = run(capsys, *arguments)
+        (line,) = error.splitlines()
+        assert (code, said) == (3, "")
+        assert doing in line
+        assert "ZeroDivisionError: division by zero" in line
+        (file,) = tmp_path.glob("uavtwin-error-*.txt")
+        assert str(file) in line
+        assert "Traceback" in file.read_text("utf-8")
+        file.unlink()
 
 
 def test_check_asks_of_an_odd_vehicle_and_fails_an_impossible_one(

@@ -220,7 +220,13 @@ def test_wrong_use(simulate: Call, tmp_path: Path, arguments: tuple[str, ...]) -
     [
         ({"stop_s": -1.0}, "stop -1: not even one interval"),
         ({"stop_s": np.nan}, "stop nan"),
-        ({"stop_s": np.inf}, "stop time inf s must be a finite number"),
+        ({"stop_s": np.inf}, "stop inf s in steps of 0.001 s: inf steps"),
+        ({"stop_s": 1e9}, "stop 1e+09 s in steps of 0.001 s: 1e+12 steps, at most 1e+08 are taken"),
+        (
+            {"step_s": 1e-12},
+            "steps, at most 1e+08 are taken. Give an earlier stop or a longer step",
+        ),
+        ({"stop_s": 9e4, "interval_s": 0.001}, "9e+07 rows of"),
         ({"step_s": 0.0}, "step 0: needs a positive number"),
         ({"step_s": -1.0}, "step -1"),
         ({"interval_s": np.nan}, "interval nan"),

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .options import Exit, Json
-from .printing import STDOUT, print_json
+from .printing import STDOUT, print_error, print_json
 
 _STYLES = {
     "problem": "red",
@@ -24,17 +24,21 @@ def check(
     """Say what a file holds, what is wrong with it and what it is good for."""
     from ..file_check import check_file
 
-    problems = 0
-    if as_json:
-        reports = [check_file(path) for path in files]
-        problems = sum(len(r.problems) for r in reports)
-        print_json([r.json() for r in reports])
-    else:
-        for path in files:
-            report = check_file(path)  # one that cannot be read stops here, the others are told
-            problems += len(report.problems)
+    told, worst = [], Exit.FINE
+    for path in files:
+        try:
+            report = check_file(path)
+        except Exception as error:  # one that cannot be read hides none of the others
+            worst = max(worst, print_error(error, f"check {path}"))
+            told.append({"file": path.name, "error": str(error)})
+            continue
+        if report.problems:
+            worst = max(worst, Exit.FINDINGS)
+        told.append(report.json())
+        if not as_json:
             STDOUT.print(report.file, style="bold", markup=False)
             for kind, text in report.lines():
                 STDOUT.print(f"  {text}", style=_STYLES.get(kind), markup=False)
-    if problems:
-        raise typer.Exit(Exit.FINDINGS)
+    if as_json:
+        print_json(told)
+    raise typer.Exit(worst)

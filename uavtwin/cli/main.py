@@ -1,16 +1,16 @@
-"""The command line: `uavtwin VERB ...`. Exit 0 fine, 1 findings, 2 used wrongly.
+"""The command line: `uavtwin VERB ...`. Exit 0 fine, 1 findings, 2 used wrongly, 3 our
+mistake.
 
 A file per verb, which reads texts into objects and calls the same functions as `import uavtwin`.
 Results go to stdout, progress and warnings to stderr. Heavy modules are imported by the verb that
 needs them, when it runs.
 """
 
+import shlex
 import sys
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
-
-from twin.errors import TwinError
 
 from .bench import bench
 from .calibrate import calibrate
@@ -22,7 +22,7 @@ from .export import export
 from .gap import gap
 from .generate import generate
 from .options import Exit
-from .printing import STDERR, STDOUT
+from .printing import STDERR, STDOUT, print_error
 from .simulate import simulate
 from .train import train
 from .vehicle import vehicle
@@ -71,22 +71,21 @@ def _options(
 
 
 def main() -> None:
-    """Entry point: errors a user can mend become a text and exit code 2."""
+    """Entry point: an error becomes one line and an exit code, 2 where the user can mend it."""
     try:
         app(_spread(sys.argv[1:]))
-    except TwinError as error:
-        STDERR.print(f"error: {error}", style="red", markup=False)
-        sys.exit(Exit.WRONG_USE)
-    except OSError as error:
-        STDERR.print(
-            f"error: {error.filename or 'output'}: {error.strerror}", style="red", markup=False
-        )
-        sys.exit(Exit.WRONG_USE)
-    except (KeyboardInterrupt, SystemError) as error:
-        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            raise  # an interrupt inside CasADi comes out as a SystemError
-        STDERR.print("interrupted")
-        sys.exit(130)
+    except KeyboardInterrupt:
+        _end_interrupted()
+    except Exception as error:
+        # An interrupt inside CasADi comes out as a SystemError.
+        if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
+            _end_interrupted()
+        sys.exit(print_error(error, f"uavtwin {shlex.join(sys.argv[1:])}"))
+
+
+def _end_interrupted() -> NoReturn:
+    STDERR.print("interrupted")
+    sys.exit(130)
 
 
 def _spread(arguments: list[str]) -> list[str]:

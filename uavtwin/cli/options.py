@@ -16,6 +16,7 @@ class Exit(IntEnum):
     FINE = 0
     FINDINGS = 1
     WRONG_USE = 2
+    BROKEN = 3
 
 
 def named_numbers(texts: Sequence[str], option: str, form: str) -> dict[str, float]:

@@ -2,6 +2,8 @@
 
 import json
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -9,6 +11,10 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
+
+from twin.errors import TwinError
+
+from .options import Exit
 
 if TYPE_CHECKING:
     from twin.logs import Flight
@@ -28,6 +34,41 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
     with Progress(*columns, console=STDERR, transient=True, disable=not STDERR.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
+
+
+def print_error(error: Exception, doing: str) -> Exit:
+    """One line of what went wrong; the traceback of a mistake of ours goes to a file that it names.
+
+    Args:
+        error: What was raised.
+        doing: What was being done, and with which files.
+
+    Returns:
+        The exit code that it deserves.
+    """
+    code = Exit.WRONG_USE
+    if isinstance(error, TwinError):
+        text = str(error)
+    elif isinstance(error, OSError):
+        text = f"{error.filename or 'output'}: {error.strerror or error}"
+    else:
+        code = Exit.BROKEN
+        said = " ".join(str(error).split())[:300]
+        text = (
+            f"{doing}: {type(error).__name__}: {said} This is a mistake of uavtwin; please report "
+            f"it with {_kept_traceback(error)}."
+        )
+    STDERR.print(f"error: {text}", style="red", markup=False)
+    return code
+
+
+def _kept_traceback(error: Exception) -> str:
+    """The file that tells where in the program it happened."""
+    with tempfile.NamedTemporaryFile(
+        "w", encoding="utf-8", prefix="uavtwin-error-", suffix=".txt", delete=False
+    ) as file:
+        file.writelines(traceback.format_exception(error))
+    return file.name
 
 
 def print_json(content: Any) -> None:
