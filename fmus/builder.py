@@ -10,11 +10,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
-import platformdirs
-
 from twin.errors import FmuError
+from twin.scratch import scratch_file
 
 from .archive import is_unsafe
+from .cache import cache_folder, keep, kept
 from .description import build_description, model_description
 from .model import FmuModel
 from .names import shown
@@ -33,6 +33,8 @@ CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
 NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
+_ENTRY = 2
+"""Form of the entries of the cache."""
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -129,9 +131,9 @@ def _compile(
     Objects are kept as well: twins of one vehicle share most of theirs.
     """
     file = f"{name}{platform.suffix}"
-    cached = _cached(file, compiler, sources, platform.suffix)
-    if cached.is_file():
-        return cached.read_bytes()
+    whole = _entry(file, compiler, sources, platform.suffix)
+    if (binary := kept(whole)) is not None:
+        return binary
     headers = {n: text for n, text in sources.items() if n not in compiled}
     with tempfile.TemporaryDirectory() as folder:
         for source, text in sources.items():
@@ -139,34 +141,26 @@ def _compile(
         # Relative names and a fixed order: nothing of this machine enters the binary.
         objects = []
         for source in compiled:
-            kept = _cached(source, compiler, {**headers, source: sources[source]}, ".o")
+            part = _entry(source, compiler, {**headers, source: sources[source]}, ".o")
             objects.append(f"{Path(source).stem}.o")
             made = Path(folder, objects[-1])
-            if kept.is_file():
-                made.write_bytes(kept.read_bytes())
+            if (before := kept(part)) is not None:
+                made.write_bytes(before)
             else:
                 _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", made.name], folder)
-                _keep(kept, made.read_bytes())
+                keep(part, made.read_bytes())
         _run(name, [*compiler.command, "-shared", "-s", "-o", file, *objects, "-lm"], folder)
         binary = Path(folder, file).read_bytes()
-    _keep(cached, binary)
+    keep(whole, binary)
     return binary
 
 
-def _cached(file: str, compiler: Compiler, sources: Mapping[str, str], suffix: str) -> Path:
-    """Where what a compiler, which knows its platform, makes of these sources is kept."""
-    digest = hashlib.sha256(repr((file, CFLAGS, compiler.identity)).encode())
+def _entry(file: str, compiler: Compiler, sources: Mapping[str, str], suffix: str) -> str:
+    """Under which name the cache has what a compiler, which knows its platform, makes of these."""
+    digest = hashlib.sha256(repr((_ENTRY, file, CFLAGS, compiler.identity)).encode())
     for source in sorted(sources):
         digest.update(source.encode() + sources[source].encode())
-    return cache_folder() / f"{digest.hexdigest()}{suffix}"
-
-
-def _keep(cached: Path, content: bytes) -> None:
-    """Write into the cache; whoever reads finds all of it or nothing."""
-    cached.parent.mkdir(parents=True, exist_ok=True)
-    partial = cached.with_suffix(f".{os.getpid()}")
-    partial.write_bytes(content)
-    partial.replace(cached)
+    return f"{digest.hexdigest()}{suffix}"
 
 
 def _run(name: str, command: Sequence[str], folder: str) -> None:
@@ -187,11 +181,6 @@ def _run(name: str, command: Sequence[str], folder: str) -> None:
         raise FmuError(f"{name}: the C compiler failed: {' '.join(command)}\n{result.stderr}")
 
 
-def cache_folder() -> Path:
-    """Where compiled libraries are kept: `UAVTWIN_CACHE`, else the user's cache folder."""
-    return Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
-
-
 def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     """A zip whose bytes depend on the members alone: sorted, fixed times, fixed modes.
 
@@ -201,12 +190,13 @@ def write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     for name in members:
         if is_unsafe(name):
             raise FmuError(f"{path.name}: {shown(name)} is no name of a member; rename the part.")
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive:
+    with (
+        scratch_file(path) as partial,
+        zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=6) as archive,
+    ):
         for name in sorted(members):
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             info.compress_type = zipfile.ZIP_DEFLATED
             info.create_system = 3
             info.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
             archive.writestr(info, members[name])
-    partial.replace(path)

@@ -1,10 +1,11 @@
 """Output folders: all results or none, none overwritten unless asked, a `run.json` beside them."""
 
+import errno
 import hashlib
 import json
 import os
 import platform
-import tempfile
+import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -12,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import TwinError
+from twin.scratch import PREFIX, leftovers, scratch_folder, sweep
 
+_MOVING = "moving"
+"""In a temporary folder: names of the results that are being moved to their place."""
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
 
 
@@ -30,8 +34,15 @@ def check_folder(out: Path, force: bool) -> None:
             f"{out}: cannot be written, {there} is "
             f"{'write-protected' if there.is_dir() else 'a file'}. Choose another --out."
         )
-    if out.is_dir() and any(out.iterdir()) and not force:
-        raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
+    if out.is_dir() and not force:
+        _undo(out)
+        for entry in out.glob(f"{PREFIX}*"):
+            raise TwinError(
+                f"{out}: another run is writing into it. Choose another --out; or, where that run "
+                f"was killed on another machine, delete {entry.name}."
+            )
+        if any(out.iterdir()):
+            raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
 
 
 def check_file(path: Path, force: bool) -> None:
@@ -56,13 +67,16 @@ def results_folder(out: Path, force: bool) -> Iterator[Path]:
         TwinError: As `check_folder`, or a result cannot be moved to its place.
     """
     check_folder(out, force)
-    with tempfile.TemporaryDirectory(prefix=".uavtwin-", dir=_nearest(out)) as folder:
-        results = Path(folder) / "results"
+    with scratch_folder(_nearest(out)) as folder:
+        results = folder / "results"
         results.mkdir()
         yield results
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
-            _move(results, out)
+            if force:
+                _move(results, out)
+            else:
+                _move_into_empty(results, out, folder)
         except OSError as error:
             place = error.filename2 or error.filename
             raise TwinError(
@@ -83,8 +97,8 @@ def output_file(path: Path) -> Iterator[Path]:
         raise TwinError(f"{path}: is a folder; name a file.")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".uavtwin-", dir=path.parent) as folder:
-            file = Path(folder) / path.name
+        with scratch_folder(path.parent) as folder:
+            file = folder / path.name
             yield file
             file.replace(path)
     except OSError as error:
@@ -94,6 +108,59 @@ def output_file(path: Path) -> Iterator[Path]:
 def _nearest(out: Path) -> Path:
     """The folder itself, or the nearest one above it that exists."""
     return next(path for path in (out, *out.absolute().parents) if path.exists())
+
+
+def _move_into_empty(results: Path, out: Path, folder: Path) -> None:
+    """Move results to a place where there is nothing else.
+
+    A new folder appears at once. Into one that was there, and may be a mount or somebody's working
+    directory, entries are moved one by one; a list of them lets the next run undo half of it.
+
+    Raises:
+        TwinError: Another run was faster.
+    """
+    if not folder.is_relative_to(out):
+        try:
+            results.rename(out)
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+        else:
+            return
+    elif {entry.name for entry in out.iterdir()} == {folder.name}:
+        names = sorted(entry.name for entry in results.iterdir())
+        partial = folder / f"{_MOVING}.partial"
+        partial.write_text(json.dumps(names), "utf-8")
+        partial.replace(folder / _MOVING)
+        _move(results, out)
+        return
+    raise TwinError(
+        f"{out}: another run has written into it meanwhile; nothing of this one is there. Choose "
+        f"another --out."
+    )
+
+
+def _undo(out: Path) -> None:
+    """Take away what runs that are dead had begun to move into a folder that was empty."""
+    for left in leftovers(out):
+        for name in _moved(left):
+            place = out / name
+            if place.is_dir() and not place.is_symlink():
+                shutil.rmtree(place)
+            else:
+                place.unlink(missing_ok=True)
+    sweep(out)
+
+
+def _moved(folder: Path) -> list[str]:
+    """Names of results that are in their place already; a list that is not ours names none."""
+    try:
+        names = json.loads((folder / _MOVING).read_text("utf-8"))
+    except (OSError, ValueError):
+        return []
+    listed = names if isinstance(names, list) else []
+    plain = [n for n in listed if isinstance(n, str) and n not in ("", "..") and n == Path(n).name]
+    return [n for n in plain if not (folder / "results" / n).exists()]
 
 
 def _move(made: Path, place: Path) -> None:

@@ -1,6 +1,5 @@
 """Systems to `.ssp` files: SSP 1.0, one flat system of scalars, the same bytes each time."""
 
-import os
 import re
 import zipfile
 from collections.abc import Mapping
@@ -9,6 +8,7 @@ from pathlib import Path
 from lxml import etree
 
 from twin.errors import FmuError
+from twin.scratch import scratch_file
 
 from ..slave.interface import Interface, Port, read_interface
 from ..system import System
@@ -267,8 +267,7 @@ def _bytes(root: etree._Element) -> bytes:
 
 def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
     """Sorted, with fixed times and modes; FMUs are archives already and only stored."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
-    with zipfile.ZipFile(partial, "w") as archive:
+    with scratch_file(path) as partial, zipfile.ZipFile(partial, "w") as archive:
         for name in sorted(members):
             info = zipfile.ZipInfo(name, date_time=(1980, 1, 1, 0, 0, 0))
             stored = name.endswith(".fmu")
@@ -276,4 +275,3 @@ def _write_archive(path: Path, members: Mapping[str, bytes]) -> None:
             info.create_system = 3
             info.external_attr = 0o644 << 16
             archive.writestr(info, members[name])
-    partial.replace(path)

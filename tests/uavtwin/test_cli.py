@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import tempfile
 from importlib.metadata import version
 from pathlib import Path
 
@@ -364,7 +363,7 @@ def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An equation that divides by zero, in `check` and in a verb that does not look for it."""
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     monkeypatch.setattr("uavtwin.file_check.told_by", lambda flight: 1 / 0)
     monkeypatch.setattr("uavtwin.vehicles.load_vehicle", lambda name: 1 / 0)
     for arguments, doing in (
@@ -376,7 +375,7 @@ def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
         assert (code, said) == (3, "")
         assert doing in line
         assert "ZeroDivisionError: division by zero" in line
-        (file,) = tmp_path.glob("uavtwin-error-*.txt")
+        (file,) = tmp_path.rglob("error-*.txt")
         assert str(file) in line
         assert "Traceback" in file.read_text("utf-8")
         file.unlink()

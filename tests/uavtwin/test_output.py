@@ -1,9 +1,12 @@
 """Output folders hold all results or none, and whatever else they held."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from places import IMPORT_PATH
 
 from twin.errors import TwinError
 from uavtwin.output import check_folder, results_folder
@@ -76,3 +79,77 @@ def test_a_place_that_cannot_be_written_is_refused_early(
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
     with pytest.raises(TwinError, match=f"cannot be written, {tmp_path} is write-protected"):
         check_folder(tmp_path / "deep" / "out", force=False)
+
+
+def test_of_two_runs_into_one_new_folder_the_second_is_refused(tmp_path: Path) -> None:
+    """Both began while there was nothing; neither is mixed with, nor replaced by, the other."""
+    out = tmp_path / "out"
+    with results_folder(out, force=False) as first:
+        (first / "run.json").write_text("first")
+        with (
+            pytest.raises(TwinError, match=r"out: another run has written into it meanwhile"),
+            results_folder(out, force=False) as second,
+        ):
+            (second / "run.json").write_text("second")
+            out.mkdir()
+            (out / "run.json").write_text("of a third")
+        (out / "run.json").unlink()
+    assert tree(out) == {"run.json": "first"}
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_of_two_runs_into_one_empty_folder_the_second_is_refused(tmp_path: Path) -> None:
+    with results_folder(tmp_path, force=False) as first:
+        (first / "run.json").write_text("first")
+        with pytest.raises(TwinError, match="another run is writing into it"):
+            check_folder(tmp_path, force=False)
+    assert tree(tmp_path) == {"run.json": "first"}
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from uavtwin import output
+after = int(sys.argv[2])
+move = output._move
+def moved(made, place):
+    global after
+    if after == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    after -= 1
+    move(made, place)
+output._move = moved
+with output.results_folder(Path(sys.argv[1]), False) as folder:
+    (folder / "fmi2").mkdir()
+    for name in ("a.json", "fmi2/a.fmu", "run.json"):
+        (folder / name).write_text("killed")
+"""
+
+
+@pytest.mark.parametrize("after", range(4))
+def test_a_run_killed_while_it_moves_into_an_empty_folder(tmp_path: Path, after: int) -> None:
+    environment = {**os.environ, "PYTHONPATH": IMPORT_PATH}
+    command = [sys.executable, "-c", KILLED, str(tmp_path), str(after)]
+    assert subprocess.run(command, env=environment, check=False).returncode == -9
+    check_folder(tmp_path, force=False)
+    assert list(tmp_path.iterdir()) == []
+    write_into(tmp_path)
+    assert tree(tmp_path) == RESULTS
+
+
+def test_a_list_from_elsewhere_takes_nothing_away(tmp_path: Path) -> None:
+    """What lies in an output folder may come from anybody; names in it are no paths."""
+    (tmp_path / "mine.txt").write_text("mine")
+    out = tmp_path / "out"
+    with results_folder(out, force=False) as folder:
+        (folder / "run.json").write_text("new")
+        owner = folder.parent.name
+    mine = f"-{os.getpid()}-"
+    place = out / owner.replace(mine, "-4194304-")  # beyond the numbers of processes
+    for text in ('["../mine.txt", "..", "", ".", 3, null]', "[", "3"):
+        place.mkdir()
+        (place / "moving").write_text(text)
+        with pytest.raises(TwinError, match="is not empty"):
+            check_folder(out, force=False)
+        assert not place.exists()
+    assert tree(tmp_path) == {"mine.txt": "mine", "out/run.json": "new"}

@@ -6,11 +6,18 @@ Results go to stdout, progress and warnings to stderr. Heavy modules are importe
 needs them, when it runs.
 """
 
+import os
 import shlex
 import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
+
+from twin.scratch import scratch_folder
 
 from .bench import bench
 from .calibrate import calibrate
@@ -73,7 +80,8 @@ def _options(
 def main() -> None:
     """Entry point: an error becomes one line and an exit code, 2 where the user can mend it."""
     try:
-        app(_spread(sys.argv[1:]))
+        with _temporary_files():
+            app(_spread(sys.argv[1:]))
     except KeyboardInterrupt:
         _end_interrupted()
     except Exception as error:
@@ -81,6 +89,22 @@ def main() -> None:
         if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
             _end_interrupted()
         sys.exit(print_error(error, f"uavtwin {shlex.join(sys.argv[1:])}"))
+
+
+@contextmanager
+def _temporary_files() -> Iterator[None]:
+    """All temporary files, those of compilers too, in one folder; the next call takes away what
+    calls that were killed have left."""
+    given, before = os.environ.get("TMPDIR"), tempfile.tempdir
+    with scratch_folder(Path(tempfile.gettempdir())) as folder:
+        tempfile.tempdir = os.environ["TMPDIR"] = str(folder)
+        try:
+            yield
+        finally:
+            tempfile.tempdir = before
+            del os.environ["TMPDIR"]
+            if given is not None:
+                os.environ["TMPDIR"] = given
 
 
 def _end_interrupted() -> NoReturn:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+import platformdirs
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
@@ -63,12 +64,16 @@ def print_error(error: Exception, doing: str) -> Exit:
 
 
 def _kept_traceback(error: Exception) -> str:
-    """The file that tells where in the program it happened."""
-    with tempfile.NamedTemporaryFile(
-        "w", encoding="utf-8", prefix="uavtwin-error-", suffix=".txt", delete=False
-    ) as file:
-        file.writelines(traceback.format_exception(error))
-    return file.name
+    """The file that tells where in the program it happened, among the logs of the user."""
+    text = "".join(traceback.format_exception(error))
+    try:
+        folder = platformdirs.user_log_path("uavtwin", ensure_exists=True)
+        handle, name = tempfile.mkstemp(prefix="error-", suffix=".txt", dir=folder)
+        with open(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as failure:
+        return f"what a file should hold ({failure}): {text!r}"
+    return name
 
 
 def print_json(content: Any) -> None:

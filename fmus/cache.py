@@ -1,0 +1,60 @@
+"""What was compiled before: kept with a hash of its content, and only where nobody else may write.
+
+An entry that is cut or was replaced does not fit its hash, counts as absent and is written anew.
+"""
+
+import hashlib
+import os
+import stat
+from pathlib import Path
+
+import platformdirs
+
+from twin.errors import FmuError
+from twin.scratch import scratch_file
+
+_HASH_BYTES = hashlib.sha256().digest_size
+
+
+def cache_folder() -> Path:
+    """Where compiled libraries are kept: `UAVTWIN_CACHE`, else the user's cache folder.
+
+    Raises:
+        FmuError: It cannot be made, it belongs to somebody else, or others may write into it.
+    """
+    folder = Path(os.environ.get("UAVTWIN_CACHE") or platformdirs.user_cache_dir("uavtwin"))
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
+    except OSError as error:
+        raise FmuError(
+            f"{folder}: no folder for what was compiled: {error.strerror}. Set UAVTWIN_CACHE to "
+            f"one that can be written."
+        ) from error
+    if found.st_uid != os.getuid():
+        raise FmuError(
+            f"{folder}: belongs to user {found.st_uid}, whose libraries would go into your FMUs. "
+            f"Set UAVTWIN_CACHE to a folder of your own."
+        )
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise FmuError(
+            f"{folder}: others may write into it (mode {stat.S_IMODE(found.st_mode):o}), and their "
+            f"libraries would go into your FMUs. chmod go-w {folder}, or set UAVTWIN_CACHE."
+        )
+    return folder
+
+
+def kept(name: str) -> bytes | None:
+    """What was kept under a name; None: nothing, or no longer what it was."""
+    try:
+        entry = (cache_folder() / name).read_bytes()
+    except OSError:
+        return None
+    digest, content = entry[:_HASH_BYTES], entry[_HASH_BYTES:]
+    return content if hashlib.sha256(content).digest() == digest else None
+
+
+def keep(name: str, content: bytes) -> None:
+    """Keep content under a name; whoever reads finds all of it or nothing."""
+    with scratch_file(cache_folder() / name) as partial:
+        partial.write_bytes(hashlib.sha256(content).digest() + content)
