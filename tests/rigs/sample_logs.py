@@ -15,7 +15,8 @@ _TYPES = {"u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "i4": "int32_t", 
 _TYPES |= {"f4": "float", "b1": "bool"}
 
 
-def _message(kind: bytes, payload: bytes) -> bytes:
+def ulog_message(kind: bytes, payload: bytes) -> bytes:
+    """One message of a ULog."""
     return struct.pack("<HB", len(payload), kind[0]) + payload
 
 
@@ -41,15 +42,15 @@ def ulog(
         release: Firmware version.
     """
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start_us)]
-    out.append(_message(b"B", bytes(40)))
+    out.append(ulog_message(b"B", bytes(40)))
     key = b"uint32_t ver_sw_release"
     number = release[0] << 24 | release[1] << 16 | release[2] << 8 | 255
-    out.append(_message(b"I", bytes([len(key)]) + key + struct.pack("<I", number)))
+    out.append(ulog_message(b"I", bytes([len(key)]) + key + struct.pack("<I", number)))
     for name, value in (params or {}).items():
         kind = "int32_t" if isinstance(value, int) else "float"
         key = f"{kind} {name}".encode()
         code = "<i" if isinstance(value, int) else "<f"
-        out.append(_message(b"P", bytes([len(key)]) + key + struct.pack(code, value)))
+        out.append(ulog_message(b"P", bytes([len(key)]) + key + struct.pack(code, value)))
     rows: list[tuple[int, bytes]] = []
     added = []
     for index, (name, fields) in enumerate(topics.items()):
@@ -59,13 +60,13 @@ def ulog(
         arrays = {"timestamp": stamps.astype(np.uint64), **arrays}
         text = ";".join(_field(k, v)[0] for k, v in arrays.items())
         if not instance:
-            out.append(_message(b"F", f"{base}:{text};".encode()))
+            out.append(ulog_message(b"F", f"{base}:{text};".encode()))
         head = struct.pack("<BH", int(instance or 0), index)
-        added.append(_message(b"A", head + base.encode()))
+        added.append(ulog_message(b"A", head + base.encode()))
         columns = [v.astype(v.dtype.newbyteorder("<")) for v in arrays.values()]
         for k, stamp in enumerate(stamps):
             data = b"".join(c[k].tobytes() for c in columns)
-            rows.append((int(stamp), _message(b"D", struct.pack("<H", index) + data)))
+            rows.append((int(stamp), ulog_message(b"D", struct.pack("<H", index) + data)))
     rows.sort(key=lambda r: r[0])
     return b"".join([*out, *added, *(r[1] for r in rows)])
 

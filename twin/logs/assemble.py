@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .clock import far_off
+from .clock import longest_stretch
 from .columns import in_order
 from .flight import Array
 
@@ -39,12 +39,13 @@ class Rows:
         return int(early.sum()), int(broken.sum())
 
     def times_us(self) -> tuple[NDArray[np.int64], int]:
-        """Times of all rows, strictly increasing, and how many were left out as absurd."""
+        """Times of all rows of the longest stretch without a pause of a minute, strictly
+        increasing, and how many lie outside it."""
         if not self.signals:
             return np.zeros(0, dtype=np.int64), 0
         t_us = np.unique(np.concatenate([t for _, t, _ in self.signals]))
-        far = far_off(t_us)
-        return t_us[~far], int(far.sum())
+        kept = longest_stretch(t_us)
+        return t_us[kept], int(np.count_nonzero(~kept))
 
     def table(self, t_us: NDArray[np.int64]) -> pd.DataFrame:
         """Flight table on these times, NaN where a signal has no sample; no `phase` yet."""

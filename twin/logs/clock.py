@@ -1,12 +1,51 @@
 """Time stamps put in order: which samples of a series can stay."""
 
 from bisect import bisect_left
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 _JUMP_US = 60_000_000
 _FEW = 0.02
+_PAUSE_S = 0.2
+_PAUSE_INTERVALS = 2.2
+
+
+@dataclass(frozen=True, slots=True)
+class Pauses:
+    """Intervals in which samples are missing.
+
+    Attributes:
+        count: How many.
+        longest_s: The longest of them.
+        at_s: When that begins.
+    """
+
+    count: int
+    longest_s: float
+    at_s: float
+
+    @property
+    def told(self) -> str:
+        """The text of a finding."""
+        return f"gaps, the longest of {self.longest_s:.3g} s after {self.at_s:.2f} s"
+
+
+def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
+    """Where a signal of a steady rate pauses: 0.2 s and 2.2 of its median intervals; None: nowhere.
+
+    Args:
+        t_us: Increasing times, us, shape (n,).
+    """
+    steps_s = np.diff(t_us) * 1e-6
+    if len(steps_s) == 0:
+        return None
+    long = steps_s > max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
+    if not long.any():
+        return None
+    worst = int(np.argmax(steps_s))
+    return Pauses(int(long.sum()), float(steps_s[worst]), float(t_us[worst]) * 1e-6)
 
 
 def advancing(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
@@ -45,6 +84,16 @@ def far_off(t: NDArray[np.int64]) -> NDArray[np.bool_]:
     far = np.zeros(len(t), dtype=np.bool_)
     far[order] = small[group]
     return far
+
+
+def longest_stretch(t: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Times of the largest group that has no pause of over a minute.
+
+    Args:
+        t: Increasing times, us, shape (n,).
+    """
+    group = np.concatenate([[0], np.cumsum(np.diff(t) > _JUMP_US)])
+    return np.asarray(group == np.argmax(np.bincount(group)))
 
 
 def _longest_rise(t: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import io
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,13 +12,20 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..clock import advancing
+from ..clock import advancing, pauses
 from ..flight import Array, Finding
+from .definitions import check_definitions, messages
+from .order import data_places, out_of_place
 
-_FIRST_DATA = b"AL"  # the first of these ends the definitions
-_LONGEST = 10000  # bytes of a message; longer ones are damage
 _MESSAGES = b"BFIMPQADLCSOR"
 _EVENTS = ("vehicle_command",)  # several may carry the same time
+_ON_CHANGE = ("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected", *_EVENTS)
+_LONGEST_US = 365 * 86_400 * 1_000_000
+_LATEST_US = 1_000_000
+_FAR_US = 10_000_000
+_STRAY_US = 700_000  # sound logs: under 500 ms in the burst of their first second
+_APART_S = 0.15  # sound logs: under 80 ms for GPS, 10 ms for what is fast
+_SLOW_MS = 150.0  # sound logs have at most 25
 TOPICS = (
     "actuator_armed",
     "actuator_controls_0",
@@ -123,6 +129,12 @@ class Px4Log:
     _raw: dict[tuple[str, int], Mapping[str, NDArray[Any]]] = field(default_factory=dict)
     _topics: dict[tuple[str, int], Topic | None] = field(default_factory=dict)
 
+    @property
+    def release(self) -> int:
+        """Firmware version, a byte each from the top; 0 where the log has none that makes sense."""
+        told = self.info.get("ver_sw_release", "")
+        return int(told) if told.isdecimal() and len(told) < 11 else 0
+
     def note(self, severity: str, where: str, message: str, count: int = 1) -> None:
         """Add a finding."""
         self.findings.append(Finding(severity, where, message, count))  # type: ignore[arg-type]
@@ -152,23 +164,29 @@ class Px4Log:
         if raw is None:
             return None
         published = _from_px4_us(raw["timestamp"], self.start_us)
-        t_us, by_sample = published, False
-        if "timestamp_sample" in raw:
-            sampled = _from_px4_us(raw["timestamp_sample"], self.start_us)
-            valid = (raw["timestamp_sample"] != 0) & (np.abs(sampled - published) < 1_000_000)
-            by_sample = bool(valid.mean() > 0.5)
-            t_us = np.where(valid, sampled, published) if by_sample else published
-            if by_sample and not valid.all():
-                lacking = int(np.count_nonzero(~valid))
-                self.note(
-                    "warning",
-                    name,
-                    "samples without a sampling time: published time taken",
-                    lacking,
-                )
+        possible = np.abs(published) < _LONGEST_US
+        if not possible.all():
+            self.note(
+                "error",
+                name,
+                "samples dropped, stamped over a year from the start of the log",
+                int(np.count_nonzero(~possible)),
+            )
+            raw = {k: v[possible] for k, v in raw.items()}
+            published = published[possible]
+            if len(published) == 0:
+                return None
+        t_us, by_sample = self._sampled(name, raw, published)
         if name in _EVENTS:
             order = np.argsort(t_us, kind="stable")
             return Topic(name, t_us[order], {k: v[order] for k, v in raw.items()}, by_sample)
+        if by_sample and (back := int(np.count_nonzero(np.diff(published) <= 0))):
+            self.note(
+                "warning",
+                name,
+                "times of publication run backward or repeat; those of sampling are used",
+                back,
+            )
         keep, backward, repeated, jumped = advancing(t_us)
         for count, what in (
             (backward, "samples dropped whose time runs backward"),
@@ -180,12 +198,47 @@ class Px4Log:
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}
+        if name not in _ON_CHANGE and (found := pauses(t_us[keep])):
+            self.note("warning", name, found.told, found.count)
         return Topic(name, t_us[keep], data, by_sample)
+
+    def _sampled(
+        self, name: str, raw: Mapping[str, NDArray[Any]], published: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int64], bool]:
+        """Times of sampling where a topic has them, and whether it has."""
+        if "timestamp_sample" not in raw:
+            return published, False
+        sampled = _from_px4_us(raw["timestamp_sample"], self.start_us)
+        late = published - sampled
+        valid = (raw["timestamp_sample"] != 0) & (np.abs(late) < _LATEST_US)
+        by_sample = bool(valid.mean() > 0.5)
+        if not valid.all():
+            self.note(
+                "warning",
+                name,
+                "samples without a sampling time: published time taken",
+                int(np.count_nonzero(~valid)) if by_sample else len(valid),
+            )
+        if not by_sample:
+            return published, False
+        ahead = int(np.count_nonzero(valid & (late < 0)))
+        if ahead:
+            self.note("warning", name, "samples published before they were taken", ahead)
+        slow_ms = float(np.median(late[valid])) / 1e3
+        if slow_ms > _SLOW_MS:
+            self.note(
+                "warning",
+                name,
+                f"published {slow_ms:.0f} ms after its samples were taken: is one "
+                "of its clocks off?",
+            )
+        return np.where(valid, sampled, published), True
 
 
 def _from_px4_us(stamps: NDArray[Any], start_us: int) -> NDArray[np.int64]:
     """PX4 time stamps (us since boot, unsigned) -> us since the start of the log."""
-    return np.asarray(stamps.astype(np.int64) - start_us, dtype=np.int64)
+    start = np.uint64(start_us & 0xFFFF_FFFF_FFFF_FFFF)  # a difference before zero wraps twice
+    return np.asarray((stamps.astype(np.uint64) - start).view(np.int64))
 
 
 def _finite(value: object) -> bool:
@@ -193,38 +246,15 @@ def _finite(value: object) -> bool:
     return isinstance(value, int | float) and bool(np.isfinite(value))
 
 
-def _messages(blob: bytes) -> tuple[int, int]:
-    """Walk the message headers; bytes of a message cut off at the end, bytes never understood."""
-    at, end = 16, len(blob)
-    header = struct.Struct("<HB").unpack_from
-    while at + 3 <= end:
-        size, kind = header(blob, at)
+def _left_over(blob: bytes) -> tuple[int, int]:
+    """Bytes of a message cut off at the end, bytes never understood."""
+    whole = 16
+    for kind, start, end in messages(blob):
         if kind not in _MESSAGES:
-            return 0, end - at
-        if at + 3 + size > end:
-            break
-        at += 3 + size
-    return end - at, 0
-
-
-def _check_definitions(path: Path, blob: bytes) -> None:
-    """Refuse a log whose definitions are cut or damaged; pyulog 1.3 never returns from some."""
-    at, end = 16, len(blob)
-    header = struct.Struct("<HB").unpack_from
-    while at + 3 <= end:
-        size, kind = header(blob, at)
-        if kind in _FIRST_DATA:
-            return
-        if kind == 0 or not 0 < size <= _LONGEST:
-            raise LogError(
-                f"{path.name}: damaged ULog: byte {at} of {end}, within its definitions, makes no "
-                "sense. Copy the log from the vehicle again."
-            )
-        at += 3 + size
-    raise LogError(
-        f"{path.name}: ULog cut short within its definitions after {end} bytes, before any "
-        "sample. Copy the log from the vehicle again."
-    )
+            return 0, len(blob) - start + 3
+        whole = end
+    rest = blob[whole:]
+    return (0, len(rest)) if len(rest) > 2 and rest[2] not in _MESSAGES else (len(rest), 0)
 
 
 def open_px4(path: Path, blob: bytes) -> Px4Log:
@@ -237,7 +267,7 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     Raises:
         LogError: Nothing in it can be used.
     """
-    _check_definitions(path, blob)
+    check_definitions(path, blob)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said):
@@ -259,24 +289,80 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
             "logging never started: copy the log again, or set SDLOG_MODE and fly again."
         )
     start = int(log.start_timestamp)
+    first = int(np.median([float(values["timestamp"][0]) for values in raw.values()]))
+    absurd = abs(first - start) > _LONGEST_US
     params = {k: float(v) for k, v in log.initial_parameters.items() if _finite(v)}
     changes = [c for c in log.changed_parameters if _finite(c[2])]
     params.update({c[1]: float(c[2]) for c in changes})
     opened = Px4Log(
         path,
-        start,
+        first if absurd else start,
         params,
         frozenset(c[1] for c in changes if c[0] > start),
         {k: str(v) for k, v in log.msg_info_dict.items()},
         _raw=raw,
     )
+    if absurd:
+        opened.note(
+            "error",
+            "clock",
+            f"the header's time stamp, {start} us, is over a year from those of the samples; t = 0 "
+            "is the first of these",
+        )
     _note_damage(opened, blob, log)
+    _hold_against_the_file(
+        opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list}
+    )
     return opened
+
+
+def _hold_against_the_file(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
+    """Drop samples stamped far from what stands beside them in the file; doubt whole topics.
+
+    A damaged log, of which not every message was understood, is left as it is.
+    """
+    raw = opened._raw
+    places = data_places(blob)
+    steady = [k for k in raw if k[0] not in _ON_CHANGE]
+    whole = [k for k in steady if len(places.get(ids[k], ())) == len(raw[k]["timestamp"])]
+    stamps = [_from_px4_us(raw[k]["timestamp"], opened.start_us) for k in whole]
+    stamps = [np.clip(s, -_LONGEST_US, _LONGEST_US) for s in stamps]
+    for key, off_us in zip(
+        whole, out_of_place([places[ids[k]] for k in whole], stamps), strict=True
+    ):
+        name = key[0]
+        far = np.abs(off_us) > _FAR_US
+        middle_s = float(np.median(off_us)) * 1e-6
+        if far.any():
+            opened.note(
+                "error",
+                name,
+                f"samples dropped, stamped over {_FAR_US * 1e-6:.0f} s from what stands beside "
+                f"them in the file (median {middle_s:+.3g} s): another clock, or another unit?",
+                int(far.sum()),
+            )
+            raw[key] = {k: v[~far] for k, v in raw[key].items()}
+            if far.all():
+                del raw[key]
+        elif abs(middle_s) > _APART_S:
+            opened.note(
+                "error",
+                name,
+                f"stamped {middle_s:+.2f} s from what stands beside it in the file: another clock?",
+            )
+        elif (apart := int(np.count_nonzero(np.abs(off_us) > _STRAY_US))) > 0:
+            opened.note(
+                "warning",
+                name,
+                f"samples stamped over {_STRAY_US * 1e-6:.1f} s from what stands beside them in "
+                "the file",
+                apart,
+            )
 
 
 def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
     """Findings on a log cut short, damaged, or with drop-outs."""
-    tail, lost = _messages(blob)
+    tail, lost = _left_over(blob)
     if lost or log.file_corruption:
         opened.note(
             "error",

@@ -43,6 +43,9 @@ def _marked(log: Px4Log) -> list[Span]:
     ):
         if command != _MARKER or p7 not in (_BEGIN, _END):
             continue
+        if not np.isfinite((p1, p2)).all():
+            log.note("warning", "phase", f"marker at {t:.2f} s whose mode is {p1:g}, {p2:g}")
+            continue
         mode = (int(p1), int(p2))
         if mode in _NOT_A_PHASE:
             continue

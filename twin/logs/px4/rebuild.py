@@ -30,6 +30,8 @@ _SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")
 _MIXER_TOLERANCE_US = 5.0
 _PAIRED_US = 1000
 _VERSIONS = ((1, 11), (1, 12), (1, 13))
+_LONGEST_GAP_S = 5.0
+_MOST_PER_SAMPLE = 400.0  # 8 kHz logged at 20 Hz
 _DAMAGED = 100.0  # rad/s; larger values and NaN come from damaged logs
 
 
@@ -99,7 +101,7 @@ def compare(
 
 def _check_options(log: Px4Log) -> None:
     """Refuse what is not rebuilt here."""
-    release = int(float(log.info.get("ver_sw_release", "0") or 0))
+    release = log.release
     version = (release >> 24 & 0xFF, release >> 16 & 0xFF)
     if version not in _VERSIONS:
         raise CannotRebuildError(
@@ -148,9 +150,24 @@ def _gyro(log: Px4Log) -> Gyro:
     raw_hz = float(np.median(status.data.get("gyro_raw_rate_hz", np.array([rate_hz]))))
     if not (50.0 <= rate_hz <= raw_hz * 1.01 <= 33000.0):
         raise CannotRebuildError(f"a gyro rate of {rate_hz:.0f} Hz makes no sense")
+    _check_gaps(topic.t_s[good], raw_hz)
     # a driver that reads a FIFO publishes the mean of its samples, stamped with the last
     delay_s = 0.5 * (1.0 / rate_hz - 1.0 / raw_hz)
     return Gyro(topic.t_s[good], window_s[good], rates[good], raw_hz, rate_hz, delay_s)
+
+
+def _check_gaps(end_s: Array, raw_hz: float) -> None:
+    """Refuse gaps that no cubic bridges."""
+    steps_s = np.diff(end_s)
+    if steps_s.max() > _LONGEST_GAP_S:
+        raise CannotRebuildError(
+            f"the gyro pauses for {steps_s.max():.3g} s after {end_s[np.argmax(steps_s)]:.2f} s"
+        )
+    if (end_s[-1] - end_s[0]) * raw_hz > _MOST_PER_SAMPLE * len(end_s):
+        raise CannotRebuildError(
+            f"the gyro was logged {len(end_s)} times in {end_s[-1] - end_s[0]:.3g} s, too seldom "
+            f"for filters that ran at {raw_hz:.0f} Hz"
+        )
 
 
 def _filtered(log: Px4Log, gyro: Gyro, t_s: Array) -> tuple[Array, Array]:

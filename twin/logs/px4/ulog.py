@@ -22,6 +22,9 @@ _GAUSS_T = 1e-4
 _RPM_RAD_S = 2.0 * np.pi / 60.0
 _NO_RELATIVE_TIME = 2**31 - 1
 _SAME_ROW_US = 600
+_LONGEST_WINDOW_US = 100_000
+_EARLIEST_US = 2**62
+_OVERLAP = 1.5
 _NORM_DOUBT = 1e-3
 _LIMITS = {  # beyond these a sample is damaged, not flown
     "acc": 2e3,
@@ -61,7 +64,11 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         facts |= commands.facts
     t_us, absurd = rows.times_us()
     if absurd:
-        log.note("error", "time", "rows dropped, over a minute from all others", absurd)
+        message = (
+            "rows dropped outside the longest stretch without a pause of a minute: was the clock "
+            "set in flight?"
+        )
+        log.note("error", "time", message, absurd)
     table = rows.table(t_us)
     if not any(c in table for c in MOTION):
         raise LogError(
@@ -112,7 +119,7 @@ def _add(
 
 def _facts(log: Px4Log) -> dict[str, str]:
     """What the log says about the vehicle."""
-    release = int(log.info.get("ver_sw_release", "0") or 0)
+    release = log.release
     version = ".".join(str(release >> shift & 0xFF) for shift in (24, 16, 8))
     facts = {"firmware": f"PX4 {version}" if release else "PX4"}
     if "ver_hw" in log.info:
@@ -130,17 +137,26 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
     if topic is None:
         _filtered_imu(log, rows)
         return
-    gyro_us, gyro_dt = _window(topic, "gyro_integral_dt", topic.t_us)
-    relative = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
-    has_acc = relative.astype(np.int64) != _NO_RELATIVE_TIME
-    acc_end = topic.t_us + np.where(has_acc, relative, 0).astype(np.int64)
-    acc_us, _ = _window(topic, "accelerometer_integral_dt", acc_end)
+    gyro_us, gyro_dt = _window(log, topic, "gyro_integral_dt", topic.t_us)
+    told = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
+    relative = told.astype(np.int64)
+    has_acc = np.abs(relative) < _LONGEST_WINDOW_US
+    acc_end = topic.t_us + np.where(has_acc, relative, 0)
+    acc_us, _ = _window(log, topic, "accelerometer_integral_dt", acc_end)
     gyro, acc = topic.array("gyro_rad", 3), topic.array("accelerometer_m_s2", 3)
     together = has_acc & (np.abs(acc_us - gyro_us) < _SAME_ROW_US)
     acc_us = np.where(together, gyro_us, acc_us)
-    if not has_acc.all():
-        count = int(np.count_nonzero(~has_acc))
+    none = relative == _NO_RELATIVE_TIME
+    if none.any():
+        count = int(np.count_nonzero(none))
         log.note("info", "acc", "rows of sensor_combined without an acceleration sample", count)
+    if not (has_acc | none).all():
+        log.note(
+            "error",
+            "acc",
+            "samples left out, accelerometer_timestamp_relative is beyond 0.1 s",
+            int(np.count_nonzero(~has_acc & ~none)),
+        )
     acc_us, acc = acc_us[has_acc], acc[has_acc]
     log.note(
         "info",
@@ -149,7 +165,7 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
         f"that, {np.median(topic.t_us - gyro_us) / 1e3:.1f} ms before the time stamp of the log",
     )
     for where, names, t_us, values in (("gyro", GYRO, gyro_us, gyro), ("acc", ACC, acc_us, acc)):
-        rising = np.concatenate([[True], np.diff(np.maximum.accumulate(t_us)) > 0])
+        rising = np.diff(np.maximum.accumulate(t_us), prepend=-_EARLIEST_US) > 0
         if not rising.all():
             count = int(np.count_nonzero(~rising))
             log.note("error", where, "samples dropped whose averaging times overlap", count)
@@ -162,11 +178,29 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
 
 
 def _window(
-    topic: Topic, field: str, end_us: NDArray[np.int64]
+    log: Px4Log, topic: Topic, field: str, end_us: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Middle and length of the averaging windows that end at `end_us`, us; length 0 if unknown."""
-    length = topic.data.get(field, np.zeros(len(end_us))).astype(np.int64)
-    length = np.where((length > 0) & (length < 100_000), length, 0)
+    if not topic.has(field):
+        return end_us, np.zeros(len(end_us), dtype=np.int64)
+    length = topic.data[field].astype(np.int64)
+    possible = (length > 0) & (length < _LONGEST_WINDOW_US)
+    if not possible.all():
+        log.note(
+            "warning",
+            topic.name,
+            f"samples whose {field} is not within 0 to 0.1 s: their own time is taken",
+            int(np.count_nonzero(~possible)),
+        )
+    over = possible[1:] & (length[1:] > _OVERLAP * np.diff(topic.t_us))
+    if over.any():
+        log.note(
+            "warning",
+            topic.name,
+            f"samples whose {field} reaches back over the sample before: their middle is off",
+            int(np.count_nonzero(over)),
+        )
+    length = np.where(possible, length, 0)
     return end_us - length // 2, length
 
 
