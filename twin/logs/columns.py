@@ -69,7 +69,7 @@ ACC_NED = ("acc_ned_x", "acc_ned_y", "acc_ned_z")
 EULER = ("roll_rad", "pitch_rad", "yaw_rad")
 MOTION = (*ACC, *GYRO, *POS, *VEL, *QUAT, *ACC_NED)
 
-_MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]*)")
+_MOTOR = re.compile(r"(cmd|rotor)_([1-9][0-9]{0,3})")
 
 
 def motor_columns(stem: str, n: int) -> tuple[str, ...]:

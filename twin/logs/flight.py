@@ -14,13 +14,14 @@ from ..errors import LogError
 from ..representation import short_repr
 
 Array = NDArray[np.float64]
+Severity = Literal["info", "warning", "error"]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
     """Something a reader counted, dropped, filled or doubts."""
 
-    severity: Literal["info", "warning", "error"]
+    severity: Severity
     where: str
     message: str
     count: int = 1

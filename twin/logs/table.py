@@ -5,9 +5,10 @@
 
 import io
 import json
+from collections import Counter
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import pandas as pd
@@ -18,19 +19,23 @@ import pyarrow.parquet as pq
 from ..errors import LogError
 from .attitude import with_quaternion
 from .columns import is_known
-from .flight import Finding, Flight, Site
+from .flight import Finding, Flight, Severity, Site
 from .formats import ReadOptions
 from .validate import check_columns, validate
 
 _METADATA = b"uavtwin"
-_LONGEST_HEADER = 1_000_000
+_LONGEST_LINE = 1_000_000
+_MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
+_MOST_COLUMNS = 10_000
+_MOST_CELLS = 100_000_000  # 0.8 GB of float64
+_SHOWN = 40
 _EMPTY = ["", "nan", "NaN", "NAN"]
 
 
 def header(path: Path) -> list[str]:
     """Names of the columns of a table in Parquet or CSV; nothing of any other file."""
     with path.open("rb") as file:
-        line = file.readline(_LONGEST_HEADER)
+        line = file.readline(_LONGEST_LINE)
     if line.startswith(b"PAR1"):
         try:
             return [str(name) for name in pq.read_schema(path).names]
@@ -66,9 +71,7 @@ def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 def _checked(
     path: Path, raw: pd.DataFrame, facts: dict[str, str], findings: list[Finding]
 ) -> Flight:
-    """The flight of columns as they are in the file."""
-    findings = findings + check_columns(path.name, [str(c) for c in raw.columns])
-    raw = raw[[c for c in raw.columns if is_known(str(c))]]
+    """The flight of known columns as they are in the file."""
     table = pd.DataFrame({c: _numbers(path, raw[c]) for c in raw if c != "phase"})
     table, turned = with_quaternion(path.name, table)
     table["phase"] = _phase(raw)
@@ -106,32 +109,97 @@ def write_flight(flight: Flight, path: str | Path) -> None:
 def _parquet(
     path: Path, blob: bytes, facts: dict[str, str], findings: list[Finding]
 ) -> tuple[pd.DataFrame, Site | None]:
-    """Parquet -> columns as they are; facts, findings and site of the writer are taken over."""
-    site = None
+    """Parquet -> known columns as they are; what the writer noted is taken over."""
     try:
-        arrow = pq.read_table(io.BytesIO(blob))
-        repeated = {n for n in arrow.column_names if arrow.column_names.count(n) > 1}
-        if repeated:
-            raise LogError(f"{path.name}: column {sorted(repeated)[0]} stands there twice.")
+        file = pq.ParquetFile(io.BytesIO(blob))
+        _check_size(path, file.metadata.num_rows, file.metadata.num_columns)
+        schema = file.schema_arrow
+        _check_once(path, schema.names)
+        texts = [f.name for f in schema if not _is_number(f.type)]
+        held = [n for n in schema.names if is_known(n)]
+        found = check_columns(path.name, schema.names)
+        _check_flat(path, schema, held)
+        # a text that stands in many rows is held once
+        arrow = pq.read_table(io.BytesIO(blob), columns=held, read_dictionary=texts)
         frame = arrow.to_pandas(ignore_metadata=True)
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
         raise LogError(
             f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
             "cut short cannot be read at all: copy it again."
         ) from None
-    try:
-        about = json.loads((arrow.schema.metadata or {}).get(_METADATA, b"{}"))
-        facts |= {str(k): str(v) for k, v in about.get("facts", {}).items()}
-        findings += [Finding(**f) for f in about.get("findings", [])]
-        if about.get("site"):
-            site = Site(bool(about["site"]["indoors"]), str(about["site"]["source"]))
-    except (ValueError, TypeError, AttributeError, KeyError):
-        findings.append(Finding("warning", "file", "what the writer noted cannot be read"))
+    site = _take_over((schema.metadata or {}).get(_METADATA, b"{}"), facts, findings)
+    findings += found
     return frame, site
 
 
+def _check_size(path: Path, rows: int, columns: int) -> None:
+    """Refuse what would not fit in memory, before it is unpacked."""
+    if rows > _MOST_ROWS or rows * columns > _MOST_CELLS or columns > _MOST_COLUMNS:
+        raise LogError(
+            f"{path.name}: {rows} rows of {columns} columns; at most {_MOST_ROWS} rows, "
+            f"{_MOST_COLUMNS} columns and {_MOST_CELLS} cells are read. Cut the flight, or leave "
+            "out columns that are not of the flight table."
+        )
+
+
+def _check_once(path: Path, names: list[str]) -> None:
+    """Refuse a name that two columns have."""
+    name, times = max(Counter(names).items(), key=lambda c: c[1], default=("", 0))
+    if times > 1:
+        raise LogError(f"{path.name}: column {name[:_SHOWN]} stands there twice.")
+
+
+def _is_number(kind: pa.DataType) -> bool:
+    """Whether a column of Parquet holds numbers."""
+    return bool(
+        pa.types.is_integer(kind)
+        or pa.types.is_floating(kind)
+        or pa.types.is_boolean(kind)
+        or pa.types.is_decimal(kind)
+    )
+
+
+def _check_flat(path: Path, schema: pa.Schema, names: list[str]) -> None:
+    """Refuse lists, times and the like where numbers belong."""
+    for name in names:
+        kind = schema.field(name).type
+        inner = kind.value_type if pa.types.is_dictionary(kind) else kind
+        text = pa.types.is_string(inner) or pa.types.is_large_string(inner)
+        if not (_is_number(inner) or text or pa.types.is_null(inner)):
+            raise LogError(f"{path.name}: column {name} holds {kind}, not numbers.")
+
+
+def _take_over(noted: bytes, facts: dict[str, str], findings: list[Finding]) -> Site | None:
+    """Facts, findings and site as the writer noted them; all or nothing of it."""
+    try:
+        about = json.loads(noted)
+        told = {str(k): str(v) for k, v in about.get("facts", {}).items()}
+        found = [_finding(**f) for f in about.get("findings", [])]
+        site = about.get("site") or None
+        if site is not None:
+            site = Site(bool(site["indoors"]), str(site["source"]))
+    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
+        findings.append(Finding("warning", "file", "what the writer noted cannot be read"))
+        return None
+    facts |= told
+    findings += found
+    return site
+
+
+def _finding(severity: str, where: str, message: str, count: int = 1) -> Finding:
+    """A finding of the writer.
+
+    Raises:
+        TypeError: It is none.
+    """
+    texts = isinstance(where, str) and isinstance(message, str)
+    if severity not in get_args(Severity) or not texts or type(count) is not int or count < 1:
+        raise TypeError
+    return Finding(cast(Severity, severity), where, message, count)
+
+
 def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
-    """CSV -> columns as they are; a last row without line end is dropped and counted."""
+    """CSV -> known columns as they are; a last row without line end is dropped and counted."""
     try:
         text = blob.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -139,12 +207,17 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
             f"{path.name}: not UTF-8 text at byte {error.start}; save it as such."
         ) from None
     lines = text.splitlines()
+    longest = max(range(len(lines)), key=lambda k: len(lines[k]))
+    if len(lines[longest]) > _LONGEST_LINE:
+        raise LogError(
+            f"{path.name}: line {longest + 1} has {len(lines[longest])} characters; at most "
+            f"{_LONGEST_LINE} are read. Is it a table?"
+        )
     header = [c.strip().strip('"') for c in lines[0].split(",")]
     if len(header) == 1 and any(s in lines[0] for s in ";\t"):
         raise LogError(f"{path.name}: columns must be separated by commas: '{lines[0][:40]}'.")
-    repeated = {n for n in header if header.count(n) > 1}
-    if repeated:
-        raise LogError(f"{path.name}: column {sorted(repeated)[0]} stands there twice.")
+    _check_once(path, header)
+    _check_size(path, len(lines), len(header))
     if len(lines) > 1 and not text.endswith(("\n", "\r")):
         findings.append(
             Finding("error", "file", "cut short? The last row has no line end and is not used")
@@ -169,7 +242,9 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
         )
     except pa.ArrowException as error:
         raise LogError(f"{path.name}: not readable as CSV: {error}.") from None
-    return arrow.to_pandas()
+    findings += check_columns(path.name, header)
+    frame = arrow.to_pandas()
+    return frame[[c for c in header if is_known(c)]]
 
 
 def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
@@ -181,7 +256,7 @@ def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
     if len(text) or not pd.api.types.is_string_dtype(column.dtype):
         k = int(text[0]) if len(text) else 0
         raise LogError(
-            f"{path.name}: {column.name} in data row {k + 1} is '{column.iloc[k]}', not a number "
+            f"{path.name}: {column.name} in data row {k + 1} is '{str(column.iloc[k])[:_SHOWN]}', not a number "
             f"({max(len(text), 1)} such values). Leave a cell empty where there is no sample."
         )
     return numbers
@@ -191,5 +266,6 @@ def _phase(raw: pd.DataFrame) -> "pd.Series[Any]":
     """Phase as text, "" where there is none."""
     if "phase" not in raw:
         return pd.Series("", index=raw.index, dtype=object)
-    phase = raw["phase"].astype(object)
-    return phase.where(phase.notna(), "").map(str).astype(object)
+    code, kinds = pd.factorize(raw["phase"])  # missing: code -1, the last of the texts below
+    texts = np.array([*map(str, kinds), ""], dtype=object)
+    return pd.Series(texts[code], index=raw.index, dtype=object)

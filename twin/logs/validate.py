@@ -26,6 +26,8 @@ from .columns import (
 )
 from .flight import Array, Finding
 
+_MOST_UNKNOWN = 100
+_SHOWN = 40
 _TINY = 1e-6
 _NORM_DOUBT = 1e-3
 _FASTEST_ROTOR_RAD_S = 4500.0
@@ -61,20 +63,26 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
     findings = []
     known = [c.name for c in COLUMNS if not c.per_motor]
     known += [*motor_columns("cmd", MAX_MOTORS), *motor_columns("rotor", MAX_MOTORS)]
-    for column in columns:
-        if is_known(column):
-            continue
-        near = difflib.get_close_matches(column.strip().lower(), known, 1, 0.75)
-        near = [n for n in near if n not in columns]
+    there = set(columns)
+    unknown = [c for c in columns if not is_known(c)]
+    for column in unknown[:_MOST_UNKNOWN]:
+        shown = column[:_SHOWN]
+        near = difflib.get_close_matches(shown.strip().lower(), known, 1, 0.75)
+        near = [n for n in near if n not in there]
         if near:
-            raise LogError(f"{name}: unknown column '{column}'. Did you mean '{near[0]}'?")
-        findings.append(Finding("warning", column, "not a column of the flight table; ignored"))
+            raise LogError(f"{name}: unknown column '{shown}'. Did you mean '{near[0]}'?")
+        findings.append(Finding("warning", shown, "not a column of the flight table; ignored"))
+    if len(unknown) > _MOST_UNKNOWN:
+        message = "further columns that are not of the flight table; ignored"
+        findings.append(Finding("warning", "columns", message, len(unknown) - _MOST_UNKNOWN))
     if "time" not in columns:
-        raise LogError(f"{name}: no column 'time' (s). It has: {', '.join(columns[:12])}.")
+        raise LogError(
+            f"{name}: no column 'time' (s). It has: {', '.join(c[:_SHOWN] for c in columns[:12])}."
+        )
     if not any(c in columns for c in (*MOTION, *EULER)):
         raise LogError(
             f"{name}: no motion signal beside time; at least one of acc, gyro, pos, vel, q, "
-            f"roll, pitch and yaw, acc_ned is needed. It has: {', '.join(columns[:12])}."
+            f"roll, pitch and yaw, acc_ned is needed. It has: {', '.join(c[:_SHOWN] for c in columns[:12])}."
         )
     missing = [c for c in QUAT if c not in columns]
     if 0 < len(missing) < len(QUAT):
@@ -199,10 +207,11 @@ def _check_phase(name: str, phase: "pd.Series[str]") -> None:
     """Only the known phases."""
     for value in phase.unique():
         if value and value not in PHASES:
-            near = difflib.get_close_matches(value.lower(), PHASES, 1)
+            shown = value[:_SHOWN]
+            near = difflib.get_close_matches(shown.lower(), PHASES, 1)
             hint = f" Did you mean '{near[0]}'?" if near else ""
             raise LogError(
-                f"{name}: unknown phase '{value}' in data row "
+                f"{name}: unknown phase '{shown}' in data row "
                 f"{int((phase == value).to_numpy().argmax()) + 1}; one of {', '.join(PHASES)} or "
                 f"empty.{hint}"
             )

@@ -13,7 +13,7 @@ from pyulog import ULog
 
 from ...errors import LogError
 from ..clock import advancing, pauses
-from ..flight import Array, Finding
+from ..flight import Array, Finding, Severity
 from .definitions import check_definitions, messages
 from .order import data_places, out_of_place
 
@@ -135,9 +135,9 @@ class Px4Log:
         told = self.info.get("ver_sw_release", "")
         return int(told) if told.isdecimal() and len(told) < 11 else 0
 
-    def note(self, severity: str, where: str, message: str, count: int = 1) -> None:
+    def note(self, severity: Severity, where: str, message: str, count: int = 1) -> None:
         """Add a finding."""
-        self.findings.append(Finding(severity, where, message, count))  # type: ignore[arg-type]
+        self.findings.append(Finding(severity, where, message, count))
 
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that hold samples."""

@@ -11,6 +11,7 @@ from ..assemble import Rows
 from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
+from ..limits import beyond, told
 from ..phases import label_phases
 from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
@@ -26,17 +27,6 @@ _LONGEST_WINDOW_US = 100_000
 _EARLIEST_US = 2**62
 _OVERLAP = 1.5
 _NORM_DOUBT = 1e-3
-_LIMITS = {  # beyond these a sample is damaged, not flown
-    "acc": 2e3,
-    "gyro": 1e2,
-    "mag": 1e-2,
-    "baro": 2e5,
-    "pos": 1e6,
-    "vel": 1e3,
-    "vbat_v": 1e3,
-    "ibat_a": 1e4,
-    "rotor": 1e5,
-}
 
 
 def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -102,14 +92,9 @@ def _add(
     values: Array,
 ) -> None:
     """Add a signal and count what it loses."""
-    absurd = (np.abs(values) > _LIMITS.get(where, np.inf)).any(axis=1)
+    absurd = beyond(where, values)
     if absurd.any():
-        log.note(
-            "error",
-            where,
-            f"samples left out, a value is beyond {_LIMITS[where]:g} (SI)",
-            int(absurd.sum()),
-        )
+        log.note("error", where, told(where), int(absurd.sum()))
     early, broken = rows.add(names, t_us[~absurd], values[~absurd])
     if early:
         log.note("info", where, "samples left out, taken before the log began", early)

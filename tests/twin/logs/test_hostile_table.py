@@ -1,0 +1,116 @@
+"""Flight tables made to fell the reader: bounded in time and memory, one clear error."""
+
+import io
+import json
+import time
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from sample_logs import flight_table
+
+from twin.errors import LogError
+from twin.logs import Flight, read_flight
+
+
+def parquet(table: pa.Table) -> bytes:
+    file = io.BytesIO()
+    pq.write_table(table, file)
+    return file.getvalue()
+
+
+def read(folder: Path, blob: bytes) -> Flight:
+    path = folder / "flight"
+    path.write_bytes(blob)
+    start = time.perf_counter()
+    try:
+        return read_flight(path)
+    finally:
+        assert time.perf_counter() - start < 5.0
+
+
+def test_a_table_too_large_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    """Equal rows cost next to nothing in the file."""
+    part = pa.table({"time": np.zeros(5_000_000, np.float32), "acc_x": np.zeros(5_000_000)})
+    file = io.BytesIO()
+    with pq.ParquetWriter(file, part.schema) as writer:
+        for _ in range(3):
+            writer.write_table(part)
+    blob = file.getvalue()
+    assert len(blob) < 1_000_000
+    with pytest.raises(LogError, match="15000000 rows of 2 columns; at most"):
+        read(tmp_path, blob)
+
+
+def test_thousands_of_unknown_columns(tmp_path: Path) -> None:
+    table = flight_table()
+    extra = pd.DataFrame({f"my_own_{i}": np.zeros(len(table)) for i in range(5000)})
+    wide = pd.concat([table, extra], axis=1)
+    for blob in (parquet(pa.Table.from_pandas(wide)), wide.iloc[:9].to_csv(index=False).encode()):
+        found = [f for f in read(tmp_path, blob).findings if "not of the flight table" in f.message]
+        assert [f.count for f in found] == [4900]
+
+
+@pytest.mark.parametrize(
+    "noted",
+    [
+        b"[" * 100_000,
+        b"[]",
+        b"\xff\xfe",
+        json.dumps({"findings": [{"severity": "info", "where": "x", "message": "y", "count": None}]}),
+        json.dumps({"findings": [{"severity": "loud", "where": "x", "message": "y"}]}),
+        json.dumps({"findings": [{"severity": "info", "where": 3, "message": "y"}]}),
+        json.dumps({"site": ["indoors"]}),
+    ],
+    ids=str,
+)
+def test_what_a_writer_noted_is_checked(tmp_path: Path, noted: Any) -> None:
+    table = pa.Table.from_pandas(flight_table()).replace_schema_metadata({b"uavtwin": noted})
+    flight = read(tmp_path, parquet(table))
+    assert [f.message for f in flight.findings if f.where == "file"] == [
+        "what the writer noted cannot be read"
+    ]
+
+
+@pytest.mark.parametrize("digits", [5, 5000])
+def test_a_motor_of_absurd_number_is_no_motor(tmp_path: Path, digits: int) -> None:
+    table = flight_table()
+    table["cmd_" + "9" * digits] = 0.0
+    (found,) = [f for f in read(tmp_path, parquet(pa.Table.from_pandas(table))).findings
+                if "not a column" in f.message]
+    assert found.where == ("cmd_" + "9" * digits)[:40]
+
+
+def test_a_cell_of_fifty_megabytes(tmp_path: Path) -> None:
+    text = "time,acc_x\n0.0,1\n0.1," + "9" * 50_000_000 + "\n"
+    with pytest.raises(LogError, match="line 3 has 50000004 characters"):
+        read(tmp_path, text.encode())
+
+
+@pytest.mark.parametrize("kind", [pa.list_(pa.float64()), pa.timestamp("us"), pa.binary()])
+def test_columns_of_something_else_than_numbers(tmp_path: Path, kind: pa.DataType) -> None:
+    table = pa.table({"time": pa.nulls(9, kind), "acc_x": np.zeros(9)})
+    with pytest.raises(LogError, match="column time holds"):
+        read(tmp_path, parquet(table))
+
+
+def test_a_text_in_many_rows_is_held_once(tmp_path: Path) -> None:
+    """200 MB of one phase; the memory that reading takes is measured."""
+    n = 4000
+    phase = pa.array(["x" * 50_000]).take(pa.array(np.zeros(n, np.int32)))
+    table = pa.table({"time": 0.01 * np.arange(n), "acc_x": np.ones(n), "phase": phase})
+    blob = parquet(table)
+    del table, phase
+    held = pa.default_memory_pool()
+    before = held.bytes_allocated()
+    tracemalloc.start()
+    with pytest.raises(LogError, match="unknown phase 'x{40}'"):
+        read(tmp_path, blob)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+    assert held.bytes_allocated() - before < 50e6
