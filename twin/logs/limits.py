@@ -32,6 +32,16 @@ SIGNALS: dict[str, tuple[str, ...]] = {
 }
 """Columns that a limit is of; `rotor` has one column per motor."""
 
+_UNITS = {
+    "acc": "in mg? An accelerometer at rest reads 9.8 m/s^2",
+    "gyro": "in degrees per second? 1 rad/s = 57.3",
+    "mag": "in gauss? The Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)",
+    "pos": "in mm, or in degrees times 1e7?",
+    "vel": "in mm/s?",
+    "vbat_v": "in mV?",
+    "ibat_a": "in mA?",
+}
+
 
 def beyond(signal: str, values: Array) -> NDArray[np.bool_]:
     """Samples of which a part is beyond the limit of the signal, shape (n,).
@@ -45,4 +55,5 @@ def beyond(signal: str, values: Array) -> NDArray[np.bool_]:
 
 def told(signal: str) -> str:
     """The text of a finding on such samples."""
-    return f"samples left out, a value is beyond {LIMITS[signal]:g} (SI): damaged, or another unit?"
+    unit = _UNITS.get(signal, "another unit?")
+    return f"samples left out, a value is beyond {LIMITS[signal]:g} (SI): damaged, or {unit}"

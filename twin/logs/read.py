@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..errors import LogError
+from .doubts import doubts
 from .flight import Flight
 from .formats import ReadOptions, known_formats, nearly, recognise
 from .signature import HEAD, Magic, Signature
@@ -41,7 +42,13 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     if found is None:
         raise LogError(f"{path.name}: {_looks_like(blob)} Known formats: {known_formats()}.")
     flight = found.load()(path, blob, ReadOptions(rebuild_commands))
-    return replace(flight, facts={"format": found.name, **flight.facts})
+    said = set(flight.findings)
+    doubted = [f for f in doubts(flight.table) if f not in said]  # a writer may have noted them
+    return replace(
+        flight,
+        facts={"format": found.name, **flight.facts},
+        findings=(*flight.findings, *doubted),
+    )
 
 
 def _content(path: Path) -> bytes:

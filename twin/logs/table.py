@@ -255,8 +255,9 @@ def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
     text = np.flatnonzero(np.isnan(numbers.to_numpy()) & column.notna().to_numpy())
     if len(text) or not pd.api.types.is_string_dtype(column.dtype):
         k = int(text[0]) if len(text) else 0
+        shown = str(column.iloc[k])[:_SHOWN]
         raise LogError(
-            f"{path.name}: {column.name} in data row {k + 1} is '{str(column.iloc[k])[:_SHOWN]}', not a number "
+            f"{path.name}: {column.name} in data row {k + 1} is '{shown}', not a number "
             f"({max(len(text), 1)} such values). Leave a cell empty where there is no sample."
         )
     return numbers

@@ -24,13 +24,17 @@ from .columns import (
     motor_columns,
     motor_number,
 )
+from .doubts import gaps
 from .flight import Array, Finding
+from .limits import SIGNALS, beyond, told
 
 _MOST_UNKNOWN = 100
 _SHOWN = 40
 _TINY = 1e-6
+_OVERFLOW = 0.5
+"""Commands may be so far outside 0..1 and count as overflow, where less than `_MOSTLY` are."""
+_MOSTLY = 0.2
 _NORM_DOUBT = 1e-3
-_FASTEST_ROTOR_RAD_S = 4500.0
 
 
 NO_TABLE = (
@@ -75,14 +79,13 @@ def check_columns(name: str, columns: list[str]) -> list[Finding]:
     if len(unknown) > _MOST_UNKNOWN:
         message = "further columns that are not of the flight table; ignored"
         findings.append(Finding("warning", "columns", message, len(unknown) - _MOST_UNKNOWN))
+    first = ", ".join(c[:_SHOWN] for c in columns[:12])
     if "time" not in columns:
-        raise LogError(
-            f"{name}: no column 'time' (s). It has: {', '.join(c[:_SHOWN] for c in columns[:12])}."
-        )
+        raise LogError(f"{name}: no column 'time' (s). It has: {first}.")
     if not any(c in columns for c in (*MOTION, *EULER)):
         raise LogError(
             f"{name}: no motion signal beside time; at least one of acc, gyro, pos, vel, q, "
-            f"roll, pitch and yaw, acc_ned is needed. It has: {', '.join(c[:_SHOWN] for c in columns[:12])}."
+            f"roll, pitch and yaw, acc_ned is needed. It has: {first}."
         )
     missing = [c for c in QUAT if c not in columns]
     if 0 < len(missing) < len(QUAT):
@@ -136,16 +139,18 @@ def validate(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding
     if table.empty:
         raise LogError(f"{name}: no rows.")
     _check_time(name, table["time"].to_numpy())
+    empty = [str(c) for c in table if table[c].isna().all()]
+    table, bounded = _bounded(table)
     for column in table.columns.drop("phase"):
         _check_range(name, str(column), table[column].to_numpy())
     _check_phase(name, table["phase"])
     if not any(table[c].notna().any() for c in MOTION if c in table):
-        raise LogError(f"{name}: the motion signals have no sample, all cells are empty.")
+        left_out = f" {bounded[0].where}: {bounded[0].message}" if bounded else ""
+        raise LogError(f"{name}: the motion signals have no sample, all cells are empty.{left_out}")
     table, findings = _unit_quaternions(name, table)
-    empty = [str(c) for c in table if table[c].isna().all()]
     findings += [Finding("warning", c, "has no sample at all") for c in empty]
     findings += _partial_vectors(table)
-    return table, [*findings, *_doubt_time(table), *_doubt_units(table), *_doubt_frames(table)]
+    return table, [*bounded, *findings, *gaps(table)]
 
 
 def _partial_vectors(table: pd.DataFrame) -> list[Finding]:
@@ -175,6 +180,33 @@ def _check_time(name: str, t_s: Array) -> None:
         )
 
 
+def _bounded(table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
+    """Samples beyond all limits left out, commands a little outside 0..1 set to its end."""
+    table = table.copy()
+    found = []
+    rotors = {"rotor": tuple(str(c) for c in table if str(c).startswith("rotor_"))}
+    for signal, columns in (SIGNALS | rotors).items():
+        there = [c for c in columns if c in table]
+        values = table[there].to_numpy()
+        out = beyond(signal, values) & ~np.isinf(values).any(axis=1)  # those are refused below
+        if out.any():
+            table.loc[out, there] = np.nan
+            found.append(Finding("error", signal, told(signal), int(out.sum())))
+    commands = [str(c) for c in table if str(c).startswith("cmd_")]
+    cmd = table[commands].to_numpy()
+    outside = (cmd < -_TINY) | (cmd > 1.0 + _TINY)
+    little = outside & (np.abs(cmd - 0.5) <= 0.5 + _OVERFLOW)
+    if outside.any() and not (outside & ~little).any() and outside.mean() < _MOSTLY:
+        worst = cmd[outside][np.argmax(np.abs(cmd[outside] - 0.5))]
+        message = (
+            f"values outside 0..1, the farthest {worst:.4g}, set to its end: a duty cycle that "
+            "overflows?"
+        )
+        table[commands] = np.clip(cmd, 0.0, 1.0)
+        found.append(Finding("error", "cmd", message, int(outside.sum())))
+    return table, found
+
+
 def _check_range(name: str, column: str, values: Array) -> None:
     """Finite or empty; commands 0..1; rotor speeds and pressure not negative."""
     bad = np.flatnonzero(np.isinf(values))
@@ -194,7 +226,7 @@ def _check_range(name: str, column: str, values: Array) -> None:
         hint = ""
         if column.startswith("cmd_"):
             hint = " Scale pulse widths by (PWM - PWM_MIN) / (PWM_MAX - PWM_MIN)."
-            if 1.0 < np.nanmax(values) <= 100.0:
+            if 1.0 < np.nanmedian(values) <= 100.0:
                 hint = " If it is in percent, divide it by 100."
         limits = f"{max(low, 0.0):g}..{1.0 if np.isfinite(high) else np.inf:g}"
         raise LogError(
@@ -238,96 +270,3 @@ def _unit_quaternions(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, lis
     mended[list(QUAT)] = q
     count = int(off.sum())
     return mended, [Finding("warning", "q", "off unit norm by over 0.001, normalised", count)]
-
-
-def _doubt_time(table: pd.DataFrame) -> list[Finding]:
-    """Time in another unit, or not from the start of the record."""
-    t_s = table["time"].to_numpy()
-    found = []
-    step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
-    if step > 5.0:
-        message = f"median step {step:.6g} s: is it in milliseconds or microseconds?"
-        found.append(Finding("error", "time", message))
-    if not -1.0 <= t_s[0] <= 3600.0:
-        message = f"begins at {t_s[0]:.6g} s; expected from the start of the record"
-        found.append(Finding("warning", "time", message))
-    return found
-
-
-def _norms(table: pd.DataFrame, columns: tuple[str, ...]) -> Array:
-    """Norm of a vector signal where all its parts are there, shape (n,)."""
-    if any(c not in table for c in columns):
-        return np.zeros(0)
-    norm = np.linalg.norm(table[list(columns)].to_numpy(), axis=1)
-    return np.asarray(norm[np.isfinite(norm)])
-
-
-def _doubt_units(table: pd.DataFrame) -> list[Finding]:
-    """Magnitudes that fit another unit better."""
-    found = []
-    acc, gyro, mag = (_norms(table, g) for g in (ACC, GYRO, MAG))
-    if len(acc) and 0.3 < np.median(acc) < 3.0:
-        message = f"median {np.median(acc):.2f} m/s^2: is it in g? 1 g = 9.80665 m/s^2"
-        found.append(Finding("error", "acc", message))
-    if len(gyro) and np.quantile(gyro, 0.99) > 20.0:
-        message = f"99 % below {np.quantile(gyro, 0.99):.0f} rad/s: is it in degrees per second?"
-        found.append(Finding("error", "gyro", message))
-    if len(mag) and not 1e-6 < np.median(mag) < 1e-3:
-        message = (
-            f"median {np.median(mag):.3g} T: the Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)"
-        )
-        found.append(Finding("error", "mag", message))
-    speed = table[[c for c in table if str(c).startswith("rotor_")]].to_numpy()
-    median = float(np.median(speed[speed > 0])) if (speed > 0).any() else 0.0
-    if median > _FASTEST_ROTOR_RAD_S:
-        message = f"median {median:.0f} rad/s: is it in rpm? 1 rpm = 0.10472 rad/s"
-        found.append(Finding("error", "rotor", message))
-    for column, low, high, message in (
-        ("baro_pa", 2e4, 1.2e5, "expected in Pa, about 101325 at sea level"),
-        ("vbat_v", 2.0, 500.0, "expected in V"),
-        ("ibat_a", -1e3, 1e3, "expected in A"),
-    ):
-        if column in table and table[column].notna().any():
-            median = float(table[column].median())
-            if not low <= median <= high:
-                found.append(Finding("error", column, f"median {median:.4g}: {message}"))
-    return found
-
-
-def _doubt_frames(table: pd.DataFrame) -> list[Finding]:
-    """Signs that fit another frame better."""
-    found = []
-    if "acc_z" in table and table["acc_z"].notna().any() and table["acc_z"].median() > 0.3:
-        message = (
-            f"acc_z has median {table['acc_z'].median():+.2f} m/s^2; at rest and in hover it is "
-            "-9.8 in FRD. Axes FLU (z up), or gravity instead of specific force?"
-        )
-        found.append(Finding("error", "acc", message))
-    if "acc_ned_z" in table and table["acc_ned_z"].notna().any():
-        down = float(table["acc_ned_z"].median())
-        if abs(down) > 5.0:
-            message = (
-                f"acc_ned_z has median {down:+.2f} m/s^2; that of a motion is about 0 on average: "
-                "is gravity in it, or specific force meant?"
-            )
-            found.append(Finding("error", "acc_ned", message))
-    air = table["phase"].isin(["hover", "forward", "tour"])
-    ground = table["phase"] == "ground"
-    if "pos_z" in table:
-        height = table.loc[air, "pos_z"].median() - table.loc[ground, "pos_z"].median()
-        if height > 0.3:
-            message = (
-                f"pos_z is {height:+.1f} m higher in flight than on the ground; NED has z down"
-            )
-            found.append(Finding("error", "pos", message))
-    if "pos_z" in table and "vel_z" in table:
-        both = table[["time", "pos_z", "vel_z"]].dropna()
-        if len(both) > 20:
-            climbed = np.gradient(both["pos_z"].to_numpy(), both["time"].to_numpy())
-            speed = both["vel_z"].to_numpy()
-            if np.std(climbed) > 1e-3 and np.std(speed) > 1e-3:
-                fit = float(np.corrcoef(climbed, speed)[0, 1])
-                if fit < -0.5:
-                    message = f"vel_z and the slope of pos_z have opposite signs (r = {fit:.2f})"
-                    found.append(Finding("error", "vel", message))
-    return found

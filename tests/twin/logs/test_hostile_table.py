@@ -62,7 +62,9 @@ def test_thousands_of_unknown_columns(tmp_path: Path) -> None:
         b"[" * 100_000,
         b"[]",
         b"\xff\xfe",
-        json.dumps({"findings": [{"severity": "info", "where": "x", "message": "y", "count": None}]}),
+        json.dumps(
+            {"findings": [{"severity": "info", "where": "x", "message": "y", "count": None}]}
+        ),
         json.dumps({"findings": [{"severity": "loud", "where": "x", "message": "y"}]}),
         json.dumps({"findings": [{"severity": "info", "where": 3, "message": "y"}]}),
         json.dumps({"site": ["indoors"]}),
@@ -81,8 +83,11 @@ def test_what_a_writer_noted_is_checked(tmp_path: Path, noted: Any) -> None:
 def test_a_motor_of_absurd_number_is_no_motor(tmp_path: Path, digits: int) -> None:
     table = flight_table()
     table["cmd_" + "9" * digits] = 0.0
-    (found,) = [f for f in read(tmp_path, parquet(pa.Table.from_pandas(table))).findings
-                if "not a column" in f.message]
+    (found,) = [
+        f
+        for f in read(tmp_path, parquet(pa.Table.from_pandas(table))).findings
+        if "not a column" in f.message
+    ]
     assert found.where == ("cmd_" + "9" * digits)[:40]
 
 
@@ -109,7 +114,7 @@ def test_a_text_in_many_rows_is_held_once(tmp_path: Path) -> None:
     held = pa.default_memory_pool()
     before = held.bytes_allocated()
     tracemalloc.start()
-    with pytest.raises(LogError, match="unknown phase 'x{40}'"):
+    with pytest.raises(LogError, match=r"unknown phase 'x{40}'"):
         read(tmp_path, blob)
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()

@@ -1,0 +1,203 @@
+"""Signals of a flight held against each other: rates and attitude, velocity and position, force and
+velocity.
+
+What each says of a window of half a second is compared, where both have samples in it: of noise
+little is left there.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ..frames import rotation_vector, to_ned
+from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL
+from .flight import Array, Finding
+
+_G_M_S2 = 9.80665
+_WINDOW_S = 0.5  # shorter in a short record
+_LONGEST_S = 36_000.0
+_FEWEST = 20  # windows
+
+
+def signals(table: pd.DataFrame) -> dict[str, tuple[str, ...]]:
+    """Columns that are sampled together and there, by the name of their signal."""
+    groups: dict[str, tuple[str, ...]] = {
+        **{g[0][:-2]: g for g in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED)},
+        **{c: (c,) for c in ("baro_pa", "vbat_v", "ibat_a")},
+        **{
+            stem: tuple(str(c) for c in table if str(c).startswith(f"{stem}_"))
+            for stem in ("cmd", "rotor")
+        },
+    }
+    return {
+        name: columns
+        for name, columns in groups.items()
+        if columns and all(c in table and table[c].notna().any() for c in columns)
+    }
+
+
+def samples(table: pd.DataFrame, columns: Sequence[str]) -> tuple[Array, Array]:
+    """Times, s, shape (n,), and values, shape (n, k), where all of the columns are there."""
+    values = table[["time", *columns]].to_numpy(dtype=np.float64)
+    values = values[np.isfinite(values).all(axis=1)]
+    return values[:, 0], values[:, 1:]
+
+
+def _windows(*times_s: Array) -> Array:
+    """Edges of the windows that all of these times cover, s."""
+    start = max(float(t[0]) for t in times_s)
+    end = min(float(t[-1]) for t in times_s)
+    if not 0.0 < end - start < _LONGEST_S:
+        return np.zeros(0)
+    interval_s = max(float(np.median(np.diff(t))) for t in times_s)
+    return np.arange(start, end, min(_WINDOW_S, max((end - start) / 40.0, 3.0 * interval_s)))
+
+
+def _total(t_s: Array, values: Array, edges_s: Array) -> Array:
+    """Integral of a signal over each window, shape (windows, k)."""
+    steps = np.diff(t_s)[:, None] * (values[1:] + values[:-1]) / 2.0
+    total = np.vstack([np.zeros(values.shape[1]), np.cumsum(steps, axis=0)])
+    return np.diff(_at(t_s, total, edges_s), axis=0)
+
+
+def _at(t_s: Array, values: Array, at_s: Array) -> Array:
+    """Linear between the samples, shape (len(at_s), k)."""
+    return np.stack([np.interp(at_s, t_s, v) for v in values.T], axis=1)
+
+
+def _known(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
+    """Whether a signal has a sample within 0.2 s of both ends of each window, and in between."""
+    after = np.clip(np.searchsorted(t_s, edges_s), 1, len(t_s) - 1)
+    near = (t_s[after] - t_s[after - 1]) < 0.25
+    count = np.diff(np.searchsorted(t_s, edges_s))
+    return np.asarray(near[1:] & near[:-1] & (count >= 2))
+
+
+def _compared(a: Array, b: Array, good: NDArray[np.bool_]) -> tuple[float, float, int]:
+    """Correlation about zero, ratio of sizes |b| / |a|, and number of windows."""
+    a, b = a[good], b[good]
+    size_a, size_b = float(np.sqrt(np.sum(a * a))), float(np.sqrt(np.sum(b * b)))
+    if size_a == 0.0 or size_b == 0.0:
+        return 1.0, 1.0, 0
+    return float(np.sum(a * b)) / (size_a * size_b), size_b / size_a, len(a)
+
+
+def doubt_turning(table: pd.DataFrame) -> list[Finding]:
+    """Body rates and attitude that do not turn together."""
+    there = signals(table)
+    if not {"gyro", "q"} <= there.keys():
+        return []
+    t_gyro, gyro = samples(table, GYRO)
+    t_q, q = samples(table, QUAT)
+    if min(len(t_gyro), len(t_q)) < _FEWEST:
+        return []
+    edges = _windows(t_gyro, t_q)
+    if len(edges) < _FEWEST:
+        return []
+    near = np.clip(np.searchsorted(t_q, edges), 0, len(t_q) - 1)
+    edges = t_q[near]  # attitudes as they are: those between are not on the way
+    edges, first = np.unique(edges, return_index=True)
+    q = q[near][first]
+    q = q / np.linalg.norm(q, axis=1, keepdims=True)
+    turned = rotation_vector(q[1:], q[:-1])
+    told = _total(t_gyro, gyro, edges)
+    small = np.abs(told).max(axis=1) < 1.0  # beyond, angles do not add up
+    good = _known(t_gyro, edges) & _known(t_q, edges) & small
+    moving = float(np.sqrt(np.mean(told[good] ** 2))) if good.any() else 0.0
+    still = float(np.sqrt(np.mean(turned[good] ** 2))) if good.any() else 0.0
+    together, ratio, n = _compared(turned, told, good)
+    if n < _FEWEST or max(moving, still) < 0.02:
+        return []
+    if together > 0.5 and 0.5 < ratio < 2.0:
+        return []
+    unit = ""
+    if together > 0.5:
+        unit = ": is a unit wrong, or one of them scaled?"
+    message = (
+        f"does not turn with the gyroscope (correlation {together:.2f}, the gyroscope {ratio:.2g} "
+        f"times as fast){unit or ': order w, x, y, z, body to NED, forward-right-down axes?'}"
+    )
+    return [Finding("error", "q", message)]
+
+
+def doubt_velocity(table: pd.DataFrame) -> list[Finding]:
+    """Velocity that is not the slope of the position, axis by axis."""
+    there = signals(table)
+    if not {"pos", "vel"} <= there.keys():
+        return []
+    t_pos, pos = samples(table, POS)
+    t_vel, vel = samples(table, VEL)
+    if min(len(t_pos), len(t_vel)) < _FEWEST:
+        return []
+    edges = _windows(t_pos, t_vel)
+    if len(edges) < _FEWEST:
+        return []
+    way, told = np.diff(_at(t_pos, pos, edges), axis=0), _total(t_vel, vel, edges)
+    good = _known(t_pos, edges) & _known(t_vel, edges)
+    good &= np.abs(way).max(axis=1) < 50.0 * _median_way(way)  # resets of an estimator
+    found = []
+    for k, axis in enumerate("xyz"):
+        together, ratio, n = _compared(way[:, k], told[:, k], good)
+        if n < _FEWEST or max(np.std(told[good, k]), np.std(way[good, k])) < 0.02:
+            continue
+        if together < -0.5:
+            message = (
+                f"vel_{axis} and the slope of pos_{axis} have opposite signs (r = {together:.2f})"
+            )
+            found.append(Finding("error", "vel", message))
+        elif together < 0.5 or not 0.5 < ratio < 2.0:
+            message = (
+                f"vel_{axis} is {ratio:.3g} times the slope of pos_{axis} (r = {together:.2f}): "
+                "is one of them in mm or cm, or in another frame?"
+            )
+            found.append(Finding("error", "vel", message))
+    return found
+
+
+def _median_way(way: Array) -> float:
+    """What a window usually covers, m, at least a little."""
+    return max(float(np.median(np.abs(way).max(axis=1))), 0.02)
+
+
+def doubt_force(table: pd.DataFrame) -> list[Finding]:
+    """Specific force that does not explain how the velocity changes."""
+    there = signals(table)
+    if not {"acc", "q", "vel"} <= there.keys():
+        return []
+    t_acc, acc = samples(table, ACC)
+    t_q, q = samples(table, QUAT)
+    t_vel, vel = samples(table, VEL)
+    if min(len(t_acc), len(t_q), len(t_vel)) < _FEWEST:
+        return []
+    edges = _windows(t_acc, t_q, t_vel)
+    if len(edges) < _FEWEST:
+        return []
+    near = np.clip(np.searchsorted(t_q, t_acc), 0, len(t_q) - 1)
+    unit = q[near] / np.linalg.norm(q[near], axis=1, keepdims=True)
+    force_n = np.stack(to_ned(list(unit.T), list(acc.T)), axis=1)
+    gained, told = np.diff(_at(t_vel, vel, edges), axis=0), _total(t_acc, force_n, edges)
+    good = _known(t_acc, edges) & _known(t_q, edges) & _known(t_vel, edges)
+    good &= np.abs(gained).max(axis=1) < 20.0 * np.diff(edges)
+    if good.sum() < _FEWEST:
+        return []
+    weight = (gained[good] - told[good]) / np.diff(edges)[good, None]
+    lacks = float(np.median(weight[:, 2])) - _G_M_S2
+    found = []
+    if abs(lacks) > 3.0:
+        message = (
+            f"with the attitude it leaves {lacks + _G_M_S2:.1f} m/s^2 down to explain the "
+            f"velocity, gravity has {_G_M_S2:.1f}: without gravity, of another sign, in another "
+            "unit, or an attitude that is not the body's?"
+        )
+        found.append(Finding("error", "acc", message))
+    level = (gained[:, :2], told[:, :2])
+    together, ratio, n = _compared(*level, good)
+    if n >= _FEWEST and np.std(level[0][good]) > 0.15 and together < 0.3:
+        message = (
+            f"does not push the way that the velocity changes (correlation {together:.2f}, "
+            f"{ratio:.2g} times as much): another frame, sign, unit or clock?"
+        )
+        found.append(Finding("error", "acc", message))
+    return found
