@@ -75,7 +75,10 @@ class Control:
         Raises:
             FmuError: A step would become too short.
         """
-        error = np.abs(whole - halves) / np.maximum(self.nominal, np.abs(halves)) / self.tolerance
+        with np.errstate(invalid="ignore"):
+            scale = np.maximum(self.nominal, np.abs(halves))
+            error = np.abs(whole - halves) / scale / self.tolerance
+        error[np.isnan(error)] = np.inf  # a shorter step may stay finite
         ratio = float(error.max(initial=0.0))
         better_s = tried_s * SAFETY / np.sqrt(ratio) if ratio > 0 else np.inf
         if ratio <= 1:

@@ -1,9 +1,12 @@
 """The values that connected slaves exchange, and the visits that bring them up to date."""
 
 from collections.abc import Mapping, Sequence, Set
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
+
+from twin.errors import FmuError
 
 from .slave.interface import Port
 from .slave.slave import Slave
@@ -40,6 +43,7 @@ class Bus:
         fed = [f"{s}.{v}" for s, variables in inputs.items() for v in variables]
         self._gather = self.positions([self.source[name] for name in fed])
         self._inputs = np.zeros(len(fed))
+        self._zeros = np.zeros(len(names))
         self._part: dict[str, NDArray[np.intp]] = {}
         sent = received = 0
         for name, s in slaves.items():
@@ -64,6 +68,21 @@ class Bus:
     def positions(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Where outputs are in `values`."""
         return np.array([self.position[n] for n in names], dtype=np.intp)
+
+    def check(self, time_s: float) -> None:
+        """Refuse what is no finite number: times 0, that alone is not 0. Callers mute `invalid`.
+
+        Raises:
+            FmuError: An output is NaN or infinite.
+        """
+        if not isfinite(self.values.dot(self._zeros)):
+            at = int(np.argmin(np.isfinite(self.values)))
+            slave, variable = self.system.split([*self.position][at])
+            raise FmuError(
+                f"{slave} ({self.slaves[slave].path.name}): {variable} = {self.values[at]:g} at "
+                f"{time_s:g} s; outputs are finite numbers. Choose a shorter step, or ask who "
+                f"made the FMU."
+            )
 
     def write_all(self) -> None:
         """Send present values to the inputs of all slaves."""

@@ -12,13 +12,14 @@ from twin.errors import FmuError
 from .adaptive import SAMPLE_PERIOD, Control, Grid, advance_to
 from .bus import Bus
 from .realtime import Pace
-from .recording import Interrupted, Recording
+from .recording import Interrupted, Recording, RunError
 from .rollback import Rollback
+from .slave.board import Board
 from .slave.slave import Slave
 from .stepping import Algorithm, Stepping
 from .system import System
 
-__all__ = ["Algorithm", "Interrupted", "Master", "Recording"]
+__all__ = ["Algorithm", "Interrupted", "Master", "Recording", "RunError"]
 
 SHORTEST = 1e-9
 """Shortest step of the step-size control, in output steps."""
@@ -33,22 +34,25 @@ class Master:
         time_s: Time reached.
     """
 
-    def __init__(self, system: System, record: Sequence[str] | None = None) -> None:
+    def __init__(
+        self, system: System, record: Sequence[str] | None = None, board: Board | None = None
+    ) -> None:
         """Load the FMUs.
 
         Args:
             system: What to run.
             record: "slave.variable" outputs to record; None: all that are scalars.
+            board: Where another process can read the calls under way and the recording.
 
         Raises:
             FmuError: A file, a name, a unit or a connection is wrong.
         """
-        self.system = system
+        self.system, self._board = system, board
         self.slaves: list[Slave] = []
         self._ready = False
         try:
             for name, path in system.fmus.items():
-                self.slaves.append(Slave(name, path))
+                self.slaves.append(Slave(name, path, board))
             system.check({s.name: s.interface for s in self.slaves})
             self._bus = Bus(system, {s.name: s for s in self.slaves}, record)
             self._stepping = Stepping(self._bus)
@@ -71,7 +75,8 @@ class Master:
             stop_time_s: Told to the slaves, which may refuse to go beyond; None: nothing is.
 
         Raises:
-            FmuError: A start value is wrong, a slave refused, or a loop has no solution.
+            FmuError: A start value is wrong, a slave refused, a loop has no solution, or an output
+                is no finite number.
         """
         start_s = self.system.start_time_s if start_time_s is None else start_time_s
         values: dict[str, dict[str, float]] = {s.name: {} for s in self.slaves}
@@ -90,6 +95,8 @@ class Master:
             s.finish_initialization()
             s.read_outputs()
         self._stepping.settle(start_s)
+        with np.errstate(invalid="ignore"):
+            self._bus.check(start_s)
         self._stepping.count = 0
         self.time_s = self._start_s = start_s
         self._ready = True
@@ -117,7 +124,8 @@ class Master:
                 as possible.
 
         Raises:
-            FmuError: The step is not positive, the time is past, or a slave failed.
+            FmuError: The step is not positive, or the time is past.
+            RunError: A slave failed or gave what is no finite number; holds the recording.
             Interrupted: Ctrl-C; holds the recording up to then. Between two steps, where a run in
                 real time spends its time, the system can be run on.
         """
@@ -127,27 +135,36 @@ class Master:
         if realtime is not None and not (realtime > 0 and np.isfinite(realtime)):
             raise FmuError(f"realtime = {realtime:g}: needs a positive factor, e.g. 1.")
         step, bus = self._stepping.algorithm(algorithm), self._bus
-        rows = _Rows(bus, steps // every + 1)
+        rows = _Rows(bus, steps // every + 1, self._board)
         rows.add(self.time_s)
         origin = self.time_s
         pace = Pace(realtime, origin) if realtime is not None else None
         self._ready = waiting = False
+        done = 0
         try:
-            for k in range(1, steps + 1):
-                step(self.time_s, step_s)
-                self.time_s = origin + k * step_s
-                if k % every == 0:
-                    rows.add(self.time_s)
-                if pace is not None:
-                    waiting = True
-                    pace.wait(self.time_s)
-                    waiting = False
-                if progress is not None and k % 1000 == 0:
-                    progress(self.time_s)
+            with np.errstate(invalid="ignore"):  # `check` looks for what is not finite
+                for done in range(1, steps + 1):
+                    step(self.time_s, step_s)
+                    self.time_s = origin + done * step_s
+                    bus.check(self.time_s)
+                    if done % every == 0:
+                        rows.add(self.time_s)
+                    if pace is not None:
+                        waiting = True
+                        pace.wait(self.time_s)
+                        waiting = False
+                    if progress is not None and done % 1000 == 0:
+                        progress(self.time_s)
         except KeyboardInterrupt:
             self._ready = waiting
             done = round((self.time_s - origin) / step_s)
-            raise Interrupted(rows.recording(done, pace=pace)) from None
+            raise Interrupted(
+                rows.recording(done, pace=pace, incomplete=self._broken_off())
+            ) from None
+        except FmuError as error:
+            raise RunError(
+                str(error), rows.recording(done - 1, pace=pace, incomplete=str(error))
+            ) from error
         self._ready = True
         return rows.recording(steps, pace=pace)
 
@@ -175,7 +192,9 @@ class Master:
             progress: Called now and then with the time reached.
 
         Raises:
-            FmuError: A slave cannot take steps back, or the tolerance cannot be reached.
+            FmuError: A slave cannot take steps back.
+            RunError: A slave failed, or the tolerance cannot be reached; holds the recording.
+            Interrupted: Ctrl-C; holds the recording up to then.
         """
         steps = self._steps(stop_time_s, step_s)
         if not (tolerance > 0 and np.isfinite(tolerance)):
@@ -197,7 +216,8 @@ class Master:
         compared = [n for n, port in ports.items() if port.kind == "Real"]
         nominal = np.array([ports[n].nominal for n in compared])
         control = Control(compared, nominal, tolerance, SHORTEST * step_s, step_s)
-        grids, rollback, rows = self._sample_grids(), Rollback(bus), _Rows(bus, steps + 1)
+        grids, rollback = self._sample_grids(), Rollback(bus)
+        rows = _Rows(bus, steps + 1, self._board)
         rows.add(self.time_s)
         origin = self.time_s
         self._ready = False
@@ -208,9 +228,20 @@ class Master:
                     instant, self.time_s, control, grids, advance, rollback, bus.positions(compared)
                 )
                 self.time_s = instant
+                with np.errstate(invalid="ignore"):
+                    bus.check(instant)
                 rows.add(instant)
                 if progress is not None and k % 100 == 0:
                     progress(instant)
+        except KeyboardInterrupt:
+            raise Interrupted(
+                rows.recording(control.steps, control.rejected, incomplete=self._broken_off())
+            ) from None
+        except FmuError as error:
+            why = str(error)
+            raise RunError(
+                why, rows.recording(control.steps, control.rejected, incomplete=why)
+            ) from error
         finally:
             rollback.free()
         self._ready = True
@@ -219,6 +250,9 @@ class Master:
     def _sample_grids(self) -> list[Grid]:
         sampled = [s for s in self.slaves if SAMPLE_PERIOD in s.ports]
         return [Grid(self._start_s, s.get(SAMPLE_PERIOD)) for s in sampled]
+
+    def _broken_off(self) -> str:
+        return f"interrupted at {self.time_s:g} s"
 
     def _steps(self, stop_time_s: float, step_s: float) -> int:
         """Number of steps until a time.
@@ -264,20 +298,25 @@ class Master:
 class _Rows:
     """The rows of a recording under way."""
 
-    def __init__(self, bus: Bus, count: int) -> None:
+    def __init__(self, bus: Bus, count: int, board: Board | None) -> None:
         self._bus, self._filled = bus, 0
-        self._time, self._values = np.empty(count), np.empty((count, len(bus.recorded)))
+        width = len(bus.recorded)
+        size = count * (1 + width)
+        table = np.empty(size) if board is None else board.table(size)
+        self._time, self._values = table[:count], table[count:].reshape(count, width)
         # Where everything on the bus is recorded, a copy does without the slower gather.
         everything = np.array_equal(bus.columns, np.arange(len(bus.values)))
         self._columns: NDArray[np.intp] | slice = slice(None) if everything else bus.columns
 
     def add(self, time_s: float) -> None:
-        """Record the present."""
-        self._time[self._filled] = time_s
+        """Record the present; the time last, which says on a board that the row is whole."""
         self._values[self._filled] = self._bus.values[self._columns]
+        self._time[self._filled] = time_s
         self._filled += 1
 
-    def recording(self, steps: int, rejected: int = 0, pace: Pace | None = None) -> Recording:
+    def recording(
+        self, steps: int, rejected: int = 0, pace: Pace | None = None, incomplete: str = ""
+    ) -> Recording:
         """What has been recorded so far."""
         return Recording(
             self._bus.recorded,
@@ -286,4 +325,5 @@ class _Rows:
             steps,
             rejected,
             0.0 if pace is None else pace.lateness_s,
+            incomplete,
         )

@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from twin.errors import FmuError
 from twin.representation import short_repr
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +25,8 @@ class Recording:
         steps: Communication steps taken.
         rejected: Steps taken back by the step-size control and tried again with shorter ones.
         lateness_s: Longest delay behind the clock, of a run in real time.
+        incomplete: Why the run did not come to its end; "" where it did.
+        printed: What FMUs in a process of their own printed, the end of it.
     """
 
     names: tuple[str, ...]
@@ -30,6 +35,8 @@ class Recording:
     steps: int = 0
     rejected: int = 0
     lateness_s: float = 0.0
+    incomplete: str = ""
+    printed: str = ""
 
     __repr__ = short_repr
 
@@ -37,20 +44,39 @@ class Recording:
         """One column by name."""
         return self.values[:, self.names.index(name)]
 
-    def frame(self) -> pd.DataFrame:
-        """As a table with `time` first."""
+    def frame(self) -> "pd.DataFrame":
+        """As a table with `time` first; `attrs` say where it is incomplete."""
+        import pandas as pd
+
         table = pd.DataFrame(self.values, columns=list(self.names))
         table.insert(0, "time", self.time_s)
+        if self.incomplete:
+            table.attrs["incomplete"] = self.incomplete
         return table
 
     def write(self, path: Path) -> None:
-        """Write Parquet or CSV, chosen by the suffix; CSV keeps every bit (shortest repr)."""
+        """Write Parquet or CSV, chosen by the suffix; CSV keeps every bit (shortest repr).
+
+        Parquet keeps `incomplete`, too: pandas reads it into `attrs`.
+        """
         if path.suffix == ".parquet":
             self.frame().to_parquet(path, index=False)
         elif path.suffix == ".csv":
             self.frame().to_csv(path, index=False)
         else:
             raise FmuError(f"{path.name}: recordings are written as .parquet or .csv.")
+
+
+class RunError(FmuError):
+    """An FMU failed while a system ran.
+
+    Attributes:
+        recording: What had been recorded by then.
+    """
+
+    def __init__(self, why: str, recording: Recording) -> None:
+        super().__init__(why)
+        self.recording = recording
 
 
 class Interrupted(KeyboardInterrupt):
@@ -61,5 +87,5 @@ class Interrupted(KeyboardInterrupt):
     """
 
     def __init__(self, recording: Recording) -> None:
-        super().__init__(f"interrupted at {recording.time_s[-1]:g} s")
+        super().__init__(recording.incomplete)
         self.recording = recording

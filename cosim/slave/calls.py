@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .board import Board
 from .interface import SCALARS, Port
 
 Array = NDArray[np.float64]
@@ -37,10 +38,16 @@ class Transfer:
 
 
 class Library:
-    """The loaded library of one FMU instance."""
+    """The loaded library of one FMU instance.
 
-    def __init__(self, fmu: Any, fmi: int) -> None:
-        self.fmi = fmi
+    Attributes:
+        clock: Time of the step under way, s.
+    """
+
+    def __init__(self, fmu: Any, fmi: int, who: str = "", board: Board | None = None) -> None:
+        """Take an instance; `board` tells its calls, made in the name of a slave, to other processes."""
+        self.fmi, self._who, self._board = fmi, who, board
+        self.clock = ctypes.c_double() if board is None else board.clock
         self._dll = fmu.dll
         self._component = ctypes.c_void_p.from_param(fmu.component)
         self._kept: list[Any] = []
@@ -52,7 +59,9 @@ class Library:
         own, and `from_param` what ctypes would make of an argument in each call: nothing is left
         to convert.
         """
-        return partial(self._dll[f"fmi{self.fmi}{function}"], self._component, *arguments)
+        full = f"fmi{self.fmi}{function}"
+        call = partial(self._dll[full], self._component, *arguments)
+        return call if self._board is None else self._board.watched(self._who, full, call)
 
     def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:
         """A get or set function of variables."""
@@ -88,7 +97,7 @@ class Step:
     """
 
     def __init__(self, library: Library) -> None:
-        self.time_s, self.step_s = ctypes.c_double(), ctypes.c_double()
+        self.time_s, self.step_s = library.clock, ctypes.c_double()
         self.flags, self.reached_s = ctypes.c_uint32(), ctypes.c_double()
         if library.fmi == 2:
             tail: list[Any] = [ctypes.c_int.from_param(0)]  # a rollback may follow

@@ -26,12 +26,15 @@ from numpy.typing import NDArray
 from fmus.archive import unpack
 from twin.errors import FmuError
 
+from .board import Board
 from .calls import Library, Step, Transfer
 from .interface import SCALARS, Port, read_interface
 
 Array = NDArray[np.float64]
 _WARNING, _DISCARD, _FATAL, _PENDING = 1, 2, 4, 5
 _LAST_SUCCESSFUL_TIME = 2
+_LONGEST = 1000
+"""Characters of what an FMU says that are passed on."""
 
 
 class SavedState:
@@ -48,13 +51,15 @@ class Slave:
     `write_inputs` and `read_outputs` move them to and from the FMU.
     """
 
-    def __init__(self, name: str, path: Path) -> None:
-        self.name, self.path = name, path
+    def __init__(self, name: str, path: Path, board: Board | None = None) -> None:
+        """Load and instantiate; `board` tells the calls to other processes."""
+        self.name, self.path, self._board = name, path, board
+        self._who = f"{name} ({path.name})"
         self.interface = read_interface(path)
         self._messages: deque[str] = deque(maxlen=20)
         self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-")
         self._fmu = self._instantiate()
-        self.library = Library(self._fmu, self.interface.fmi)
+        self.library = Library(self._fmu, self.interface.fmi, self._who, board)
         self._saved: set[SavedState] = set()
         self._running = self._dead = False
         self.bind([], [], np.zeros(0), np.zeros(0))
@@ -67,20 +72,22 @@ class Slave:
         fmu, here = None, os.getcwd()
         try:
             unpack(self.path, Path(self._folder.name))
-            fmu = kind(
-                guid=description.guid if fmi == 2 else description.instantiationToken,
-                modelIdentifier=description.coSimulation.modelIdentifier,
-                unzipDirectory=self._folder.name,
-                instanceName=self.name,
-            )
+            arguments = {
+                "guid": description.guid if fmi == 2 else description.instantiationToken,
+                "modelIdentifier": description.coSimulation.modelIdentifier,
+                "unzipDirectory": self._folder.name,
+                "instanceName": self.name,
+            }
+            fmu = self._call("loading its library", lambda: kind(**arguments))
             if fmi == 2:
                 callbacks = fmi2CallbackFunctions()
                 callbacks.logger = fmi2CallbackLoggerTYPE(self._log2)
                 callbacks.allocateMemory = defaultCallbacks.allocateMemory
                 callbacks.freeMemory = defaultCallbacks.freeMemory
-                fmu.instantiate(callbacks=callbacks, loggingOn=True)
+                options = {"callbacks": callbacks, "loggingOn": True}
             else:
-                fmu.instantiate(logMessage=self._log3)
+                options = {"logMessage": self._log3}
+            self._call("instantiate", lambda: fmu.instantiate(**options))
         except Exception as error:  # refused by us, or FMPy's bare exceptions
             os.chdir(here)  # where a library does not load, FMPy stays in its folder
             if fmu is not None:
@@ -107,6 +114,7 @@ class Slave:
         stop_time_s: float | None = None,
     ) -> None:
         """Enter initialisation at a time with start values; `finish_initialization` ends it."""
+        self.library.clock.value = start_time_s
         times = {"startTime": start_time_s, "stopTime": stop_time_s}
         enter: Callable[..., Any] = self._fmu.enterInitializationMode
         if self.interface.fmi == 2:
@@ -137,8 +145,8 @@ class Slave:
                 self.free(state)
             if self._running:
                 with contextlib.suppress(Exception):  # what it says now changes nothing
-                    self._fmu.terminate()
-            self._fmu.freeInstance()
+                    self._call("terminate", self._fmu.terminate)
+            self._call("freeInstance", self._fmu.freeInstance)
         finally:
             self._fmu = None
             self._folder.cleanup()
@@ -254,14 +262,19 @@ class Slave:
 
     # -- failures -------------------------------------------------------------------------
 
+    def _call(self, what: str, call: Callable[[], Any]) -> Any:
+        """A call by way of FMPy."""
+        return call() if self._board is None else self._board.watched(self._who, what, call)()
+
     def _said(self, fallback: str) -> str:
         text = "; ".join(self._messages) or fallback
         self._messages.clear()
-        return text
+        printable = "".join(c if c.isprintable() else " " for c in text)
+        return " ".join(printable.split())[:_LONGEST]
 
     def _checked(self, what: str, call: Callable[[], Any]) -> None:
         try:
-            call()
+            self._call(what, call)
         except FmuError:
             raise
         except Exception as error:  # FMPy raises FMICallException and bare exceptions
@@ -302,4 +315,4 @@ class Slave:
         return reached.value
 
     def _error(self, what: str, why: str) -> FmuError:
-        return FmuError(f"{self.name} ({self.path.name}): {what}: {why}")
+        return FmuError(f"{self._who}: {what}: {why}")

@@ -1,0 +1,218 @@
+"""One worker process: started, asked, watched, ended with all that it started."""
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from ..slave.board import HEADER, Notice, read_board
+from .limits import Limits
+
+_TICK_S = 0.05
+_START_S = 60.0
+"""For Python to start, on a machine that is busy."""
+_PRINTED_BYTES = 2**16
+_ANSWER_BYTES = 2**20
+
+
+class Ended(Exception):  # noqa: N818
+    """The worker can answer nothing any more; the text says what became of it."""
+
+
+class Process:
+    """A worker with files of its own.
+
+    Attributes:
+        board: File of its board.
+        running: Whether it was not ended.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits, self._left_s = limits, limits.whole_s
+        self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
+        self._board = tempfile.TemporaryFile()  # noqa: SIM115
+        self.board = self._board.fileno()
+        os.ftruncate(self.board, HEADER)
+        self._printed, self._pending = bytearray(), bytearray()
+        requests, self._requests = os.pipe()
+        self._answers, answers = os.pipe()
+        self._output, output = os.pipe()
+        given = (requests, answers, self.board)
+        try:
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "cosim.worker",
+                    *map(str, given),
+                    str(limits.memory_bytes),
+                ],
+                cwd=self._folder.name,
+                env={
+                    **os.environ,
+                    "PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path)),
+                    "TMPDIR": self._folder.name,  # what it leaves behind goes with the folder
+                },
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=output,
+                pass_fds=given,
+                start_new_session=True,  # a group of its own, which is ended as one
+            )
+        finally:
+            for file in (requests, answers, output):
+                os.close(file)
+        self._selector = selectors.DefaultSelector()
+        for file in (self._answers, self._output):
+            os.set_blocking(file, False)
+            self._selector.register(file, selectors.EVENT_READ)
+        self.running = True
+
+    @property
+    def printed(self) -> str:
+        """The end of what it printed."""
+        return self._printed.decode(errors="replace")
+
+    def ask(
+        self,
+        request: Mapping[str, Any],
+        progress: Callable[[float], None] | None = None,
+        clocked_s: float | None = None,
+    ) -> Mapping[str, Any]:
+        """Answer to a request.
+
+        Args:
+            request: What to do, with its arguments.
+            progress: Called with the time reached.
+            clocked_s: Time that a run by the clock takes by itself.
+
+        Raises:
+            Ended: There is none; the worker was ended, or is no more.
+        """
+        if not self.running:
+            raise Ended("its process had been ended before")
+        begin = time.monotonic()
+        try:
+            os.write(self._requests, json.dumps(request).encode() + b"\n")
+            return self._wait(progress, begin, clocked_s)
+        except BrokenPipeError:
+            raise Ended(self._end()) from None
+        except BaseException:
+            self.end()
+            raise
+        finally:
+            self._left_s -= max(0.0, time.monotonic() - begin - (clocked_s or 0.0))
+
+    def _wait(
+        self, progress: Callable[[float], None] | None, begin: float, clocked_s: float | None
+    ) -> Mapping[str, Any]:
+        seen, since = read_board(self.board), begin
+        while True:
+            for content in self._read(_TICK_S):
+                if "progress" not in content:
+                    return content
+                if progress is not None:
+                    progress(float(content["progress"]))
+            if self._ended():
+                for content in self._read(0.0):
+                    if "progress" not in content:
+                        return content
+                raise Ended(self._end())
+            now, notice = time.monotonic(), read_board(self.board)
+            if notice != seen:
+                seen, since = notice, now
+            waits_for_clock = clocked_s is not None and not notice.busy
+            limit_s = self._limits.call_s if notice.who else max(_START_S, self._limits.call_s)
+            if now - since > limit_s and not waits_for_clock:
+                raise Ended(f"did not return within {limit_s:g} s, the limit (--call-limit)")
+            if now - begin - (clocked_s or 0.0) > self._left_s:
+                raise Ended(
+                    f"the {self._limits.whole_s:g} s for the whole run are used up (--time-limit)"
+                )
+
+    def _read(self, wait_s: float) -> list[Mapping[str, Any]]:
+        """Answers that have come; keeps what was printed."""
+        for key, _ in self._selector.select(wait_s):
+            data = os.read(key.fd, 2**16)
+            if not data:
+                self._selector.unregister(key.fd)
+            elif key.fd == self._output:
+                self._printed += data
+                del self._printed[:-_PRINTED_BYTES]
+            else:
+                self._pending += data
+        *lines, self._pending = self._pending.split(b"\n")
+        if len(self._pending) > _ANSWER_BYTES:
+            raise Ended("its process wrote into what belongs to uavtwin")
+        try:
+            found = [json.loads(line) for line in lines]
+        except ValueError:
+            found = [None]
+        if not all(isinstance(content, dict) for content in found):
+            raise Ended("its process wrote into what belongs to uavtwin")
+        return found
+
+    def _ended(self) -> bool:
+        """Whether the process is no more; its use of resources is kept."""
+        if self._process.returncode is None:
+            pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
+            if pid:
+                self._process.returncode = os.waitstatus_to_exitcode(status)
+                self._peak_bytes = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        return self._process.returncode is not None
+
+    def _end(self) -> str:
+        """End it and say how it had ended."""
+        deadline = time.monotonic() + 1.0
+        while not self._ended() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        code = self._process.returncode
+        self.end()
+        if code is None:
+            return "its process answers no more"
+        how = f"exit code {code}"
+        if code < 0:
+            with contextlib.suppress(ValueError):  # a signal without a name
+                how = f"signal {signal.Signals(-code).name}"
+        text = f"its process ended with {how}"
+        if self._peak_bytes > 0.7 * self._limits.memory_bytes:
+            text += (
+                f" after {self._peak_bytes / 2**30:.1f} of the {self._limits.memory_gib:g} GiB of "
+                f"memory that it may use (--memory-limit)"
+            )
+        return text
+
+    def end(self) -> None:
+        """Kill it and all of its group, and remove its files; twice does no harm."""
+        if not self.running:
+            return
+        self.running = False
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        with contextlib.suppress(Ended):
+            self._read(0.0)  # what it printed last
+        self._selector.close()
+        for file in (self._requests, self._answers, self._output):
+            os.close(file)
+        self._folder.cleanup()
+
+    def notice(self) -> Notice:
+        """The call under way, or the last one."""
+        return read_board(self.board)
+
+    def clear_table(self) -> None:
+        """Take a former recording off the board."""
+        os.ftruncate(self.board, HEADER)
+
+    def forget(self) -> None:
+        """Close the board, after `end`."""
+        self._board.close()

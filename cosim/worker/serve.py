@@ -1,0 +1,105 @@
+"""The worker's side: a master that takes requests, one JSON text a line, and answers them.
+
+No request comes from an FMU, and no answer is more than text and numbers: whoever reads it runs
+nothing of it.
+"""
+
+import json
+import os
+import queue
+import resource
+import signal
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from twin.errors import TwinError
+
+from ..master import Master, RunError
+from ..slave.board import Board
+from ..system import Connection, System
+
+Answer = Callable[[Mapping[str, Any]], None]
+
+
+def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
+    """Answer until asked to close; ends this process.
+
+    Args:
+        requests: File to read from; at its end the asking process is no more.
+        answers: File to write to.
+        board: File of the board.
+        memory_bytes: Limit of writable memory.
+    """
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # from an FMU: it is not ours to handle
+    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    threading.Thread(target=_read, args=(requests, lines), daemon=True).start()
+
+    def answer(content: Mapping[str, Any]) -> None:
+        os.write(answers, json.dumps(content).encode() + b"\n")
+
+    server = _Server(Board(board), answer)
+    while True:
+        request = json.loads(lines.get())
+        try:
+            done = getattr(server, request.pop("do"))(**request)
+        except RunError as error:
+            r = error.recording
+            answer({"failed": str(error), "run": [r.steps, r.rejected, r.lateness_s]})
+        except TwinError as error:
+            answer({"refused": str(error)})
+        except Exception as error:  # memory used up, or a mistake of ours
+            answer({"refused": f"the process of the FMUs: {type(error).__name__}: {error}"})
+        else:
+            answer({"done": done})
+
+
+def _read(file: int, lines: "queue.SimpleQueue[bytes]") -> None:
+    """Pass lines on; when who asks is gone, end this process and all that FMUs started."""
+    with os.fdopen(file, "rb") as stream:
+        for line in stream:
+            lines.put(line)
+    os.killpg(0, signal.SIGKILL)
+
+
+class _Server:
+    """What can be asked, by name."""
+
+    def __init__(self, board: Board, answer: Answer) -> None:
+        self._board, self._answer = board, answer
+
+    def load(
+        self, fmus: Mapping[str, str], connections: list[list[str]], record: Any, **more: Any
+    ) -> list[str]:
+        """Load a system; names of the recorded columns."""
+        system = System(
+            {name: Path(path) for name, path in fmus.items()},
+            tuple(Connection(*ends) for ends in connections),
+            **more,
+        )
+        self._master = Master(system, record, self._board)
+        return list(self._master.record_names)
+
+    def initialize(self, **arguments: Any) -> None:
+        """As the master's."""
+        self._master.initialize(**arguments)
+
+    def run(self, **arguments: Any) -> list[float]:
+        """As the master's; steps, rejected steps, lateness. The rows are on the board."""
+        r = self._master.run(progress=self._progress, **arguments)
+        return [r.steps, r.rejected, r.lateness_s]
+
+    def run_adaptive(self, **arguments: Any) -> list[float]:
+        """As the master's."""
+        r = self._master.run_adaptive(progress=self._progress, **arguments)
+        return [r.steps, r.rejected, r.lateness_s]
+
+    def close(self) -> None:
+        """Free everything."""
+        self._master.close()
+
+    def _progress(self, time_s: float) -> None:
+        self._answer({"progress": time_s})
