@@ -299,7 +299,7 @@ class _Rows:
     """The rows of a recording under way."""
 
     def __init__(self, bus: Bus, count: int, board: Board | None) -> None:
-        self._bus, self._filled = bus, 0
+        self._bus, self._board, self._filled = bus, board, 0
         width = len(bus.recorded)
         size = count * (1 + width)
         table = np.empty(size) if board is None else board.table(size)
@@ -310,6 +310,8 @@ class _Rows:
 
     def add(self, time_s: float) -> None:
         """Record the present; the time last, which says on a board that the row is whole."""
+        if self._board is not None:
+            self._board.check_process()
         self._values[self._filled] = self._bus.values[self._columns]
         self._time[self._filled] = time_s
         self._filled += 1

@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from twin.errors import FmuError
 
 Array = NDArray[np.float64]
-HEADER = mmap.ALLOCATIONGRANULARITY
-"""Bytes before the table; a clock, whether a call is under way, and which."""
-_CLOCK, _BUSY, _CALL, _END = 0, 8, 9, 256
-_ONE, _QUARTER, _MORE, _TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 5e-324
-_NEXT = 1.0 + 2.0**-52
+_CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = 0, 8, 256, 256, 4095
+HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
+"""Bytes before the table: the clock, the number of the call, and what calls there are."""
 
 
 class Board:
@@ -31,6 +29,8 @@ class Board:
         """Take an open file, which holds the header at least."""
         self._file, self._pid = file, os.getpid()
         self._memory = mmap.mmap(file, HEADER)
+        self._numbers: dict[str, int] = {}
+        self._call = memoryview(self._memory)[_CALL : _CALL + 8].cast("q")
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
     def table(self, count: int) -> Array:
@@ -44,36 +44,56 @@ class Board:
         table[:] = np.nan
         return table
 
+    def check_process(self) -> None:
+        """End this process if it is a copy, made by an FMU, of that which wrote the board."""
+        if os.getpid() != self._pid:
+            os._exit(0)
+
+    def announced(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
+        """A call that is announced before."""
+        number, slot = self._number(f"{who}\n{function}"), self._call
+
+        def announced() -> Any:
+            slot[0] = number
+            result = call()
+            slot[0] = -number
+            return result
+
+        return announced
+
     def watched(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
-        """A call that is announced before, and whose traces in this process are looked for after.
+        """The same, and whether it changed how this process calculates is looked for after.
 
         Raises, when it is called:
             FmuError: The FMU changed how this process calculates.
         """
-        text = f"{who}\n{function}".encode()[: _END - _CALL]
-        announced = b"\1" + text.ljust(_END - _CALL, b"\0")
-        memory, pid, getpid = self._memory, self._pid, os.getpid
+        number = self._number(f"{who}\n{function}")
+        slot = self._call
+        one, quarter, more, following, tiny = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
 
         def watched() -> Any:
-            memory[_BUSY:_END] = announced
+            slot[0] = number
             result = call()
-            memory[_BUSY] = 0
-            if getpid() != pid:
-                os._exit(0)  # a copy of this process, which the FMU has made
-            if not _usual_arithmetic():
-                raise FmuError(
-                    f"{who}: {function} at {self.clock.value:g} s: changed how the processor "
-                    f"rounds or treats small numbers, and with that the results of others. Ask "
-                    f"who made the FMU."
-                )
-            return result
+            slot[0] = -number
+            # Rounding to nearest, and numbers below the smallest normal one are kept.
+            if one + quarter + more == following and tiny + tiny:
+                return result
+            raise FmuError(
+                f"{who}: {function} at {self.clock.value:g} s: changed how the processor rounds "
+                f"or treats small numbers, and with that the results of others. Ask who made the "
+                f"FMU."
+            )
 
         return watched
 
-
-def _usual_arithmetic() -> bool:
-    """Rounding to nearest, and numbers below the smallest normal one kept."""
-    return _ONE + _QUARTER == _ONE and _ONE + _MORE == _NEXT and _TINY + _TINY > _TINY
+    def _number(self, text: str) -> int:
+        """Of a call, from 1 on; those beyond the last have no name."""
+        number = self._numbers.setdefault(text, len(self._numbers) + 1)
+        if number <= _MOST_NAMES:
+            at = _NAMES + (number - 1) * _NAME_BYTES
+            name = text.encode()[:_NAME_BYTES].ljust(_NAME_BYTES, b"\0")
+            self._memory[at : at + _NAME_BYTES] = name
+        return number
 
 
 class Notice(NamedTuple):
@@ -94,11 +114,11 @@ class Notice(NamedTuple):
 
 def read_board(file: int) -> Notice:
     """The reading side."""
-    header = os.pread(file, _END, 0)
-    (clock_s,) = struct.unpack_from("d", header, _CLOCK)
-    text = header[_CALL:].partition(b"\0")[0].decode(errors="replace")
-    who, _, function = text.partition("\n")
-    return Notice(clock_s, header[_BUSY] != 0, who, function)
+    clock_s, number = struct.unpack("dq", os.pread(file, _CALL + 8, _CLOCK))
+    at = _NAMES + (abs(number) - 1) * _NAME_BYTES
+    name = os.pread(file, _NAME_BYTES, at) if 0 < abs(number) <= _MOST_NAMES else b""
+    who, _, function = name.rstrip(b"\0").decode(errors="replace").partition("\n")
+    return Notice(clock_s, number > 0, who, function)
 
 
 def read_table(file: int, width: int) -> tuple[Array, Array]:

@@ -45,7 +45,7 @@ class Library:
     """
 
     def __init__(self, fmu: Any, fmi: int, who: str = "", board: Board | None = None) -> None:
-        """Take an instance; `board` tells its calls, made in the name of a slave, to other processes."""
+        """Take an instance; `board` tells others its calls, made in the name of a slave."""
         self.fmi, self._who, self._board = fmi, who, board
         self.clock = ctypes.c_double() if board is None else board.clock
         self._dll = fmu.dll
@@ -61,7 +61,12 @@ class Library:
         """
         full = f"fmi{self.fmi}{function}"
         call = partial(self._dll[full], self._component, *arguments)
-        return call if self._board is None else self._board.watched(self._who, full, call)
+        if self._board is None:
+            return call
+        # What moves values is called most; what it does to this process shows after the next step.
+        moves = function.startswith(("Get", "Set"))
+        kind = self._board.announced if moves else self._board.watched
+        return kind(self._who, full, call)
 
     def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:
         """A get or set function of variables."""

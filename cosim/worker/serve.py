@@ -38,10 +38,13 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
     lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, lines), daemon=True).start()
 
+    shared = Board(board)
+
     def answer(content: Mapping[str, Any]) -> None:
+        shared.check_process()
         os.write(answers, json.dumps(content).encode() + b"\n")
 
-    server = _Server(Board(board), answer)
+    server = _Server(shared, answer)
     while True:
         request = json.loads(lines.get())
         try:
