@@ -33,6 +33,8 @@ class System:
         start_time_s: Usual start time.
         stop_time_s: Usual stop time; None: there is none.
         step_s: Usual base step; None: there is none.
+        foreign: Whether its FMUs come from outside, so that `uavtwin simulate` runs them in a
+            process of their own.
         folder: What keeps the files of an unpacked archive while the system is in use.
     """
 
@@ -43,6 +45,7 @@ class System:
     start_time_s: float = 0.0
     stop_time_s: float | None = None
     step_s: float | None = None
+    foreign: bool = field(default=False, compare=False)
     folder: object = field(default=None, repr=False, compare=False)
 
     __repr__ = short_repr

@@ -192,6 +192,7 @@ def write_run(
     inputs: Iterable[Path] = (),
     seed: int | None = None,
     file: str = "run.json",
+    incomplete: str = "",
 ) -> None:
     """Write `run.json`: what made the results beside it. No time and no machine: the same run
     gives the same bytes.
@@ -203,6 +204,7 @@ def write_run(
         inputs: Files that it read.
         seed: Of what is drawn.
         file: Another name, where the folder is not of this run alone.
+        incomplete: Why the results are of a part of the run; "": they are of all of it.
     """
     write_json(
         out / file,
@@ -213,5 +215,6 @@ def write_run(
             "inputs": [{"name": p.name, "sha256": sha256(p)} for p in inputs],
             "python": platform.python_version(),
             "packages": {name: version(name) for name in _PACKAGES},
+            **({"incomplete": incomplete} if incomplete else {}),
         },
     )

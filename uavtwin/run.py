@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.master import Algorithm, Recording
+from cosim.master import Algorithm, Interrupted, Recording, RunError
 from cosim.slave.interface import read_interface
+from cosim.worker import Limits
 from twin.component import unknown_name
 from twin.errors import TwinError
 from twin.vehicle import Vehicle
@@ -18,6 +19,7 @@ from twin.vehicle import Vehicle
 from .output import output_file
 from .shown import Shown, TextTable, counted
 from .simulation import Scenario, run_scenario, scenario_system, summary
+from .trust import trusted
 from .vehicles import checked_vehicle
 
 if TYPE_CHECKING:
@@ -42,22 +44,25 @@ class Run(Shown):
         recording: Every output over time.
         units: By column, "" where there is none.
         facts: What it was run with, for the page.
+        ended: What ended it early; None where it came to its end.
     """
 
     name: str
     recording: Recording
     units: Mapping[str, str]
     facts: Mapping[str, Any] = field(default_factory=dict)
+    ended: RunError | Interrupted | None = None
 
     @property
     def claim(self) -> str:
         """How it went, in one sentence."""
         duration_s, figures = self.recording.time_s[-1], summary(self.recording)
+        start = "INCOMPLETE, " if self.ended else ""
         if not figures:
-            return f"{self.name}: {duration_s:g} s simulated"
+            return f"{self.name}: {start}{duration_s:g} s simulated"
         return (
-            f"{self.name}: {duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms from the "
-            f"setpoint, {figures['tracking_worst_m']:.2f} m at worst"
+            f"{self.name}: {start}{duration_s:g} s flown, {figures['tracking_rms_m']:.2f} m rms "
+            f"from the setpoint, {figures['tracking_worst_m']:.2f} m at worst"
         )
 
     def __getitem__(self, column: str) -> NDArray[np.float64]:
@@ -75,8 +80,12 @@ class Run(Shown):
         return self.recording.frame().set_index("time")
 
     def json(self) -> dict[str, Any]:
-        """The content of `summary.json`: figures of a flight, empty where nothing flies."""
-        return summary(self.recording)
+        """The content of `summary.json`: figures of a flight, empty where nothing flies.
+
+        `incomplete` is in it where the run did not come to its end, and says why.
+        """
+        why = self.recording.incomplete
+        return summary(self.recording) | ({"incomplete": why} if why else {})
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
@@ -127,6 +136,8 @@ def simulate(
     fused: bool = False,
     realtime: float | None = None,
     progress: Progress = lambda _: None,
+    trust: str | Path | None = None,
+    limits: Limits | None = None,
 ) -> Run:
     """Fly a scenario, or run an `.ssp`, and record every output.
 
@@ -147,9 +158,13 @@ def simulate(
         fused: Whether the twin runs as one FMU.
         realtime: Simulated seconds per second of the clock; None: as fast as possible.
         progress: Called with the share done, 0..1.
+        trust: File of `sha256sum` that names the `.ssp` or all its FMUs, which then run in this
+            process; default: those of an `.ssp` run in a process of their own.
+        limits: Of that process; default: 60 s a call, an hour in all, 4 GiB.
 
     Raises:
         TwinError: An unknown name, or a value outside its range.
+        RunError: A `TwinError` too: an FMU failed on the way; `recording` holds what was recorded.
     """
     if vehicle is not None:
         vehicle = checked_vehicle(vehicle, "simulate")
@@ -169,7 +184,13 @@ def simulate(
         dict(starts or {}),
         fused,
     )
-    return run_plan(plan, None, duration, step, interval, algorithm, realtime, progress)
+    hashes = None if trust is None else Path(trust)
+    run = run_plan(
+        plan, None, duration, step, interval, algorithm, realtime, progress, hashes, limits
+    )
+    if run.ended is not None:
+        raise run.ended
+    return run
 
 
 def run_plan(
@@ -181,8 +202,10 @@ def run_plan(
     algorithm: Algorithm = "jacobi",
     realtime: float | None = None,
     progress: Progress = lambda _: None,
+    trust: Path | None = None,
+    limits: Limits | None = None,
 ) -> Run:
-    """Build what a scenario needs and run it.
+    """Build what a scenario needs and run it; `Run.ended` says whether it came to its end.
 
     Args:
         plan: What to simulate.
@@ -193,6 +216,8 @@ def run_plan(
         algorithm: As for `run_scenario`.
         realtime: As for `run_scenario`.
         progress: Called with the share done, 0..1.
+        trust: As for `simulate`.
+        limits: As for `simulate`.
 
     Raises:
         TwinError: As `scenario_system` and `run_scenario`.
@@ -201,18 +226,29 @@ def run_plan(
         system = scenario_system(plan, Path(folder), lambda done: progress(_BUILDING * done))
         if stop_s is None and duration_s is not None:
             stop_s = system.start_time_s + duration_s
-        recording = run_scenario(
-            system,
-            stop_s,
-            step_s,
-            interval_s,
-            algorithm,
-            realtime,
-            lambda done: progress(_BUILDING + (1 - _BUILDING) * done),
-        )
+        if trust is not None:
+            if not plan.is_system:
+                raise TwinError(f"{trust}: scenario {plan.name} has no FMUs to trust, an .ssp has.")
+            system = trusted(system, Path(plan.target), trust)
+        ended: RunError | Interrupted | None = None
+        try:
+            recording = run_scenario(
+                system,
+                stop_s,
+                step_s,
+                interval_s,
+                algorithm,
+                realtime,
+                lambda done: progress(_BUILDING + (1 - _BUILDING) * done),
+                limits,
+            )
+        except (RunError, Interrupted) as error:
+            if not len(error.recording.time_s):
+                raise
+            recording, ended = error.recording, error
         interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
     units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
-    return Run(plan.name, recording, units, _facts(plan))
+    return Run(plan.name, recording, units, _facts(plan), ended)
 
 
 def _facts(plan: Scenario) -> dict[str, Any]:

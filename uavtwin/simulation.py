@@ -12,6 +12,7 @@ from cosim.master import Algorithm, Master, Recording
 from cosim.ssp import read_ssp
 from cosim.system import System
 from cosim.whole_twin import STEP_S, fused_model, system_of
+from cosim.worker import Limits, WorkerMaster
 from fmus import build
 from twin.component import unknown_name
 from twin.effects import EFFECTS
@@ -148,6 +149,7 @@ def run_scenario(
     algorithm: Algorithm = "jacobi",
     realtime: float | None = None,
     progress: Callable[[float], None] = lambda _: None,
+    limits: Limits | None = None,
 ) -> Recording:
     """Step a system from its start time on.
 
@@ -159,10 +161,13 @@ def run_scenario(
         algorithm: See `cosim.stepping`.
         realtime: Simulated seconds per second of the clock; None: as fast as possible.
         progress: Called with the share done.
+        limits: Of the process that foreign FMUs run in; None: its usual ones.
 
     Raises:
         TwinError: No stop time is known, a time is not positive, the interval is not a whole
             number of steps, or there would be too many steps or rows.
+        RunError: An FMU failed while the system ran; holds the recording.
+        Interrupted: Ctrl-C while it ran; holds the recording.
     """
     step = step_s if step_s is not None else system.step_s or STEP_S
     stop = system.stop_time_s if stop_s is None else stop_s
@@ -187,7 +192,7 @@ def run_scenario(
             f"stop {stop:g} s in steps of {step:g} s: {steps:.3g} steps, at most {MAX_STEPS:g} are "
             f"taken. Give an earlier stop or a longer step."
         )
-    with Master(system) as master:
+    with WorkerMaster(system, limits=limits) if system.foreign else Master(system) as master:
         if steps / every * len(master.record_names) > MAX_VALUES:
             raise TwinError(
                 f"stop {stop:g} s with a row every {every * step:g} s: {steps / every:.3g} rows of "

@@ -100,6 +100,7 @@ class _Reader:
             start_time_s=self.number(times.get("startTime", "0"), "startTime"),
             stop_time_s=self.number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             step_s=step_s,
+            foreign=True,
             folder=folder,
         )
         try:

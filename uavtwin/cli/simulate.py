@@ -33,12 +33,21 @@ def simulate(
     algorithm: Annotated[Algorithm, typer.Option(help="How the parts exchange values.")] = "jacobi",
     fused: Annotated[bool, typer.Option("--fused", help="Run the twin as one FMU.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="As fast as the clock.")] = False,
+    trust: Annotated[
+        Path | None,
+        typer.Option(help="Hashes by sha256sum, of an .ssp or all its FMUs: run in this process."),
+    ] = None,
+    call_limit: Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")] = 60.0,
+    time_limit: Annotated[float, typer.Option(help="Of a run of foreign FMUs, s.")] = 3600.0,
+    memory_limit: Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")] = 4.0,
     csv: Annotated[bool, typer.Option("--csv", help="Recording as CSV, not Parquet.")] = False,
     out: Out = Path("simulation"),
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Fly a scenario, or run an .ssp, and record every output."""
+    from cosim.worker import Limits
+
     from ..output import check_folder, results_folder, write_json, write_run
     from ..report.simulation import write_simulation_report
     from ..run import run_plan
@@ -58,8 +67,10 @@ def simulate(
         start_values(start),
         fused,
     )
+    limits = Limits(call_limit, time_limit, memory_limit)
+    clock = 1.0 if realtime else None
     with progress("simulating") as done:
-        run = run_plan(plan, stop, None, step, interval, algorithm, 1.0 if realtime else None, done)
+        run = run_plan(plan, stop, None, step, interval, algorithm, clock, done, trust, limits)
     options = {
         "scenario": plan.name,
         "vehicle": Path(vehicle).name,
@@ -73,8 +84,11 @@ def simulate(
         "interval": interval,
         "algorithm": algorithm,
         "fused": fused,
+        "trust": None if trust is None else trust.name,
     }
-    inputs = [p for p in (Path(scenario), Path(vehicle)) if p.is_file()]
+    given = (Path(scenario), Path(vehicle), *([] if trust is None else [trust]))
+    inputs = [p for p in given if p.is_file()]
+    why, printed = run.recording.incomplete, run.recording.printed
     with results_folder(out, force) as folder:
         run.save(folder / ("recording.csv" if csv else "recording.parquet"))
         write_json(folder / "summary.json", run.json())
@@ -82,13 +96,24 @@ def simulate(
         write_simulation_report(
             run.recording, run.units, run.claim, facts, run.name, folder / "report.html"
         )
-        write_run(folder, "simulate", options, inputs, seed)
+        if printed:
+            (folder / "printed.txt").write_text(printed, "utf-8")
+        write_run(folder, "simulate", options, inputs, seed, incomplete=why)
     if as_json:
         print_json(run.json())
+    if run.ended is not None:
+        kind = TwinError if isinstance(run.ended, TwinError) else KeyboardInterrupt
+        raise kind(
+            f"{why.rstrip('.')}. What was recorded up to {run.recording.time_s[-1]:g} s is in "
+            f"{out}, marked incomplete."
+        ) from run.ended
+    if as_json:
         return
     STDOUT.print(run.claim, style="bold", markup=False)
     if realtime:
         STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
+    if printed:
+        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}", markup=False)
     STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
 
 
