@@ -82,12 +82,12 @@ def main() -> None:
     try:
         with _temporary_files():
             app(_spread(sys.argv[1:]))
-    except KeyboardInterrupt as interrupt:
-        _end_interrupted(str(interrupt))
+    except KeyboardInterrupt:
+        _end_interrupted()
     except Exception as error:
         # An interrupt inside CasADi comes out as a SystemError.
         if isinstance(error, SystemError) and isinstance(error.__cause__, KeyboardInterrupt):
-            _end_interrupted("")
+            _end_interrupted()
         sys.exit(print_error(error, f"uavtwin {shlex.join(sys.argv[1:])}"))
 
 
@@ -107,8 +107,8 @@ def _temporary_files() -> Iterator[None]:
                 os.environ["TMPDIR"] = given
 
 
-def _end_interrupted(said: str) -> NoReturn:
-    STDERR.print(said or "interrupted", markup=False)
+def _end_interrupted() -> NoReturn:
+    STDERR.print("interrupted")
     sys.exit(130)
 
 

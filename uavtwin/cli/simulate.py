@@ -102,11 +102,14 @@ def simulate(
     if as_json:
         print_json(run.json())
     if run.ended is not None:
-        kind = TwinError if isinstance(run.ended, TwinError) else KeyboardInterrupt
-        raise kind(
+        text = (
             f"{why.rstrip('.')}. What was recorded up to {run.recording.time_s[-1]:g} s is in "
             f"{out}, marked incomplete."
-        ) from run.ended
+        )
+        if isinstance(run.ended, TwinError):
+            raise TwinError(text) from run.ended
+        STDERR.print(text, markup=False)
+        raise KeyboardInterrupt from run.ended
     if as_json:
         return
     STDOUT.print(run.claim, style="bold", markup=False)
