@@ -57,10 +57,10 @@ def ssp(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], 
 def test_an_fmu_that_fails(
     ssp: Callable[[str], Path], simulate: Call, tmp_path: Path, kind: str, text: str
 ) -> None:
-    """One error, exit 2, and what was recorded is there and says that it is not all."""
+    """One error, exit 1, and what was recorded is there and says that it is not all."""
     out = tmp_path / "o"
     code, said, told = simulate(ssp(kind), "--out", out, "--json")
-    assert code == 2
+    assert code == 1
     assert told.startswith(f"error: {text}")
     assert told.count("\n") == 1
     assert told.endswith(f"up to 0.4 s is in {out}, marked incomplete.\n")
@@ -82,10 +82,22 @@ def test_an_fmu_that_prints(ssp: Callable[[str], Path], simulate: Call, tmp_path
 
 
 @pytest.mark.slow
+def test_an_fmu_that_never_ran(ssp: Callable[[str], Path], simulate: Call, tmp_path: Path) -> None:
+    """Nothing was recorded, so nothing is written."""
+    code, said, told = simulate(ssp("exit_in_instantiate"), "--out", tmp_path / "o")
+    assert (code, said) == (2, "")
+    assert told == (
+        "error: exit_in_instantiate (bad.fmu): instantiate at 0 s: its process ended with exit "
+        "code 0.\n"
+    )
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.slow
 def test_limits_are_options(ssp: Callable[[str], Path], simulate: Call, tmp_path: Path) -> None:
     limit = ("--call-limit", "0.3")
     code, _, told = simulate(ssp("loop_in_step"), *limit, "--out", tmp_path / "o")
-    assert code == 2
+    assert code == 1
     assert "fmi2DoStep at 0.4 s: did not return within 0.3 s, the limit (--call-limit)" in told
     code, _, told = simulate(ssp("fine"), "--memory-limit", "0", "--out", tmp_path / "p")
     assert (code, told) == (2, "error: limit memory_gib = 0: needs a positive number.\n")

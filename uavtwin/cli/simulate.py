@@ -7,7 +7,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Force, Json, Out, VehicleName, start_values
+from .options import Exit, Force, Json, Out, VehicleName, start_values
 from .printing import STDERR, STDOUT, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
@@ -106,10 +106,11 @@ def simulate(
             f"{why.rstrip('.')}. What was recorded up to {run.recording.time_s[-1]:g} s is in "
             f"{out}, marked incomplete."
         )
-        if isinstance(run.ended, TwinError):
-            raise TwinError(text) from run.ended
-        STDERR.print(text, markup=False)
-        raise KeyboardInterrupt from run.ended
+        if isinstance(run.ended, KeyboardInterrupt):
+            STDERR.print(text, markup=False)
+            raise KeyboardInterrupt from run.ended
+        STDERR.print(f"error: {text}", style="red", markup=False)
+        raise typer.Exit(Exit.FINDINGS)
     if as_json:
         return
     STDOUT.print(run.claim, style="bold", markup=False)
