@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from twin.errors import FmuError
 
 Array = NDArray[np.float64]
-_CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = 0, 8, 256, 256, 4095
+_CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = 128, 136, 256, 256, 4095
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
-"""Bytes before the table: the clock, the number of the call, and what calls there are."""
+"""Bytes before the table: the clock, the number of the call, and what calls there are. What an FMU
+writes into open files by mistake lands before the clock."""
 
 
 class Board:
@@ -114,7 +115,7 @@ class Notice(NamedTuple):
 
 def read_board(file: int) -> Notice:
     """The reading side."""
-    clock_s, number = struct.unpack("dq", os.pread(file, _CALL + 8, _CLOCK))
+    clock_s, number = struct.unpack("dq", os.pread(file, 16, _CLOCK))
     at = _NAMES + (abs(number) - 1) * _NAME_BYTES
     name = os.pread(file, _NAME_BYTES, at) if 0 < abs(number) <= _MOST_NAMES else b""
     who, _, function = name.rstrip(b"\0").decode(errors="replace").partition("\n")

@@ -22,6 +22,11 @@ _PRINTED_BYTES = 2**16
 _ANSWER_BYTES = 2**20
 
 
+_SPOILT = "its process wrote into what belongs to uavtwin"
+_KINDS = {"done", "failed", "refused", "progress"}
+"""Of answers."""
+
+
 class Ended(Exception):  # noqa: N818
     """The worker can answer nothing any more; the text says what became of it."""
 
@@ -151,14 +156,8 @@ class Process:
                 self._pending += data
         *lines, self._pending = self._pending.split(b"\n")
         if len(self._pending) > _ANSWER_BYTES:
-            raise Ended("its process wrote into what belongs to uavtwin")
-        try:
-            found = [json.loads(line) for line in lines]
-        except ValueError:
-            found = [None]
-        if not all(isinstance(content, dict) for content in found):
-            raise Ended("its process wrote into what belongs to uavtwin")
-        return found
+            raise Ended(_SPOILT)
+        return [_answer(bytes(line)) for line in lines]
 
     def _ended(self) -> bool:
         """Whether the process is no more; its use of resources is kept."""
@@ -216,3 +215,18 @@ class Process:
     def forget(self) -> None:
         """Close the board, after `end`."""
         self._board.close()
+
+
+def _answer(line: bytes) -> Mapping[str, Any]:
+    """One answer.
+
+    Raises:
+        Ended: It is none.
+    """
+    try:
+        content = json.loads(line)
+    except ValueError:
+        content = None
+    if not (isinstance(content, dict) and _KINDS & content.keys()):
+        raise Ended(_SPOILT)
+    return content

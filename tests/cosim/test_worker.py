@@ -169,6 +169,16 @@ def test_a_thread_that_crashes_later(bad: Path) -> None:
 
 
 @pytest.mark.slow
+def test_an_fmu_that_writes_into_every_open_file(bad: Path) -> None:
+    """How far it gets before that is seen is chance."""
+    with pytest.raises(RunError, match=r"^writes_all \(bad\.fmu\): .* wrote into what") as caught:
+        run_bad("writes_all", bad)
+    rows = caught.value.recording.values.ravel().tolist()
+    assert len(rows) >= 5
+    assert rows == list(range(len(rows)))
+
+
+@pytest.mark.slow
 def test_memory_is_limited_and_the_error_says_so(bad: Path) -> None:
     limits = Limits(call_s=30.0, memory_gib=0.6)
     with pytest.raises(RunError, match=r"SIGABRT after 0\.. of the 0\.6 GiB") as caught:

@@ -74,6 +74,7 @@ static fmi2Status bad_step(void) {
     if (is("says_escapes")) { say("\033[2J\033[31mall\nis\rwell"); return fmi2Error; }
     if (is("closes_stdout")) { close(1); close(2); }
     if (is("closes_all")) for (int i = 0; i < 256; i++) close(i);
+    if (is("writes_all")) for (int i = 3; i < 256; i++) (void)!write(i, "{\"a\": 1}\n", 9);
     if (is("chdir")) (void)!chdir("/");
     if (is("umask")) umask(0777);
     if (is("locale")) setlocale(LC_ALL, "de_DE.UTF-8");
