@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # A worker per core: further threads for its small matrices would only wait for each other.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
-.PHONY: setup cross-tools demo test fast lint bench figures hidden-effects docs tutorial pictures tables clean
+.PHONY: setup cross-tools demo test fast fuzz lint bench figures hidden-effects docs tutorial pictures tables clean
 
 setup: $(STAMP)
 
@@ -28,6 +28,10 @@ test: setup lint  ## the whole suite
 
 fast: setup  ## without the slow tests; 90 s
 	$(PYTEST) -m 'not slow'
+
+MINUTES ?= 10
+fuzz: setup  ## files changed at random: does one fell a reader, is a change told?
+	PYTHONPATH=tests/rigs $(BIN)/python tests/fuzz/run.py --minutes $(MINUTES)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from twin.frames import from_euler, multiply, to_body
+
 # -- ULog -----------------------------------------------------------------------------------
 
 _TYPES = {"u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "i4": "int32_t", "u8": "uint64_t"}
@@ -71,6 +73,35 @@ def ulog(
     return b"".join([*out, *added, *(r[1] for r in rows)])
 
 
+MOVING_S = 0.004 + 0.004 * np.arange(2000)
+
+
+def moving_topics() -> dict[str, dict[str, ArrayLike]]:
+    """Topics of a PX4 1.14 log: eight seconds of a hover that turns a little."""
+    f4 = np.float32
+    rates = np.stack([0.3 * np.sin(k * MOVING_S) for k in (3.0, 4.0, 5.0)], axis=1)
+    control = np.full((len(MOVING_S), 12), np.nan, dtype=f4)
+    control[:, :4] = 0.4 + 0.01 * np.sin(20 * MOVING_S)[:, None]
+    slow = MOVING_S[::12]
+    return {
+        "sensor_combined": {
+            "t": MOVING_S,
+            "gyro_rad": rates.astype(f4),
+            "gyro_integral_dt": np.full(len(MOVING_S), 4000, dtype=np.uint32),
+            "accelerometer_timestamp_relative": np.zeros(len(MOVING_S), dtype=np.int32),
+            "accelerometer_m_s2": np.tile(np.array((0, 0, -9.8), dtype=f4), (len(MOVING_S), 1)),
+            "accelerometer_integral_dt": np.full(len(MOVING_S), 4000, dtype=np.uint32),
+        },
+        "actuator_motors": {"t": MOVING_S, "control": control},
+        "vehicle_local_position": {
+            "t": slow,
+            "timestamp_sample": np.round(slow * 1e6).astype(np.uint64) + np.uint64(999_000),
+            **{k: 0.01 * np.sin(slow + i).astype(f4) for i, k in enumerate(("x", "y", "z"))},
+            **{k: 0.01 * np.cos(slow + i).astype(f4) for i, k in enumerate(("vx", "vy", "vz"))},
+        },
+    }
+
+
 # -- every format ---------------------------------------------------------------------------
 
 T_S = 0.004 + 0.004 * np.arange(500)
@@ -80,6 +111,33 @@ def flight_table() -> pd.DataFrame:
     """At rest: gravity on the accelerometer, nothing on the gyroscope."""
     still = {name: np.zeros(len(T_S)) for name in ("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y")}
     return pd.DataFrame({"time": T_S, **still, "acc_z": np.full(len(T_S), -9.80665)})
+
+
+def flown_table() -> pd.DataFrame:
+    """Half a minute to and fro at 3 m height: exact kinematics, noise where sensors have it."""
+    n = 3000
+    t = 0.01 * np.arange(n)
+    rng = np.random.default_rng(1)
+    roll, pitch, yaw = 0.1 * np.sin(1.3 * t), 0.12 * np.sin(0.9 * t), 0.4 * np.sin(0.4 * t)
+    q = np.asarray(from_euler(roll, pitch, yaw))
+    amplitude, speed = np.array((2.0, 1.5, 1.5)), np.array((0.8, 1.1, 0.7))
+    pos = amplitude * np.sin(speed * t[:, None]) - (0.0, 0.0, 3.0)
+    vel = amplitude * speed * np.cos(speed * t[:, None])
+    force = -amplitude * speed**2 * np.sin(speed * t[:, None]) - (0.0, 0.0, 9.80665)
+    conjugate = q * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
+    rates = 2.0 * np.stack(multiply(list(conjugate), list(np.gradient(q, t, axis=1)))[1:], axis=1)
+    acc = np.stack(to_body(list(q), list(force.T)), axis=1)
+    table = pd.DataFrame({"time": t})
+    for i in range(1, 5):
+        table[f"cmd_{i}"] = 0.5 + 0.05 * np.sin(t + i)
+    table[["acc_x", "acc_y", "acc_z"]] = acc + 0.1 * rng.standard_normal((n, 3))
+    table[["gyro_x", "gyro_y", "gyro_z"]] = rates + 0.01 * rng.standard_normal((n, 3))
+    table[["pos_x", "pos_y", "pos_z"]] = pos
+    table[["vel_x", "vel_y", "vel_z"]] = vel
+    table[["q_w", "q_x", "q_y", "q_z"]] = q.T
+    table["baro_pa"] = 101325.0 + 12.0 * pos[:, 2] + rng.standard_normal(n)
+    table["phase"] = "tour"
+    return table
 
 
 def _ulog() -> bytes:

@@ -6,39 +6,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from sample_logs import flown_table
 from scipy.integrate import cumulative_trapezoid
 
-from twin.frames import from_euler, multiply, to_body
 from twin.logs import Finding, read_flight
-
-HZ = 100
-N = 30 * HZ
-
-
-def flown() -> pd.DataFrame:
-    """Half a minute to and fro at 3 m height: exact kinematics, noise where sensors have it."""
-    t = np.arange(N) / HZ
-    rng = np.random.default_rng(1)
-    roll, pitch, yaw = 0.1 * np.sin(1.3 * t), 0.12 * np.sin(0.9 * t), 0.4 * np.sin(0.4 * t)
-    q = np.asarray(from_euler(roll, pitch, yaw))
-    amplitude, speed = np.array((2.0, 1.5, 1.5)), np.array((0.8, 1.1, 0.7))
-    pos = amplitude * np.sin(speed * t[:, None]) - (0.0, 0.0, 3.0)
-    vel = amplitude * speed * np.cos(speed * t[:, None])
-    force = -amplitude * speed**2 * np.sin(speed * t[:, None]) - (0.0, 0.0, 9.80665)
-    conjugate = q * np.array([[1.0], [-1.0], [-1.0], [-1.0]])
-    rates = 2.0 * np.stack(multiply(list(conjugate), list(np.gradient(q, t, axis=1)))[1:], axis=1)
-    acc = np.stack(to_body(list(q), list(force.T)), axis=1)
-    table = pd.DataFrame({"time": t})
-    for i in range(1, 5):
-        table[f"cmd_{i}"] = 0.5 + 0.05 * np.sin(t + i)
-    table[["acc_x", "acc_y", "acc_z"]] = acc + 0.1 * rng.standard_normal((N, 3))
-    table[["gyro_x", "gyro_y", "gyro_z"]] = rates + 0.01 * rng.standard_normal((N, 3))
-    table[["pos_x", "pos_y", "pos_z"]] = pos
-    table[["vel_x", "vel_y", "vel_z"]] = vel
-    table[["q_w", "q_x", "q_y", "q_z"]] = q.T
-    table["baro_pa"] = 101325.0 + 12.0 * pos[:, 2] + rng.standard_normal(N)
-    table["phase"] = "tour"
-    return table
 
 
 def found(table: pd.DataFrame, folder: Path) -> list[Finding]:
@@ -142,13 +113,13 @@ CHANGES: dict[str, tuple[Callable[[pd.DataFrame], None], str, str]] = {
 
 
 def test_signals_that_fit_raise_no_doubt(tmp_path: Path) -> None:
-    assert found(flown(), tmp_path) == []
+    assert found(flown_table(), tmp_path) == []
 
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_change_is_told(name: str, tmp_path: Path) -> None:
     change, where, text = CHANGES[name]
-    table = flown()
+    table = flown_table()
     change(table)
     told = [f for f in found(table, tmp_path) if f.severity != "info"]
     assert [f for f in told if f.where == where and text in f.message], told
@@ -156,7 +127,7 @@ def test_a_change_is_told(name: str, tmp_path: Path) -> None:
 
 def test_the_motors_idle_before_a_height(tmp_path: Path) -> None:
     """Without pressure, velocity or phases: on the ground at first."""
-    table = flown()[["time", "cmd_1", "cmd_2", "cmd_3", "cmd_4", "pos_x", "pos_y", "pos_z"]]
+    table = flown_table()[["time", "cmd_1", "cmd_2", "cmd_3", "cmd_4", "pos_x", "pos_y", "pos_z"]]
     table = table.copy()
     table.loc[:300, [f"cmd_{i}" for i in range(1, 5)]] = 0.0
     table.loc[:300, "pos_z"] = 0.0
@@ -166,7 +137,7 @@ def test_the_motors_idle_before_a_height(tmp_path: Path) -> None:
 
 
 def test_overflowing_commands_end_at_one_and_others_are_refused(tmp_path: Path) -> None:
-    table = flown()
+    table = flown_table()
     table.loc[700:703, "cmd_2"] = (1.02, 1.3, -0.01, 1.0)
     path = tmp_path / "f.csv"
     table.to_csv(path, index=False)
@@ -177,6 +148,6 @@ def test_overflowing_commands_end_at_one_and_others_are_refused(tmp_path: Path) 
 
 def test_the_flight_is_exact() -> None:
     """What the tests above start from: rates turn the attitude, force moves the body."""
-    f = flown()
+    f = flown_table()
     way = cumulative_trapezoid(f["vel_x"], f["time"], initial=0.0)
     np.testing.assert_allclose(f["pos_x"] - f["pos_x"][0], way, atol=1e-3)

@@ -7,46 +7,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from sample_logs import ulog, ulog_message
+from sample_logs import MOVING_S as T_S
+from sample_logs import moving_topics, ulog, ulog_message
 
 from twin.errors import LogError
 from twin.logs import Flight, read_flight
 
 Fields = dict[str, ArrayLike]
-N = 2000
+N = len(T_S)
 DEFINITIONS = 16 + 3 + 40  # header and flags, after which formats may stand
-T_S = 0.004 + 0.004 * np.arange(N)
-
-
-def topics() -> dict[str, Fields]:
-    """Eight seconds of a hover that turns a little."""
-    f4 = np.float32
-    rates = np.stack([0.3 * np.sin(k * T_S) for k in (3.0, 4.0, 5.0)], axis=1)
-    control = np.full((N, 12), np.nan, dtype=f4)
-    control[:, :4] = 0.4 + 0.01 * np.sin(20 * T_S)[:, None]
-    slow = T_S[::12]
-    return {
-        "sensor_combined": {
-            "t": T_S,
-            "gyro_rad": rates.astype(f4),
-            "gyro_integral_dt": np.full(N, 4000, dtype=np.uint32),
-            "accelerometer_timestamp_relative": np.zeros(N, dtype=np.int32),
-            "accelerometer_m_s2": np.tile(np.array((0, 0, -9.8), dtype=f4), (N, 1)),
-            "accelerometer_integral_dt": np.full(N, 4000, dtype=np.uint32),
-        },
-        "actuator_motors": {"t": T_S, "control": control},
-        "vehicle_local_position": {
-            "t": slow,
-            "timestamp_sample": np.round(slow * 1e6).astype(np.uint64) + np.uint64(999_000),
-            **{k: 0.01 * np.sin(slow + i).astype(f4) for i, k in enumerate(("x", "y", "z"))},
-            **{k: 0.01 * np.cos(slow + i).astype(f4) for i, k in enumerate(("vx", "vy", "vz"))},
-        },
-    }
 
 
 def changed(topic: str, **fields: ArrayLike) -> bytes:
     """The log with fields of one topic replaced."""
-    all_topics = topics()
+    all_topics = moving_topics()
     all_topics[topic] = {**all_topics[topic], **fields}
     return ulog(all_topics, {"CA_ROTOR_COUNT": 4})
 
@@ -54,7 +28,7 @@ def changed(topic: str, **fields: ArrayLike) -> bytes:
 def stamped(topic: str, change: dict[int, int], blob: bytes | None = None) -> bytes:
     """The log with some stamps of a topic replaced where they stand, by sample."""
     out = bytearray(blob or changed("sensor_combined"))
-    index = list(topics()).index(topic)
+    index = list(moving_topics()).index(topic)
     at, k = 16, 0
     while at < len(out):
         size, kind = struct.unpack_from("<HB", out, at)
@@ -67,7 +41,9 @@ def stamped(topic: str, change: dict[int, int], blob: bytes | None = None) -> by
 
 
 def own_stamps(topic: str) -> list[int]:
-    return [int(s) for s in np.round(np.asarray(topics()[topic]["t"]) * 1e6).astype(int) + 10**6]
+    return [
+        int(s) for s in np.round(np.asarray(moving_topics()[topic]["t"]) * 1e6).astype(int) + 10**6
+    ]
 
 
 def read(folder: Path, blob: bytes) -> Flight:
@@ -136,7 +112,7 @@ def test_a_version_that_is_no_number_of_a_version(tmp_path: Path) -> None:
 
 
 def test_a_marker_without_a_mode(tmp_path: Path) -> None:
-    all_topics = topics()
+    all_topics = moving_topics()
     f4 = np.full(1, np.nan, dtype=np.float32)
     all_topics["vehicle_command"] = {
         "t": np.array([1.0]),
@@ -150,7 +126,7 @@ def test_a_marker_without_a_mode(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ahead_s", [3600, 12 * 86_400])
 def test_a_clock_set_in_flight_keeps_the_longest_stretch(tmp_path: Path, ahead_s: int) -> None:
     blob = changed("sensor_combined")
-    for topic in topics():
+    for topic in moving_topics():
         own = own_stamps(topic)
         first = next(k for k, s in enumerate(own) if s > 6_000_000)
         late = {k: own[k] + ahead_s * 10**6 for k in range(first, len(own))}
@@ -208,9 +184,9 @@ def test_averaging_times_that_cannot_be(tmp_path: Path, field: str, value: int, 
     assert said(read(tmp_path, blob), "sensor_combined", text) >= N - 1
 
 
-@pytest.mark.parametrize("topic", list(topics()))
+@pytest.mark.parametrize("topic", list(moving_topics()))
 def test_a_gap_in_any_topic_is_counted(tmp_path: Path, topic: str) -> None:
-    all_topics = topics()
+    all_topics = moving_topics()
     t = np.asarray(all_topics[topic]["t"])
     kept = (t < 3.0) | (t > 3.3)
     all_topics[topic] = {k: np.asarray(v)[kept] for k, v in all_topics[topic].items()}

@@ -1,0 +1,71 @@
+"""Inputs that once felled a reader, and some seconds of a search for more."""
+
+import os
+import time
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+
+import pytest
+from fuzzing.all_kinds import KINDS, kind
+from fuzzing.engine import Child, Recipe, Result, recipes
+
+CORPUS = [
+    Recipe.parse(line) for line in Path(__file__).with_name("corpus.jsonl").read_text().splitlines()
+]
+SECONDS = 6.0
+MOST_SILENT = 0.05
+
+
+@pytest.fixture(scope="module")
+def child() -> Iterator[Child]:
+    with Child() as one:
+        yield one
+
+
+def run(child: Child, recipe: Recipe) -> Result:
+    """A recipe's result; skipped where it begins with a flight that is not here."""
+    if recipe.base not in kind(recipe.kind).bases():
+        pytest.skip(f"no {recipe.base}: set UAVTWIN_DATA")
+    return child.run(recipe)
+
+
+@pytest.mark.parametrize("recipe", CORPUS, ids=lambda r: f"{r.kind}-{r.base}-{r.steps[-1][0]}")
+def test_what_once_felled_a_reader_does_not(child: Child, recipe: Recipe) -> None:
+    result = run(child, recipe)
+    assert not result.fault, result.text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", KINDS)
+def test_some_seconds_of_search_fell_no_reader(child: Child, name: str) -> None:
+    """New recipes each time but in CI; of what could be told nearly all is told."""
+    seed = 0 if os.environ.get("CI") else time.time_ns() % 2**32
+    end = time.monotonic() + SECONDS
+    found = []
+    for recipe in recipes(name, kind(name), seed):
+        found.append(child.run(recipe))
+        if time.monotonic() > end:
+            break
+    faults = [f"{r.recipe.line()}\n{r.text}" for r in found if r.fault]
+    assert not faults, "\n".join(faults)
+    seen = [r for r in found if r.visible and r.outcome != "same"]
+    silent = [r.recipe.line() for r in seen if r.outcome == "silent"]
+    assert len(silent) <= 1 + MOST_SILENT * len(seen), "\n".join(silent)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_recipe_is_all_that_is_needed(name: str) -> None:
+    """Through a line of the corpus and back, the same bytes."""
+    this = kind(name)
+    bases = this.bases()
+    for recipe in islice(recipes(name, this, 3), 5):
+        again = Recipe.parse(recipe.line())
+        assert again == recipe
+        blobs = []
+        for each in (recipe, again):
+            blob = bases[each.base]
+            for step in each.steps:
+                blob = this.apply(blob, step)
+            blobs.append(blob)
+        assert blobs[0] == blobs[1]

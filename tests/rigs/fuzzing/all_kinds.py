@@ -1,0 +1,15 @@
+"""The kinds of files that are changed and read; a new one is its module and its row here."""
+
+from importlib import import_module
+from typing import cast
+
+from .engine import Kind
+
+KINDS = {"ulog": "ulog", "parquet": "tables:PARQUET", "csv": "tables:CSV"}
+"""Module below this package, and the name of the object where it is not `KIND`."""
+
+
+def kind(name: str) -> Kind:
+    """A kind by its name."""
+    module, _, attribute = KINDS[name].partition(":")
+    return cast(Kind, getattr(import_module(f".{module}", __package__), attribute or "KIND"))
