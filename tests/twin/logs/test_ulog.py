@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing.ulog import layout
 from numpy.typing import ArrayLike
 from sample_logs import ulog
 
@@ -231,6 +232,27 @@ def test_rebuilding_that_is_impossible_says_why(data_dir: Path, tmp_path: Path) 
     assert counted(flight, "cmd", "not rebuilt at full rate: parameters not in the log: IMU_GYRO_C")
     assert flight.facts["commands"] == "actuator_outputs, 10 Hz"
     assert len(flight.signal(["cmd_1"])[0]) == 251
+
+
+@pytest.mark.parametrize(
+    ("topic", "field"),
+    [
+        ("vehicle_rates_setpoint", "roll"),
+        ("vehicle_rates_setpoint", "thrust_body[2]"),
+        ("rate_ctrl_status", "rollspeed_integ"),
+        ("estimator_sensor_bias", "gyro_bias[1]"),
+    ],
+)
+@pytest.mark.parametrize("value", [np.nan, 1e38])
+def test_absurd_inputs_of_the_rebuild_are_counted(
+    data_dir: Path, tmp_path: Path, topic: str, field: str, value: float
+) -> None:
+    blob = (data_dir / "rflysimdt" / "real_1.ulg").read_bytes()
+    place = layout(blob)[topic]
+    values = place.get(blob, field).copy()
+    values[10:14] = value
+    flight = saved(tmp_path, place.put(blob, field, values))
+    assert counted(flight, topic, "left out of the rebuilt commands") == 4
 
 
 @pytest.mark.slow

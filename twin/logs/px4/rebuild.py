@@ -1,7 +1,7 @@
 """Motor commands of a PX4 log rebuilt at full rate, and how well they match the logged ones."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,8 @@ _PAIRED_US = 1000
 _VERSIONS = ((1, 11), (1, 12), (1, 13))
 _LONGEST_GAP_S = 5.0
 _MOST_PER_SAMPLE = 400.0  # 8 kHz logged at 20 Hz
+_MOST_BIAS_RAD_S = 1.0
+_MOST_INTEGRAL = 10.0  # of a control of -1..1
 _DAMAGED = 100.0  # rad/s; larger values and NaN come from damaged logs
 
 
@@ -183,6 +185,9 @@ def _filtered(log: Px4Log, gyro: Gyro, t_s: Array) -> tuple[Array, Array]:
     acceleration = low_pass(derivative(rates, t_s), gyro.raw_hz, p["IMU_DGYRO_CUTOFF"])
     bias = log.topic("estimator_sensor_bias", 0, *(f"gyro_bias[{k}]" for k in range(3)))
     if bias is not None:
+        fields = [f"gyro_bias[{k}]" for k in range(3)]
+        bias = _sound(log, bias, _within(bias.columns(fields), _MOST_BIAS_RAD_S))
+    if bias is not None:
         t_us = np.round(t_s * 1e6).astype(np.int64)
         rates = rates - np.column_stack([bias.at(t_us, f"gyro_bias[{k}]") for k in range(3)])
     return rates, acceleration
@@ -195,10 +200,11 @@ def _setpoint(log: Px4Log, t_s: Array) -> Array:
     """
     topic = _topic(log, "vehicle_rates_setpoint", *_SETPOINT)
     values = topic.columns(_SETPOINT) * (1.0, 1.0, 1.0, -1.0)
-    good = (np.abs(values) < _DAMAGED).all(axis=1)
-    if good.sum() < 2:
+    good = _within(values, _DAMAGED)
+    sound = _sound(log, topic, good)
+    if sound is None or len(sound.t_us) < 2:
         raise CannotRebuildError("vehicle_rates_setpoint has no finite sample")
-    t, values = topic.t_s[good], values[good]
+    t, values = sound.t_s, values[good]
     return np.column_stack([np.interp(t_s, t, values[:, k]) for k in range(4)])
 
 
@@ -275,7 +281,25 @@ def _anchors(log: Px4Log) -> tuple[Array, Array]:
     if topic is None:
         log.note("info", "cmd", "no rate_ctrl_status in the log: the integrals start from zero")
         return np.zeros(0), np.zeros((0, 3))
-    return topic.t_s, topic.columns(fields)
+    sound = _sound(log, topic, _within(topic.columns(fields), _MOST_INTEGRAL))
+    if sound is None:
+        return np.zeros(0), np.zeros((0, 3))
+    return sound.t_s, sound.columns(fields)
+
+
+def _within(values: Array, most: float) -> NDArray[np.bool_]:
+    """Samples all of whose parts are finite and below a bound, shape (n,)."""
+    return np.asarray((np.abs(values) < most).all(axis=1))
+
+
+def _sound(log: Px4Log, topic: Topic, good: NDArray[np.bool_]) -> Topic | None:
+    """The good samples of a topic, the others counted; None where there is none."""
+    if not good.all():
+        message = "samples left out of the rebuilt commands, a value is NaN or absurd"
+        log.note("error", topic.name, message, int(np.count_nonzero(~good)))
+    if not good.any():
+        return None
+    return replace(topic, t_us=topic.t_us[good], data={k: v[good] for k, v in topic.data.items()})
 
 
 def _paired(outputs: Outputs, controls: Topic) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
