@@ -14,7 +14,9 @@ from types import TracebackType
 from typing import Any, Literal, Protocol, Self
 
 SECONDS = 10.0
-"""Longest that an input may take."""
+"""Longest that a reader may take, of processor time."""
+_PATIENCE_S = 90.0
+"""For an answer at all: the input is made in that time, too."""
 BYTES = 1 << 30
 """Address space that an input may take beyond what the child had."""
 
@@ -125,7 +127,7 @@ class Child(contextlib.AbstractContextManager["Child"]):
             process.stdin.flush()
             with selectors.DefaultSelector() as wait:
                 wait.register(process.stdout, selectors.EVENT_READ)
-                answer = process.stdout.readline() if wait.select(3 * SECONDS) else ""
+                answer = process.stdout.readline() if wait.select(_PATIENCE_S) else ""
         except BrokenPipeError:
             answer = ""
         if not answer:

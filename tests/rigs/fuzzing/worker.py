@@ -42,7 +42,7 @@ def _outcome(recipe: Recipe, folder: Path) -> tuple[Outcome, str]:
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     resource.setrlimit(resource.RLIMIT_AS, (pages * os.sysconf("SC_PAGE_SIZE") + BYTES, hard))
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)  # nobody handles it: the process dies
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)  # nobody handles it: the process dies
     try:
         seen = _read(recipe.kind, blob, folder)
     except TwinError as error:
@@ -50,7 +50,7 @@ def _outcome(recipe: Recipe, folder: Path) -> tuple[Outcome, str]:
     except Exception:  # the fault that is looked for, of any kind
         return "crash", traceback.format_exc()[-2000:]
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
     if seen.content == sound.content:
         return "same", ""

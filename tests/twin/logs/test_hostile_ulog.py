@@ -166,7 +166,7 @@ def test_sampling_times_that_are_late_or_to_come(tmp_path: Path) -> None:
     assert said(read(tmp_path, early), "vehicle_local_position", "before they were taken") > 100
 
 
-@pytest.mark.parametrize("value", [2**31 - 1, -(2**31), 10**6])
+@pytest.mark.parametrize("value", [2**31 - 1, -(2**31), 10**6, 90_000])
 def test_acceleration_without_a_time_is_left_out(tmp_path: Path, value: int) -> None:
     blob = changed(
         "sensor_combined", accelerometer_timestamp_relative=np.full(N, value, dtype=np.int32)
@@ -191,3 +191,11 @@ def test_a_gap_in_any_topic_is_counted(tmp_path: Path, topic: str) -> None:
     kept = (t < 3.0) | (t > 3.3)
     all_topics[topic] = {k: np.asarray(v)[kept] for k, v in all_topics[topic].items()}
     assert said(read(tmp_path, ulog(all_topics)), topic, "gaps, the longest of 0.3") == 1
+
+
+@pytest.mark.parametrize("value", [-np.inf, 1e10])
+def test_absurd_commands_are_told(tmp_path: Path, value: float) -> None:
+    control = np.asarray(moving_topics()["actuator_motors"]["control"]).copy()
+    control[700:703, 1] = value
+    flight = read(tmp_path, changed("actuator_motors", control=control))
+    assert said(flight, "cmd", "actuator_motors beyond 3 set to 0 or 1") == 3

@@ -8,6 +8,7 @@ from .outputs import MotorCommands, Outputs, logged_outputs
 from .rebuild import MATCH_GOAL_US, CannotRebuildError, rebuild
 
 _ENOUGH_HZ = 100.0
+_ABSURD = 3.0  # a pulse width of 0 us, of motors that are off, is -1 or -2
 
 
 def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
@@ -95,7 +96,10 @@ def _rebuilt(log: Px4Log, outputs: Outputs) -> MotorCommands | None:
 
 def _clipped(log: Px4Log, cmd: Array, where: str) -> Array:
     """Commands within 0..1, counting what lay outside."""
-    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6)))
+    absurd = int(np.count_nonzero(np.abs(cmd) > _ABSURD))
+    if absurd:
+        log.note("error", "cmd", f"values of {where} beyond {_ABSURD:g} set to 0 or 1", absurd)
+    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6))) - absurd
     if outside:
         log.note(
             "info",

@@ -24,6 +24,7 @@ _RPM_RAD_S = 2.0 * np.pi / 60.0
 _NO_RELATIVE_TIME = 2**31 - 1
 _SAME_ROW_US = 600
 _LONGEST_WINDOW_US = 100_000
+_FARTHEST_US = 30_000  # between accelerometer and gyro of one message; sound logs: under 5 ms
 _EARLIEST_US = 2**62
 _OVERLAP = 1.5
 _NORM_DOUBT = 1e-3
@@ -125,7 +126,7 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
     gyro_us, gyro_dt = _window(log, topic, "gyro_integral_dt", topic.t_us)
     told = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
     relative = told.astype(np.int64)
-    has_acc = np.abs(relative) < _LONGEST_WINDOW_US
+    has_acc = np.abs(relative) < _FARTHEST_US
     acc_end = topic.t_us + np.where(has_acc, relative, 0)
     acc_us, _ = _window(log, topic, "accelerometer_integral_dt", acc_end)
     gyro, acc = topic.array("gyro_rad", 3), topic.array("accelerometer_m_s2", 3)
@@ -139,7 +140,7 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
         log.note(
             "error",
             "acc",
-            "samples left out, accelerometer_timestamp_relative is beyond 0.1 s",
+            "samples left out, accelerometer_timestamp_relative is beyond 0.03 s",
             int(np.count_nonzero(~has_acc & ~none)),
         )
     acc_us, acc = acc_us[has_acc], acc[has_acc]
