@@ -69,3 +69,19 @@ def test_a_recipe_is_all_that_is_needed(name: str) -> None:
                 blob = this.apply(blob, step)
             blobs.append(blob)
         assert blobs[0] == blobs[1]
+
+
+@pytest.mark.parametrize(
+    ("to", "outcome", "text"),
+    [
+        ("memory", "crash", "MemoryError"),
+        ("raise", "crash", "IndexError: as the file said"),
+        ("die", "killed", "died"),
+        ("other", "silent", ""),
+        ("sound", "same", ""),
+    ],
+)
+def test_a_fault_is_seen(child: Child, to: str, outcome: str, text: str) -> None:
+    result = child.run(Recipe("faulty", "sound", (("set", {"to": to}),)))
+    assert result.outcome == outcome and text in result.text
+    assert result.visible and result.fault == (outcome in ("crash", "killed"))
