@@ -178,11 +178,18 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def json_text(content: Any) -> str:
+    """Strict, readable JSON: a NaN is a mistake of ours and raises.
+
+    Half characters, as in the name of a file that is not of UTF-8, are written as escapes.
+    """
+    text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
 def write_json(path: Path, content: Any) -> None:
-    """Strict, readable JSON: a NaN is a mistake of ours and raises."""
-    path.write_text(
-        json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n", "utf-8"
-    )
+    """The same as a file."""
+    path.write_text(json_text(content), "utf-8")
 
 
 def write_run(

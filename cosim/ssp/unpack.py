@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.archive import copy_members, member_problems
+from fmus.archive import MAX_DESCRIPTION_BYTES, copy_members, member_problems
 from twin.errors import FmuError
 
 
@@ -31,8 +31,13 @@ def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
     """Parse one XML member, without entities and network.
 
     Raises:
-        FmuError: Not XML, or with a DOCTYPE.
+        FmuError: Not XML, with a DOCTYPE, or too large.
     """
+    if len(content) > MAX_DESCRIPTION_BYTES:
+        raise FmuError(
+            f"{path.name}: {member} has {len(content)} bytes, more than {MAX_DESCRIPTION_BYTES}: "
+            f"refused."
+        )
     parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
     try:
         root = etree.fromstring(content, parser)

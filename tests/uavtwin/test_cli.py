@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from importlib.metadata import version
@@ -379,6 +380,31 @@ def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
         assert str(file) in line
         assert "Traceback" in file.read_text("utf-8")
         file.unlink()
+
+
+def test_names_from_files_do_not_steer_the_terminal(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    """Escapes, overrides of the direction, and bytes that are no text, in names of all kinds."""
+    text = vehicle_text("feisi_x150")[0]
+    lines = [line for line in text.splitlines() if not line.startswith("name")]
+    named = tmp_path / "named.toml"
+    named.write_text('name = "a\\u001b[31m"\n' + "\n".join(lines), "utf-8")
+    steering = tmp_path / "log\x1b]0;title\x07\u202e.csv"
+    pd.read_parquet(table).to_csv(steering, index=False)
+    broken = Path(os.fsdecode(bytes(tmp_path) + b"/log\xff.csv"))
+    shutil.copy(steering, broken)
+    code, said, error = run(capsys, "check", named, steering, broken)
+    assert code == 2
+    assert "named.toml: name = " in error
+    assert "must be text without control characters" in error
+    assert r"log\x1b]0;title\x07\u202e.csv" in said
+    assert r"log\udcff.csv" in said
+    code, told, _ = run(capsys, "check", "--json", steering, broken)
+    assert [r["file"] for r in json.loads(told)] == [steering.name, broken.name]
+    for printed in (said, error, told):
+        assert not {"\x1b", "\x07"} & set(printed)
+        printed.encode("utf-8")
 
 
 def test_check_asks_of_an_odd_vehicle_and_fails_an_impossible_one(

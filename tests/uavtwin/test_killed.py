@@ -1,4 +1,5 @@
-"""Verbs killed at random moments: nothing half-written, nothing left, and the same command works.
+"""Verbs killed at random moments: nothing half-written, nothing left, and the same command works,
+to the same bytes, with two threads as with one.
 
 `UAVTWIN_KILLS=100 pytest tests/uavtwin/test_killed.py` kills a hundred times.
 """
@@ -35,9 +36,9 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": IMPORT_PATH, "TMPDIR": str(temporary)}
     own = {**environment, "UAVTWIN_CACHE": str(cache)}
 
-    def begin(out: str) -> subprocess.Popen[bytes]:
+    def begin(out: str, threads: int = 1) -> subprocess.Popen[bytes]:
         """The command of an output folder; the export with a cache that suffers with it."""
-        given = own if out == "new" else environment
+        given = (own if out == "new" else environment) | {"OMP_NUM_THREADS": str(threads)}
         command = [*program, *COMMANDS[out], "--out", out]
         return subprocess.Popen(command, cwd=tmp_path, env=given, stderr=subprocess.PIPE)
 
@@ -71,7 +72,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         if tree(tmp_path / out).keys() == whole[out].keys():
             fresh(out)  # it was faster
     for out in COMMANDS:
-        run = begin(out)
+        run = begin(out, threads=2)
         _, told = run.communicate()
         assert run.returncode == 0, told
         assert tree(tmp_path / out) == whole[out]

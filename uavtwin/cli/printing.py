@@ -1,9 +1,9 @@
 """What the command line prints: results on stdout, progress and warnings on stderr."""
 
-import json
 import sys
 import tempfile
 import traceback
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,11 @@ import platformdirs
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
+from rich.text import Text
 
 from twin.errors import TwinError
 
+from ..output import json_text
 from .options import Exit
 
 if TYPE_CHECKING:
@@ -24,8 +26,17 @@ if TYPE_CHECKING:
     from ..exports.products import WrittenFile
     from ..shown import TextTable
 
-STDOUT = Console(highlight=False, soft_wrap=True)
-STDERR = Console(stderr=True, highlight=False, soft_wrap=True)
+
+class _Terminal(Console):
+    """Shows what would steer a terminal, and half characters, as escapes: names come from files."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Text with its styles."""
+        return super().render_str(_visible(text), **options)
+
+
+STDOUT = _Terminal(highlight=False, soft_wrap=True)
+STDERR = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -35,6 +46,14 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
     with Progress(*columns, console=STDERR, transient=True, disable=not STDERR.is_terminal) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
+
+
+def _visible(text: str) -> str:
+    """Text with control, format and half characters written out, line ends and tabs left."""
+    return "".join(
+        ascii(c)[1:-1] if unicodedata.category(c) in ("Cc", "Cf", "Cs") and c not in "\n\t" else c
+        for c in text
+    )
 
 
 def print_error(error: Exception, doing: str) -> Exit:
@@ -78,7 +97,7 @@ def _kept_traceback(error: Exception) -> str:
 
 def print_json(content: Any) -> None:
     """Results for machines."""
-    sys.stdout.write(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    sys.stdout.write(json_text(content))
 
 
 def print_table(table: "TextTable", unbroken: str = "") -> None:

@@ -21,7 +21,7 @@ def render(
         template: File of `templates` that extends `page.html.j2`.
         filters: Jinja filters it uses.
         folder: Where the template lies, if not here.
-        content: What it shows; text is escaped.
+        content: What it shows; text is escaped, half characters are written out.
     """
     own = jinja2.PackageLoader("uavtwin.report", "templates")
     elsewhere = [] if folder is None else [jinja2.FileSystemLoader(folder)]
@@ -33,4 +33,5 @@ def render(
         lstrip_blocks=True,
     )
     environment.filters.update(filters)
-    return environment.get_template(template).render(plotlyjs=Markup(get_plotlyjs()), **content)
+    page = environment.get_template(template).render(plotlyjs=Markup(get_plotlyjs()), **content)
+    return page.encode("utf-8", "backslashreplace").decode("utf-8")

@@ -4,6 +4,7 @@
 so that one run names every mistake of a file.
 """
 
+import re
 import reprlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _HUGE = 1e60  # larger numbers overflow once multiplied with each other
 _TEXTS = ("name", "description")
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}
 _PER_MASS = {"body.drag_linear": "1/s"}
 """Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
@@ -73,10 +75,13 @@ def read_entries(tree: dict[str, Any]) -> Entries:
     """Read every entry of a parsed vehicle file."""
     entries = Entries(mistakes=list(_unknown_names(tree)))
     for name in (n for n in _TEXTS if n in tree):
-        if isinstance(tree[name], str):
-            entries.texts[name] = tree[name]
+        text = tree[name]
+        if isinstance(text, str) and not _CONTROL.search(text):
+            entries.texts[name] = text
         else:
-            entries.mistakes.append(f"{name} = {_short(tree[name])} must be text.")
+            entries.mistakes.append(
+                f"{name} = {_short(text)} must be text without control characters."
+            )
     for key, what in FIELDS.items():
         section, name = key.split(".")
         table = tree.get(section)
