@@ -45,6 +45,7 @@ WORDS = {
     "twin.errors": "what a user can mend",
     "twin.frames": "NED, FRD, rotations",
     "twin.representation": "values in a line or two",
+    "twin.scratch": "temporary files, swept",
 }
 """What each room of the list of layers holds."""
 OF_THE_TWIN = {"learning", "fmus", "cosim"}

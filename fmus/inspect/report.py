@@ -22,6 +22,8 @@ from ..archive import DESCRIPTION, Archive, open_archive
 from ..names import shown
 from .library_header import library_problem, library_suffix
 
+MAX_FACT = 500
+"""Characters of one that the FMU says of itself."""
 MAX_PROBLEMS = 100
 """Listed of one FMU; of more, how many."""
 _QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
@@ -75,9 +77,9 @@ def inspect_fmu(path: Path) -> FmuReport:
     unpacked = sum(m.file_size for m in archive.members)
     facts = {
         "format": f"FMU, FMI {description.fmiVersion}, {_kinds(description)}",
-        "model": f"{description.modelName}: {description.description or 'no description'}",
-        "made by": description.generationTool or "unknown tool",
-        "platforms": ", ".join(platforms) or "none",
+        "model": _brief(f"{description.modelName}: {description.description or 'no description'}"),
+        "made by": _brief(description.generationTool or "unknown tool"),
+        "platforms": _brief(", ".join(platforms) or "none"),
         "sources": "inside" if sources else "not inside",
         **_variables(description),
         "saves its state": "yes" if _saves_state(description) else "no",
@@ -85,7 +87,13 @@ def inspect_fmu(path: Path) -> FmuReport:
     }
     if len(problems) > MAX_PROBLEMS:
         problems[MAX_PROBLEMS:] = [f"and {len(problems) - MAX_PROBLEMS} more problems"]
-    return FmuReport(facts, tuple(problems))
+    return FmuReport(facts, tuple(map(_brief, problems)))
+
+
+def _brief(text: str) -> str:
+    """One line, cut where it is long."""
+    line = " ".join(text.split())
+    return line if len(line) <= MAX_FACT else f"{line[:MAX_FACT]}..."
 
 
 def _description(path: Path, alone: io.BytesIO) -> tuple[ModelDescription, list[str]]:
