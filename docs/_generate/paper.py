@@ -54,6 +54,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of Table II")
     parser.add_argument("--seeds-table3", type=int, default=3, help="of Table III")
     parser.add_argument("--seeds-table5", type=int, default=3, help="of Table V")
+    parser.add_argument("--epochs-table5", type=int, help="of Table V; default: the presets'")
     parser.add_argument("--share", type=float, action="append", help="of the data, in Table II")
     parser.add_argument("--published", action="store_true", help="the published code in Table II")
     given = parser.parse_args()
@@ -62,6 +63,7 @@ def main() -> None:
     tables = given.data / "rflysimdt" / "paper_residuals"
     sizes = [f"--seeds={given.seeds}", *(f"--share={s:g}" for s in given.share or ())]
     sizes += ["--published"] * given.published
+    short = [f"--epochs={given.epochs_table5}"] if given.epochs_table5 else []
 
     def made(*what: str) -> str:
         common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
@@ -72,7 +74,7 @@ def main() -> None:
         "table2": made("--only=table2", *sizes),
         "needed": made("--only=needed", f"--epochs={NEEDED_EPOCHS}"),
         "samples": made("--only=samples", f"--seeds={given.seeds_table3}"),
-        "weights": made("--only=weights", f"--seeds={given.seeds_table5}"),
+        "weights": made("--only=weights", f"--seeds={given.seeds_table5}", *short),
         "ablations": made("--only=ablations", f"--epochs={EPOCHS}"),
     }
     edge.main([f"--out={given.work}"])
@@ -86,8 +88,10 @@ def main() -> None:
                 *sizes,
                 f"--seeds-table3={given.seeds_table3}",
                 f"--seeds-table5={given.seeds_table5}",
+                *(f"--epochs-table5={given.epochs_table5}" for _ in short),
             ]
         ),
+        epochs_table5=given.epochs_table5,
         commit=_commit(),
         machine=f"{os.cpu_count()} cores, {_processor()}",
         device=device_named(given.device).type,
