@@ -163,7 +163,9 @@ class ULogs:
             case "freeze":
                 given = {"topic": rng.choice(moving), "from": rng.uniform(0.2, 0.4)}
             case "absurd":
-                used = [t for t in INPUTS if t in topics]
+                used = [t for t in INPUTS if t in topics and {*INPUTS[t]} & {*topics[t].fields}]
+                if not used:
+                    return draw_bytes(rng, blob)
                 topic = rng.choice(used)
                 given = {
                     "topic": topic,
