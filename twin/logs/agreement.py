@@ -104,6 +104,8 @@ def doubt_turning(table: pd.DataFrame) -> list[Finding]:
     turned = rotation_vector(q[1:], q[:-1])
     told = _total(t_gyro, gyro, edges)
     small = np.abs(told).max(axis=1) < 1.0  # beyond, angles do not add up
+    if small.sum() < _FEWEST:
+        small = np.abs(turned).max(axis=1) < 1.0
     good = _known(t_gyro, edges) & _known(t_q, edges) & small
     moving = float(np.sqrt(np.mean(told[good] ** 2))) if good.any() else 0.0
     still = float(np.sqrt(np.mean(turned[good] ** 2))) if good.any() else 0.0

@@ -94,6 +94,7 @@ CHANGES: dict[str, tuple[Callable[[pd.DataFrame], None], str, str]] = {
     "attitude at random": (random_attitude, "q", "does not turn with the gyroscope"),
     "attitude conjugated": (conjugated, "q", "body to NED"),
     "gyro doubled": (scaled("gyro", 3.0), "q", "times as fast): is a unit wrong"),
+    "gyro in deg/s": (scaled("gyro", 57.3), "q", "times as fast): is a unit wrong"),
     "position in mm": (scaled("pos", 1e3), "vel", "in mm or cm"),
     "position in cm": (scaled("pos", 1e2), "vel", "in mm or cm"),
     "velocity in other axes": (sideways, "vel", "another frame"),

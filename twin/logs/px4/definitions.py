@@ -73,6 +73,9 @@ def _check_formats(path: Path, blob: bytes) -> None:
                 f"{path.name}: damaged ULog: its subscriptions have over {_MOST_UNFOLDED} fields. "
                 "Copy the log from the vehicle again."
             )
+    for name in inner:  # a subscription may stand where damage hides it from this walk
+        if name not in sizes:
+            _unfolded(path, name, inner, sizes)
 
 
 def _kind(field: str) -> tuple[str, int]:
