@@ -16,7 +16,6 @@ SLAVE = '''
 from math import cos, pi
 from pythonfmu import Fmi2Causality, Fmi2Slave, Fmi2Variability, Real
 
-
 class Gust(Fmi2Slave):
     """One gust of the shape (1 - cos) / 2, 2 s long, from 6 s on."""
 
@@ -42,13 +41,13 @@ def main(folder: Path) -> None:
     (folder / "gust.py").write_text(SLAVE)
     gust = Path(FmuBuilder.build_FMU(str(folder / "gust.py"), dest=str(folder)))
     twin = scenario_system(Scenario("hover", effects=("rotor_drag",)), folder)
+    twin = replace(twin, fmus={**twin.fmus, "gust": gust})
     wires = [c for c in twin.connections if c.source != "environment.wind_x"]
     wires += [Connection("gust.wind_x", f"{part}.wind_x") for part in ("airframe", "barometer")]
-    fmus = {**twin.fmus, "gust": gust}
-    system = replace(twin, fmus=fmus, connections=tuple(wires), periods={"gust": 10}, foreign=True)
+    system = replace(twin, connections=tuple(wires), periods={"gust": 10}, foreign=True)
     for peak in (0.0, 8.0):
-        starts = {**twin.starts, "gust.peak": peak}
-        flight = summary(run_scenario(replace(system, starts=starts), 12.0))
+        blown = replace(system, starts={**twin.starts, "gust.peak": peak})
+        flight = summary(run_scenario(blown, 12.0))
         print(f"gust of {peak:g} m/s: {flight['tracking_worst_m']:.3f} m off at worst")
 
 
