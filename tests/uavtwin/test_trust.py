@@ -115,7 +115,11 @@ def test_an_interrupted_flight_is_kept(tmp_path: Path) -> None:
     """Of our own FMU, in the process: Ctrl-C in a run by the clock."""
     out = tmp_path / "o"
     arguments = ["simulate", "hover", "--fused", "--realtime", "--out", str(out)]
-    command = [sys.executable, "-c", "from uavtwin.cli.main import main; main()", *arguments]
+    heeds = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # under nohup
+    )
+    program = heeds + "from uavtwin.cli.main import main; main()"
+    command = [sys.executable, "-c", program, *arguments]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         deadline = time.monotonic() + 60
         while "/uavtwin-" not in _maps(process.pid) and time.monotonic() < deadline:
