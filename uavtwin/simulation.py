@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.limits import Limits
 from cosim.master import Algorithm, Master, Recording
 from cosim.ssp import read_ssp
 from cosim.system import System
 from cosim.whole_twin import STEP_S, fused_model, system_of
-from cosim.worker import Limits, WorkerMaster
+from cosim.worker import WorkerMaster
 from fmus import build
 from twin.component import unknown_name
 from twin.effects import EFFECTS

@@ -54,13 +54,13 @@ class Board:
         """A call that is announced before."""
         number, slot = self._number(f"{who}\n{function}"), self._call
 
-        def announced() -> Any:
+        def _call() -> Any:
             slot[0] = number
             result = call()
             slot[0] = -number
             return result
 
-        return announced
+        return _call
 
     def watched(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
         """The same, and whether it changed how this process calculates is looked for after.
@@ -72,7 +72,7 @@ class Board:
         slot = self._call
         one, quarter, more, following, tiny = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
 
-        def watched() -> Any:
+        def _call() -> Any:
             slot[0] = number
             result = call()
             slot[0] = -number
@@ -85,7 +85,7 @@ class Board:
                 f"FMU."
             )
 
-        return watched
+        return _call
 
     def _number(self, text: str) -> int:
         """Of a call, from 1 on; those beyond the last have no name."""

@@ -12,11 +12,11 @@ from typing import Any, Self
 from fmus.names import shown
 from twin.errors import FmuError
 
+from ..limits import Limits
 from ..recording import Interrupted, Recording, RunError
 from ..slave.board import read_table
 from ..stepping import Algorithm
 from ..system import System
-from .limits import Limits
 from .process import Ended, Process
 
 Progress = Callable[[float], None]

@@ -12,8 +12,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from ..limits import Limits
 from ..slave.board import HEADER, Notice, read_board
-from .limits import Limits
 
 _TICK_S = 0.05
 _START_S = 60.0

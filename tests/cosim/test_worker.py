@@ -18,9 +18,10 @@ import pytest
 from alter import NO_DERIVATIVES, altered
 from bad_fmu import bad_fmu
 
+from cosim.limits import Limits
 from cosim.master import Algorithm, Interrupted, Master, Recording, RunError
 from cosim.system import Connection, System
-from cosim.worker import Limits, WorkerMaster
+from cosim.worker import WorkerMaster
 from fmus import build, component_model
 from twin.component import ComponentBuilder
 from twin.errors import FmuError

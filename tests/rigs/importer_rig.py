@@ -5,7 +5,6 @@ all tests.
 """
 
 import importlib
-import os
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -14,8 +13,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
+from places import lacking
 
 from twin.component import Component
 from twin.physics.airframe import airframe
@@ -57,10 +56,7 @@ def needs(package: str) -> None:
     try:
         importlib.import_module(package)
     except (ImportError, OSError) as error:
-        message = f"{package} cannot be imported: {error}"
-        if os.environ.get("CI"):
-            pytest.fail(message)
-        pytest.skip(message)
+        lacking(False, f"{package} cannot be imported: {error}")
 
 
 def in_process_of(package: str, out: Path, *arguments: str) -> Array:

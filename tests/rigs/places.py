@@ -11,6 +11,8 @@ RIGS = Path(__file__).resolve().parent
 ROOT = RIGS.parents[1]
 HOST_SOURCE = RIGS / "host.c"
 """Loads an FMU of FMI 2 or 3 without Python."""
+DATA = Path(os.environ.get("UAVTWIN_DATA", ROOT.parent / "shared" / "data"))
+"""The recorded flights: $UAVTWIN_DATA, else shared/data beside the checkout."""
 IMPORT_PATH = os.pathsep.join(map(str, (RIGS, ROOT)))
 """`PYTHONPATH` of another process: this checkout and what its tests share."""
 
@@ -18,6 +20,14 @@ IMPORT_PATH = os.pathsep.join(map(str, (RIGS, ROOT)))
 def needs(present: bool, reason: str) -> pytest.MarkDecorator:
     """Skip where something is missing, but never in CI: there the test runs and fails."""
     return pytest.mark.skipif(not present and not os.environ.get("CI"), reason=reason)
+
+
+def lacking(present: bool, reason: str) -> None:
+    """The same from within a test or a fixture."""
+    if not present and os.environ.get("CI"):
+        pytest.fail(reason)
+    if not present:
+        pytest.skip(reason)
 
 
 def needs_package(name: str) -> pytest.MarkDecorator:

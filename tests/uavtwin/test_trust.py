@@ -1,6 +1,7 @@
 """`uavtwin simulate` of somebody's `.ssp`: what its FMUs may decide, and what not."""
 
 import hashlib
+import inspect
 import json
 import signal
 import subprocess
@@ -15,10 +16,12 @@ from bad_fmu import bad_fmu
 from cli_rig import run
 
 import uavtwin as ut
+from cosim.limits import Limits
 from cosim.master import RunError
 from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
+from uavtwin.cli.simulate import simulate as simulate_verb
 from uavtwin.trust import read_hashes
 
 Call = Callable[..., tuple[int, str, str]]
@@ -101,6 +104,13 @@ def test_limits_are_options(ssp: Callable[[str], Path], simulate: Call, tmp_path
     assert "fmi2DoStep at 0.4 s: did not return within 0.3 s, the limit (--call-limit)" in told
     code, _, told = simulate(ssp("fine"), "--memory-limit", "0", "--out", tmp_path / "p")
     assert (code, told) == (2, "error: limit memory_gib = 0: needs a positive number.\n")
+
+
+def test_limits_are_the_same_from_python() -> None:
+    """The command line says them itself, so as to load no simulation for other verbs."""
+    said = inspect.signature(simulate_verb).parameters
+    names = {"call_s": "call_limit", "whole_s": "time_limit", "memory_gib": "memory_limit"}
+    assert Limits(**{own: said[option].default for own, option in names.items()}) == Limits()
 
 
 @pytest.mark.slow

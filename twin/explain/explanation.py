@@ -202,9 +202,16 @@ def explain(
         found = replace(
             found, next_manoeuvre=next_manoeuvre(naming, vehicle, seed, settings=settings.design)
         )
+    return _with_missions(found, missions, lambda done: progress(0.85 + 0.15 * done))
+
+
+def _with_missions(
+    found: Explanation, missions: Sequence[str] | None, progress: Callable[[float], None]
+) -> Explanation:
+    """The same with flights of the new model in closed loop, where there is one."""
     if found.added is None:
         return found
-    flown = fly_missions(found.added, missions, lambda done: progress(0.85 + 0.15 * done))
+    flown = fly_missions(found.added, missions, progress)
     lost = [UNSTABLE.format(m.name, m.problem) for m in flown if not m.stable]
     return replace(found, missions=flown, warnings=(*lost, *found.warnings))
 

@@ -1,7 +1,8 @@
 """`uavtwin simulate`: flights of the twin, and systems of other tools."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -12,6 +13,9 @@ from .printing import STDERR, STDOUT, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
+
+if TYPE_CHECKING:
+    from ..run import Run
 
 
 def simulate(
@@ -46,10 +50,9 @@ def simulate(
     as_json: Json = False,
 ) -> None:
     """Fly a scenario, or run an .ssp, and record every output."""
-    from cosim.worker import Limits
+    from cosim.limits import Limits
 
-    from ..output import check_folder, results_folder, write_json, write_run
-    from ..report.simulation import write_simulation_report
+    from ..output import check_folder
     from ..run import run_plan
     from ..simulation import Scenario
     from ..vehicles import load_vehicle
@@ -88,9 +91,41 @@ def simulate(
     }
     given = (Path(scenario), Path(vehicle), *([] if trust is None else [trust]))
     inputs = [p for p in given if p.is_file()]
-    why, printed = run.recording.incomplete, run.recording.printed
+    _write(run, out, force, "recording.csv" if csv else "recording.parquet", options, inputs, seed)
+    if as_json:
+        print_json(run.json())
+    if run.ended is not None:
+        _end(run, out)
+    if not as_json:
+        _tell(run, out, realtime)
+
+
+def _tell(run: "Run", out: Path, realtime: bool) -> None:
+    """What a run that came to its end says."""
+    STDOUT.print(run.claim, style="bold", markup=False)
+    if realtime:
+        STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
+    if run.recording.printed:
+        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}", markup=False)
+    STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+
+
+def _write(
+    run: "Run",
+    out: Path,
+    force: bool,
+    recording: str,
+    options: Mapping[str, Any],
+    inputs: Sequence[Path],
+    seed: int,
+) -> None:
+    """All that a run leaves, marked where it is incomplete."""
+    from ..output import results_folder, write_json, write_run
+    from ..report.simulation import write_simulation_report
+
+    printed = run.recording.printed
     with results_folder(out, force) as folder:
-        run.save(folder / ("recording.csv" if csv else "recording.parquet"))
+        run.save(folder / recording)
         write_json(folder / "summary.json", run.json())
         facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
         write_simulation_report(
@@ -98,27 +133,21 @@ def simulate(
         )
         if printed:
             (folder / "printed.txt").write_text(printed, "utf-8")
+        why = run.recording.incomplete
         write_run(folder, "simulate", options, inputs, seed, incomplete=why)
-    if as_json:
-        print_json(run.json())
-    if run.ended is not None:
-        text = (
-            f"{why.rstrip('.')}. What was recorded up to {run.recording.time_s[-1]:g} s is in "
-            f"{out}, marked incomplete."
-        )
-        if isinstance(run.ended, KeyboardInterrupt):
-            STDERR.print(text, markup=False)
-            raise KeyboardInterrupt from run.ended
-        STDERR.print(f"error: {text}", style="red", markup=False)
-        raise typer.Exit(Exit.FINDINGS)
-    if as_json:
-        return
-    STDOUT.print(run.claim, style="bold", markup=False)
-    if realtime:
-        STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
-    if printed:
-        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}", markup=False)
-    STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+
+
+def _end(run: "Run", out: Path) -> NoReturn:
+    """Say how a run was ended and where its recording is, and end with the exit code for it."""
+    text = (
+        f"{run.recording.incomplete.rstrip('.')}. What was recorded up to "
+        f"{run.recording.time_s[-1]:g} s is in {out}, marked incomplete."
+    )
+    if isinstance(run.ended, KeyboardInterrupt):
+        STDERR.print(text, markup=False)
+        raise KeyboardInterrupt from run.ended
+    STDERR.print(f"error: {text}", style="red", markup=False)
+    raise typer.Exit(Exit.FINDINGS)
 
 
 def _three(text: str, option: str) -> tuple[float, float, float]:

@@ -10,25 +10,28 @@ from .printing import STDOUT, print_damage, progress
 
 Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
 
+ModelName = Annotated[
+    str | None,
+    typer.Option(
+        help="svq: ours; linear: no network; trivial; or a system of the paper's comparison: "
+        "cvae, vqvae, wgan, tsgan, vqgan, cgan, mrgan, vqwwvae, tdm, timeddpm, autofiltervq, "
+        "contrastvq, mcvq. Default: that of the preset, or svq."
+    ),
+]
+PresetName = Annotated[
+    str | None,
+    typer.Option(
+        help="Of svq: best: ours; paper: the paper's text; published: its code. Of trivial: "
+        "mean, last, ...: docs/guide/compensator.md."
+    ),
+]
+
 
 def train(
     flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
     vehicle: VehicleName,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="svq: ours; linear: no network; trivial; or a system of the paper's comparison: "
-            "cvae, vqvae, wgan, tsgan, vqgan, cgan, mrgan, vqwwvae, tdm, timeddpm, autofiltervq, "
-            "contrastvq, mcvq. Default: that of the preset, or svq."
-        ),
-    ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            help="Of svq: best: ours; paper: the paper's text; published: its code. Of trivial: "
-            "mean, last, ...: docs/guide/compensator.md."
-        ),
-    ] = None,
+    model: ModelName = None,
+    preset: PresetName = None,
     protocol: Annotated[
         Protocol,
         typer.Option(

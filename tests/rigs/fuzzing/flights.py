@@ -1,8 +1,9 @@
 """What flight logs of any format have in common here: bytes changed, and the flight read."""
 
-import os
 import random
 from pathlib import Path
+
+from places import DATA
 
 from twin.logs import read_flight
 
@@ -12,11 +13,8 @@ ABSURD = (0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e38, -1e38, 1e1
 
 
 def recorded(*patterns: str) -> dict[str, bytes]:
-    """Recorded flights by name, where $UAVTWIN_DATA has them."""
-    folder = os.environ.get("UAVTWIN_DATA")
-    if not folder:
-        return {}
-    return {p.stem: p.read_bytes() for g in patterns for p in sorted(Path(folder).glob(g))}
+    """Recorded flights by name, where there are any."""
+    return {p.stem: p.read_bytes() for g in patterns for p in sorted(DATA.glob(g))}
 
 
 def read(path: Path) -> Seen:
