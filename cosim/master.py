@@ -16,6 +16,7 @@ from .recording import Interrupted, Recording, RunError
 from .rollback import Rollback
 from .slave.board import Board
 from .slave.slave import Slave
+from .slave.told import ToldSlave
 from .stepping import Algorithm, Stepping
 from .system import System
 
@@ -52,7 +53,8 @@ class Master:
         self._ready = False
         try:
             for name, path in system.fmus.items():
-                self.slaves.append(Slave(name, path, board))
+                slave = Slave(name, path) if board is None else ToldSlave(name, path, board)
+                self.slaves.append(slave)
             system.check({s.name: s.interface for s in self.slaves})
             self._bus = Bus(system, {s.name: s for s in self.slaves}, record)
             self._stepping = Stepping(self._bus)
@@ -299,7 +301,7 @@ class _Rows:
     """The rows of a recording under way."""
 
     def __init__(self, bus: Bus, count: int, board: Board | None) -> None:
-        self._bus, self._board, self._filled = bus, board, 0
+        self._bus, self._filled = bus, 0
         width = len(bus.recorded)
         size = count * (1 + width)
         table = np.empty(size) if board is None else board.table(size)
@@ -310,8 +312,6 @@ class _Rows:
 
     def add(self, time_s: float) -> None:
         """Record the present; the time last, which says on a board that the row is whole."""
-        if self._board is not None:
-            self._board.check_process()
         self._values[self._filled] = self._bus.values[self._columns]
         self._time[self._filled] = time_s
         self._filled += 1

@@ -24,14 +24,15 @@ class Board:
 
     Attributes:
         clock: Time of the call under way, s.
+        call: Its number, one item; negative after it has returned.
     """
 
     def __init__(self, file: int) -> None:
         """Take an open file, which holds the header at least."""
         self._file, self._pid = file, os.getpid()
-        self._memory = mmap.mmap(file, HEADER)
+        self._memory = _mapped(file, HEADER)
         self._numbers: dict[str, int] = {}
-        self._call = memoryview(self._memory)[_CALL : _CALL + 8].cast("q")
+        self.call = memoryview(self._memory)[_CALL : _CALL + 8].cast("q")
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
     def table(self, count: int) -> Array:
@@ -41,7 +42,7 @@ class Board:
         os.ftruncate(self._file, HEADER + size)
         if not size:
             return np.zeros(0)
-        table = np.frombuffer(mmap.mmap(self._file, size, offset=HEADER), dtype=np.float64)
+        table = np.frombuffer(_mapped(self._file, size, HEADER), dtype=np.float64)
         table[:] = np.nan
         return table
 
@@ -50,17 +51,9 @@ class Board:
         if os.getpid() != self._pid:
             os._exit(0)
 
-    def announced(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
-        """A call that is announced before."""
-        number, slot = self._number(f"{who}\n{function}"), self._call
-
-        def _call() -> Any:
-            slot[0] = number
-            result = call()
-            slot[0] = -number
-            return result
-
-        return _call
+    def told(self, who: str, function: str, call: Callable[[], Any]) -> "Told":
+        """A call that is told before; what it does to this process is not looked for."""
+        return Told(self, self._number(f"{who}\n{function}"), call)
 
     def watched(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
         """The same, and whether it changed how this process calculates is looked for after.
@@ -68,24 +61,36 @@ class Board:
         Raises, when it is called:
             FmuError: The FMU changed how this process calculates.
         """
-        number = self._number(f"{who}\n{function}")
-        slot = self._call
-        one, quarter, more, following, tiny = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
+        told = self.told(who, function, call)
 
         def _call() -> Any:
-            slot[0] = number
-            result = call()
-            slot[0] = -number
-            # Rounding to nearest, and numbers below the smallest normal one are kept.
-            if one + quarter + more == following and tiny + tiny:
+            result = told()
+            if self.rounds():
                 return result
-            raise FmuError(
-                f"{who}: {function} at {self.clock.value:g} s: changed how the processor rounds "
-                f"or treats small numbers, and with that the results of others. Ask who made the "
-                f"FMU."
-            )
+            raise self.spoilt(who, function)
 
         return _call
+
+    @staticmethod
+    def rounds(
+        one: float = 1.0,
+        quarter: float = 2.0**-54,
+        more: float = 1.5 * 2.0**-53,
+        following: float = 1.0 + 2.0**-52,
+        tiny: float = 5e-324,
+    ) -> bool:
+        """Whether this process rounds to nearest and keeps numbers below the smallest normal one.
+
+        Variables, not constants: what is known before is not calculated here."""
+        return one + quarter + more == following and tiny + tiny != 0.0
+
+    def spoilt(self, who: str, function: str) -> FmuError:
+        """Where `rounds` says no after a call."""
+        return FmuError(
+            f"{who}: {function} at {self.clock.value:g} s: changed how the processor rounds "
+            f"or treats small numbers, and with that the results of others. Ask who made the "
+            f"FMU."
+        )
 
     def _number(self, text: str) -> int:
         """Of a call, from 1 on; those beyond the last have no name."""
@@ -95,6 +100,34 @@ class Board:
             name = text.encode()[:_NAME_BYTES].ljust(_NAME_BYTES, b"\0")
             self._memory[at : at + _NAME_BYTES] = name
         return number
+
+
+class Told:
+    """A call that writes its number on a board before, and that it has returned after.
+
+    Attributes:
+        number: Of the call.
+        bare: The call alone, for a loop that writes the number itself.
+    """
+
+    def __init__(self, board: Board, number: int, bare: Callable[[], Any]) -> None:
+        self._slot, self.number, self.bare = board.call, number, bare
+
+    def __call__(self) -> Any:
+        """Make the call."""
+        self._slot[0] = self.number
+        result = self.bare()
+        self._slot[0] = -self.number
+        return result
+
+
+def _mapped(file: int, size: int, offset: int = 0) -> mmap.mmap:
+    """Part of a file, which a copy of this process, made by an FMU, does not have: it ends where it
+    writes there."""
+    memory = mmap.mmap(file, size, offset=offset)
+    if hasattr(mmap, "MADV_DONTFORK"):  # Linux
+        memory.madvise(mmap.MADV_DONTFORK)
+    return memory
 
 
 class Notice(NamedTuple):

@@ -63,9 +63,10 @@ class Library:
         call = partial(self._dll[full], self._component, *arguments)
         if self._board is None:
             return call
-        # What moves values is called most; what it does to this process shows after the next step.
-        moves = function.startswith(("Get", "Set"))
-        kind = self._board.announced if moves else self._board.watched
+        # What an FMU does to this process while it moves values shows after its next step, where
+        # `ToldSlave` looks for it.
+        moves = function.startswith(("Get", "Set", "DoStep"))
+        kind = self._board.told if moves else self._board.watched
         return kind(self._who, full, call)
 
     def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:

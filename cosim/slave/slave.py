@@ -52,7 +52,7 @@ class Slave:
     """
 
     def __init__(self, name: str, path: Path, board: Board | None = None) -> None:
-        """Load and instantiate; `board` tells the calls to other processes."""
+        """Load and instantiate; `board` tells the calls to other processes: `ToldSlave`."""
         self.name, self.path, self._board = name, path, board
         self._who = f"{name} ({path.name})"
         self.interface = read_interface(path)

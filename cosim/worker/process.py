@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import IO, Any
 
 from ..limits import Limits
 from ..slave.board import HEADER, Notice, read_board
@@ -42,7 +42,7 @@ class Process:
     def __init__(self, limits: Limits) -> None:
         self._limits, self._left_s = limits, limits.whole_s
         self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
-        self._board = tempfile.TemporaryFile()  # noqa: SIM115
+        self._board = _file_without_name()
         self.board = self._board.fileno()
         os.ftruncate(self.board, HEADER)
         self._printed, self._pending = bytearray(), bytearray()
@@ -215,6 +215,13 @@ class Process:
     def forget(self) -> None:
         """Close the board, after `end`."""
         self._board.close()
+
+
+def _file_without_name() -> IO[bytes]:
+    """In memory where the system has such: writing there costs no bookkeeping of a disk."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("uavtwin"), "r+b")
+    return tempfile.TemporaryFile()
 
 
 def _answer(line: bytes) -> Mapping[str, Any]:
