@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -20,6 +21,7 @@ from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
 from twin.explain.settings.group import Value
 from twin.explain.unnamed.equations import Equation
+from twin.flight.stability import Mission
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -267,6 +269,19 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
     page = (tmp_path / "report.html").read_text()
     assert "they cannot tell the two apart" in page
     assert "Fly fast and straight." in page
+
+
+def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
+    """A model that does not fly, and an interval that holds what the model has already."""
+    found = named.found
+    assert found is not None and found.naming is not None
+    assert "may be next to none" not in claim(found) and "does not fly" not in claim(found)
+    fallen = replace(found, missions=(Mission("hover", False, math.nan, "it tips over"),))
+    assert claim(fallen).endswith("The model with it does not fly hover in closed loop.")
+    told = found.naming.told
+    wide = replace(told, half_widths=100 * np.abs(told.half_widths))
+    vague = replace(found, naming=replace(found.naming, told=wide))
+    assert "How large rotor drag is, these flights do not say" in claim(vague)
 
 
 def test_nothing_hidden_nothing_named(folder: Path) -> None:

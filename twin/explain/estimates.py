@@ -148,6 +148,13 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
     ]
 
 
+def may_be_none(found: Explanation, effect: str) -> bool:
+    """Whether an effect has numbers, and the interval of each holds what the model has already: the
+    flights are better with it, whichever of them it is."""
+    told = [t for t in estimates_of(found, effect) if t.ci95 is not None]
+    return bool(told) and all(t.ci95[0] <= t.number.now <= t.ci95[1] for t in told if t.ci95)
+
+
 def where_felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Channels and phases on which an effect acts most; none where that is not known."""
     beside = beside_mean(found, effect)

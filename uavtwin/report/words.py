@@ -10,6 +10,7 @@ from twin.explain.estimates import (
     calibrated_effects,
     estimates_of,
     listed_effects,
+    may_be_none,
     nothing_probability,
     probability_of,
     undecided,
@@ -52,6 +53,7 @@ def claim(found: Explanation) -> str:
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
         return (
             f"The model lacks {joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
+            f"{_doubts(found, effects)}"
         )
     if found.verdict == "unnamed":
         return f"The model lacks something {_outside(found)}."
@@ -102,7 +104,10 @@ def _since(found: Explanation, naming: Naming) -> str:
             else _change(found, naming.told, e)
             for e in effects
         ]
-        return f"{joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
+        return (
+            f"{joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
+            f"{_doubts(found, effects)}"
+        )
     tied = []
     for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
         if p >= naming.settings.least:
@@ -191,6 +196,16 @@ def _what_else(found: Explanation, sure: list[str]) -> str:
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Beside that, these flights cannot tell what it lacks: {tied}."
+
+
+def _doubts(found: Explanation, named: Sequence[str]) -> str:
+    """What speaks against a name or its numbers all the same; begins with a blank."""
+    said = ""
+    if vague := [title(e) for e in named if may_be_none(found, e)]:
+        said += f" How large {joined(vague)} is, these flights do not say: it may be next to none."
+    if lost := [m.name for m in found.missions if not m.stable]:
+        said += f" The model with it does not fly {joined(lost)} in closed loop."
+    return said
 
 
 def title(effect: str) -> str:
