@@ -2,13 +2,14 @@
 
 import glob
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from twin.errors import LogError, TwinError
-from twin.logs import Flight, read_flight
+from twin.logs import Finding, Flight, read_flight
 
 _SHOWN = 6
 """Names of a folder that a message lists."""
@@ -32,10 +33,40 @@ def read_flights(*patterns: str | Path, rebuild_commands: bool | None = None) ->
         raise LogError("read_flights: no file and no pattern given, e.g. 'logs/fit_*.ulg'.")
     paths = [path for pattern in patterns for path in _matching(pattern)]
     once = {path.resolve(): path for path in reversed(paths)}
+    return read_alike(list(dict.fromkeys(once[p.resolve()] for p in paths)), rebuild_commands)
+
+
+def read_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> list[Flight]:
+    """Read flights of one aircraft, the commands of all of them in the same way.
+
+    Args:
+        paths: Files.
+        rebuild_commands: As for `read_flight`. None: where the commands of one flight cannot be
+            rebuilt, or are not those that were flown, those of none are.
+
+    Raises:
+        LogError: A file cannot be used.
+    """
+    flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in paths]
+    refused = [f.name for f in flights if "commands_not_rebuilt" in f.facts]
+    if rebuild_commands is not None or not refused:
+        return flights
     return [
-        read_flight(path, rebuild_commands=rebuild_commands)
-        for path in dict.fromkeys(once[p.resolve()] for p in paths)
+        _as_logged(path, refused) if "commands_match" in f.facts else f
+        for path, f in zip(paths, flights, strict=True)
     ]
+
+
+def _as_logged(path: Path, others: Sequence[str]) -> Flight:
+    """A flight whose commands could be rebuilt, but are those that are logged."""
+    flight = read_flight(path, rebuild_commands=False)
+    told = Finding(
+        "info",
+        "cmd",
+        f"logged commands, though they could be rebuilt at full rate: those of "
+        f"{', '.join(others)} could not, and flights of one aircraft are treated alike",
+    )
+    return replace(flight, findings=(*flight.findings, told))
 
 
 def _matching(pattern: str | Path) -> list[Path]:

@@ -1,9 +1,10 @@
-"""Write results/paper.md: the paper's tables; and WORK/figures.html: its figures.
+"""Write results/paper.md, paper_weights.md and paper_less_data.md: the paper's tables; and
+WORK/figures.html: its figures.
 
     python docs/_generate/paper.py --data ../shared/data --work out/paper
 
-Runs what is not done yet, some hours on two cores (`--seeds 1 --share 1 --seeds-table5 1` makes
-less); it may be stopped and goes on from there.
+Runs what is not done yet, some hours on two cores; it may be stopped and goes on from there.
+`--page` picks one page, and fewer `--seeds` make less.
 """
 
 import argparse
@@ -44,65 +45,88 @@ NEEDED_EPOCHS = 50
 """Of that of the protocols in which the answer is not given."""
 
 
+PAGES = {
+    "paper": ("table2", "needed", "samples", "ablations"),
+    "paper_weights": ("weights",),
+    "paper_less_data": ("table2",),
+}
+"""Names of the pages, of their templates and of the tables that each shows."""
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, required=True, help="folder of the recorded flights")
     parser.add_argument("--work", type=Path, required=True, help="folder of what is half done")
+    parser.add_argument("--page", choices=PAGES, action="append", help="default: all")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--device", default="cpu", help="to train on: cpu, cuda or auto")
-    parser.add_argument("--seeds", type=int, default=3, help="of Table II")
+    parser.add_argument("--seeds", type=int, default=1, help="of Table II")
     parser.add_argument("--seeds-table3", type=int, default=3, help="of Table III")
     parser.add_argument("--seeds-table5", type=int, default=3, help="of Table V")
-    parser.add_argument("--epochs-table5", type=int, help="of Table V; default: the presets'")
-    parser.add_argument("--share", type=float, action="append", help="of the data, in Table II")
+    parser.add_argument("--seeds-paper", type=int, help="of the paper's preset in Table V")
     parser.add_argument("--published", action="store_true", help="the published code in Table II")
     given = parser.parse_args()
-    if given.share and 1 not in given.share:
-        parser.error("--share without 1: the figures are of trainings on all of the data")
-    tables = given.data / "rflysimdt" / "paper_residuals"
-    sizes = [f"--seeds={given.seeds}", *(f"--share={s:g}" for s in given.share or ())]
-    sizes += ["--published"] * given.published
-    short = [f"--epochs={given.epochs_table5}"] if given.epochs_table5 else []
+    for page in given.page or PAGES:
+        _write(page, given)
+    if "paper" in (given.page or PAGES):
+        tables = given.data / "rflysimdt" / "paper_residuals"
+        page = figures_page(_figures(tables, given.work, given.jobs))
+        (given.work / "figures.html").write_text(page, "utf-8")
 
-    def made(*what: str) -> str:
-        common = ["--data", str(tables), "--out", str(given.work), "--jobs", str(given.jobs)]
-        paper.main([*common, "--device", given.device, *what])
-        return Path(given.work, "paper.md").read_text("utf-8")
 
-    text = {
-        "table2": made("--only=table2", *sizes),
-        "needed": made("--only=needed", f"--epochs={NEEDED_EPOCHS}"),
-        "samples": made("--only=samples", f"--seeds={given.seeds_table3}"),
-        "weights": made("--only=weights", f"--seeds={given.seeds_table5}", *short),
-        "ablations": made("--only=ablations", f"--epochs={EPOCHS}"),
+def _write(page: str, given: argparse.Namespace) -> None:
+    """Make the tables of a page, and the page."""
+    seeds = f"--seeds={given.seeds}"
+    fifth = [f"--seeds={given.seeds_table5}"]
+    fifth += [] if given.seeds_paper is None else [f"--seeds-paper={given.seeds_paper}"]
+    shares = ("--share=1",) if page == "paper" else ("--share=0.5", "--share=0.25")
+    asked = {
+        "table2": [seeds, *shares, *["--published"] * given.published],
+        "needed": [f"--epochs={NEEDED_EPOCHS}"],
+        "samples": [f"--seeds={given.seeds_table3}"],
+        "weights": fifth,
+        "ablations": [f"--epochs={EPOCHS}"],
     }
-    edge.main([f"--out={given.work}"])
-    template = Path(paper.__file__).with_name("paper.md.j2").read_text("utf-8")
+    text = {}
+    for name in PAGES[page]:
+        paper.main(
+            [
+                f"--data={given.data / 'rflysimdt' / 'paper_residuals'}",
+                f"--out={given.work}",
+                f"--jobs={given.jobs}",
+                f"--device={given.device}",
+                f"--only={name}",
+                *asked[name],
+            ]
+        )
+        text[name] = (given.work / "paper.md").read_text("utf-8")
+    if page == "paper":
+        edge.main([f"--out={given.work}"])
+        text["edge"] = (given.work / "edge.md").read_text("utf-8")
     environment = jinja2.Environment(
         keep_trailing_newline=True, trim_blocks=True, undefined=jinja2.StrictUndefined
     )
+    template = Path(paper.__file__).with_name(f"{page}.md.j2").read_text("utf-8")
     filled = environment.from_string(template).render(
-        options=" ".join(
-            [
-                *sizes,
-                f"--seeds-table3={given.seeds_table3}",
-                f"--seeds-table5={given.seeds_table5}",
-                *(f"--epochs-table5={given.epochs_table5}" for _ in short),
-            ]
-        ),
-        epochs_table5=given.epochs_table5,
+        options=" ".join([f"--page={page}", *_told(page, given)]),
         commit=_commit(),
         machine=f"{os.cpu_count()} cores, {_processor()}",
         device=device_named(given.device).type,
         needed_epochs=NEEDED_EPOCHS,
         epochs=EPOCHS,
-        edge=(given.work / "edge.md").read_text("utf-8"),
         **text,
     )
-    (Path(__file__).parents[1] / "results" / "paper.md").write_text(filled, "utf-8")
-    page = figures_page(_figures(tables, given.work, given.jobs))
-    (given.work / "figures.html").write_text(page, "utf-8")
+    (Path(__file__).parents[1] / "results" / f"{page}.md").write_text(filled, "utf-8")
+
+
+def _told(page: str, given: argparse.Namespace) -> list[str]:
+    """Options that decide what a page holds, as they are written."""
+    if page == "paper_weights":
+        own = [] if given.seeds_paper is None else [f"--seeds-paper={given.seeds_paper}"]
+        return [f"--seeds-table5={given.seeds_table5}", *own]
+    third = [f"--seeds-table3={given.seeds_table3}"] if page == "paper" else []
+    return [f"--seeds={given.seeds}", *third, *["--published"] * given.published]
 
 
 def _figures(tables: Path, work: Path, jobs: int) -> Figures:

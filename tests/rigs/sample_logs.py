@@ -4,6 +4,7 @@ content, so that tests need no recorded flight."""
 import io
 import struct
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -164,3 +165,13 @@ SAMPLES: dict[str, Callable[[], bytes]] = {
     "flight table, CSV": _csv,
 }
 """By name of the format."""
+
+
+def foreign(log: Path, folder: Path) -> Path:
+    """A copy of a PX4 log whose rate controller does not have the gain that flew it."""
+    blob, name = log.read_bytes(), b"float MC_PITCHRATE_P"
+    at = blob.index(name) + len(name)
+    (gain,) = struct.unpack_from("<f", blob, at)
+    path = folder / "foreign.ulg"
+    path.write_bytes(blob[:at] + struct.pack("<f", 4 * gain) + blob[at + 4 :])
+    return path

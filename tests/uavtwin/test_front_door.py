@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_rig import run as run_uavtwin
+from sample_logs import foreign
 
 import uavtwin as ut
 from cosim.ssp import read_ssp
@@ -555,3 +556,14 @@ def test_a_type_checker_sees_it_all(tmp_path: Path) -> None:
     ):
         assert words in line, result.stdout
     assert len(told) >= 6
+
+
+def test_commands_of_one_aircraft_are_read_in_one_way(data_dir: Path, tmp_path: Path) -> None:
+    paths = [foreign(data_dir / "rflysimdt" / "real_1.ulg", tmp_path)]
+    paths.append(data_dir / "rflysimdt" / "real_3.ulg")
+    one, other = ut.read_flights(*paths)
+    assert one.facts["commands"] == "actuator_outputs, 10 Hz"
+    assert other.facts["commands"].startswith("actuator_outputs")
+    assert any("those of foreign could not" in f.message for f in other.findings)
+    _, other = ut.read_flights(*paths, rebuild_commands=True)
+    assert other.facts["commands"].startswith("rebuilt")

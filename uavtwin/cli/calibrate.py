@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .explain import flight_payloads, site_record
-from .options import Exit, Force, Indoor, Json, Payload, VehicleName
+from .options import Exit, Force, Indoor, Json, Payload, Rebuild, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
 
 if TYPE_CHECKING:
@@ -24,13 +24,13 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", help="Vehicle file to write.")] = Path(
         "calibrated.toml"
     ),
+    rebuild_commands: Rebuild = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Fit all numbers of one aircraft to normal flights of it, and write its vehicle file."""
-    from twin.logs import read_flight
-
     from .. import calibration
+    from ..flights import read_alike
     from ..output import check_file, results_folder, write_run
     from ..vehicles import load_vehicle
 
@@ -38,13 +38,14 @@ def calibrate(
     for path in (out, record):
         check_file(path, force)
     draft = load_vehicle(vehicle)
-    read = [read_flight(path) for path in flights]
+    read = read_alike(flights, rebuild_commands)
     payloads = flight_payloads(payload or [], [f.name for f in read])
     with progress("calibrating") as step:
         found = calibration.calibrate(read, draft, payloads=payloads, indoors=indoor, progress=step)
     options = {
         "vehicle": Path(vehicle).name,
         "payload": payload or [],
+        "rebuild_commands": rebuild_commands,
         "indoors": {f.name: site_record(f, indoor) for f in read},
         "left_out": [f.name for f in read if f.name not in found.flights],
     }

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out
+from .options import Exit, Force, Json, Out, Rebuild
 from .printing import STDOUT, print_damage, print_json, print_sections, progress
 
 
@@ -25,6 +25,7 @@ def evaluate(
         ),
     ] = None,
     out: Out = Path("evaluation"),
+    rebuild_commands: Rebuild = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -33,8 +34,8 @@ def evaluate(
     A learned force is measured by replaying them through exported FMUs.
     """
     from learning.force.model import FILE, NETWORK_FILE
-    from twin.logs import read_flight
 
+    from ..flights import read_alike
     from ..learned import check_extra_learn
     from ..learned import evaluate as evaluate_folder
     from ..output import check_folder, results_folder, write_json, write_run
@@ -47,13 +48,14 @@ def evaluate(
         for name, path in (("explained", explained), ("physics", physics))
         if path is not None
     }
-    read = [read_flight(path) for path in flights]
+    read = read_alike(flights, rebuild_commands)
     with progress("comparing") as step:
         found = evaluate_folder(model, read, **others, progress=step)
     options = {
         "model": model.name,
         "explained": None if explained is None else Path(explained).name,
         "physics": None if physics is None else Path(physics).name,
+        "rebuild_commands": rebuild_commands,
     }
     numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)
     inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]

@@ -8,7 +8,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Indoor, Json, Out, Payload, named_numbers
+from .options import Exit, Force, Indoor, Json, Out, Payload, Rebuild, named_numbers
 from .printing import STDOUT, print_damage, print_explanation, print_json, progress
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ def explain(
     ] = None,
     payload: Payload = None,
     indoor: Indoor = None,
+    rebuild_commands: Rebuild = None,
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
     no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
     out: Out = Path("explain"),
@@ -48,9 +49,9 @@ def explain(
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
     given = _one_vehicle(vehicle, since)
     from fmus.platforms import DEFAULT, compilers, select_platforms
-    from twin.logs import read_flight
 
     from .. import explanation
+    from ..flights import read_alike
     from ..output import check_folder, results_folder, write_run
     from ..vehicles import load_vehicle
 
@@ -63,7 +64,8 @@ def explain(
     for path in held:
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
-    fit, away = ([read_flight(path) for path in paths] for paths in (flights, held))
+    read = read_alike([*flights, *held], rebuild_commands)
+    fit, away = read[: len(flights)], read[len(flights) :]
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
         found = explanation.explain(
@@ -80,6 +82,7 @@ def explain(
         "vehicle" if since is None else "since": Path(given).name,
         "no_fmus": no_fmus,
         "payload": payload or [],
+        "rebuild_commands": rebuild_commands,
         "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
     }
     inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]

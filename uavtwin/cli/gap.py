@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out, VehicleName
+from .options import Exit, Force, Json, Out, Rebuild, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -19,27 +19,19 @@ def gap(
     horizon: Annotated[
         float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
     ] = 0.5,
-    rebuild_commands: Annotated[
-        bool | None,
-        typer.Option(
-            "--rebuild-commands/--logged-commands",
-            help="Rebuild motor commands at full rate from gyro and setpoints. "
-            "Default: where the log needs it.",
-        ),
-    ] = None,
+    rebuild_commands: Rebuild = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
-    from twin.logs import read_flight
-
     from .. import gaps
+    from ..flights import read_alike
     from ..output import check_folder, results_folder, write_json, write_run
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
-    flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in logs]
+    flights = read_alike(logs, rebuild_commands)
     with progress("comparing") as step:
         found = gaps.gap(flights, model, horizon_s=horizon, progress=step)
     options = {

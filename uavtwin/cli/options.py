@@ -71,3 +71,12 @@ Indoor = Annotated[
         show_default=False,
     ),
 ]
+Rebuild = Annotated[
+    bool | None,
+    typer.Option(
+        "--rebuild-commands/--logged-commands",
+        help="Rebuild motor commands at full rate from gyro and setpoints. Default: where a log "
+        "needs it, and where what is rebuilt is what was flown in all of them.",
+        show_default=False,
+    ),
+]

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from .options import Exit, Force, Out, VehicleName
+from .options import Exit, Force, Out, Rebuild, VehicleName
 from .printing import STDOUT, print_damage, progress
 
 Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
@@ -55,6 +55,7 @@ def train(
         ),
     ] = "cpu",
     out: Out = Path("model"),
+    rebuild_commands: Rebuild = None,
     force: Force = False,
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
@@ -62,8 +63,8 @@ def train(
     A training of the sensors that was interrupted goes on where it was when the same command is
     given again.
     """
-    from twin.logs import read_flight
 
+    from ..flights import read_alike
     from ..learned import check_extra_learn
     from ..learned import train as train_model
     from ..output import write_run
@@ -71,7 +72,7 @@ def train(
 
     check_extra_learn()
     twin = load_vehicle(vehicle)
-    read = [read_flight(path) for path in flights]
+    read = read_alike(flights, rebuild_commands)
     with progress("training") as step:
         trained = train_model(
             read,
@@ -88,7 +89,11 @@ def train(
             force=force,
             progress=step,
         )
-    options = {"vehicle": Path(vehicle).name, **trained.options}
+    options = {
+        "vehicle": Path(vehicle).name,
+        "rebuild_commands": rebuild_commands,
+        **trained.options,
+    }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
     write_run(out, "train", options, inputs, trained.seed)
     STDOUT.print(trained.claim, style="bold", markup=False)

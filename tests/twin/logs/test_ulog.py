@@ -1,19 +1,24 @@
 """PX4 logs: small written ones, and the recorded flights."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from fuzzing.ulog import layout
 from numpy.typing import ArrayLike
-from sample_logs import ulog
+from sample_logs import foreign, ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
 from twin.logs.clock import advancing
 from twin.logs.columns import motor_columns
+from twin.logs.px4.log import Topic
+from twin.logs.px4.outputs import Outputs
+from twin.logs.px4.rebuild import Match, compare
 
 REAL = ("real_1", "real_2", "real_3")
 SIMULATED = ("sim_1", "sim_2", "sim_3")
@@ -232,6 +237,50 @@ def test_rebuilding_that_is_impossible_says_why(data_dir: Path, tmp_path: Path) 
     assert counted(flight, "cmd", "not rebuilt at full rate: parameters not in the log: IMU_GYRO_C")
     assert flight.facts["commands"] == "actuator_outputs, 10 Hz"
     assert len(flight.signal(["cmd_1"])[0]) == 251
+
+
+def test_what_another_controller_flew_is_not_rebuilt(data_dir: Path, tmp_path: Path) -> None:
+    """The log of an aircraft whose parameters are not those that flew it."""
+    path = foreign(data_dir / "rflysimdt" / "real_1.ulg", tmp_path)
+    flight = read_flight(path)
+    assert flight.facts["commands"] == "actuator_outputs, 10 Hz"
+    assert flight.facts["commands_not_rebuilt"].startswith("they miss the logged ones by up to ")
+    assert counted(flight, "cmd", "not rebuilt at full rate: they miss the logged ones")
+    asked = read_flight(path, rebuild_commands=True)
+    assert "commands_match" in asked.facts
+    assert counted(asked, "cmd", "rebuilt commands miss the logged ones by over 10 us")
+
+
+@pytest.mark.parametrize(
+    ("logged_us", "rebuilt", "why"),
+    [
+        ((1500, 1500), (0.5, 0.5), ""),
+        ((1500, 1500), (0.5, 0.54), "they miss the logged ones by up to 40 us rms"),
+        ((2000, 1500), (1.0, 0.5), ""),
+        ((1999, 1500), (1.0, 0.5), ""),
+    ],
+)
+def test_a_match_says_whether_it_is_one(
+    logged_us: tuple[float, ...], rebuilt: tuple[float, ...], why: str
+) -> None:
+    assert match_of([logged_us] * 200, [rebuilt] * 200).misses == why
+
+
+def test_a_motor_at_its_limit_in_one_alone_is_no_match() -> None:
+    """Few samples that the root mean square hides."""
+    logged = [(1500.0, 1500.0)] * 198 + [(2000.0, 1500.0)] * 3
+    rebuilt = [(0.5, 0.5)] * 198 + [(0.9, 0.5)] * 3
+    assert match_of(logged, rebuilt).misses.startswith("in 1 % of the logged outputs a motor is at")
+    assert match_of(logged[:-1], rebuilt[:-1]).misses == ""
+
+
+def match_of(logged_us: Sequence[Sequence[float]], cmd: Sequence[Sequence[float]]) -> Match:
+    """Of logged pulse widths and rebuilt commands at the same times, range 1000 to 2000 us."""
+    t_us = 100_000 * np.arange(len(logged_us), dtype=np.int64)
+    topic = cast(Topic, SimpleNamespace(t_us=t_us))
+    low, high = np.full(2, 1000.0), np.full(2, 2000.0)
+    outputs = Outputs(topic, np.array(logged_us, dtype=float), low, high)
+    return compare(outputs, t_us, np.array(cmd), np.ones(len(t_us), dtype=np.bool_))
 
 
 @pytest.mark.parametrize(

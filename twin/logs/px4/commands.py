@@ -53,31 +53,40 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
             "warning", "cmd", "no motor commands: neither actuator_motors nor actuator_outputs"
         )
         return None
-    rate = outputs.topic.rate_hz
+    rate, facts = outputs.topic.rate_hz, dict[str, str]()
     if rebuild or (rebuild is None and rate < _ENOUGH_HZ):
-        rebuilt = _rebuilt(log, outputs)
-        if rebuilt is not None:
-            return rebuilt
+        try:
+            return _rebuilt(log, outputs, asked=bool(rebuild))
+        except CannotRebuildError as why:
+            log.note("warning", "cmd", f"not rebuilt at full rate: {why}")
+            facts["commands_not_rebuilt"] = str(why)
     if rate < _ENOUGH_HZ:
         log.note(
             "warning", "cmd", f"motor commands at {rate:.0f} Hz only, each holds until the next"
         )
     cmd = _clipped(log, outputs.cmd, "actuator_outputs")
-    return MotorCommands(outputs.topic.t_us, cmd, {"commands": f"actuator_outputs, {rate:.0f} Hz"})
+    facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"
+    return MotorCommands(outputs.topic.t_us, cmd, facts)
 
 
-def _rebuilt(log: Px4Log, outputs: Outputs) -> MotorCommands | None:
-    """Commands rebuilt at full rate, None with a finding where that cannot be done."""
-    try:
-        commands, match = rebuild(log, outputs)
-    except CannotRebuildError as why:
-        log.note("warning", "cmd", f"not rebuilt at full rate: {why}")
-        return None
+def _rebuilt(log: Px4Log, outputs: Outputs, asked: bool) -> MotorCommands:
+    """Commands rebuilt at full rate.
+
+    Raises:
+        CannotRebuildError: The log lacks something, or they are not those that were flown and
+            nobody asked for them.
+    """
+    commands, match = rebuild(log, outputs)
     worst = float(np.max(match.rms_us))
     each = ", ".join(f"{r:.1f}" for r in match.rms_us)
     told = f"rms {each} us of pulse width per motor, n = {match.n} logged outputs while flying"
     if match.n == 0:
         log.note("warning", "cmd", "rebuilt commands have no logged output in flight to check them")
+    elif match.misses and not asked:
+        raise CannotRebuildError(
+            f"{match.misses}, so this is not the controller that flew, or not with its parameters "
+            f"({told}); --rebuild-commands takes them all the same"
+        )
     elif worst > MATCH_GOAL_US:
         log.note("warning", "cmd", f"rebuilt commands miss the logged ones by over 10 us: {told}")
     log.note(

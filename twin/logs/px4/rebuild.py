@@ -25,6 +25,9 @@ from .mixers import airframe_mixer, mixer_names, mixer_scale
 from .outputs import MotorCommands, Outputs
 
 MATCH_GOAL_US = 10.0
+MISS_US, MISS_LIMITED = 30.0, 0.01
+"""From which on rebuilt commands are not those that were flown: a foreign or adaptive controller,
+other filters. 3 % of a range of 1000 us is what a motor's gain is known to; no log chose them."""
 _AXES = ("ROLL", "PITCH", "YAW")
 _SETPOINT = ("roll", "pitch", "yaw", "thrust_body[2]")
 _MIXER_TOLERANCE_US = 5.0
@@ -43,11 +46,26 @@ class Match:
 
     Attributes:
         rms_us: Per motor, us, shape (motors,).
+        limited: Share of the logged samples in which a motor stands at a limit of its range in one
+            and is farther than `MISS_US` from it in the other.
         n: Number of logged samples compared.
     """
 
     rms_us: Array
+    limited: float
     n: int
+
+    @property
+    def misses(self) -> str:
+        """Why these are not the commands that were flown; "" where they may be."""
+        if self.n and (worst := float(np.max(self.rms_us))) > MISS_US:
+            return f"they miss the logged ones by up to {worst:.0f} us rms"
+        if self.limited > MISS_LIMITED:
+            return (
+                f"in {100 * self.limited:.0f} % of the logged outputs a motor is at its limit in "
+                f"one and not in the other"
+            )
+        return ""
 
 
 class CannotRebuildError(Exception):
@@ -93,12 +111,19 @@ def compare(
     inside &= (outputs.topic.t_us >= t_us[0]) & (outputs.topic.t_us <= t_us[-1])
     n_motors = cmd.shape[1]
     if not inside.any():
-        return Match(np.full(n_motors, np.nan), 0)
+        return Match(np.full(n_motors, np.nan), 0.0, 0)
     at = outputs.topic.t_us[inside]
     rebuilt = np.column_stack([np.interp(at, t_us, cmd[:, k]) for k in range(n_motors)])
     width = outputs.low_us + rebuilt * (outputs.high_us - outputs.low_us)
-    residual = outputs.pwm_us[inside] - np.floor(width)
-    return Match(np.sqrt(np.mean(residual**2, axis=0)), int(inside.sum()))
+    logged = outputs.pwm_us[inside]
+    residual = logged - np.floor(width)
+    at_limit = [
+        (np.abs(one - limit) < 1) & (np.abs(other - limit) > MISS_US)
+        for one, other in ((logged, width), (width, logged))
+        for limit in (outputs.low_us, outputs.high_us)
+    ]
+    limited = float(np.mean(np.any(at_limit, axis=(0, 2))))
+    return Match(np.sqrt(np.mean(residual**2, axis=0)), limited, int(inside.sum()))
 
 
 def _check_options(log: Px4Log) -> None:
