@@ -13,6 +13,7 @@ import pytest
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
 from uavtwin.report.figures import MAX_POINTS, channel_figure
 from uavtwin.report.gap import claim, describe, write_gap_report
+from uavtwin.report.words import headline
 
 HOSTILE = "</script><script>alert('x')</script><b>&"
 
@@ -178,3 +179,12 @@ def test_empty_channels_do_not_break_the_page(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["acc_z", "gyro_rate_x", "pos_y@0.5s", "baro_pa", "odd"])
 def test_channel_names_have_words(name: str) -> None:
     assert "_" not in describe(name)
+
+
+def test_what_changes_the_flight_leads_the_claim() -> None:
+    """Sensors and records lead where nothing else is named."""
+    assert headline(["baro_bias", "rotor_drag"]) == (["rotor_drag"], " Further: baro bias.")
+    assert headline(["baro_bias", "gyro_bias"]) == (["baro_bias", "gyro_bias"], "")
+    many = ["clock_offset", "mass_offset", "rotor_drag", "motor_lag", "cog_offset"]
+    assert headline(many) == (many[1:4], " Further: cog offset and clock offset.")
+    assert headline(["gust", "imu_delay"]) == (["gust"], " Further: imu delay.")

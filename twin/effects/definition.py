@@ -145,6 +145,11 @@ class Effect:
     period: Period | None = None
 
     @property
+    def in_the_air(self) -> bool:
+        """Whether it changes how the aircraft flies; else what its sensors or its record say."""
+        return self.component in ("airframe", "environment")
+
+    @property
     def of_vehicle(self) -> bool:
         """Whether an aircraft can have it; else it is of a record alone."""
         return self.component != RECORD

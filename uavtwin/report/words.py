@@ -30,6 +30,8 @@ TOLD_BY_PRIOR = "told by the prior"
 
 MOST_NUMBERS = 3
 """Numbers of an effect that the sentence on top gives; of several effects, one each."""
+MOST_EFFECTS = 3
+"""Effects that it gives numbers of."""
 CLEAR, SMALL = 1.5, 0.05
 """It gives those that differ from no effect by more than so many half widths of their intervals,
 and by more than this share of the largest number of their unit."""
@@ -49,11 +51,12 @@ def claim(found: Explanation) -> str:
         return f"The model lacks nothing that these flights can show, sure to {sure}."
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
-        most = MOST_NUMBERS if len(effects) == 1 else 1
-        parts = [f"{title(e)}{_sizes(found, e, most)}" for e in effects]
+        first, later = headline(effects)
+        most = MOST_NUMBERS if len(first) == 1 else 1
+        parts = [f"{title(e)}{_sizes(found, e, most)}" for e in first]
         return (
-            f"The model lacks {joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
-            f"{_doubts(found, effects)}"
+            f"The model lacks {joined(parts)}, {_sure(found, first)}{later}"
+            f"{_what_else(found, effects)}{_doubts(found, effects)}"
         )
     if found.verdict == "unnamed":
         return f"The model lacks something {_outside(found)}."
@@ -98,14 +101,15 @@ def _since(found: Explanation, naming: Naming) -> str:
         return f"something has changed {_outside(found)}."
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
+        first, later = headline(effects)
         parts = [
             f"{title(e)}{_sizes(found, e, 1)}"
             if beside_mean(found, e) is not None
             else _change(found, naming.told, e)
-            for e in effects
+            for e in first
         ]
         return (
-            f"{joined(parts)}, {_sure(found, effects)}{_what_else(found, effects)}"
+            f"{joined(parts)}, {_sure(found, first)}{later}{_what_else(found, effects)}"
             f"{_doubts(found, effects)}"
         )
     tied = []
@@ -196,6 +200,17 @@ def _what_else(found: Explanation, sure: list[str]) -> str:
     likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
     tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
     return f" Beside that, these flights cannot tell what it lacks: {tied}."
+
+
+def headline(effects: Sequence[str]) -> tuple[list[str], str]:
+    """Effects that lead, those that change the flight before those of sensors and record; and a
+    sentence about the others, which begins with a blank."""
+    in_order = sorted(effects, key=lambda e: not EFFECTS[e].in_the_air)
+    first, later = in_order[:MOST_EFFECTS], in_order[MOST_EFFECTS:]
+    if EFFECTS[first[0]].in_the_air:
+        later += [e for e in first if not EFFECTS[e].in_the_air]
+        first = [e for e in first if EFFECTS[e].in_the_air]
+    return first, f" Further: {joined([title(e) for e in later])}." if later else ""
 
 
 def _doubts(found: Explanation, named: Sequence[str]) -> str:
