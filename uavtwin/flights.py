@@ -2,7 +2,7 @@
 
 import glob
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -37,24 +37,85 @@ def read_flights(*patterns: str | Path, rebuild_commands: bool | None = None) ->
 
 
 def read_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> list[Flight]:
-    """Read flights of one aircraft, the commands of all of them in the same way.
+    """Read flights that are compared with one vehicle.
+
+    Commands of one aircraft are read in the same way; flights of one file name are named by as much
+    of their paths as tells them apart; where another aircraft is among them, a finding says so.
 
     Args:
         paths: Files.
         rebuild_commands: As for `read_flight`. None: where the commands of one flight cannot be
-            rebuilt, or are not those that were flown, those of none are.
+            rebuilt, or are not those that were flown, those of none of the same aircraft are.
 
     Raises:
-        LogError: A file cannot be used.
+        LogError: A file cannot be used, or two hold the same flight.
     """
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in paths]
-    refused = [f.name for f in flights if "commands_not_rebuilt" in f.facts]
-    if rebuild_commands is not None or not refused:
-        return flights
+    _check_distinct(paths, flights)
+    if rebuild_commands is None:
+        flights = _commands_alike(paths, flights)
+    names = _distinct_names(paths, flights)
+    told = [(n, f, _aircraft(f)) for n, f in zip(names, flights, strict=True)]
     return [
-        _as_logged(path, refused) if "commands_match" in f.facts else f
-        for path, f in zip(paths, flights, strict=True)
+        replace(f, name=n, findings=(*f.findings, *_strangers(n, own, told))) for n, f, own in told
     ]
+
+
+def _commands_alike(paths: Sequence[Path], flights: Sequence[Flight]) -> list[Flight]:
+    """The flights, with the commands as logged where those of another cannot be rebuilt."""
+    refused = [f for f in flights if "commands_not_rebuilt" in f.facts]
+    found = []
+    for path, flight in zip(paths, flights, strict=True):
+        others = [f.name for f in refused if _aircraft(f) == _aircraft(flight)]
+        again = others and "commands_match" in flight.facts
+        found.append(_as_logged(path, others) if again else flight)
+    return found
+
+
+def _aircraft(flight: Flight) -> tuple[str, ...]:
+    """What its log tells of the aircraft."""
+    return tuple(flight.facts.get(fact, "") for fact in ("aircraft", "airframe", "hardware"))
+
+
+def _strangers(
+    name: str, own: tuple[str, ...], told: Sequence[tuple[str, Flight, tuple[str, ...]]]
+) -> Iterator[Finding]:
+    """A finding where a flight is of another aircraft than the first whose log says which."""
+    known = [(other, aircraft) for other, _, aircraft in told if any(aircraft)]
+    if not any(own) or own == known[0][1]:
+        return
+    text, first = (", ".join(x for x in aircraft if x) for aircraft in (own, known[0][1]))
+    message = f"another aircraft ({text}) than {known[0][0]} ({first}); one vehicle is held to both"
+    yield Finding("error", "aircraft", message)
+
+
+def _check_distinct(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
+    """Refuse the same flight twice: it would count as two.
+
+    Raises:
+        LogError: It is there.
+    """
+    seen: dict[str, Path] = {}
+    for path, flight in zip(paths, flights, strict=True):
+        first = seen.setdefault(flight.fingerprint, path)
+        if first is not path:
+            same = first.resolve() == path.resolve()
+            text = "is given twice" if same else f"holds the same flight as {first}"
+            raise LogError(f"{path}: {text}, which would count as two. Give it once.")
+
+
+def _distinct_names(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
+    """Names of flights; those of one name by the shortest ends of their paths that differ."""
+    found = []
+    for path, flight in zip(paths, flights, strict=True):
+        alike = [p for p, f in zip(paths, flights, strict=True) if f.name == flight.name]
+        folders = [p.resolve().parts[-2::-1] for p in alike]
+        own = path.resolve().parts[-2::-1]
+        count = next(
+            (k for k in range(len(own) + 1) if [f[:k] for f in folders].count(own[:k]) == 1), 0
+        )
+        found.append("/".join([*reversed(own[:count]), flight.name]))
+    return found
 
 
 def _as_logged(path: Path, others: Sequence[str]) -> Flight:

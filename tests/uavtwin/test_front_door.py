@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_rig import run as run_uavtwin
-from sample_logs import foreign
+from sample_logs import flight_table, foreign
 
 import uavtwin as ut
 from cosim.ssp import read_ssp
@@ -567,3 +567,25 @@ def test_commands_of_one_aircraft_are_read_in_one_way(data_dir: Path, tmp_path: 
     assert any("those of foreign could not" in f.message for f in other.findings)
     _, other = ut.read_flights(*paths, rebuild_commands=True)
     assert other.facts["commands"].startswith("rebuilt")
+
+
+def test_flights_of_one_name_are_told_apart_and_the_same_flight_is_refused(tmp_path: Path) -> None:
+    first = flight_table()
+    for place, shift in (("may/one", 0.0), ("may/two", 1e-3), ("june/one", 2e-3)):
+        folder = tmp_path / place
+        folder.mkdir(parents=True)
+        first.assign(acc_x=first["acc_x"] + shift).to_parquet(folder / "log.parquet")
+    names = [f.name for f in ut.read_flights(str(tmp_path / "**" / "*.parquet"))]
+    assert sorted(names) == ["june/one/log", "may/one/log", "two/log"]
+    copy = tmp_path / "copy.parquet"
+    copy.write_bytes((tmp_path / "may" / "one" / "log.parquet").read_bytes())
+    with pytest.raises(ut.TwinError, match=r"copy\.parquet: holds the same flight as"):
+        ut.read_flights(tmp_path / "may" / "one" / "log.parquet", copy)
+
+
+def test_another_aircraft_is_told(data_dir: Path) -> None:
+    folder = data_dir / "rflysimdt"
+    one, two, other = ut.read_flights(*(folder / f"{n}.ulg" for n in ("real_1", "real_2", "sim_1")))
+    assert not [x for f in (one, two) for x in f.findings if x.where == "aircraft"]
+    (told,) = [x.message for x in other.findings if x.where == "aircraft"]
+    assert "PX4_SITL" in told and "than real_1 (autopilot 0006" in told

@@ -110,6 +110,8 @@ def _facts(log: Px4Log) -> dict[str, str]:
     facts = {"firmware": f"PX4 {version}" if release else "PX4"}
     if "ver_hw" in log.info:
         facts["hardware"] = log.info["ver_hw"]
+    if "sys_uuid" in log.info:
+        facts["aircraft"] = f"autopilot {log.info['sys_uuid']}"
     if "SYS_AUTOSTART" in log.params:
         facts["airframe"] = f"SYS_AUTOSTART {log.params['SYS_AUTOSTART']:.0f}"
     facts["clock"] = f"t = 0 is {log.start_us * 1e-6:.6f} s after boot, the start of the log"
