@@ -46,6 +46,15 @@ class TrainResult(Shown):
     seed: int = 0
     options: Mapping[str, Any] = field(default_factory=dict)
 
+    def json(self) -> dict[str, Any]:
+        """What was made, as strict JSON content."""
+        return {
+            "claim": self.claim,
+            "files": list(self.files),
+            "seed": self.seed,
+            "options": dict(self.options),
+        }
+
     def model(self) -> "TrainedModel | ForceModel":
         """The model itself."""
         from learning.force.model import is_force, load_force

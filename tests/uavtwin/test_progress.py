@@ -3,9 +3,11 @@
 import io
 import json
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from cli_rig import run
 from rich.console import Console
 
 from twin.logs import write_flight
@@ -58,3 +60,34 @@ def test_explain_shows_it_with_json_too(
     assert "explaining" in seen.getvalue()
     options = json.loads((tmp_path / "out" / "run.json").read_text())["options"]
     assert options["indoors"] == {"short": {"indoors": True, "source": "as told"}}
+
+
+def test_where_stderr_is_no_terminal_a_line_now_and_then_says_how_far_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter((0.0, 4.0, 10.0, 15.0, 20.5))
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    with printing.progress("training") as step:
+        for done in (0.1, 0.25, 0.3, 0.5):
+            step(done)
+    said = capsys.readouterr()
+    assert said.err.splitlines() == ["training: 25 %, 30 s left", "training: 50 %, 20 s left"]
+    assert said.out == ""
+
+
+def test_the_environment_names_the_vehicle(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Where the command does not, and not for `--since`."""
+    flight = tmp_path / "f.parquet"
+    vehicle = load_vehicle("copter_default")
+    write_flight(fly(vehicle, vehicle, 1, "short", LEGS), flight)
+    monkeypatch.setenv("UAVTWIN_VEHICLE", "no_such_aircraft")
+    for verb in (["gap", flight], ["explain", flight], ["simulate", "hover"], ["export", "imu"]):
+        code, _, told = run(capsys, *verb, "--out", tmp_path / "out")
+        assert code == 2
+        assert "no_such_aircraft" in told
+    code, _, told = run(capsys, "explain", flight, "--since", "crazyflie", "--out", tmp_path / "o")
+    assert code == 2
+    assert "no_such_aircraft" not in told
+    assert "calibrat" in told

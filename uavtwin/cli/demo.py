@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out, VehicleName
+from .options import Exit, Force, Json, Out
 from .printing import STDERR, STDOUT, print_explanation, print_json, progress
 
 
@@ -13,7 +13,9 @@ def demo(
     seed: Annotated[
         int, typer.Option(min=0, help="Draws the hidden effect and the sensor noise.")
     ] = 1,
-    vehicle: VehicleName = "copter_default",
+    vehicle: Annotated[
+        str, typer.Option(help="Vehicle file (TOML), or the name of a built-in vehicle.")
+    ] = "copter_default",
     out: Out = Path("demo"),
     force: Force = False,
     as_json: Json = False,

@@ -8,7 +8,18 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Indoor, Json, Out, Payload, Rebuild, named_numbers
+from .options import (
+    VEHICLE_VARIABLE,
+    Exit,
+    Force,
+    Indoor,
+    Json,
+    Out,
+    Payload,
+    Rebuild,
+    named_numbers,
+    vehicle_named,
+)
 from .printing import STDOUT, print_damage, print_explanation, print_json, progress
 
 if TYPE_CHECKING:
@@ -20,7 +31,8 @@ def explain(
     vehicle: Annotated[
         str | None,
         typer.Option(
-            help="Vehicle file (TOML), or the name of a built-in vehicle: what does it lack?"
+            help="Vehicle file (TOML), or the name of a built-in vehicle: what does it lack? "
+            f"Default: that of {VEHICLE_VARIABLE} in the environment."
         ),
     ] = None,
     since: Annotated[
@@ -47,7 +59,7 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Name the physical effect that a model lacks, add it, and show that the gap shrinks."""
-    given = _one_vehicle(vehicle, since)
+    given = _one_vehicle(vehicle if since else vehicle_named(vehicle, ""), since)
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation

@@ -9,7 +9,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Force, Json, Out, start_values
+from .options import VEHICLE_VARIABLE, Force, Json, Out, start_values, vehicle_named
 from .printing import print_files, print_json, progress
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def export(
         str | None,
         typer.Option(
             help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
-            "--model, else copter_default."
+            f"--model, else of {VEHICLE_VARIABLE} in the environment, else copter_default."
         ),
     ] = None,
     model: Annotated[
@@ -204,9 +204,11 @@ def export_components(
 
 
 def default_vehicle(model: Path | None) -> str:
-    """Vehicle where none is named: the one that a trained model corrects."""
+    """Vehicle where none is given: the one that a trained model corrects, else a default."""
     beside = None if model is None else model / "vehicle.toml"
-    return str(beside) if beside is not None and beside.is_file() else "copter_default"
+    if beside is not None and beside.is_file():
+        return str(beside)
+    return vehicle_named(None, "copter_default")
 
 
 def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:

@@ -55,7 +55,6 @@ VERBS = (
 )
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     help="Hybrid digital twin of a multirotor, as FMI co-simulation components.",

@@ -1,5 +1,6 @@
 """What the verbs of the command line share: options, exit codes, texts read into numbers."""
 
+import os
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
@@ -54,8 +55,15 @@ def start_values(texts: Sequence[str] | None) -> dict[str, float]:
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
+"""Of the environment: the vehicle where a command names none."""
 VehicleName = Annotated[
-    str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a built-in vehicle.")
+    str,
+    typer.Option(
+        "--vehicle",
+        envvar=VEHICLE_VARIABLE,
+        help="Vehicle file (TOML), or the name of a built-in vehicle.",
+    ),
 ]
 Payload = Annotated[
     list[str] | None,
@@ -80,3 +88,8 @@ Rebuild = Annotated[
         show_default=False,
     ),
 ]
+
+
+def vehicle_named(given: str | None, default: str) -> str:
+    """The vehicle of a command: as given, else that of the environment, else a default."""
+    return given or os.environ.get(VEHICLE_VARIABLE) or default

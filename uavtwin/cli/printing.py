@@ -2,6 +2,7 @@
 
 import sys
 import tempfile
+import time
 import traceback
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator
@@ -10,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Column, Table
 from rich.text import Text
 
@@ -39,13 +46,37 @@ STDOUT = _Terminal(highlight=False, soft_wrap=True)
 STDERR = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
+EVERY_S = 10.0
+"""Time between two lines of progress where stderr is no terminal."""
+
+
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar on stderr; the function takes the share done, 0..1."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=STDERR, transient=True, disable=not STDERR.is_terminal) as bar:
+    """A bar on stderr, or a line now and then where that is no terminal; the function takes the
+    share done, 0..1."""
+    if not STDERR.is_terminal:
+        yield _lines(what)
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=STDERR, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
         yield lambda done: bar.update(task, completed=done)
+
+
+def _lines(what: str) -> Callable[[float], None]:
+    """Prints the share done and the time left, as long as it has taken until then tells it."""
+    began = said = time.monotonic()
+
+    def tell(done: float) -> None:
+        nonlocal said
+        now = time.monotonic()
+        if now - said < EVERY_S:
+            return
+        said = now
+        left = f", {(now - began) * (1 - done) / done:.0f} s left" if done > 0 else ""
+        STDERR.print(f"{what}: {100 * done:.0f} %{left}", markup=False)
+
+    return tell
 
 
 def _visible(text: str) -> str:

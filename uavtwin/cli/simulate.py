@@ -8,7 +8,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Out, VehicleName, start_values
+from .options import VEHICLE_VARIABLE, Exit, Force, Json, Out, start_values, vehicle_named
 from .printing import STDERR, STDOUT, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
@@ -22,7 +22,13 @@ def simulate(
     scenario: Annotated[
         str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
     ],
-    vehicle: VehicleName = _VEHICLE,
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
+            f"{VEHICLE_VARIABLE} in the environment, else {_VEHICLE}; of an .ssp its own parts."
+        ),
+    ] = None,
     wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
     gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
@@ -58,7 +64,8 @@ def simulate(
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
-    own_parts = scenario.endswith(".ssp") and vehicle == _VEHICLE
+    own_parts = scenario.endswith(".ssp") and vehicle in (None, _VEHICLE)
+    vehicle = vehicle_named(vehicle, _VEHICLE)
     plan = Scenario(
         scenario,
         None if own_parts else load_vehicle(vehicle),

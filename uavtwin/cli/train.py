@@ -1,12 +1,15 @@
 """`uavtwin train`: a compensator of what no named effect explains."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .options import Exit, Force, Out, Rebuild, VehicleName
-from .printing import STDOUT, print_damage, progress
+from .options import Exit, Force, Json, Out, Rebuild, VehicleName
+from .printing import STDOUT, print_damage, print_json, progress
+
+if TYPE_CHECKING:
+    from ..learned import TrainResult
 
 Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
 
@@ -57,6 +60,7 @@ def train(
     out: Out = Path("model"),
     rebuild_commands: Rebuild = None,
     force: Force = False,
+    as_json: Json = False,
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
@@ -96,7 +100,15 @@ def train(
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
     write_run(out, "train", options, inputs, trained.seed)
-    STDOUT.print(trained.claim, style="bold", markup=False)
-    STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")
+    if as_json:
+        print_json(trained.json())
+    else:
+        _print(trained, out)
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _print(trained: "TrainResult", out: Path) -> None:
+    """What was made, and where it is."""
+    STDOUT.print(trained.claim, style="bold", markup=False)
+    STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")
