@@ -16,6 +16,7 @@ from twin.scratch import scratch_file
 from .archive import is_unsafe
 from .cache import cache_folder, keep, kept
 from .description import build_description, model_description
+from .documentation import documentation
 from .model import FmuModel
 from .names import shown
 from .platforms import (
@@ -69,6 +70,7 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
         **_binaries(model.name, fmi, chosen, sources, compiled),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **{f"resources/{name}": content for name, content in model.resources.items()},
+        **documentation(model, fmi),
     }
     if fmi == 3:
         members["sources/buildDescription.xml"] = build_description(model, compiled)

@@ -6,10 +6,9 @@ from lxml import etree
 
 from twin.component import Variable
 
+from .documentation.project import project
 from .model import FmuModel, check_interface
 from .units import base_exponents
-
-GENERATION_TOOL = "uavtwin"
 
 
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
@@ -45,7 +44,7 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         modelName=model.name,
         guid=token,
         description=model.description,
-        generationTool=GENERATION_TOOL,
+        **_made_by(),
         variableNamingConvention="structured",
         numberOfEventIndicators="0",
     )
@@ -101,7 +100,7 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         modelName=model.name,
         instantiationToken=token,
         description=model.description,
-        generationTool=GENERATION_TOOL,
+        **_made_by(),
         variableNamingConvention="structured",
     )
     etree.SubElement(
@@ -156,6 +155,18 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
                 dependencies=" ".join(map(str, on)),
             )
     return root
+
+
+def _made_by() -> dict[str, str]:
+    """Attributes of either version; no date, so that the same model gives the same bytes."""
+    made = project()
+    return {
+        "author": made.author,
+        "version": made.version,
+        "copyright": made.copyright,
+        "license": made.licence,
+        "generationTool": made.name,
+    }
 
 
 def _outputs(model: FmuModel) -> list[str]:
