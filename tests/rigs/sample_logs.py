@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from dataflash import dataflash
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
@@ -159,8 +160,41 @@ def _csv() -> bytes:
     return text.encode()
 
 
+def _dataflash(text: bool = False) -> bytes:
+    return dataflash({"IMU": {"t": T_S, "AccZ": -9.80665 + 0.0 * T_S}}, text=text)
+
+
+def flown_messages() -> dict[str, dict[str, ArrayLike] | list[dict[str, ArrayLike]]]:
+    """Messages of a DataFlash log of the flight of `flown_table`, as they are meant."""
+    table = flown_table()
+    t, slow = table["time"].to_numpy(), slice(None, None, 4)
+    part = {c: table[c].to_numpy() for c in table if c != "phase"}
+    imu = {f"Gyr{a.upper()}": part[f"gyro_{a}"] for a in "xyz"}
+    imu |= {f"Acc{a.upper()}": part[f"acc_{a}"] for a in "xyz"}
+    course = {f"V{a}": part[f"vel_{b}"][slow] for a, b in zip("NED", "xyz", strict=True)}
+    course |= {f"P{a}": part[f"pos_{b}"][slow] for a, b in zip("NED", "xyz", strict=True)}
+    q = {f"Q{k}": part[f"q_{a}"][slow] for k, a in zip("1234", "wxyz", strict=True)}
+    pulses = {f"C{k}": 1000.0 + 1000.0 * part[f"cmd_{k}"][slow] for k in range(1, 5)}
+    return {
+        "IMU": {"t": t, **imu},
+        "XKQ": {"t": t[slow], **q},
+        "XKF1": {"t": t[slow], **course},
+        "RCOU": {"t": t[slow], **pulses},
+        "BARO": {"t": t[slow], "Press": part["baro_pa"][slow]},
+    }
+
+
+FLOWN_PARAMS = {
+    **{"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0, "MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0},
+    **{f"SERVO{k}_FUNCTION": 32.0 + k for k in range(1, 5)},
+}
+"""Parameters of a quadrotor in X on the first four outputs."""
+
+
 SAMPLES: dict[str, Callable[[], bytes]] = {
     "PX4 ULog": _ulog,
+    "ArduPilot DataFlash": _dataflash,
+    "ArduPilot DataFlash, text": lambda: _dataflash(text=True),
     "flight table, Parquet": _parquet,
     "flight table, CSV": _csv,
 }

@@ -6,6 +6,7 @@ little is left there.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -19,6 +20,7 @@ _G_M_S2 = 9.80665
 _WINDOW_S = 0.5  # shorter in a short record
 _LONGEST_S = 36_000.0
 _FEWEST = 20  # windows
+_STEPS = 0.02  # windows with a reset of the estimator: three in a minute and a half
 
 
 def signals(table: pd.DataFrame) -> dict[str, tuple[str, ...]]:
@@ -84,18 +86,50 @@ def _compared(a: Array, b: Array, good: NDArray[np.bool_]) -> tuple[float, float
     return float(np.sum(a * b)) / (size_a * size_b), size_b / size_a, len(a)
 
 
-def doubt_turning(table: pd.DataFrame) -> list[Finding]:
-    """Body rates and attitude that do not turn together."""
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """Rotations over windows, in the axes of the body.
+
+    Attributes:
+        by_attitude: From one attitude to the next, rad, shape (n, 3).
+        by_gyro: Integral of the body rates, rad, shape (n, 3).
+        lasting_s: Length of each window, s, shape (n,).
+    """
+
+    by_attitude: Array
+    by_gyro: Array
+    lasting_s: Array
+
+    def without_steps(self) -> "Turns":
+        """Without the 2 % in which they are farthest apart: resets of an estimator."""
+        apart = np.linalg.norm(self.by_attitude - self.by_gyro, axis=1)
+        order = np.argsort(apart, kind="stable")
+        kept = np.sort(order[: len(order) - int(np.ceil(_STEPS * len(order)))])
+        return Turns(self.by_attitude[kept], self.by_gyro[kept], self.lasting_s[kept])
+
+    @property
+    def residual_rad_s(self) -> Array:
+        """Kinematic residual: median size of attitude minus gyroscope, as a rate, per axis, (3,).
+
+        A median, so that resets of an estimator, which are steps of the attitude alone, do not
+        count.
+        """
+        rates = (self.by_attitude - self.by_gyro) / self.lasting_s[:, None]
+        return np.asarray(np.median(np.abs(rates), axis=0))
+
+
+def turns(table: pd.DataFrame) -> Turns | None:
+    """How attitude and gyroscope say that the body turns; None where they do not say enough."""
     there = signals(table)
     if not {"gyro", "q"} <= there.keys():
-        return []
+        return None
     t_gyro, gyro = samples(table, GYRO)
     t_q, q = samples(table, QUAT)
     if min(len(t_gyro), len(t_q)) < _FEWEST:
-        return []
+        return None
     edges = _windows(t_gyro, t_q)
     if len(edges) < _FEWEST:
-        return []
+        return None
     near = np.clip(np.searchsorted(t_q, edges), 0, len(t_q) - 1)
     edges = t_q[near]  # attitudes as they are: those between are not on the way
     edges, first = np.unique(edges, return_index=True)
@@ -107,9 +141,19 @@ def doubt_turning(table: pd.DataFrame) -> list[Finding]:
     if small.sum() < _FEWEST:
         small = np.abs(turned).max(axis=1) < 1.0
     good = _known(t_gyro, edges) & _known(t_q, edges) & small
-    moving = float(np.sqrt(np.mean(told[good] ** 2))) if good.any() else 0.0
-    still = float(np.sqrt(np.mean(turned[good] ** 2))) if good.any() else 0.0
-    together, ratio, n = _compared(turned, told, good)
+    return Turns(turned[good], told[good], np.diff(edges)[good])
+
+
+def doubt_turning(table: pd.DataFrame) -> list[Finding]:
+    """Body rates and attitude that do not turn together."""
+    found = turns(table)
+    if found is None or len(found.lasting_s) == 0:
+        return []
+    moving = float(np.sqrt(np.mean(found.by_gyro**2)))
+    still = float(np.sqrt(np.mean(found.by_attitude**2)))
+    kept = found.without_steps()
+    every = np.ones(len(kept.lasting_s), dtype=np.bool_)
+    together, ratio, n = _compared(kept.by_attitude, kept.by_gyro, every)
     if n < _FEWEST or max(moving, still) < 0.02:
         return []
     if together > 0.5 and 0.5 < ratio < 2.0:

@@ -57,3 +57,12 @@ class Rows:
                 column = columns.setdefault(name, np.full(len(t_us), np.nan))
                 column[row[here]] = values[here, k]
         return pd.DataFrame({name: columns[name] for name in in_order(columns)})
+
+    def coverage(self, t_us: NDArray[np.int64]) -> dict[str, str]:
+        """Facts: duration of the rows at these times, and mean rate of every signal."""
+        facts = {"duration": f"{(t_us[-1] - t_us[0]) * 1e-6:.2f} s"}
+        for names, t, _ in self.signals:
+            if len(t) > 1:
+                group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
+                facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
+        return facts

@@ -95,6 +95,22 @@ FORMATS: tuple[LogFormat, ...] = (
         holds="whatever was logged; motor commands rebuilt where they were logged too slowly",
     ),
     LogFormat(
+        name="ArduPilot DataFlash",
+        suffixes=(".bin",),
+        signature=Magic(b"\xa3\x95"),
+        reader="ardupilot.dataflash:read_dataflash",
+        packages=(),
+        holds="whatever was logged while the motors ran; rotor speeds of ESC telemetry",
+    ),
+    LogFormat(
+        name="ArduPilot DataFlash, text",
+        suffixes=(".log",),
+        signature=FirstWord(b"fmt,"),
+        reader="ardupilot.dataflash:read_dataflash",
+        packages=(),
+        holds="the same",
+    ),
+    LogFormat(
         name="flight table, Parquet",
         suffixes=(".parquet",),
         signature=Magic(b"PAR1"),

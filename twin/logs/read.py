@@ -10,11 +10,6 @@ from .formats import ReadOptions, known_formats, nearly, recognise
 from .signature import HEAD, Magic, Signature
 
 NOT_READ: tuple[tuple[Signature, str], ...] = (
-    (
-        Magic(b"\xa3\x95"),
-        "an ArduPilot DataFlash log, which is not read yet. Convert it to a flight table, "
-        "for example with pymavlink's mavlogdump.py.",
-    ),
     (Magic(b"PK\x03\x04"), "a ZIP archive (or FMU). Unpack it first."),
     (Magic(b"\x1f\x8b"), "gzip-compressed. Unpack it first."),
     (Magic(b"\xfd"), "perhaps a MAVLink telemetry log, which lacks the rates needed here."),

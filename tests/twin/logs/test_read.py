@@ -14,7 +14,8 @@ from twin.logs import read_flight
     ("content", "text"),
     [
         (b"", "empty"),
-        (b"\xa3\x95\x80\x80", "ArduPilot DataFlash"),
+        (b"\xa3\x95\x80\x80", "ArduPilot DataFlash log of 4 bytes"),
+        (b"FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "DataFlash .* 1 messages"),
         (b"PK\x03\x04", "ZIP"),
         (b"\x1f\x8b\x08", "gzip"),
         (b"ULo", "cut off after 3 bytes"),
@@ -41,8 +42,16 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         read_flight("a\x00b")
 
 
+HEADS = [b"", b"ULog\x01\x12\x35\x01", b"PAR1", b"time,acc_x\n", b"\xa3\x95", b"FMT, "]
+
+
 @settings(max_examples=200, deadline=None)
-@given(st.sampled_from([b"", b"ULog\x01\x12\x35\x01", b"PAR1", b"time,acc_x\n"]), st.binary())
+@given(
+    st.sampled_from(
+        [b"", b"ULog\x01\x12\x35\x01", b"PAR1", b"time,acc_x\n", b"\xa3\x95", b"FMT, "]
+    ),
+    st.binary(),
+)
 def test_random_bytes_never_raise_anything_else(
     tmp_path_factory: pytest.TempPathFactory, head: bytes, tail: bytes
 ) -> None:

@@ -69,7 +69,7 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         )
     phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
-    facts |= _coverage(rows, t_us)
+    facts |= rows.coverage(t_us)
     site = from_px4_site(log)
     return Flight(path.stem, table, tuple(log.findings), facts, path, site)
 
@@ -377,16 +377,6 @@ def _rotors(log: Px4Log, rows: Rows) -> None:
         return
     speeds = from_px4_rpm(topic.columns(alive))
     _add(log, rows, "rotor", motor_columns("rotor", len(alive)), topic.t_us, speeds)
-
-
-def _coverage(rows: Rows, t_us: NDArray[np.int64]) -> dict[str, str]:
-    """Duration and mean rate of every signal."""
-    facts = {"duration": f"{(t_us[-1] - t_us[0]) * 1e-6:.2f} s"}
-    for names, t, _ in rows.signals:
-        if len(t) > 1:
-            group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
-            facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
-    return facts
 
 
 __all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]

@@ -1,0 +1,116 @@
+"""ArduPilot DataFlash -> Flight."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+
+from ...errors import LogError
+from ..assemble import Rows
+from ..columns import MOTION, motor_columns
+from ..flight import Flight
+from ..formats import ReadOptions
+from ..phases import label_phases
+from .arming import use_the_flight
+from .estimator import primary
+from .geometry import frame_name, geometry
+from .log import ArduPilotLog, open_ardupilot
+from .motion import add_motion
+from .outputs import from_ardupilot_commands
+from .parameters import frame_numbers
+from .phases import from_ardupilot_phases, modes, note_failures
+from .rotors import add_rotors
+from .signals import add, add_barometer, add_battery, add_compass, add_imu
+from .site import from_ardupilot_site, place
+from .trim import yaw_trim
+
+_OTHERS = re.compile(r"Ardu(Plane|Rover|Sub)|AntennaTracker|Blimp")
+
+
+def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
+    """Read an ArduPilot DataFlash log, binary or text.
+
+    Args:
+        path: File name.
+        blob: Content of the file.
+        options: Of no concern: the commands are those that are logged.
+
+    Raises:
+        LogError: Nothing in it can be used.
+    """
+    log = open_ardupilot(path, blob)
+    facts = _facts(log) | use_the_flight(log)
+    rows = Rows()
+    used = primary(log)
+    facts |= add_imu(log, rows, used)
+    add_compass(log, rows, used)
+    add_barometer(log, rows, used)
+    facts |= add_motion(log, rows, used)
+    commands = from_ardupilot_commands(log)
+    add_battery(log, rows, commands)
+    facts |= add_rotors(log, rows, commands)
+    if commands is not None:
+        n = commands.cmd.shape[1]
+        add(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
+        facts |= commands.facts
+    note_failures(log)
+    t_us, absurd = rows.times_us()
+    if absurd:
+        message = "rows dropped outside the longest stretch without a pause of a minute"
+        log.note("error", "time", message, absurd)
+    table = rows.table(t_us)
+    if not any(c in table for c in MOTION):
+        raise LogError(
+            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, position "
+            f"or velocity within {len(t_us)} rows. Log the default messages (LOG_BITMASK) and fly "
+            "again."
+        )
+    phase = label_phases(table["time"].to_numpy(), from_ardupilot_phases(log, used))
+    table["phase"] = pd.Series(phase, dtype=object)
+    rotors = geometry(*frame_numbers(log.params))
+    if rotors is not None and (trim := yaw_trim(table, rotors)):
+        facts["yaw trim"] = str(trim)
+    if told := modes(log):
+        facts["modes"] = told
+    if where := place(log):
+        facts["place"] = (
+            f"{where.latitude_deg:.4f} N, {where.longitude_deg:.4f} E, {where.altitude_m:.0f} m, "
+            f"{where.day.isoformat()}"
+        )
+    facts |= rows.coverage(t_us)
+    return Flight(path.stem, table, tuple(log.findings), facts, path, from_ardupilot_site(log))
+
+
+def firmware(log: ArduPilotLog) -> str:
+    """What the log says of its firmware, "" where it says nothing."""
+    told = [t for t in log.texts("VER", "FWS") + log.texts("MSG", "Message") if "V" in t]
+    named = [t for t in told if t.startswith("Ardu") or _OTHERS.match(t)]
+    return named[0] if named else ""
+
+
+def board(log: ArduPilotLog) -> str:
+    """The message of a board and its serial number: a name, three words of eight hex digits."""
+    for told in log.texts("MSG", "Message"):
+        words = told.split()
+        if len(words) == 4 and all(len(w) == 8 and _is_hex(w) for w in words[1:]):
+            return told
+    return ""
+
+
+def _is_hex(word: str) -> bool:
+    return all(c in "0123456789ABCDEFabcdef" for c in word)
+
+
+def _facts(log: ArduPilotLog) -> dict[str, str]:
+    """What the log says about the vehicle."""
+    told = firmware(log)
+    facts = {"firmware": told or "ArduPilot"}
+    if other := _OTHERS.match(told):
+        message = f"a log of {other.group()}: this is no multirotor, unless it is a quadplane"
+        log.note("error" if log.params.get("Q_ENABLE", 0.0) < 1.0 else "info", "log", message)
+    if hardware := board(log):
+        facts["hardware"] = hardware
+    numbers = frame_numbers(log.params)
+    if numbers[0]:
+        facts["airframe"] = frame_name(*numbers)
+    return facts

@@ -1,0 +1,1 @@
+"""DataFlash files: definitions, and the messages that they describe, binary or text."""

@@ -1,0 +1,99 @@
+"""Phases, flight modes and failures that a DataFlash log tells."""
+
+import numpy as np
+
+from ..phases import Span, ground_spans, motion_spans
+from .estimator import Primary
+from .log import ArduPilotLog
+
+MODES = {
+    **dict(
+        enumerate(("Stabilize", "Acro", "AltHold", "Auto", "Guided", "Loiter", "RTL", "Circle"))
+    ),
+    **{9: "Land", 11: "Drift", 13: "Sport", 14: "Flip", 15: "AutoTune", 16: "PosHold"},
+    **{17: "Brake", 18: "Throw", 19: "Avoid_ADSB", 20: "Guided_NoGPS", 21: "Smart_RTL"},
+    **{22: "FlowHold", 23: "Follow", 24: "ZigZag", 25: "SystemID", 26: "Heli_Autorotate"},
+    **{27: "Auto_RTL", 28: "Turtle"},
+}
+"""Flight modes of ArduCopter by number."""
+SUBSYSTEMS = {
+    **{2: "radio", 3: "compass", 5: "radio failsafe", 6: "battery failsafe", 8: "GCS failsafe"},
+    **{9: "fence", 10: "flight mode", 11: "GPS", 12: "crash check", 15: "parachute"},
+    **{16: "EKF check", 17: "EKF failsafe", 18: "barometer", 19: "CPU", 21: "terrain"},
+    **{22: "navigation", 23: "terrain failsafe", 24: "EKF primary", 25: "thrust loss"},
+    **{26: "sensor failsafe", 27: "leak failsafe", 29: "vibration failsafe"},
+}
+"""Subsystems of ERR by number."""
+_NOT_LANDED, _LANDED = 28, 18
+_SHOWN = 8
+
+
+def from_ardupilot_phases(log: ArduPilotLog, used: Primary) -> list[Span]:
+    """Phases from EV of the land detector, speed and climb rate."""
+    ground = _ground(log)
+    topic = log.topic(f"{used.family}F1", used.core) if used.family else None
+    if topic is None or not topic.has("VN", "VE", "VD"):
+        return ground
+    spans = motion_spans(topic.t_s, topic.si(("VN", "VE", "VD"), "m/s"), ground)
+    if spans:
+        log.note("info", "phase", "from landed state, speed and climb rate")
+    return spans
+
+
+def _ground(log: ArduPilotLog) -> list[Span]:
+    """Spans on the ground; before it is first left, too."""
+    events = log.topic("EV", None, "Id")
+    if events is None:
+        return []
+    kinds = events.raw("Id")
+    told = np.isin(kinds, (_NOT_LANDED, _LANDED))
+    if not told.any():
+        return []
+    t_s, landed = events.t_s[told], kinds[told] == _LANDED
+    if not landed[0]:  # it stood until it left the ground
+        t_s, landed = np.append(-np.inf, t_s), np.append(True, landed)
+    return ground_spans(t_s, landed)
+
+
+def modes(log: ArduPilotLog) -> str:
+    """Flight modes with the times of their begin, "" where there are none."""
+    topic = log.whole("MODE")
+    if topic is None or not topic.has("ModeNum"):
+        return ""
+    told: list[str] = []
+    numbers = topic.raw("ModeNum")
+    in_time = np.flatnonzero(topic.t_s <= (log.length_us or np.inf) * 1e-6)
+    before = np.flatnonzero(topic.t_s[in_time] <= 0.0)
+    for k in in_time[max(len(before) - 1, 0) :]:
+        number = int(numbers[k]) if np.isfinite(numbers[k]) else -1
+        told.append(f"{MODES.get(number, f'mode {number}')} from {max(topic.t_s[k], 0.0):.1f} s")
+    more = f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
+    return ", ".join(told[:_SHOWN]) + more
+
+
+def note_failures(log: ArduPilotLog) -> None:
+    """Failsafes and errors, clipping, messages that were not logged, failed motors."""
+    errors = log.topic("ERR", None, "Subsys", "ECode")
+    if errors is not None:
+        codes = errors.raw("ECode")
+        for t, system, code in zip(errors.t_s, errors.raw("Subsys"), codes, strict=True):
+            if np.isfinite((system, code)).all() and code:
+                name = SUBSYSTEMS.get(int(system), f"subsystem {system:.0f}")
+                log.note("warning", "log", f"error of {name}, code {code:.0f}, at {t:.2f} s")
+    dropped = log.topic("DSF", None, "Dp")
+    if dropped is not None and (lost := float(np.ptp(dropped.raw("Dp")))) > 0.0:
+        message = "messages that could not be logged; use a faster card or log less"
+        log.note("warning", "log", message, int(lost))
+    for instance in log.instances("VIBE"):
+        shaken = log.topic("VIBE", instance, "Clip")
+        if shaken is not None and (clipped := float(np.ptp(shaken.raw("Clip")))) > 0.0:
+            message = f"samples in which the accelerometer of IMU {instance} was at its limit"
+            log.note("warning", "acc", message, int(clipped))
+    motors = log.topic("MOTB", None)
+    if motors is not None and motors.has("FailFlags"):
+        flags = motors.raw("FailFlags")
+        failed = np.isfinite(flags) & (flags % 2 == 1)
+        if failed.any():
+            at = motors.t_s[failed][0]
+            message = f"ArduPilot takes a motor for failed (thrust boost) from {at:.2f} s"
+            log.note("warning", "cmd", message, int(failed.sum()))

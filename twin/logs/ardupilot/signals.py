@@ -1,0 +1,190 @@
+"""Signals of a DataFlash log put into the flight table, in SI: inertial sensors, compass,
+barometer, battery. ArduPilot's axes are those of the table: FRD, NED."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..assemble import Rows
+from ..columns import ACC, GYRO, MAG
+from ..flight import Array
+from ..limits import beyond, told
+from .estimator import Primary
+from .log import ArduPilotLog, Topic
+from .outputs import MotorCommands
+
+_ACC = ("AccX", "AccY", "AccZ")
+_GYRO = ("GyrX", "GyrY", "GyrZ")
+_MAG = ("MagX", "MagY", "MagZ")
+_FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
+_LEAST_HZ = 1.0
+_LEAST_V = 1.0
+_IDLE, _WORKING = 0.05, 0.2
+
+
+def add(
+    log: ArduPilotLog,
+    rows: Rows,
+    where: str,
+    names: tuple[str, ...],
+    t_us: NDArray[np.int64],
+    values: Array,
+) -> None:
+    """Add a signal and count what it loses."""
+    absurd = beyond(where, values)
+    if absurd.any():
+        log.note("error", where, told(where), int(absurd.sum()))
+    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
+    if early:
+        log.note("info", where, "samples left out, taken before the motors ran", early)
+    if broken:
+        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
+
+
+def si(
+    log: ArduPilotLog,
+    topic: Topic,
+    where: str,
+    fields: tuple[str, ...],
+    assumed: str,
+    multiplier: float = 1.0,
+) -> Array:
+    """Fields of a topic in SI; a unit that contradicts the documented one is told."""
+    if wrong := topic.contradicted(fields, assumed):
+        label = topic.source.units.labels[wrong[0]]
+        message = f"the log says that {topic.name}.{wrong[0]} is in {label}; taken as {assumed}"
+        log.note("error", where, message, len(wrong))
+    return topic.si(fields, assumed, multiplier)
+
+
+def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
+    """Accelerometer and gyroscope that the estimator uses.
+
+    Returns:
+        Facts on rates and filters.
+    """
+    facts: dict[str, str] = {}
+    for where, instance, fields, unit, names in (
+        ("gyro", used.gyro, _GYRO, "rad/s", GYRO),
+        ("acc", used.accelerometer, _ACC, "m/s/s", ACC),
+    ):
+        there = log.instances("IMU")
+        if not there:
+            log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
+            continue
+        instance = instance if instance in there else there[0]
+        topic = log.topic("IMU", instance, *fields)
+        if topic is None:
+            continue
+        delay_us = _filter_delay_us(log, where)
+        values = si(log, topic, where, fields, unit)
+        add(log, rows, where, names, topic.t_us - delay_us, values)
+        raw = topic.raw("GHz") if topic.has("GHz") else np.zeros(1)
+        sampled = f", {np.median(raw):.0f} Hz sampled" if np.median(raw) > 0.0 else ""
+        facts[f"{where} from"] = (
+            f"IMU {instance} of {len(there)}, {topic.rate_hz:.0f} Hz in the log{sampled}"
+        )
+    return facts
+
+
+def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
+    """Delay of the low-pass that a sensor went through before it was logged, us.
+
+    That of a second-order Butterworth for what is slow, sqrt(2) / (2 pi f).
+    Source: ArduPilot, LowPassFilter2p, as AP_InertialSensor applies it.
+    """
+    name = _FILTERS[where]
+    cutoff_hz = log.params.get(name, 0.0)
+    if cutoff_hz < _LEAST_HZ:
+        return 0
+    delay_us = round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
+    log.note(
+        "info",
+        where,
+        f"calibrated and low-passed at {cutoff_hz:.0f} Hz ({name}) before it was logged; its time "
+        f"is {delay_us / 1e3:.1f} ms before the time stamp of the log, the delay of that filter",
+    )
+    return delay_us
+
+
+def add_compass(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+    """Compass that the estimator uses."""
+    there = log.instances("MAG")
+    if not there:
+        return
+    instance = used.compass if used.compass in there else there[0]
+    topic = log.topic("MAG", instance, *_MAG)
+    if topic is None:
+        return
+    if len(there) > 1:
+        message = f"{len(there)} compasses in the log, the estimator uses number {instance}"
+        log.note("info", "mag", message)
+    add(log, rows, "mag", MAG, topic.t_us, si(log, topic, "mag", _MAG, "Gauss", 1e-3))
+
+
+def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+    """Static pressure of the barometer that the estimator uses."""
+    there = log.instances("BARO")
+    if not there:
+        return
+    topic = log.topic("BARO", used.barometer if used.barometer in there else there[0], "Press")
+    if topic is not None:
+        pressure = si(log, topic, "baro", ("Press",), "Pa")
+        add(log, rows, "baro", ("baro_pa",), topic.t_us, pressure)
+
+
+def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> None:
+    """Voltage of the first battery that has one, and its current where it is worth anything."""
+    for topic in _batteries(log):
+        volts = si(log, topic, "vbat_v", ("Volt",), "V")
+        if np.nanmax(volts, initial=0.0) < _LEAST_V:
+            continue
+        add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+        if topic.has("Curr"):
+            _add_current(log, rows, topic, commands)
+        return
+    log.note("warning", "vbat_v", f"no battery in the log exceeds {_LEAST_V:g} V")
+
+
+def _batteries(log: ArduPilotLog) -> list[Topic]:
+    """Batteries by instance, else CURR of ArduPilot before 3.7."""
+    found = [log.topic("BAT", k, "Volt") for k in log.instances("BAT")]
+    found = found or [log.topic("CURR", None, "Volt")]
+    return [t for t in found if t is not None]
+
+
+def _add_current(
+    log: ArduPilotLog, rows: Rows, topic: Topic, commands: MotorCommands | None
+) -> None:
+    amps = si(log, topic, "ibat_a", ("Curr",), "A")
+    unknown = np.isnan(amps[:, 0])
+    if (doubt := _current_doubt(topic.t_us[~unknown], amps[~unknown, 0], commands)) is not None:
+        log.note("warning", "ibat_a", f"left out: {doubt}", len(amps))
+        return
+    if unknown.any():
+        log.note("warning", "ibat_a", "samples without a current", int(unknown.sum()))
+    add(log, rows, "ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
+
+
+def _current_doubt(
+    t_us: NDArray[np.int64], amps: Array, commands: MotorCommands | None
+) -> str | None:
+    """Why the logged current cannot be that of the motors."""
+    if len(amps) == 0:
+        return "BAT has no current"
+    with np.errstate(invalid="ignore", over="ignore"):
+        if amps.max() <= 0.0:
+            return f"the current is never positive ({amps.min():.2f} A): no current sensor"
+        if np.ptp(amps) < 1e-4:
+            return f"the current is {amps[0]:.2f} A throughout: no current sensor"
+    if commands is None:
+        return None
+    mean = commands.mean_at(t_us)
+    idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
+    if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
+        return (
+            f"{np.median(working):.2f} A while flying and {np.median(idle):.2f} A with the motors "
+            "idle: not the current of the motors"
+        )
+    return None
