@@ -164,7 +164,7 @@ def _dataflash(text: bool = False) -> bytes:
     return dataflash({"IMU": {"t": T_S, "AccZ": -9.80665 + 0.0 * T_S}}, text=text)
 
 
-def flown_messages() -> dict[str, dict[str, ArrayLike] | list[dict[str, ArrayLike]]]:
+def flown_messages() -> dict[str, dict[str, ArrayLike]]:
     """Messages of a DataFlash log of the flight of `flown_table`, as they are meant."""
     table = flown_table()
     t, slow = table["time"].to_numpy(), slice(None, None, 4)

@@ -35,12 +35,13 @@ class Primary:
 
 def primary(log: ArduPilotLog) -> Primary:
     """What flies the aircraft; a change of core is noted."""
-    there = [f for f in ("XK", "NK") if log.instances(f"{f}F1")]
+    found = {f: sorted({*log.instances(f"{f}F1"), *log.instances(f"{f}Q")}) for f in ("XK", "NK")}
+    there = [f for f, cores in found.items() if cores]
     if not there:
         return Primary("")
     wanted = "NK" if int(log.params.get("AHRS_EKF_TYPE", 3.0)) == _EKF2 else "XK"
     family = wanted if wanted in there else there[0]
-    cores = log.instances(f"{family}F1")
+    cores = found[family]
     core = _most(log, log.topic(f"{family}F4", _first(log, f"{family}F4"), "PI"), "PI", cores)
     if core not in cores:
         core = cores[0]

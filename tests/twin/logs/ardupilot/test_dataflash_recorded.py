@@ -1,0 +1,117 @@
+"""Five recorded logs of an 18 kg quadrotor: what its README says, and what must agree in them."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from places import DATA, needs
+
+from twin.logs import Flight, read_flight
+from twin.logs.agreement import turns
+from twin.logs.ardupilot.airframe import read_airframe
+from twin.logs.ardupilot.log import open_ardupilot
+from twin.logs.ardupilot.trim import yaw_trim
+
+FOLDER = DATA / "quiver_pt1"
+LOGS = ("80", "81", "83", "87", "92")
+RPM = {
+    "80": (3832, 3901, 4214, 4417),
+    "83": (3850, 3989, 4160, 4359),
+    "87": (3826, 3928, 4110, 4440),
+    "92": (3664, 3815, 4080, 4477),
+}
+"""Medians while airborne, of the README."""
+RESIDUAL_RAD_S = 0.005
+"""Worst axis of all PX4 flights: 0.0045."""
+COMMANDS = [f"cmd_{k}" for k in range(1, 5)]
+ROTORS = [f"rotor_{k}" for k in range(1, 5)]
+
+pytestmark = needs(FOLDER.is_dir(), "no quiver_pt1: set UAVTWIN_DATA")
+
+
+def path_of(log: str) -> Path:
+    return FOLDER / f"pt1_000000{log}.BIN"
+
+
+@cache
+def flight(log: str) -> Flight:
+    return read_flight(path_of(log))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", LOGS)
+def test_all_are_read_without_an_error(log: str) -> None:
+    found = flight(log)
+    assert [f.message for f in found.findings if f.severity == "error"] == []
+    assert found.indoors is False and found.facts["airframe"] == "quad x"
+    assert found.facts["firmware"] == "ArduCopter V4.5.7 (2a3dc4b7)"
+    assert found.has("acc_x", "gyro_x", "mag_x", "baro_pa", "q_w", "vel_x", "pos_x", "vbat_v")
+    assert found.has(*COMMANDS, *ROTORS)
+    assert 35.0 < found.table["time"].iloc[-1] < 104.0
+    assert {"ground", "hover", "forward", "land"} <= set(found.table["phase"])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", RPM)
+def test_rotor_speeds_are_those_of_the_readme(log: str) -> None:
+    table = flight(log).table
+    airborne = table.loc[table["phase"].isin(["hover", "forward"]), ROTORS].median()
+    np.testing.assert_allclose(airborne * 30.0 / np.pi, RPM[log], rtol=0.012)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", LOGS)
+def test_the_yaw_trim_between_the_pairs(log: str) -> None:
+    """Clockwise rotors get more in every flight, and turn faster."""
+    rotors = read_airframe(path_of(log)).rotors
+    assert rotors is not None
+    found = yaw_trim(flight(log).table, rotors)
+    assert found is not None and 0.05 < found.command < 0.1 and 0.08 < found.share < 0.14
+    table = flight(log).table
+    speeds = table.loc[table["phase"].isin(["hover", "forward"]), ROTORS].median().to_numpy()
+    assert 1.05 < speeds[2:].mean() / speeds[:2].mean() < 1.15
+
+
+@pytest.mark.slow
+def test_gyroscope_and_attitude_agree_as_they_do_in_px4_logs() -> None:
+    """Kinematic residual, half-second windows, worst axis of each flight."""
+    ours = [turns(flight(log).table) for log in LOGS]
+    theirs = [
+        turns(read_flight(DATA / "rflysimdt" / f"real_{k}.ulg", rebuild_commands=False).table)
+        for k in (1, 2, 3)
+    ]
+    worst = [max(t.residual_rad_s.max() for t in each if t) for each in (ours, theirs)]
+    assert max(worst) < RESIDUAL_RAD_S, worst
+    shares = [
+        [t.residual_rad_s / np.std(t.by_gyro / t.lasting_s[:, None], axis=0) for t in each if t]
+        for each in (ours, theirs)
+    ]
+    relative = [np.max(each) for each in shares]
+    assert relative[0] < relative[1]  # of the motion there is
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", ["83", "87"])
+def test_the_frame_is_the_one_that_flew(log: str) -> None:
+    """What the rate controller asks for (RATE) comes out of the motors as the frame mixes it.
+
+    The commands are taken back through the thrust curve; a roll to the right takes thrust from
+    rotors on the right, and a yaw to the right is the reaction of rotors that turn to the left.
+    """
+    blob = path_of(log).read_bytes()
+    frame = read_airframe(path_of(log))
+    assert frame.rotors is not None
+    opened = open_ardupilot(path_of(log), blob)
+    rate, outputs = opened.topic("RATE"), opened.topic("RCOU")
+    assert rate is not None and outputs is not None
+    wanted = np.column_stack([rate.raw(c) for c in ("ROut", "POut", "YOut")])
+    wanted = np.column_stack([np.interp(outputs.t_us, rate.t_us, w) for w in wanted.T])
+    widths = np.column_stack([outputs.raw(f"C{k}") for k in frame.channels])
+    thrust = frame.thrust.thrust((widths - 1000.0) / 1000.0)
+    flying = (widths > 1300.0).all(axis=1)
+    apart = thrust[flying] - thrust[flying].mean(axis=1, keepdims=True)
+    mixed, *_ = np.linalg.lstsq(wanted[flying], apart, rcond=None)
+    x, y = frame.rotors.direction.T
+    for row, expected in zip(mixed, (-y, x, frame.rotors.turn), strict=True):
+        assert np.corrcoef(row, expected)[0, 1] > 0.95

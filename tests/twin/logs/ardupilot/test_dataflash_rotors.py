@@ -1,0 +1,166 @@
+"""Rotor speeds of ESC telemetry, frames and thrust curve: planted answers and what must hold."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataflash import dataflash
+from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
+
+from twin.logs import Flight, read_flight
+from twin.logs.ardupilot.airframe import read_airframe
+from twin.logs.ardupilot.geometry import _CIRCLES, _PLACES, CLASSES, TYPES, geometry
+from twin.logs.ardupilot.rotors import instances_of
+
+RPM = 30.0 / np.pi
+SLOW = flown_table()["time"].to_numpy()[::4]
+
+
+def speed(motor: int, t: Any) -> Any:
+    """Planted speed of a motor, rad/s: as its command, with a share of its own."""
+    return 300.0 + 40.0 * np.sin(t + motor) + 5.0 * motor
+
+
+def reports(motor: int, seed: int = 0) -> Any:
+    """Times of a controller's reports: 15 a second, irregular."""
+    return (np.arange(440) + np.random.default_rng([seed, motor]).uniform(0.0, 1.0, 440)) / 15.0
+
+
+def telemetry(motors: Any = (1, 2, 3, 4), first: int = 0, **changed: Any) -> list[dict[str, Any]]:
+    found = []
+    for k, motor in enumerate(motors):
+        t = reports(motor)
+        found.append({"t": t, "Instance": first + k, "RPM": RPM * speed(motor, t)})
+    return found
+
+
+def flight(tmp_path: Path, esc: Any, **params: float) -> Flight:
+    messages: dict[str, Any] = dict(flown_messages())
+    messages["RCOU"] = {
+        "t": SLOW,
+        **{f"C{k}": 1500.0 + 50.0 * np.sin(SLOW + k) for k in range(1, 5)},
+    }
+    path = tmp_path / "log.bin"
+    path.write_bytes(dataflash(messages | {"ESC": esc}, FLOWN_PARAMS | params))
+    return read_flight(path)
+
+
+def doubt(found: Flight) -> str:
+    return "; ".join(
+        f.message for f in found.findings if f.where == "rotor" and f.severity != "info"
+    )
+
+
+def test_speeds_of_controllers_that_report_in_their_own_time(tmp_path: Path) -> None:
+    """Linear between reports: off by at most a^2 / 8 of the second derivative, 40 rad/s^3."""
+    found = flight(tmp_path, telemetry())
+    t, values = found.signal(["rotor_1", "rotor_2", "rotor_3", "rotor_4"])
+    planted = np.column_stack([speed(k, t) for k in (1, 2, 3, 4)])
+    assert len(t) > 430
+    assert np.abs(values - planted).max() < 40.0 * 0.25**2 / 8.0 + 0.01
+    assert "rotor speeds" in found.facts
+
+
+def test_reports_that_lack_are_not_bridged(tmp_path: Path) -> None:
+    esc = telemetry()
+    kept = (esc[2]["t"] < 10.0) | (esc[2]["t"] > 12.0)
+    esc[2] = {k: v[kept] if k != "Instance" else v for k, v in esc[2].items()}
+    found = flight(tmp_path, esc)
+    t, _ = found.signal(["rotor_1", "rotor_3"])
+    assert not ((t > 10.3) & (t < 11.7)).any()
+    assert "reports nothing for over 0.25 s" in doubt(found)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda e: e[:3], "instances 0, 1, 2"),
+        (lambda e: [*e[:3], e[3] | {"RPM": 0.0 * e[3]["RPM"]}], "motor 4 has a speed in"),
+        (lambda e: [*e[:3], e[3] | {"RPM": 3e3 + 0.0 * e[3]["RPM"]}], "never changes"),
+        (lambda e: [*e[:3], e[3] | {k: e[3][k][::6] for k in ("t", "RPM")}], "is reported in"),
+        (
+            lambda e: [e[0] | {"Instance": 1}, e[1] | {"Instance": 0}, *e[2:]],
+            "follows the command of motor",
+        ),
+    ],
+)
+def test_speeds_that_are_not_good_are_left_out(tmp_path: Path, change: Any, why: str) -> None:
+    found = flight(tmp_path, change(telemetry()))
+    assert why in doubt(found)
+    assert not found.has("rotor_1")
+
+
+def test_instances_of_esc() -> None:
+    """An output counted from 0, or the place among the outputs of motors."""
+    assert instances_of((1, 2, 3, 4), [0, 1, 2, 3]) == [0, 1, 2, 3]
+    assert instances_of((4, 3, 2, 1), [0, 1, 2, 3]) == [3, 2, 1, 0]
+    assert instances_of((9, 10, 12, 11), [8, 9, 10, 11]) == [8, 9, 11, 10]
+    assert instances_of((9, 10, 12, 11), [0, 1, 2, 3]) == [0, 1, 3, 2]
+    assert instances_of((9, 10, 12, 11), [0, 1]) == []
+
+
+FRAMES = sorted({*_CIRCLES, *_PLACES})
+NUMBERS = {(k, t): (c, n) for c, k in CLASSES.items() for n, t in {**TYPES, -1: ""}.items()}
+
+
+@pytest.mark.parametrize("frame", FRAMES, ids="-".join)
+def test_a_frame_can_fly(frame: tuple[str, str]) -> None:
+    """As many rotors of either sense, the centre amid them, thrust and three moments are free."""
+    found = geometry(*NUMBERS[frame])
+    assert found is not None
+    x, y = found.direction.T
+    assert found.count == {"quad": 4, "hexa": 6, "octa": 8, "octaquad": 8, "y6": 6}.get(
+        frame[0], 12
+    )
+    assert found.turn.sum() == 0.0
+    assert np.abs(y.sum()) < 1e-5 and np.hypot(x, y).max() == pytest.approx(1.0, abs=1e-5)
+    effect = np.vstack([-y, x, found.turn, np.ones(found.count)])
+    assert np.linalg.svd(effect, compute_uv=False)[-1] > 0.3
+    hover = np.linalg.pinv(effect) @ (0.0, 0.0, 0.0, 1.0)
+    assert (hover > 0.0).all()  # no rotor has to pull down
+    mirrored = np.abs(found.direction[:, None] - found.direction * (1.0, -1.0)).sum(axis=2) < 1e-5
+    assert mirrored.any(axis=1).all() or frame[1] == "v"  # left as right
+    coaxial = frame[0] in ("octaquad", "y6", "dodecahexa")
+    assert sum(found.below) == (found.count // 2 if coaxial else 0)
+
+
+def test_quad_x_is_that_of_the_built_in_vehicles() -> None:
+    """Front right, rear left, front left, rear right; PX4 has the same order."""
+    from twin.logs.px4.mixers import _GEOMETRIES
+
+    found = geometry(1, 1)
+    assert found is not None
+    told = np.array(_GEOMETRIES["quad_x"])
+    np.testing.assert_allclose(found.direction, told[:, :2], atol=1e-5)
+    np.testing.assert_array_equal(found.turn, told[:, 2])
+
+
+def test_frames_that_are_not_known() -> None:
+    assert geometry(7, 1) is None and geometry(1, 16) is None and geometry(0, 0) is None
+    y6, plain = geometry(5, 1), geometry(5, 0)
+    assert y6 is not None and plain is not None and y6.frame == plain.frame == "y6"
+
+
+def test_the_aircraft_of_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.bin"
+    params = FLOWN_PARAMS | {
+        **{"MOT_SPIN_ARM": 0.1, "MOT_SPIN_MIN": 0.12, "MOT_SPIN_MAX": 0.92, "MOT_THST_EXPO": 0.7},
+        **{"MOT_BAT_VOLT_MIN": 13.2, "MOT_BAT_VOLT_MAX": 16.8, "MOT_THST_HOVER": 0.3},
+        **{"INS_GYRO_FILTER": 40.0, "SCHED_LOOP_RATE": 400.0},
+    }
+    head = {"t": [0.0, 0.0], "Message": ["ArduCopter V4.5.7 (2a3dc4b7)", "CubeOrange 0034 31 3035"]}
+    board = {"t": [0.0], "Message": ["CubeOrange 00340022 31305110 33353838"]}
+    messages: dict[str, Any] = {**flown_messages(), "MSG": [head, board]}
+    path.write_bytes(dataflash(messages, params))
+    found = read_airframe(path)
+    assert (found.autopilot, found.firmware) == ("ArduPilot", "ArduCopter V4.5.7 (2a3dc4b7)")
+    assert found.board == "CubeOrange 00340022 31305110 33353838"
+    assert (found.frame, found.motors, found.channels) == ("quad x", 4, (1, 2, 3, 4))
+    assert found.rotors is not None and found.rotors.sense == ("ccw", "ccw", "cw", "cw")
+    assert found.pulse_us == (1000.0, 2000.0)
+    assert found.thrust.voltage_v == (13.2, 16.8) and found.thrust.hover == 0.3
+    assert (found.filters.gyro_hz, found.filters.accelerometer_hz) == (40.0, None)
+    assert found.params["MOT_THST_EXPO"] == 0.7 and found.place is None
+    ends = found.thrust.thrust(np.array([0.0, 0.12, 0.52, 0.92, 1.0]))
+    np.testing.assert_allclose(ends, [0.0, 0.0, 0.3 * 0.5 + 0.7 * 0.25, 1.0, 1.0], atol=1e-12)
