@@ -79,6 +79,16 @@ def _checked(
     return Flight(path.stem, table, (*findings, *turned, *doubts), facts, path)
 
 
+def check_suffix(path: Path) -> None:
+    """Refuse a name by which no flight table can be written.
+
+    Raises:
+        LogError: It ends neither in `.parquet` nor in `.csv`.
+    """
+    if path.suffix not in (".parquet", ".csv"):
+        raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
+
+
 def write_flight(flight: Flight, path: str | Path) -> None:
     """Write the table of a flight; an existing file is replaced.
 
@@ -88,6 +98,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
         path: File ending in `.parquet` or `.csv`.
     """
     path = Path(path)
+    check_suffix(path)
     try:
         if path.suffix == ".parquet":
             about = {
@@ -98,10 +109,8 @@ def write_flight(flight: Flight, path: str | Path) -> None:
             arrow = pa.Table.from_pandas(flight.table, preserve_index=False)
             arrow = arrow.replace_schema_metadata({_METADATA: json.dumps(about).encode()})
             pq.write_table(arrow, path)
-        elif path.suffix == ".csv":
-            flight.table.to_csv(path, index=False, lineterminator="\n")
         else:
-            raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
+            flight.table.to_csv(path, index=False, lineterminator="\n")
     except OSError as error:
         raise LogError(f"{path}: cannot be written: {error}.") from None
 

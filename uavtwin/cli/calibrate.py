@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def calibrate(
     flights: Annotated[
         list[Path],
-        typer.Argument(help="PX4 ULogs or flight tables in which nothing is wrong."),
+        typer.Argument(help="Logs or flight tables in which nothing is wrong."),
     ],
     vehicle: VehicleName,
     payload: Payload = None,

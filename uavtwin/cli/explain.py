@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def explain(
-    flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables, to fit on.")],
+    flights: Annotated[list[Path], typer.Argument(help="Logs or flight tables, to fit on.")],
     vehicle: Annotated[
         str | None,
         typer.Option(

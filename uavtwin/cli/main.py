@@ -22,6 +22,7 @@ from twin.scratch import scratch_folder
 from .bench import bench
 from .calibrate import calibrate
 from .check import check
+from .convert import convert
 from .demo import demo
 from .evaluate import evaluate
 from .explain import explain
@@ -50,7 +51,7 @@ def _print_version(wanted: bool) -> None:
 
 
 VERBS = (
-    *(check, gap, calibrate, explain, demo, export, simulate),
+    *(check, convert, gap, calibrate, explain, demo, export, simulate),
     *(train, evaluate, generate, bench, version),
 )
 

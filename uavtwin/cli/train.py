@@ -31,7 +31,7 @@ PresetName = Annotated[
 
 
 def train(
-    flights: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
+    flights: Annotated[list[Path], typer.Argument(help="Logs or flight tables.")],
     vehicle: VehicleName,
     model: ModelName = None,
     preset: PresetName = None,
