@@ -4,11 +4,12 @@ content, so that tests need no recorded flight."""
 import io
 import struct
 from collections.abc import Callable, Mapping
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from dataflash import dataflash
+from dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
@@ -160,6 +161,7 @@ def _csv() -> bytes:
     return text.encode()
 
 
+@cache
 def _dataflash(text: bool = False) -> bytes:
     return dataflash({"IMU": {"t": T_S, "AccZ": -9.80665 + 0.0 * T_S}}, text=text)
 

@@ -22,13 +22,13 @@ from twin.scratch import scratch_folder
 from .bench import bench
 from .calibrate import calibrate
 from .check import check
-from .convert import convert
 from .demo import demo
 from .evaluate import evaluate
 from .explain import explain
 from .export import export
+from .flights.convert import convert
+from .flights.generate import generate
 from .gap import gap
-from .generate import generate
 from .options import Exit
 from .printing import STDERR, STDOUT, print_error
 from .simulate import simulate

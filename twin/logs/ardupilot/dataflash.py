@@ -13,7 +13,7 @@ from ..formats import ReadOptions
 from ..phases import label_phases
 from .arming import use_the_flight
 from .estimator import primary
-from .geometry import frame_name, geometry
+from .geometry import NO_MULTIROTOR, frame_name, geometry
 from .log import ArduPilotLog, open_ardupilot
 from .motion import add_motion
 from .outputs import from_ardupilot_commands
@@ -73,10 +73,7 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     if told := modes(log):
         facts["modes"] = told
     if where := place(log):
-        facts["place"] = (
-            f"{where.latitude_deg:.4f} N, {where.longitude_deg:.4f} E, {where.altitude_m:.0f} m, "
-            f"{where.day.isoformat()}"
-        )
+        facts["place"] = str(where)
     facts |= rows.coverage(t_us)
     return Flight(path.stem, table, tuple(log.findings), facts, path, from_ardupilot_site(log))
 
@@ -111,6 +108,8 @@ def _facts(log: ArduPilotLog) -> dict[str, str]:
     if hardware := board(log):
         facts["hardware"] = hardware
     numbers = frame_numbers(log.params)
+    if name := NO_MULTIROTOR.get(numbers[0]):
+        log.note("error", "log", f"FRAME_CLASS {numbers[0]}, a {name}: this is no multirotor")
     if numbers[0]:
         facts["airframe"] = frame_name(*numbers)
     return facts

@@ -52,6 +52,10 @@ CLASSES = {
     12: "dodecahexa",
     14: "deca",
 }
+NO_MULTIROTOR = {6: "helicopter", 8: "singlecopter", 9: "coaxcopter", 11: "dual helicopter"} | {
+    13: "quad helicopter"
+}
+"""FRAME_CLASS whose motors, as SERVOn_FUNCTION calls them, are swash plates and flaps."""
 TYPES = {
     0: "plus",
     1: "x",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
-from .geometry import geometry
+from .geometry import NO_MULTIROTOR, geometry
 from .log import ArduPilotLog, Topic
 from .parameters import frame_numbers, motor_channels, pulse_range_us
 
@@ -68,7 +68,10 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
 
 
 def channels_of(log: ArduPilotLog) -> list[int]:
-    """Outputs of the motors: by their functions, else the first ones, as many as the frame has."""
+    """Outputs of the motors: by their functions, else the first ones, as many as the frame has; []
+    of what is no multirotor."""
+    if frame_numbers(log.params)[0] in NO_MULTIROTOR:
+        return []
     if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in log.params):
         return motor_channels(log.params)
     frame = geometry(*frame_numbers(log.params))

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 MOTOR_FUNCTIONS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}
 """SERVOn_FUNCTION of an output that drives a motor: the number of the motor."""
 _OUTPUTS = 32
+_TRICOPTER = (1, 2, 4)
+"""Its motors by number."""
 _DIGITAL = range(4, 9)
 """MOT_PWM_TYPE of DShot, whose outputs are logged as 1000 to 2000."""
 _DIGITAL_US = (1000.0, 2000.0)
@@ -26,14 +28,21 @@ def frame_numbers(params: Mapping[str, float]) -> tuple[int, int]:
 
 
 def motor_channels(params: Mapping[str, float]) -> list[int]:
-    """Output, from 1, of motor 1, 2, ... as SERVOn_FUNCTION tells; [] where that leaves a hole."""
+    """Output, from 1, of motor 1, 2, ... as SERVOn_FUNCTION tells; [] where that leaves a hole.
+
+    A tricopter has motors 1, 2 and 4.
+    """
     outputs = {}
     for n in range(_OUTPUTS, 0, -1):  # of two outputs for one motor the first counts
         function = int(params.get(f"SERVO{n}_FUNCTION", 0.0))
         if function in MOTOR_FUNCTIONS:
             outputs[MOTOR_FUNCTIONS[function]] = n
     motors = sorted(outputs)
-    return [outputs[m] for m in motors] if motors == list(range(1, len(motors) + 1)) else []
+    if motors[:3] == list(_TRICOPTER) and 3 not in motors:
+        motors = list(_TRICOPTER)  # the seventh tilts the tail
+    elif motors != list(range(1, len(motors) + 1)):
+        return []
+    return [outputs[m] for m in motors]
 
 
 def pulse_range_us(params: Mapping[str, float]) -> tuple[float, float]:

@@ -65,7 +65,9 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
         f"{wanted[least]}, linear between reports",
     )
     rates = ", ".join(f"{t.rate_hz:.0f}" for t in found)
-    return {"rotor speeds": f"ESC {', '.join(map(str, wanted))} at {rates} Hz"}
+    poles = log.params.get("SERVO_BLH_POLES", 0.0)
+    counted = f"; SERVO_BLH_POLES {poles:.0f}, which scales what DShot reports" if poles else ""
+    return {"rotor speeds": f"ESC {', '.join(map(str, wanted))} at {rates} Hz{counted}"}
 
 
 def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:

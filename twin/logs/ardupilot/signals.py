@@ -16,6 +16,7 @@ from .outputs import MotorCommands
 
 _ACC = ("AccX", "AccY", "AccZ")
 _GYRO = ("GyrX", "GyrY", "GyrZ")
+_RATES = ("R", "P", "Y")
 _MAG = ("MagX", "MagY", "MagZ")
 _FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
 _LEAST_HZ = 1.0
@@ -72,6 +73,7 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
         there = log.instances("IMU")
         if not there:
             log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
+            facts |= _rates(log, rows) if where == "gyro" else {}
             continue
         instance = instance if instance in there else there[0]
         topic = log.topic("IMU", instance, *fields)
@@ -86,6 +88,17 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
             f"IMU {instance} of {len(there)}, {topic.rate_hz:.0f} Hz in the log{sampled}"
         )
     return facts
+
+
+def _rates(log: ArduPilotLog, rows: Rows) -> dict[str, str]:
+    """Body rates as the rate controller has them, for logs without IMU."""
+    topic = log.topic("RATE", None, *_RATES)
+    if topic is None:
+        return {}
+    delay_us = _filter_delay_us(log, "gyro")
+    rates = si(log, topic, "gyro", _RATES, "deg/s")
+    add(log, rows, "gyro", GYRO, topic.t_us - delay_us, rates)
+    return {"gyro from": f"RATE, {topic.rate_hz:.0f} Hz"}
 
 
 def _filter_delay_us(log: ArduPilotLog, where: str) -> int:

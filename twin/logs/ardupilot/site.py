@@ -30,6 +30,11 @@ class Place:
     altitude_m: float
     day: date
 
+    def __str__(self) -> str:
+        north = f"{abs(self.latitude_deg):.4f} {'N' if self.latitude_deg >= 0.0 else 'S'}"
+        east = f"{abs(self.longitude_deg):.4f} {'E' if self.longitude_deg >= 0.0 else 'W'}"
+        return f"{north}, {east}, {self.altitude_m:.0f} m, {self.day.isoformat()}"
+
 
 def _fixes(log: ArduPilotLog) -> tuple[Topic, "np.ndarray[tuple[int], np.dtype[np.bool_]]"] | None:
     there = log.instances("GPS")

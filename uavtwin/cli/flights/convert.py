@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Force, Rebuild
-from .printing import STDERR, STDOUT, print_damage
+from ..options import Exit, Force, Rebuild
+from ..printing import STDERR, STDOUT, print_damage
 
 
 def convert(
@@ -22,7 +22,7 @@ def convert(
     from twin.logs import read_flight, write_flight
     from twin.logs.table import check_suffix
 
-    from ..output import check_file, output_file, write_run
+    from ...output import check_file, output_file, write_run
 
     check_suffix(out)
     check_file(out, force)

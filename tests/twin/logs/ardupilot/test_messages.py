@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash import KINDS, MARK, dataflash, message
+from dataflash_rig import KINDS, MARK, dataflash, message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from dataflash import KINDS, Kind, dataflash
+from dataflash_rig import KINDS, Kind, dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.errors import LogError
@@ -161,6 +161,7 @@ def test_without_outputs_the_events_tell(tmp_path: Path) -> None:
         ({5: 33, 6: 34, 7: 35, 8: 36}, (5, 6, 7, 8)),
         ({1: 36, 2: 35, 3: 34, 4: 33}, (4, 3, 2, 1)),
         ({1: 33, 2: 34, 3: 35, 4: 36, 5: 33}, (1, 2, 3, 4)),  # motor 1 twice: the first counts
+        ({2: 33, 3: 34, 4: 36, 5: 39}, (2, 3, 4)),  # a tricopter with its tail servo
         ({}, (1, 2, 3, 4)),  # before SERVOn_FUNCTION of motors: as many as the frame has
     ],
 )
@@ -171,7 +172,8 @@ def test_motors_are_on_the_outputs_of_their_functions(
     params |= {f"SERVO{n}_FUNCTION": float(f) for n, f in functions.items()}
     each = {f"C{n}": 1000.0 + 100.0 * n + 0.0 * SLOW for n in range(1, 9)}
     found = flight(tmp_path, flown(RCOU={"t": SLOW, **each}), params=params)
-    cmd = found.table[["cmd_1", "cmd_2", "cmd_3", "cmd_4"]].dropna().iloc[0]
+    commands = [c for c in found.table if str(c).startswith("cmd_")]
+    cmd = found.table[commands].dropna().iloc[0]
     np.testing.assert_allclose(cmd, [0.1 * n for n in outputs])
 
 
@@ -324,6 +326,21 @@ def test_another_vehicle_is_an_error(tmp_path: Path) -> None:
     assert "no multirotor" in said(found, "log", "error")
     quadplane = flight(tmp_path, flown(**plane), params=FLOWN_PARAMS | {"Q_ENABLE": 1.0})
     assert "no multirotor" not in said(quadplane, "log", "error")
+
+
+def test_a_helicopter_has_no_motor_commands(tmp_path: Path) -> None:
+    found = flight(tmp_path, flown(), params=FLOWN_PARAMS | {"FRAME_CLASS": 6.0})
+    assert "a helicopter: this is no multirotor" in said(found, "log", "error")
+    assert not found.has("cmd_1")
+
+
+def test_body_rates_of_the_controller_where_there_is_no_imu(tmp_path: Path) -> None:
+    table = flown_table()
+    rates = {k: np.degrees(table[f"gyro_{a}"]) for k, a in zip("RPY", "xyz", strict=True)}
+    found = flight(tmp_path, flown(IMU=None, RATE={"t": T, **rates}))
+    _, gyro = found.signal(["gyro_x", "gyro_y", "gyro_z"])
+    np.testing.assert_allclose(gyro, table[["gyro_x", "gyro_y", "gyro_z"]][: len(gyro)], atol=1e-6)
+    assert "no IMU" in said(found, "acc", "warning")
 
 
 def test_a_site_is_outdoors_where_satellites_are(tmp_path: Path) -> None:
