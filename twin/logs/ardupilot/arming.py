@@ -13,6 +13,7 @@ Span = tuple[int, int]
 _PAUSE_US = 60_000_000
 _ARMED, _AUTO_ARMED, _DISARMED = 10, 15, 11
 _STILL_ON_US = 500_000
+_SHOWN = 8
 
 
 def armed_spans(log: ArduPilotLog) -> list[Span]:
@@ -78,7 +79,8 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
             stretches.append([span])
     used = max(stretches, key=lambda s: sum(b - a for a, b in s))
     begin, end = used[0][0], used[-1][1]
-    told = "; ".join(f"{(b - a) * 1e-6:.1f} s from {(a - begin) * 1e-6:.1f} s" for a, b in spans)
+    each = [f"{(b - a) * 1e-6:.1f} s from {(a - begin) * 1e-6:.1f} s" for a, b in spans[:_SHOWN]]
+    told = "; ".join(each) + (f" and {len(spans) - _SHOWN} more" if len(spans) > _SHOWN else "")
     if len(stretches) > 1:
         log.note(
             "warning",

@@ -1,10 +1,12 @@
 """Five recorded logs of an 18 kg quadrotor: what its README says, and what must agree in them."""
 
+import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import run
 from places import DATA, needs
 
 from twin.logs import Flight, read_flight
@@ -115,3 +117,34 @@ def test_the_frame_is_the_one_that_flew(log: str) -> None:
     x, y = frame.rotors.direction.T
     for row, expected in zip(mixed, (-y, x, frame.rotors.turn), strict=True):
         assert np.corrcoef(row, expected)[0, 1] > 0.95
+
+
+VEHICLE = """
+name = "quiver_pt1"
+[body]
+mass = { value = 18.0, unit = "kg", source = "CAD" }
+inertia = { value = [1.24, 1.225, 2.17], unit = "kg*m^2", source = "CAD" }
+[rotors]
+position = { value = [[0.46, 0.46, 0.0], [-0.46, -0.46, 0.0], [0.46, -0.46, 0.0],
+    [-0.46, 0.46, 0.0]], unit = "m", source = "made up" }
+direction = { value = ["ccw", "ccw", "cw", "cw"], source = "ArduPilot, quad x" }
+thrust_from_speed = { value = 2.4e-4, unit = "N*s^2/rad^2", source = "hover of the logs" }
+torque_from_speed = { value = 4.5e-6, unit = "N*m*s^2/rad^2", source = "made up" }
+speed_from_command = { coefficients = [42.0, 570.0], unit = "rad/s", source = "fit to the logs" }
+lag = { value = 0.1, unit = "s", source = "made up" }
+"""
+
+
+@pytest.mark.slow
+def test_check_and_gap_take_them(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """The twin carries its weight on the logged commands, and needs no yaw trim."""
+    code, said, _ = run(capsys, "check", path_of("92"))
+    assert code == 0 and "clockwise rotors get 0.087 more" in said and "good for: gap" in said
+    (tmp_path / "quiver.toml").write_text(VEHICLE)
+    code, _, _ = run(
+        capsys, "gap", path_of("92"), "--vehicle", tmp_path / "quiver.toml", "--out", tmp_path / "o"
+    )
+    assert code == 0
+    channels = json.loads((tmp_path / "o" / "gap.json").read_text())["channels"]
+    assert abs(channels["acc_z"]["mean"]) < 0.5
+    assert channels["gyro_rate_z"]["mean"] > 0.1  # the twin turns left by what is trimmed
