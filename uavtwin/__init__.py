@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from .gaps import GapResult, gap
     from .learned import evaluate, generate, train
     from .run import Run, simulate
+    from .vehicle_draft import DraftResult, draft_vehicle
     from .vehicles import Vehicle, convert_vehicle, load_vehicle, vehicle
 
     __version__: str
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 __all__ = [
     "EFFECTS",
     "CalibrateResult",
+    "DraftResult",
     "ExplainResult",
     "Flight",
     "GapResult",
@@ -54,6 +56,7 @@ __all__ = [
     "compensator",
     "component",
     "convert_vehicle",
+    "draft_vehicle",
     "evaluate",
     "explain",
     "export",
@@ -75,6 +78,7 @@ __all__ = [
 _HOME = {
     "CalibrateResult": "uavtwin.calibration",
     "calibrate": "uavtwin.calibration",
+    "DraftResult": "uavtwin.vehicle_draft",
     "EFFECTS": "twin.effects",
     "ExplainResult": "uavtwin.explanation",
     "Flight": "twin.logs",
@@ -90,6 +94,7 @@ _HOME = {
     "compensator": "uavtwin.exports.parts",
     "component": "uavtwin.exports.parts",
     "convert_vehicle": "uavtwin.vehicles",
+    "draft_vehicle": "uavtwin.vehicle_draft",
     "evaluate": "uavtwin.learned",
     "explain": "uavtwin.explanation",
     "export": "uavtwin.exports.write",

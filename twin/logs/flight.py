@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..representation import short_repr
+from .airframe import Airframe
 
 Array = NDArray[np.float64]
 Severity = Literal["info", "warning", "error"]
@@ -56,6 +57,7 @@ class Flight:
             commands), printable key by key.
         source: File it came from.
         site: Indoors or outdoors, and how that is known; None: not known.
+        airframe: What the log says of the aircraft itself; None: nothing, as of flight tables.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Flight:
     facts: dict[str, str] = field(default_factory=dict)
     source: Path | None = None
     site: Site | None = None
+    airframe: Airframe | None = None
 
     __repr__ = short_repr
 

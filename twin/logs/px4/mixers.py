@@ -2,32 +2,12 @@
 
 import numpy as np
 
+from ...vehicle.layouts import FRAMES
 from ..flight import Array
 
 _MOMENT = 0.05
-_D = 0.707107
-_S3 = 0.866025
-
-# rotor positions (forward, right) and direction (+1 counter-clockwise), PX4 v1.12
-# lib/mixer/MultirotorMixer/geometries/*.toml
-_GEOMETRIES: dict[str, tuple[tuple[float, float, int], ...]] = {
-    "quad_x": ((_D, _D, 1), (-_D, -_D, 1), (_D, -_D, -1), (-_D, _D, -1)),
-    "quad_wide": (
-        (0.1515, 0.245, 1),
-        (-0.1515, -0.1875, 1),
-        (0.1515, -0.245, -1),
-        (-0.1515, 0.1875, -1),
-    ),
-    "quad_plus": ((0.0, 1.0, 1), (0.0, -1.0, 1), (1.0, 0.0, -1), (-1.0, 0.0, -1)),
-    "hex_x": (
-        (0.0, 1.0, -1),
-        (0.0, -1.0, 1),
-        (_S3, -0.5, -1),
-        (-_S3, 0.5, 1),
-        (_S3, 0.5, 1),
-        (-_S3, -0.5, -1),
-    ),
-}
+_GEOMETRIES = {"quad_x": "x", "quad_wide": "wide", "quad_plus": "+", "hex_x": "hex x"}
+"""Mixers whose commands are rebuilt, and the frame of each."""
 _AIRFRAMES = {4001: "quad_x", 4010: "quad_x", 4011: "quad_x", 10016: "quad_wide"}
 
 
@@ -36,14 +16,20 @@ def airframe_mixer(autostart: float) -> str | None:
     return _AIRFRAMES.get(int(autostart))
 
 
+def frame_of_mixer(name: str) -> str:
+    """Frame of a known mixer, of `twin.vehicle.layouts.FRAMES`."""
+    return _GEOMETRIES[name]
+
+
 def mixer_names(motors: int) -> list[str]:
     """Known mixers for a number of motors."""
-    return [name for name, rotors in _GEOMETRIES.items() if len(rotors) == motors]
+    return [name for name, of in _GEOMETRIES.items() if len(FRAMES[of][0]) == motors]
 
 
 def mixer_scale(name: str) -> Array:
     """Share of roll, pitch, yaw and thrust in each motor of a known mixer, shape (motors, 4)."""
-    return geometry_scale(np.array(_GEOMETRIES[name], dtype=np.float64))
+    forward, right, clockwise = np.array(FRAMES[_GEOMETRIES[name]][0]).T
+    return geometry_scale(np.column_stack([forward, right, -clockwise]))
 
 
 def geometry_scale(rotors: Array) -> Array:

@@ -13,6 +13,7 @@ from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..limits import beyond, told
 from ..phases import label_phases
+from .airframe import from_px4_airframe
 from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
@@ -70,8 +71,8 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= rows.coverage(t_us)
-    site = from_px4_site(log)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, site)
+    airframe = from_px4_airframe(log, filtered=not log.instances("sensor_combined"))
+    return Flight(path.stem, table, tuple(log.findings), facts, path, from_px4_site(log), airframe)
 
 
 def from_px4_gauss(field: Array) -> Array:

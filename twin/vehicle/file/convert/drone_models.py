@@ -12,7 +12,7 @@ import numpy as np
 
 from ....errors import ModelError
 from ... import Array
-from .draft import Draft
+from ..draft import Draft
 from .rigid import FLU_TO_FRD, six_elements, turned
 
 MARK = "rpm2thrust"

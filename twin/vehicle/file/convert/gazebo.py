@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ....errors import ModelError
-from .draft import Draft
+from ..draft import Draft
 from .rigid import FLU_TO_FRD, HERE, Pose, put_together, six_elements, turned
 from .sdf import Model, own_pose, part_of, read_models, text_of
 from .xml import Element, floats

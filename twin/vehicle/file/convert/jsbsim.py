@@ -14,7 +14,7 @@ import numpy as np
 
 from ....errors import ModelError
 from ... import Array
-from .draft import Draft
+from ..draft import Draft
 from .rigid import Part, put_together
 from .xml import Element, floats, read_xml
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ....errors import ModelError
-from .draft import Draft
+from ..draft import Draft
 from .rigid import FLU_TO_FRD, HERE, Part, Pose, pose_of, put_together, six_elements, turned
 from .xml import Element, floats, read_xml
 

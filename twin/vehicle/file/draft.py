@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import tomlkit
 
-from ... import Array
-from ..fields import FIELDS
+from .. import Array
+from .fields import FIELDS
 
 _WIDTH = 98
 
@@ -20,7 +20,7 @@ class Draft:
     Attributes:
         name: Of the vehicle.
         description: One line.
-        file: Name of the file that the numbers come from, for their sources.
+        file: Name of the file that the numbers come from, for their sources; "": they say it.
         notes: What the other file does not hold, or holds and this format has no place for; they
             stand at the head of the vehicle file.
     """
@@ -31,20 +31,33 @@ class Draft:
     notes: list[str] = field(default_factory=list)
     _entries: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def number(self, key: str, value: float | Array, unit: str, source: str) -> None:
-        """A number, a vector or rows of numbers."""
-        self._add(key, {"value": _plain(value), "unit": unit}, source)
+    def number(
+        self,
+        key: str,
+        value: float | Array,
+        unit: str,
+        source: str,
+        sd: str | float | None = None,
+    ) -> None:
+        """A number, a vector or rows of numbers; `sd` as it stands in a file."""
+        self._add(key, {"value": _plain(value), "unit": unit}, source, sd)
 
     def words(self, key: str, value: list[Any], source: str) -> None:
         """What has no unit."""
         self._add(key, {"value": value}, source)
 
     def polynomial(
-        self, key: str, coefficients: Array, unit: str, source: str, of: str | None = None
+        self,
+        key: str,
+        coefficients: Array,
+        unit: str,
+        source: str,
+        of: str | None = None,
+        sd: str | None = None,
     ) -> None:
         """Ascending coefficients; `of` is the unit of a rotor speed that they multiply."""
         entry: dict[str, Any] = {"coefficients": _plain(coefficients), "unit": unit}
-        self._add(key, entry | ({"of": of} if of else {}), source)
+        self._add(key, entry | ({"of": of} if of else {}), source, sd)
 
     def text(self) -> str:
         """The vehicle file: notes, then the sections in the order of the documentation."""
@@ -67,9 +80,13 @@ class Draft:
             document.add(section, table)
         return document.as_string()
 
-    def _add(self, key: str, parts: dict[str, Any], source: str) -> None:
+    def _add(
+        self, key: str, parts: dict[str, Any], source: str, sd: str | float | None = None
+    ) -> None:
         assert key in FIELDS, key
-        self._entries[key] = {**parts, "source": _one_line(f"{self.file}: {source}")}
+        known = {} if sd is None else {"sd": sd}
+        source = f"{self.file}: {source}" if self.file else source
+        self._entries[key] = {**parts, **known, "source": _one_line(source)}
 
 
 def _plain(value: float | Array) -> Any:

@@ -1,0 +1,104 @@
+"""Site, sensors and battery, for a draft."""
+
+import numpy as np
+
+from ..errors import ModelError
+from ..logs.airframe import Place
+from ..vehicle import GRAVITY_M_S2
+from ..vehicle.geomagnetism import world_field
+from ..vehicle.gravity import normal_gravity_m_s2
+from .making import Making, rounded
+from .noise import SENSORS, noise_of
+
+_BARO_SD_PA = 150.0
+"""Offset of a barometer; by judgement."""
+_START_S = 2.0
+
+
+def draft_site(m: Making) -> float:
+    """Add place, date, gravity and pressure; returns the gravity, m/s2."""
+    gravity, found = GRAVITY_M_S2, m.airframe.place
+    if found is not None:
+        place, source = found
+        latitude, longitude = np.degrees([place.latitude_rad, place.longitude_rad])
+        gravity = round(normal_gravity_m_s2(place.latitude_rad, place.height_m), 5)
+        m.file.number("site.latitude", round(float(latitude), 5), "deg", source)
+        m.file.number("site.longitude", round(float(longitude), 5), "deg", source)
+        m.file.number("site.height", round(place.height_m, 1), "m", source)
+        m.file.number("site.gravity", gravity, "m/s^2", f"WGS 84 normal gravity at {source}")
+        when = _year(m, place, source)
+        value = f"{latitude:.4f}, {longitude:.4f} deg, {place.height_m:.0f} m{when}"
+        m.say("site", f"{value}; gravity {gravity:.4f} m/s2", source)
+    for flight in m.flights:
+        if flight.has("baro_pa"):
+            t_s, pressure = flight.signal(("baro_pa",))
+            value_pa = float(np.median(pressure[t_s < t_s[0] + _START_S]))
+            source = f"barometer in the first {_START_S:g} s of {flight.name}"
+            m.file.number("site.pressure", round(value_pa, 1), "Pa", source, _BARO_SD_PA)
+            m.say("pressure", f"{value_pa:.0f} Pa", source)
+            break
+    return gravity
+
+
+def _year(m: Making, place: Place, source: str) -> str:
+    """Add the date, where a model of the magnetic field covers it; in words."""
+    if place.year is None:
+        return ""
+    try:
+        world_field(place.latitude_rad, place.longitude_rad, place.height_m, place.year)
+    except ModelError as error:
+        m.warnings.append(f"the date of the log is left out: {error}")
+        return ""
+    m.file.number("site.year", place.year, "1", source)
+    return f", year {place.year:.1f}"
+
+
+def draft_sensors(m: Making) -> None:
+    """Add noise, cutoffs and the place of the accelerometer."""
+    said = []
+    for key, (columns, unit) in SENSORS.items():
+        noise = noise_of(m.flights, m.hovers, columns)
+        if noise.samples and noise.sd > 0:
+            value = rounded(noise.sd)
+            m.file.number(key, value, unit, f"readings {noise.where}, {noise.samples} samples")
+            said.append(f"{columns[0].partition('_')[0]} {value:.3g} {unit} {noise.where}")
+    if said:
+        m.say("noise", "; ".join(said), "readings of the flights")
+    told = m.airframe
+    for key, cutoff in (
+        ("imu.accel_cutoff", told.accel_cutoff_hz),
+        ("imu.gyro_cutoff", told.gyro_cutoff_hz),
+    ):
+        if cutoff is not None:
+            m.file.number(key, cutoff.value, "Hz", cutoff.source)
+            m.say(key.replace("imu.", "").replace("_", " "), f"{cutoff.value:g} Hz", cutoff.source)
+    if told.imu_position_m is not None:
+        place, source = told.imu_position_m
+        m.file.number("imu.position", np.array(place), "m", source)
+        m.say("accelerometer", f"at {', '.join(f'{x:g}' for x in place)} m", source)
+
+
+def draft_battery(m: Making) -> None:
+    """Add the section where all of it is known, since its keys belong together."""
+    if m.airframe.cells is None:
+        return
+    cells, source = m.airframe.cells
+    full, empty = cells.count * cells.full_v, cells.count * cells.empty_v
+    value = f"{cells.count} cells, {empty:.1f} to {full:.1f} V"
+    currents = [float(np.median(f.signal(("ibat_a",))[1])) for f in m.flights if f.has("ibat_a")]
+    entries = (
+        ("full_voltage", full, "V"),
+        ("empty_voltage", empty, "V"),
+        ("capacity", cells.capacity_a_s, "A*s"),
+        ("resistance", cells.resistance_ohm, "ohm"),
+        ("hover_current", currents[0] if currents else None, "A"),
+    )
+    lacking = [key.replace("_", " ") for key, number, _ in entries if not number]
+    if lacking:
+        m.say("battery", f"{value}; no section: {', '.join(lacking)} not told", source)
+        m.file.notes.append(f"No [battery]: {value}, but {', '.join(lacking)} are not in the log.")
+        return
+    for key, number, unit in entries:
+        assert number is not None
+        m.file.number(f"battery.{key}", rounded(number), unit, source)
+    m.say("battery", value, source)

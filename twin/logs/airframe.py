@@ -1,0 +1,103 @@
+"""What a log says of the aircraft that made it; every reader of an autopilot's logs fills it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Generic, NamedTuple, TypeVar
+
+from ..representation import short_repr
+from ..vehicle.layouts import Layout
+
+T = TypeVar("T")
+
+
+class Told(NamedTuple, Generic[T]):
+    """A fact and what says so.
+
+    Attributes:
+        value: In SI units.
+        source: The parameter or topic of the log, with what it holds.
+    """
+
+    value: T
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where and when a log was made.
+
+    Attributes:
+        latitude_rad: Geodetic, north positive.
+        longitude_rad: East positive.
+        height_m: Over the ellipsoid, or over the sea where the log has no other.
+        year: Decimal year; None: the log has no date.
+    """
+
+    latitude_rad: float
+    longitude_rad: float
+    height_m: float
+    year: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """The battery as the autopilot's parameters have it.
+
+    Attributes:
+        count: Cells in series.
+        full_v: Voltage of a full cell.
+        empty_v: Voltage of an empty cell.
+        capacity_a_s: None: not told.
+        resistance_ohm: Of the whole battery; None: not told.
+    """
+
+    count: int
+    full_v: float
+    empty_v: float
+    capacity_a_s: float | None = None
+    resistance_ohm: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Airframe:
+    """Facts of an aircraft that its log holds besides the signals; None where it does not tell.
+
+    Attributes:
+        no_multirotor: Why it is none, "" where it may be one.
+        identity: What tells it from others: serial number of the autopilot; "" unknown.
+        rotors: Number of rotors.
+        layout: Where they are and how they turn, in the order of `cmd_1..n`.
+        thrust_factor: f of thrust = f u^2 + (1 - f) u over that at full command u, as the
+            autopilot takes it.
+        pulse_us: Pulse widths that stand for the commands 0 and 1, us.
+        cells: The battery.
+        imu_position_m: Accelerometer from the centre of mass, body FRD, three numbers.
+        accel_cutoff_hz: Low-pass that the accelerometer in the log went through.
+        gyro_cutoff_hz: Low-pass that the gyroscope in the log went through.
+        place: Where it flew.
+        filters: Filters on board that the signals in the log did not go through, in words.
+    """
+
+    no_multirotor: str = ""
+    identity: str = ""
+    rotors: Told[int] | None = None
+    layout: Layout | None = None
+    thrust_factor: Told[float] | None = None
+    pulse_us: Told[tuple[float, float]] | None = None
+    cells: Told[Cells] | None = None
+    imu_position_m: Told[tuple[float, float, float]] | None = None
+    accel_cutoff_hz: Told[float] | None = None
+    gyro_cutoff_hz: Told[float] | None = None
+    place: Told[Place] | None = None
+    filters: str = ""
+
+    __repr__ = short_repr
+
+    @classmethod
+    def together(cls, several: Sequence["Airframe"]) -> "Airframe":
+        """Of several logs of one aircraft: each fact by the first that tells it."""
+        told: dict[str, Any] = {
+            f.name: next((v for a in several if (v := getattr(a, f.name))), f.default)
+            for f in fields(cls)
+        }
+        return cls(**told)

@@ -1,0 +1,239 @@
+"""Facts of an aircraft from the parameters and topics of a PX4 log."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...vehicle.layouts import CCW, CW, FRAMES, Layout, frame
+from ..airframe import Airframe, Cells, Place, Told
+from ..flight import Array
+from .log import Px4Log, Topic
+from .mixers import airframe_mixer, frame_of_mixer
+from .outputs import Outputs, logged_outputs
+
+_NO_MULTIROTOR = {
+    1: "a fixed-wing aircraft",
+    4: "a helicopter",
+    7: "an airship",
+    8: "a balloon",
+    10: "a rover",
+    11: "a boat",
+    12: "a submarine",
+    **dict.fromkeys(range(19, 26), "a VTOL aircraft, with wings"),
+}
+"""MAV_TYPE, MAVLink common message set."""
+_OTHER_ALLOCATION = {
+    1: "a fixed-wing aircraft",
+    **dict.fromkeys((2, 3, 4), "a VTOL aircraft, with wings"),
+    **dict.fromkeys((5, 6), "a rover"),
+    **dict.fromkeys((10, 11), "a helicopter"),
+}
+"""CA_AIRFRAME."""
+_RANGES = {
+    4: "x",
+    5: "+",
+    6: "hex x",
+    7: "hex +",
+    8: "octo x",
+    9: "octo +",
+    10: "wide",
+}
+"""Frame by the thousands of SYS_AUTOSTART, PX4 airframes reference."""
+_GENERIC_M = 0.15
+"""Coordinate of PX4's generic quadrotor, which many aircraft keep: no size of theirs."""
+_KM = 0.05
+"""CA_ROTOR*_KM where the log leaves it out: PX4's default, counter-clockwise."""
+_LARGEST_M = 1.0
+"""From here on coordinates are proportions: PX4 needs no more of them."""
+_TYPED_SD = 0.05
+"""Of coordinates that somebody typed in, over the arm; by judgement."""
+_FIX_3D = 3
+_EARLIEST_S = 1.0e9  # 2001: receivers without a date begin in 1970 or 1980
+
+
+def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
+    """What a PX4 log says of its aircraft.
+
+    Args:
+        log: The log.
+        filtered: Whether accelerometer and gyroscope are from the topics behind the low-passes.
+    """
+    p = log.params
+    count = _rotors(log)
+    lag = {name: p.get(name, 0.0) for name in ("IMU_ACCEL_CUTOFF", "IMU_GYRO_CUTOFF")}
+    accel, gyro = (
+        Told(hz, f"{name} of the log") if filtered and hz > 0 else None for name, hz in lag.items()
+    )
+    return Airframe(
+        no_multirotor=_no_multirotor(log),
+        identity=log.info.get("sys_uuid", ""),
+        rotors=count,
+        layout=_layout(log, None if count is None else count.value),
+        thrust_factor=_thrust_factor(log),
+        pulse_us=_pulse(log),
+        cells=_cells(log),
+        imu_position_m=_imu_position(log),
+        accel_cutoff_hz=accel,
+        gyro_cutoff_hz=gyro,
+        place=_place(log),
+        filters="" if filtered else _filters(log),
+    )
+
+
+def _no_multirotor(log: Px4Log) -> str:
+    for name, kinds in (("MAV_TYPE", _NO_MULTIROTOR), ("CA_AIRFRAME", _OTHER_ALLOCATION)):
+        value = int(log.params.get(name, -1))
+        if value in kinds:
+            return f"{name} is {value}, {kinds[value]}"
+    return ""
+
+
+def _rotors(log: Px4Log) -> Told[int] | None:
+    count = log.params.get("CA_ROTOR_COUNT", 0.0)
+    if count >= 3:
+        return Told(int(count), "CA_ROTOR_COUNT of the log")
+    kind = int(log.params.get("MAV_TYPE", -1))
+    known = {2: 4, 13: 6, 14: 8, 15: 3}.get(kind)
+    return None if known is None else Told(known, f"MAV_TYPE {kind} of the log")
+
+
+def _layout(log: Px4Log, motors: int | None) -> Layout | None:
+    """From CA_ROTOR* where the log has them, else by the airframe that was chosen."""
+    if log.params.get("CA_ROTOR_COUNT", 0.0) >= 3:
+        return _allocated(log, int(log.params["CA_ROTOR_COUNT"]))
+    autostart = int(log.params.get("SYS_AUTOSTART", 0.0))
+    mixer = airframe_mixer(autostart)
+    name = frame_of_mixer(mixer) if mixer else _RANGES.get(autostart // 1000)
+    if name is None or len(FRAMES[name][0]) != (motors or 4):
+        return None
+    return frame(name, f"SYS_AUTOSTART {autostart} of the log, frame {name}")
+
+
+def _allocated(log: Px4Log, motors: int) -> Layout | None:
+    p = log.params
+    position = np.array([[p.get(f"CA_ROTOR{k}_P{a}", 0.0) for a in "XYZ"] for k in range(motors)])
+    turn = np.array([p.get(f"CA_ROTOR{k}_KM", _KM) for k in range(motors)])
+    if not np.all(turn) or not np.any(position[:, :2]):
+        return None
+    sizes = np.abs(position[:, :2])
+    generic = bool(np.isin(np.round(sizes, 6), (0.0, _GENERIC_M)).all())
+    metric = bool(sizes.max() < _LARGEST_M) and not generic
+    return Layout(
+        position,
+        np.where(turn > 0, CCW, CW),
+        metric,
+        _TYPED_SD,
+        f"CA_ROTOR0..{motors - 1}_PX, _PY, _PZ and the signs of _KM of the log",
+    )
+
+
+def _thrust_factor(log: Px4Log) -> Told[float] | None:
+    """0 is the default of PX4 and says nothing."""
+    factor = log.params.get("THR_MDL_FAC", 0.0)
+    return Told(factor, f"THR_MDL_FAC {factor:g} of the log") if 0.0 < factor <= 1.0 else None
+
+
+def _pulse(log: Px4Log) -> Told[tuple[float, float]] | None:
+    """Of the outputs that drive the motors, where the log has their pulse widths."""
+    if log.instances("actuator_motors"):
+        return None
+    noted = len(log.findings)
+    outputs: Outputs | None = logged_outputs(log)
+    del log.findings[noted:]  # the reader of the commands has said them
+    if outputs is None:
+        return None
+    low, high = float(outputs.low_us[0]), float(outputs.high_us[0])
+    named = any(k.startswith("PWM_") and k.endswith("MAX") for k in log.params)
+    where = "PWM_MAIN_MIN and PWM_MAIN_MAX of the log" if named else "the log has no PWM range"
+    return Told((low, high), where)
+
+
+def _cells(log: Px4Log) -> Told[Cells] | None:
+    stem = "BAT1" if "BAT1_N_CELLS" in log.params else "BAT"
+    p = {name: log.params.get(f"{stem}_{name}", 0.0) for name in _BATTERY}
+    count = int(p["N_CELLS"])
+    if count < 1 or not p["V_CHARGED"] > p["V_EMPTY"] > 1.0:
+        return None
+    return Told(
+        Cells(
+            count,
+            p["V_CHARGED"],
+            p["V_EMPTY"],
+            p["CAPACITY"] * 3.6 if p["CAPACITY"] > 0 else None,
+            p["R_INTERNAL"] if p["R_INTERNAL"] > 0 else None,
+        ),
+        f"{stem}_N_CELLS {count} of the log",
+    )
+
+
+_BATTERY = ("N_CELLS", "V_CHARGED", "V_EMPTY", "CAPACITY", "R_INTERNAL")
+
+
+def _imu_position(log: Px4Log) -> Told[tuple[float, float, float]] | None:
+    """0, 0, 0 is the default of PX4 and says nothing."""
+    x, y, z = (log.params.get(f"EKF2_IMU_POS_{a}", 0.0) for a in "XYZ")
+    return Told((x, y, z), "EKF2_IMU_POS_X, _Y, _Z of the log") if x or y or z else None
+
+
+def _filters(log: Px4Log) -> str:
+    """Of the controllers: the logged samples are taken before them."""
+    p = log.params
+    said = [
+        f"{what} {p[name]:g} Hz ({name})"
+        for name, what in (
+            ("IMU_GYRO_CUTOFF", "gyroscope"),
+            ("IMU_DGYRO_CUTOFF", "angular acceleration"),
+            ("IMU_ACCEL_CUTOFF", "accelerometer"),
+            ("IMU_GYRO_NF_FREQ", "notch"),
+            ("IMU_GYRO_NF0_FRQ", "notch"),
+            ("IMU_GYRO_NF1_FRQ", "notch"),
+        )
+        if p.get(name, 0.0) > 0
+    ]
+    return ", ".join(said)
+
+
+def _place(log: Px4Log) -> Told[Place] | None:
+    """Median of the fixes of a GNSS receiver."""
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        topic = log.topic(name)
+        if topic is None or not topic.has("fix_type"):
+            continue
+        fixed = topic.data["fix_type"] >= _FIX_3D
+        if np.mean(fixed) < 0.5:
+            continue
+        degrees = _degrees(topic)
+        if degrees is None or not np.isfinite(degrees[fixed]).all():
+            continue
+        latitude, longitude, height = np.median(degrees[fixed], axis=0)
+        if abs(latitude) > 90.0 or not (latitude or longitude):
+            continue
+        place = Place(
+            float(np.radians(latitude)),
+            float(np.radians(longitude)),
+            float(height),
+            _year(topic, fixed),
+        )
+        return Told(place, f"{name} of the log, {int(fixed.sum())} fixes")
+    return None
+
+
+def _degrees(topic: Topic) -> Array | None:
+    """Latitude and longitude in degrees, height in m, shape (n, 3); 1.14 changed their names."""
+    if topic.has("latitude_deg", "longitude_deg", "altitude_ellipsoid_m"):
+        return topic.columns(("latitude_deg", "longitude_deg", "altitude_ellipsoid_m"))
+    if topic.has("lat", "lon", "alt_ellipsoid"):
+        return topic.columns(("lat", "lon", "alt_ellipsoid")) * (1e-7, 1e-7, 1e-3)
+    return None
+
+
+def _year(topic: Topic, fixed: NDArray[np.bool_]) -> float | None:
+    """Decimal year of the receiver's clock."""
+    if not topic.has("time_utc_usec"):
+        return None
+    told_s = float(np.median(topic.data["time_utc_usec"][fixed].astype(np.float64))) * 1e-6
+    if not _EARLIEST_S < told_s < 4.0e9:
+        return None
+    when = datetime.fromtimestamp(told_s, UTC)
+    return round(when.year + (when.timetuple().tm_yday - 1) / 365.25, 2)

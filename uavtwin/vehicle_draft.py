@@ -1,0 +1,211 @@
+"""A vehicle file drafted from flights of an aircraft, as a result to print and to save."""
+
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from twin.draft import Drafted, Known, draft, kind_of
+from twin.errors import TwinError
+from twin.logs import Flight
+from twin.vehicle.file import parse_vehicle
+from twin.vehicle.thrust_map import hover_level, polynomial
+
+from .flights import check_names, checked_flights
+from .shown import Shown, TextTable
+from .vehicles import Vehicle
+
+INCH_M = 0.0254
+_FROM = {"given": "you", "log": "log", "usual": "usual"}
+_PROPELLER = re.compile(r"(\d+(?:\.\d+)?)[xX](\d+(?:\.\d+)?)(?:[xX]\d)?")
+_LARGEST_M = 20.0
+
+
+@dataclass(frozen=True, repr=False)
+class DraftResult(Shown):
+    """A vehicle in draft.
+
+    Attributes:
+        vehicle: With the text of its file.
+        details: What the flights tell, and where each number comes from.
+        files: The flights, as they were read.
+    """
+
+    vehicle: Vehicle
+    details: Drafted = field(repr=False)
+    files: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What does not fit together."""
+        return self.details.warnings
+
+    @property
+    def hover_command(self) -> float:
+        """Command at which the draft carries its weight; rotor speed, rad/s, without commands."""
+        return _hover(self.vehicle)
+
+    @property
+    def sentence(self) -> str:
+        """What was drafted, and whether it hovers as the flights do."""
+        v, flown = self.vehicle, self.details
+        what = "command" if v.drive == "command" else "rotor speed, rad/s,"
+        several = "flights hover" if len(flown.hovers) > 1 else "flight hovers"
+        if not all(h.hovers for h in flown.hovers):
+            several = "flights fly" if len(flown.hovers) > 1 else "flight flies"
+        return (
+            f"{v.name}: {v.rotors.count} rotors, {v.mass_kg:.4g} kg, hovers at {what} "
+            f"{self.hover_command:.3g}; the {several} at {flown.level:.3g}."
+        )
+
+    def table(self) -> TextTable:
+        """The numbers, who says them, and how."""
+        rows = [(_FROM[f.kind], f.what, f.value, f.source) for f in self.details.facts]
+        return TextTable(("from", "number", "value", "source"), tuple(rows))
+
+    def next(self, out: str) -> str:
+        """The command to run next, with a file of this name."""
+        name = Path(out)
+        better = name.with_name(f"{name.stem}_calibrated.toml")
+        return f"uavtwin calibrate {' '.join(self.files)} --vehicle {out} --out {better}"
+
+    def json(self) -> dict[str, Any]:
+        """The same for programs."""
+        return {
+            "vehicle": self.vehicle.name,
+            "hover": {
+                "drive": self.vehicle.drive,
+                "draft": self.hover_command,
+                "flights": [
+                    {
+                        "flight": h.flight,
+                        "level": h.level,
+                        "each": list(h.each),
+                        "seconds": h.seconds,
+                        "hovers": h.hovers,
+                        "where": h.where,
+                    }
+                    for h in self.details.hovers
+                ],
+            },
+            "numbers": list(_numbers(self.vehicle.text)),
+            "warnings": list(self.warnings),
+        }
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """Sentence, numbers, warnings."""
+        yield self.sentence
+        yield self.table()
+        if self.warnings:
+            yield "\n".join(self.warnings)
+
+    def brief(self) -> str:
+        """Name, rotors and mass."""
+        v = self.vehicle
+        return f"{type(self).__name__}: {v.name}, {v.rotors.count} rotors, {v.mass_kg:.4g} kg"
+
+
+def draft_vehicle(
+    flights: Flight | Sequence[Flight],
+    mass_kg: float,
+    *,
+    frame: str | None = None,
+    wheelbase_m: float | None = None,
+    arm_m: float | None = None,
+    propeller: str | None = None,
+    name: str = "draft",
+) -> DraftResult:
+    """Draft a vehicle from flights and what is known of the aircraft.
+
+    Args:
+        flights: Of one aircraft, PX4 logs or flight tables.
+        mass_kg: As it flew, battery included: no log tells it.
+        frame: "x", "+", "h", "wide", "betaflight x"; of six and eight rotors "x" and "+". Default:
+            as the log says, else as it turned.
+        wheelbase_m: Distance of two motors across.
+        arm_m: From the centre to a motor; one of the two where the log has no coordinates in m.
+        propeller: "10x4.5", diameter and pitch in inches. Default: usual for such an aircraft.
+        name: Of the vehicle.
+
+    Raises:
+        TwinError: Something is missing or wrong; the text says what to give.
+    """
+    several = checked_flights(flights, "draft_vehicle")
+    if not several:
+        raise TwinError("draft_vehicle: no flight to draft from.")
+    check_names(several)
+    if not 0 < mass_kg < 1e4:
+        raise TwinError(f"mass {mass_kg:g} kg: give the mass as it flew, battery included.")
+    if wheelbase_m is not None and arm_m is not None:
+        raise TwinError("wheelbase and arm say the same; give one of them.")
+    diameter_m, pitch_m = (None, None) if propeller is None else parse_propeller(propeller)
+    known = Known(
+        name,
+        mass_kg,
+        frame,
+        _size("wheelbase", wheelbase_m, 0.5) if arm_m is None else _size("arm", arm_m, 1.0),
+        diameter_m,
+        pitch_m,
+    )
+    found = draft(several, known)
+    files = tuple(str(f.source or f.name) for f in several)
+    return DraftResult(
+        Vehicle.of(parse_vehicle(found.text, f"{name}.toml"), found.text), found, files
+    )
+
+
+def parse_propeller(text: str) -> tuple[float, float]:
+    """Diameter and pitch, m, of a propeller as it is sold: inches, "10x4.5" or "5x4.3x3".
+
+    Raises:
+        TwinError: The text is none.
+    """
+    found = _PROPELLER.fullmatch(text.strip())
+    if not found or not float(found[1]) > 0:
+        raise TwinError(
+            f"propeller {text!r}: write diameter and pitch in inches, as in 10x4.5 or 5x4.3x3."
+        )
+    return float(found[1]) * INCH_M, float(found[2]) * INCH_M
+
+
+def _size(what: str, given: float | None, share: float) -> float | None:
+    """Arm by a length that was given."""
+    if given is None:
+        return None
+    if not 0 < given < _LARGEST_M:
+        raise TwinError(f"{what} {given:g} m: give it in m, between 0 and {_LARGEST_M:g}.")
+    return share * given
+
+
+def _hover(vehicle: Vehicle) -> float:
+    """What drives the rotors when equal ones carry the weight: command, else speed, rad/s."""
+    level, speed = hover_level(vehicle), vehicle.rotors.speed_rad_s
+    if not vehicle.rotors.from_speed or speed is None:
+        return level
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if polynomial(speed, middle) < level else (low, middle)
+    return high
+
+
+def _numbers(text: str) -> Iterator[dict[str, Any]]:
+    """Every entry of a vehicle file: key, value, unit, sd, source and who says it."""
+    pending = list(tomllib.loads(text).items())
+    while pending:
+        key, entry = pending.pop(0)
+        if not isinstance(entry, dict):
+            continue
+        if "source" not in entry:
+            pending = [(f"{key}.{k}", v) for k, v in entry.items()] + pending
+            continue
+        yield {
+            "key": key,
+            "value": entry.get("value", entry.get("coefficients")),
+            "unit": entry.get("unit", "1"),
+            "sd": entry.get("sd"),
+            "source": entry["source"],
+            "from": kind_of(entry["source"]),
+        }
