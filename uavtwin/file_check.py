@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.inspect import inspect_fmu
+from twin.draft import drives, hover_of
 from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
 from twin.logs import Flight, read_flight
@@ -13,11 +14,13 @@ from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
+from twin.vehicle import Vehicle
 from twin.vehicle.deviation import DEFAULT
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import Question, questions
 
+from .flight_facts import aircraft_facts, hover_beside, hover_json
 from .shown import Shown, TextTable, counted
 
 
@@ -28,13 +31,14 @@ class CheckReport(Shown):
     Attributes:
         file: Its name.
         facts: What it holds.
-        problems: What is wrong with it: findings, exit code 1.
-        warnings: What is likely wrong.
+        problems: What is wrong with it: exit code 1.
+        warnings: What is likely wrong, or missing: exit code 1.
         notes: What was done or assumed.
         good_for: What it can be used for.
         questions: What is odd about a vehicle and may yet be right.
         told: Of a flight, effects that `explain` can look for in it, by component.
         not_told: Effects that it cannot show, and what is missing.
+        hover: Of a flight, its hover as numbers.
     """
 
     file: str
@@ -46,6 +50,7 @@ class CheckReport(Shown):
     questions: tuple[Question, ...] = ()
     told: tuple[str, ...] = ()
     not_told: tuple[str, ...] = ()
+    hover: dict[str, Any] | None = None
 
     def json(self) -> dict[str, Any]:
         """The report as plain data."""
@@ -59,6 +64,7 @@ class CheckReport(Shown):
             "good_for": list(self.good_for),
             "told": list(self.told),
             "not_told": list(self.not_told),
+            "hover": self.hover,
         }
 
     def lines(self) -> list[tuple[str, str]]:
@@ -87,11 +93,16 @@ class CheckReport(Shown):
         return f"{type(self).__name__}: {self.file}, {counted(self.problems, 'problem')}"
 
 
-def check_file(path: str | Path) -> CheckReport:
+def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
     """Look at one file, whatever it is.
 
+    Args:
+        path: The file.
+        vehicle: Whose hover is put beside that of a flight.
+
     Raises:
-        TwinError: It cannot be read as anything known.
+        TwinError: It cannot be read as anything known, or the flight cannot be compared with the
+            vehicle.
     """
     path = Path(path)
     if path.is_dir():
@@ -104,7 +115,7 @@ def check_file(path: str | Path) -> CheckReport:
         return _check_fmu(path)
     if path.suffix == ".toml":
         return _check_vehicle(path)
-    return _check_flight(path)
+    return _check_flight(path, vehicle)
 
 
 def _check_fmu(path: Path) -> CheckReport:
@@ -145,7 +156,7 @@ def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
         yield f"{', '.join(those)}: {source}"
 
 
-def _check_flight(path: Path) -> CheckReport:
+def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
     columns = header(path)
     if is_recording(columns):
         parts = dict.fromkeys(c.partition(".")[0] for c in columns if "." in c)
@@ -156,6 +167,8 @@ def _check_flight(path: Path) -> CheckReport:
         return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
     flight = read_flight(path)
     facts = {
+        **aircraft_facts(flight),
+        **({} if vehicle is None else hover_beside(flight, vehicle)),
         "holds": ", ".join(c for c in flight.table if c != "time" and flight.has(c)),
         "rows": f"{len(flight.table)}",
         "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
@@ -171,28 +184,47 @@ def _check_flight(path: Path) -> CheckReport:
         )
 
     told = told_by(flight)
+    uses, useless = _uses(flight)
     return CheckReport(
         path.name,
         facts,
-        said("error"),
+        (*said("error"), *useless),
         said("warning"),
-        said("info"),
-        tuple(_uses(flight)),
+        (*said("info"), *_unfit(flight)),
+        uses,
         told=tuple(f"{component}: {', '.join(names)}" for component, names in told.effects.items()),
         not_told=tuple(f"{', '.join(names)}: {why}" for why, names in told.unknown.items()),
+        hover=hover_json(flight),
     )
 
 
-def _uses(flight: Flight) -> list[str]:
-    """Which residuals the flight allows, and what it lacks for the others."""
-    drives = [[c for c in flight.table if c.startswith(kind)] for kind in ("cmd_", "rotor_")]
-    if not any(columns and flight.has(*columns) for columns in drives):
-        return ["nothing yet: neither commands cmd_1..n nor speeds rotor_1..n of all motors"]
+def _uses(flight: Flight) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What the flight is good for, and why it is good for nothing."""
+    if flight.airframe is not None and flight.airframe.no_multirotor:
+        return (), (f"good for nothing here: no multirotor, {flight.airframe.no_multirotor}",)
+    if not drives(flight):
+        lacks = "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
+        return (), (f"good for nothing yet: {lacks}",)
     uses = []
     forced = [name for name, group in (("acc", ACC), ("gyro", GYRO)) if flight.has(*group)]
     if forced:
         uses.append(f"gap, teacher-forced: {' and '.join(forced)}")
-    missing = [
+    if not _missing(flight):
+        uses.append("gap at a short horizon: attitude, rates, velocity")
+    if hover_of(flight) is not None:
+        uses.append("vehicle draft")
+    return tuple(uses), () if uses else ("good for nothing yet: no acc, gyro or q with vel or pos",)
+
+
+def _unfit(flight: Flight) -> tuple[str, ...]:
+    """What the flight does not allow, and why."""
+    missing = _missing(flight) if drives(flight) else []
+    return (f"no gap at a short horizon: no {' and no '.join(missing)}",) if missing else ()
+
+
+def _missing(flight: Flight) -> list[str]:
+    """Signals that the short horizon lacks."""
+    return [
         name
         for name, found in (
             ("q", flight.has(*QUAT)),
@@ -200,8 +232,3 @@ def _uses(flight: Flight) -> list[str]:
         )
         if not found
     ]
-    if missing:
-        uses.append(f"gap at a short horizon: not possible, no {' and no '.join(missing)}")
-    else:
-        uses.append("gap at a short horizon: attitude, rates, velocity")
-    return uses

@@ -13,6 +13,7 @@ from twin.vehicle import Vehicle
 from .flights import checked_flights
 from .output import output_file
 from .report.gap import claim, write_gap_report
+from .report.hover import hover_sentence
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
@@ -38,6 +39,13 @@ class GapResult(Shown):
     def claim(self) -> str:
         """Where twin and flights disagree most, in one sentence."""
         return claim(rank(summaries(self.flights)))
+
+    @property
+    def hover(self) -> tuple[str, ...]:
+        """What the hover of each flight says of the twin, a sentence each."""
+        return tuple(
+            f"{g.flight}: {hover_sentence(g.vehicle, g.means)}" for g in self.flights if g.means
+        )
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -125,6 +133,7 @@ class GapResult(Shown):
     def sections(self) -> Iterable[str | TextTable]:
         """Claim, table, warnings."""
         yield self.claim
+        yield from self.hover
         yield self.table()
         if self.warnings:
             yield "\n".join(self.warnings)

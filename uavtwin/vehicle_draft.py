@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from twin import vehicle as numbers
 from twin.draft import Drafted, Known, draft, kind_of
 from twin.errors import TwinError
 from twin.logs import Flight
@@ -45,7 +46,7 @@ class DraftResult(Shown):
     @property
     def hover_command(self) -> float:
         """Command at which the draft carries its weight; rotor speed, rad/s, without commands."""
-        return _hover(self.vehicle)
+        return hover_drive(self.vehicle)
 
     @property
     def sentence(self) -> str:
@@ -179,7 +180,7 @@ def _size(what: str, given: float | None, share: float) -> float | None:
     return share * given
 
 
-def _hover(vehicle: Vehicle) -> float:
+def hover_drive(vehicle: numbers.Vehicle) -> float:
     """What drives the rotors when equal ones carry the weight: command, else speed, rad/s."""
     level, speed = hover_level(vehicle), vehicle.rotors.speed_rad_s
     if not vehicle.rotors.from_speed or speed is None:

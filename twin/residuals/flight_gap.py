@@ -19,6 +19,7 @@ from .aligned import AlignedFlight, align_flight
 from .channels import GRID_HZ
 from .gap import Channel, FlightGap
 from .imu import imu_channels
+from .means import HoverMeans, hover_means
 from .short_horizon import READ, whole_windows, window_ends
 from .teacher_forced import GRID_S
 
@@ -63,7 +64,18 @@ def flight_gap(
         phases=_spans(aligned.inputs.t_s, aligned.phases),
         warnings=tuple([*aligned.notes, *notes, *warnings]),
         facts=dict(flight.facts),
+        means=hover_means(channels, vehicle),
     )
+
+
+def means_of(flight: Flight, vehicle: Vehicle) -> HoverMeans | None:
+    """What a hover says of a twin, without all else of the gap.
+
+    Raises:
+        LogError: The flight cannot be compared with this vehicle.
+    """
+    aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
+    return hover_means(imu_channels(flight, vehicle, aligned), vehicle)
 
 
 def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..representation import short_repr
 from .spectra import SLOW_HZ, slow_part, spectrum
+
+if TYPE_CHECKING:
+    from .means import HoverMeans
 
 Array = NDArray[np.float64]
 
@@ -72,6 +75,7 @@ class FlightGap:
         phases: Spans (name, start s, end s) in order of time.
         warnings: What a reader of the numbers must know.
         facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
+        means: What its hover says of the twin; None: it has none.
     """
 
     flight: str
@@ -80,6 +84,7 @@ class FlightGap:
     phases: tuple[tuple[str, float, float], ...]
     warnings: tuple[str, ...]
     facts: dict[str, str]
+    means: "HoverMeans | None" = None
 
     __repr__ = short_repr
 
@@ -388,6 +393,13 @@ def _flight_json(gap: FlightGap) -> dict[str, Any]:
         "n": sum(len(c.t_s) for c in gap.channels),
         "phases": [{"name": n, "start_s": a, "end_s": b} for n, a, b in gap.phases],
         "facts": dict(gap.facts),
+        "hover": None
+        if gap.means is None
+        else {
+            "carried": gap.means.carried,
+            "back_m": gap.means.back_m,
+            "right_m": gap.means.right_m,
+        },
     }
 
 

@@ -13,8 +13,8 @@ from . import Array
 CW, CCW = 1.0, -1.0
 _D = 0.707107
 _S3 = 0.866025
-_MIXER = "PX4 v1.12 lib/mixer/MultirotorMixer/geometries"
-_ARDUPILOT = "ArduPilot AP_MotorsMatrix"
+_MIXER = "PX4's MultirotorMixer"
+_ARDUPILOT = "ArduPilot's AP_MotorsMatrix"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ FRAMES: dict[str, tuple[RotorRows, float, str]] = {
     "betaflight x": (
         ((-_D, _D, CW), (_D, _D, CCW), (-_D, -_D, CCW), (_D, -_D, CW)),
         0.05,
-        "Betaflight motor order, quad x, propellers not reversed",
+        "Betaflight, propellers not reversed",
     ),
 }
 """Rotor by rotor forward, right and sense; how far a real frame of that name is off, over the arm
@@ -143,7 +143,7 @@ def frame(name: str, source: str = "") -> Layout:
     rows, sd, order = FRAMES[name]
     table = np.array(rows)
     position = np.column_stack([table[:, :2], np.zeros(len(table))])
-    source = f"{source or f'frame {name}'}, motors in the order of {order}"
+    source = f"{source or f'frame {name}'}, motors numbered as {order} has them"
     return Layout(position, table[:, 2].copy(), False, sd, source)
 
 

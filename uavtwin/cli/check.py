@@ -19,20 +19,26 @@ _STYLES = {
 
 def check(
     files: Annotated[list[Path], typer.Argument(help="Logs, flight tables, FMUs, vehicle files.")],
+    vehicle: Annotated[
+        str | None,
+        typer.Option(help="Vehicle whose hover is put beside that of each flight."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Say what a file holds, what is wrong with it and what it is good for."""
     from ..file_check import check_file
+    from ..vehicles import load_vehicle
 
+    model = None if vehicle is None else load_vehicle(vehicle)
     told, worst = [], Exit.FINE
     for path in files:
         try:
-            report = check_file(path)
+            report = check_file(path, model)
         except Exception as error:  # one that cannot be read hides none of the others
             worst = max(worst, print_error(error, f"check {path}"))
             told.append({"file": path.name, "error": str(error)})
             continue
-        if report.problems:
+        if report.problems or report.warnings:
             worst = max(worst, Exit.FINDINGS)
         told.append(report.json())
         if not as_json:

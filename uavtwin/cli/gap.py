@@ -56,6 +56,8 @@ def gap(
 def _print_gap(found: "GapResult", out: Path) -> None:
     """The gap as a table, and where its files are."""
     STDOUT.print(found.claim, style="bold", markup=False)
+    for sentence in found.hover:
+        STDOUT.print(sentence, markup=False)
     print_table(found.table())
     for g in found.flights:
         if "commands_match" in g.facts:

@@ -27,6 +27,7 @@ from twin.residuals.gap import (
 from twin.residuals.spectra import SLOW_HZ
 
 from .figures import Phases, channel_figure, embedded, pretty_unit
+from .hover import hover_sentence
 from .page import render
 
 AGREEMENT = 0.1
@@ -100,6 +101,7 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
         {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
         claim=claim(places),
         detail=_detail(places),
+        hover=[f"{g.flight}: {hover_sentence(g.vehicle, g.means)}" for g in gaps if g.means],
         places=places[:6],
         slow_hz=SLOW_HZ,
         band_hz=BAND_HZ,
