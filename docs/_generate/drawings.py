@@ -36,6 +36,7 @@ WORDS = {
     "twin.explain.model": "residuals as a function of the numbers of effects",
     "twin.residuals": "aligned flight, prediction, gap",
     "twin.flight": "controllers, missions, closed loop",
+    "twin.draft": "a vehicle file from flights, mass and size",
     "twin.logs": "any format to one flight table",
     "twin.physics": "airframe, rotors, ground, battery, air, sensors/",
     "twin.vehicle.file": "TOML with units and sources, effects included",

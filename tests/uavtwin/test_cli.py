@@ -336,9 +336,11 @@ def test_check_tells_a_motor_without_samples(
 ) -> None:
     broken = pd.read_parquet(table).assign(cmd_2=np.nan)
     broken.to_csv(tmp_path / "broken.csv", index=False)
-    _, said, _ = run(capsys, "check", tmp_path / "broken.csv")
+    code, said, _ = run(capsys, "check", tmp_path / "broken.csv")
+    assert code == 1
     assert "warning: cmd_2: has no sample at all" in said
-    assert "good for: nothing yet: neither commands" in said
+    assert "problem: good for nothing yet: neither commands" in said
+    assert "good for: " not in said
 
 
 def test_one_bad_file_hides_no_other(

@@ -56,7 +56,7 @@ def _layout(m: Making) -> Layout:
         return _as_it_turned(m, motors)
     for flight in m.flights:
         told = turning(flight, layout)
-        if told is not None and told.worst < -CLEAR:
+        if told is not None and min(told.worst, told.yaw) < -CLEAR:
             better = best_frame(flight, motors)
             hint = f" It turns like frame {better[0]!r} ({better[1]})." if better else ""
             m.warnings.append(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from ..effects.priors import PRIORS
@@ -23,8 +24,8 @@ from .hover import Hover, sampled
 Array = NDArray[np.float64]
 
 _ARDUPILOT_EXPO = 0.65
-_EXPO_SD = 0.4
-"""Of e: 1 of a straight line, 2 of a square, 2.5 of simulators whose motors do not start at 0."""
+_EXPO_SD = 0.5
+"""Of e: two of them to 2.5, of simulators whose motors do not start at 0, and to a flat curve."""
 _EXTREMES = (0.9, 2.8)
 _GRID_S = 0.01
 _SLOW_HZ = 2.0
@@ -32,9 +33,12 @@ _LAG_S = PRIORS["motor_lag"].of("tau_s", False).mean
 _LEAST_CORRELATION = 0.7
 _LEAST_S = 5.0
 _SHAPE_SD = 0.1
-"""Of what one flight tells of e or k: warm motors, wind, the ground; by judgement."""
+"""Of what one flight tells of e: another lag than the usual one, wind; by judgement."""
+_MEAN_S = 0.1
 _BLOCK_S = 2.0
 _LEAST_BLOCKS = 4
+_DRIFT = 0.01
+"""Of thrust along a hover, over it, by what else changes with time: warm motors; by judgement."""
 _LEAST_SAG = 0.01
 """Relative range of the voltage from which on it tells something."""
 
@@ -136,9 +140,9 @@ def sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -
     scatter = float(np.sqrt(np.sum((y + slope * x) ** 2) / (len(x) - 2) / (x @ x)))
     told = Estimate(
         slope,
-        float(np.hypot(scatter, _SHAPE_SD)),
-        f"commands of the hover from {volts.min() * reference_v:.1f} to "
-        f"{volts.max() * reference_v:.1f} V {slope:.1f} +- {scatter:.1f}",
+        float(np.hypot(scatter, _DRIFT / np.ptp(volts))),
+        f"commands of the hover from {volts.min() * reference_v:.2f} to "
+        f"{volts.max() * reference_v:.2f} V {slope:.1f} +- {scatter:.1f}",
     ).with_prior(usual)
     return Estimate(min(max(told.value, 0.0), 4.0), told.sd, told.source)
 
@@ -147,7 +151,7 @@ def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]
     """Mean voltage, and thrust over weight that the map would give without sag, each 2 s."""
     if hover.cmd is None or hover.voltage_v is None or not hover.hovers:
         return []
-    shape = thrust_shape(e, hover.cmd / command).mean(axis=1) / hover.load
+    shape = thrust_shape(e, _followed_by_rotors(hover) / command).mean(axis=1) / hover.load
     number = ((hover.t_s - hover.t_s[0]) / _BLOCK_S).astype(np.int64)
     kept = [k for k in np.unique(number) if np.ptp(hover.t_s[number == k]) > 0.5 * _BLOCK_S]
     return [
@@ -155,12 +159,19 @@ def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]
     ]
 
 
+def _followed_by_rotors(hover: Hover) -> Array:
+    """Commands as far as rotors follow them, means over some of their lags, shape (n, motors)."""
+    assert hover.cmd is not None
+    step_s = float(np.median(np.diff(hover.t_s)))
+    width = max(round(_MEAN_S / step_s), 1)
+    return np.asarray(uniform_filter1d(hover.cmd, width, axis=0, mode="nearest"))
+
+
 def hover_thrust_n(
     hover: Hover, weight_n: float, e: float, k: float, reference_v: float | None, command: float
 ) -> float:
     """T_h of the map by which the mean thrust of a hover carries what it carried, N."""
-    assert hover.cmd is not None
-    shape = thrust_shape(e, hover.cmd / command).sum(axis=1)
+    shape = thrust_shape(e, _followed_by_rotors(hover) / command).sum(axis=1)
     if reference_v is not None and hover.voltage_v is not None:
         shape = shape * np.maximum(1.0 + k * (hover.voltage_v / reference_v - 1.0), 0.0)
     return weight_n * hover.load / float(shape.mean())

@@ -128,6 +128,11 @@ FRAMES: dict[str, tuple[RotorRows, float, str]] = {
         0.05,
         "Betaflight, propellers not reversed",
     ),
+    "crazyflie x": (
+        ((_D, _D, CCW), (-_D, _D, CW), (-_D, -_D, CCW), (_D, -_D, CW)),
+        0.05,
+        "the Crazyflie's firmware",
+    ),
 }
 """Rotor by rotor forward, right and sense; how far a real frame of that name is off, over the arm
 (by judgement; `wide` stands for frames of any proportions); who says so."""

@@ -129,4 +129,4 @@ def _in_si(
     factor = units.get((found[2] or default or "") if found else "")
     if found is None or factor is None:
         raise TwinError(f"{option} {text}: write {form}; units: {', '.join(units)}.")
-    return float(found[1]) * factor
+    return round(float(found[1]) * factor, 9)
