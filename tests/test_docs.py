@@ -9,12 +9,16 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+from cli_rig import run
 
 import uavtwin as ut
 from twin.residuals.gap import Channel, FlightGap, gap_json
 from twin.vehicle.file import parse_vehicle
 from uavtwin.demo.flights import fly, hide
+from uavtwin.file_check import CheckReport
+from uavtwin.flight_facts import hover_json
 
 ROOT = Path(__file__).parents[1]
 
@@ -122,6 +126,27 @@ def test_every_key_of_the_gap_is_documented() -> None:
         assert set(keys) <= documented, set(keys) - documented
 
 
+def test_every_key_of_check_and_draft_is_documented() -> None:
+    """Of a made hover of ten seconds."""
+    t = np.arange(0.0, 10.0, 0.01)
+    table = pd.DataFrame({"time": t, "phase": "hover", "vbat_v": 11.0})
+    table[[f"cmd_{i}" for i in range(1, 5)]] = 0.4
+    flight = ut.Flight("made", table)
+    drafted = ut.draft_vehicle(flight, 1.0, arm_m=0.2, frame="x").json()
+    documented = _json_keys("vehicle draft --json") | _json_keys("check --json")
+    hover = hover_json(flight)
+    assert hover is not None
+    for keys in (
+        drafted,
+        drafted["hover"],
+        drafted["hover"]["flights"][0],
+        drafted["numbers"][0],
+        CheckReport("made", {}, (), (), (), ()).json(),
+        hover,
+    ):
+        assert set(keys) <= documented, set(keys) - documented
+
+
 def test_every_public_name_is_in_the_reference() -> None:
     page = (ROOT / "docs" / "reference" / "api.md").read_text("utf-8")
     shown = set(re.findall(r"^::: [\w.]+\.(\w+)$", page, re.MULTILINE))
@@ -195,6 +220,30 @@ def test_the_tutorial_works(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert named[0] == named[1] == ["The model lacks mass offset: "]
     for place in re.findall(r"pictures/(\w+)\.png", page):
         assert (tmp_path / place / "report.html").is_file()
+
+
+@pytest.mark.slow
+def test_the_page_of_ones_own_log_works(
+    capsys: pytest.CaptureFixture[str],
+    data_dir: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+) -> None:
+    """Its first two commands, on a recorded flight; `calibrate` has tests of its own."""
+    page = (ROOT / "docs" / "guide" / "own_log.md").read_text("utf-8")
+    log = data_dir / "rflysimdt" / "sim_1.ulg"
+    (tmp_path / "my_flight.ulg").write_bytes(log.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    lines = page.split("```sh\n")[1].split("```")[0].splitlines()
+    verbs = [line.split()[1:] for line in lines]
+    assert [v[0] for v in verbs] == ["check", "vehicle", "calibrate", "simulate"]
+    code, said, _ = run(capsys, *verbs[0])
+    assert code == 1  # it has gaps
+    assert "hover            command 0.609" in said
+    code, said, _ = run(capsys, *verbs[1])
+    assert code == 0
+    assert (tmp_path / verbs[2][verbs[2].index("--vehicle") + 1]).is_file()
+    assert "hovers at command 0.609; the flight hovers at 0.609" in said
 
 
 @pytest.mark.slow

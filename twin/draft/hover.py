@@ -1,5 +1,6 @@
 """The part of a flight in which the rotors carry the weight, and what they are told meanwhile."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,6 +90,8 @@ def hover_of(flight: Flight) -> Hover | None:
     if not columns:
         return None
     t_s, told = flight.signal(columns)
+    if len(t_s) < 2:
+        return None
     step_s = np.minimum(np.diff(t_s, append=t_s[-1]), _LONGEST_STEP_S)
     for rows, hovers, where in _choices(flight, t_s, told):
         seconds = float(step_s[rows].sum())
@@ -124,6 +127,14 @@ def phases_at(flight: Flight, t_s: Array) -> NDArray[np.object_]:
     return phase[row]
 
 
+def together(flight: Flight, columns: Sequence[str]) -> tuple[Array, Array] | None:
+    """Samples of columns that are taken at the same times; None: there are none."""
+    if not flight.has(*columns):
+        return None
+    t_s, values = flight.signal(columns)
+    return (t_s, values) if len(t_s) else None
+
+
 def sampled(flight: Flight, column: str, t_s: Array) -> Array | None:
     """A column at some times, on straight lines between its samples; None without it."""
     if not flight.has(column):
@@ -137,9 +148,9 @@ def _choices(flight: Flight, t_s: Array, told: Array) -> list[tuple[Rows, bool, 
     phase, air = phases_at(flight, t_s), _flown(flight, t_s, told)
     steady = air & ~np.isin(phase, _NOT_FLOWN)
     found = [(phase == "hover", True, "phase hover, {:.0f} s")]
-    if flight.has(*VEL):
-        t, velocity = flight.signal(VEL)
-        speed = np.interp(t_s, t, np.linalg.norm(velocity, axis=1))
+    moved = together(flight, VEL)
+    if moved is not None:
+        speed = np.interp(t_s, moved[0], np.linalg.norm(moved[1], axis=1))
         slow = steady & (speed < _SLOW_M_S)
         found.append((slow, True, f"in the air below {_SLOW_M_S:g} m/s, {{:.0f}} s"))
     if flight.has(*ACC):
@@ -158,26 +169,27 @@ def _flown(flight: Flight, t_s: Array, told: Array) -> Rows:
         return np.asarray(phase != "ground")
     mean = told.mean(axis=1)
     driven = mean > 0.5 * np.percentile(mean, 90)
-    if flight.has(*POS):
-        t, place = flight.signal(POS)
-        height = np.interp(t_s, t, -place[:, 2])
+    place = together(flight, POS)
+    if place is not None:
+        height = np.interp(t_s, place[0], -place[1][:, 2])
         return np.asarray(driven & (height > height.min() + 0.5)) if np.ptp(height) > 1 else driven
     return np.asarray(driven)
 
 
 def _speeds(flight: Flight, t_s: Array, motors: int) -> Array | None:
     """Measured rotor speeds at some times, shape (n, motors)."""
-    columns = motor_columns("rotor", motors)
-    if not flight.has(*columns):
+    measured = together(flight, motor_columns("rotor", motors))
+    if measured is None:
         return None
-    t, speeds = flight.signal(columns)
+    t, speeds = measured
     return np.column_stack([np.interp(t_s, t, speeds[:, k]) for k in range(motors)])
 
 
 def _load(flight: Flight, t_s: Array, hovers: bool) -> float:
     """Mean thrust over weight: what a tilted aircraft needs, else what the accelerometer felt."""
-    if hovers and flight.has(*QUAT):
-        t, q = flight.signal(QUAT)
+    attitude = together(flight, QUAT) if hovers else None
+    if attitude is not None:
+        t, q = attitude
         upright = 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)
         return float(np.mean(1.0 / np.interp(t_s, t, np.clip(upright, 0.2, 1.0))))
     down = None if hovers else sampled(flight, ACC[2], t_s)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..logs import Flight
 from ..logs.columns import ACC, GYRO, MAG
-from .hover import Hover, drives, phases_at
+from .hover import Hover, drives, phases_at, together
 
 Array = NDArray[np.float64]
 Choice = Callable[[Flight, Array], NDArray[np.bool_]]
@@ -62,11 +62,10 @@ def noise_of(flights: Sequence[Flight], hovers: Sequence[Hover], columns: Sequen
 
 
 def _second(flight: Flight, columns: Sequence[str], chosen: Choice) -> Array:
-    if not flight.has(*columns):
+    found = together(flight, columns)
+    if found is None or len(found[0]) < 3:
         return np.zeros((0, len(columns)))
-    t_s, values = flight.signal(columns)
-    if len(t_s) < 3:
-        return np.zeros((0, len(columns)))
+    t_s, values = found
     step = np.diff(t_s)
     near = step < _APART * np.median(step)
     good = chosen(flight, t_s)[1:-1] & near[1:] & near[:-1]

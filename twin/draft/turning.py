@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from ..logs import Flight
 from ..logs.columns import GYRO
 from ..vehicle.layouts import Layout, frame, frames_of
-from .hover import drives, flown
+from .hover import drives, flown, together
 
 Array = NDArray[np.float64]
 
@@ -52,10 +52,10 @@ def turning(flight: Flight, layout: Layout) -> Turning | None:
         None: no body rates, another number of motors, or too short.
     """
     columns = drives(flight)
-    if len(columns) != layout.count or not flight.has(*GYRO):
+    driven, rotated = together(flight, columns), together(flight, GYRO)
+    if len(columns) != layout.count or driven is None or rotated is None:
         return None
-    t_s, told = flight.signal(columns)
-    t_gyro, rates = flight.signal(GYRO)
+    (t_s, told), (t_gyro, rates) = driven, rotated
     air = flown(flight)
     grid = np.arange(max(t_s[0], t_gyro[0]), min(t_s[-1], t_gyro[-1]), _GRID_S)
     if len(grid) < _LEAST_S / _GRID_S:

@@ -68,3 +68,15 @@ def test_a_hop_is_no_hover_and_a_flight_without_motors_none() -> None:
     )
     assert hover_of(Flight("made", hop)) is None
     assert hover_of(Flight("made", made.table.drop(columns="cmd_2"))) is None
+
+
+def test_signals_that_are_never_sampled_together_tell_nothing() -> None:
+    """Each motor has samples, and each axis of the attitude, no two at a time."""
+    made = flight()
+    row = np.arange(len(made.table)) % 4
+    apart = {f"cmd_{i + 1}": np.where(row == i, 0.4, np.nan) for i in range(4)}
+    assert hover_of(Flight("made", made.table.assign(**apart))) is None
+    q = {f"q_{a}": np.where(row == i, 0.5, np.nan) for i, a in enumerate("wxyz")}
+    found = hover_of(Flight("made", made.table.assign(**q)))
+    assert found is not None
+    assert found.load == 1.0

@@ -143,3 +143,21 @@ def test_facts_of_several_logs_are_put_together() -> None:
     one, two = Airframe(identity="a"), Airframe(identity="b", rotors=Told(6, "two"))
     assert Airframe.together([one, two]) == Airframe(identity="a", rotors=Told(6, "two"))
     assert Airframe.together([]) == Airframe()
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"CA_ROTOR_COUNT": 2_000_000_000},
+        {**QUAD, "CA_ROTOR0_PX": 1e38},
+        {**QUAD, "CA_ROTOR0_KM": 0.0},
+        {"SYS_AUTOSTART": -2_147_483_648, "MAV_TYPE": -5},
+        {"BAT1_N_CELLS": 2_000_000_000, "BAT1_V_CHARGED": 4.2, "BAT1_V_EMPTY": 3.5},
+        {"THR_MDL_FAC": -1e38},
+    ],
+)
+def test_absurd_parameters_tell_nothing(params: dict[str, float]) -> None:
+    told = airframe(params)
+    assert told.layout is None or not told.layout.metric
+    assert told.cells is None
+    assert told.thrust_factor is None

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, FRAMES, Layout, frame
 from ..airframe import Airframe, Cells, Place, Told
+from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .log import Px4Log, Topic
 from .mixers import airframe_mixer, frame_of_mixer
@@ -48,6 +49,8 @@ _LARGEST_M = 1.0
 """From here on coordinates are proportions: PX4 needs no more of them."""
 _TYPED_SD = 0.05
 """Of coordinates that somebody typed in, over the arm; by judgement."""
+_MOST_CELLS, _MOST_V = 60, 5.5
+_HIGHEST_M = 2e4
 _FIX_3D = 3
 _EARLIEST_S = 1.0e9  # 2001: receivers without a date begin in 1970 or 1980
 
@@ -91,7 +94,7 @@ def _no_multirotor(log: Px4Log) -> str:
 
 def _rotors(log: Px4Log) -> Told[int] | None:
     count = log.params.get("CA_ROTOR_COUNT", 0.0)
-    if count >= 3:
+    if MIN_MOTORS <= count <= MAX_MOTORS:
         return Told(int(count), "CA_ROTOR_COUNT of the log")
     kind = int(log.params.get("MAV_TYPE", -1))
     known = {2: 4, 13: 6, 14: 8, 15: 3}.get(kind)
@@ -100,7 +103,7 @@ def _rotors(log: Px4Log) -> Told[int] | None:
 
 def _layout(log: Px4Log, motors: int | None) -> Layout | None:
     """From CA_ROTOR* where the log has them, else by the airframe that was chosen."""
-    if log.params.get("CA_ROTOR_COUNT", 0.0) >= 3:
+    if MIN_MOTORS <= log.params.get("CA_ROTOR_COUNT", 0.0) <= MAX_MOTORS:
         return _allocated(log, int(log.params["CA_ROTOR_COUNT"]))
     autostart = int(log.params.get("SYS_AUTOSTART", 0.0))
     mixer = airframe_mixer(autostart)
@@ -153,7 +156,7 @@ def _cells(log: Px4Log) -> Told[Cells] | None:
     stem = "BAT1" if "BAT1_N_CELLS" in log.params else "BAT"
     p = {name: log.params.get(f"{stem}_{name}", 0.0) for name in _BATTERY}
     count = int(p["N_CELLS"])
-    if count < 1 or not p["V_CHARGED"] > p["V_EMPTY"] > 1.0:
+    if not 1 <= count <= _MOST_CELLS or not _MOST_V > p["V_CHARGED"] > p["V_EMPTY"] > 1.0:
         return None
     return Told(
         Cells(
@@ -207,7 +210,8 @@ def _place(log: Px4Log) -> Told[Place] | None:
         if degrees is None or not np.isfinite(degrees[fixed]).all():
             continue
         latitude, longitude, height = np.median(degrees[fixed], axis=0)
-        if abs(latitude) > 90.0 or not (latitude or longitude):
+        possible = abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height) < _HIGHEST_M
+        if not possible or not (latitude or longitude):
             continue
         place = Place(
             float(np.radians(latitude)),
