@@ -98,7 +98,7 @@ def _level(hover: Hover) -> str:
 def _split(hover: Hover, layout: Layout | None) -> str:
     """How much each motor does over their mean, and pairs of them over the others."""
     each = np.array(hover.each) / np.mean(hover.each)
-    text = f"{', '.join(f'{100 * (u - 1):+.0f} %' for u in each)} of their mean"
+    text = f"{', '.join(f'{round(100 * (u - 1)):+d} %' for u in each)} of their mean"
     if layout is None or layout.count != len(each):
         return text
     x, y = layout.position[:, 0], layout.position[:, 1]

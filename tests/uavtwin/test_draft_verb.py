@@ -6,12 +6,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from cli_rig import run
 from sample_logs import moving_topics, ulog
 
 import uavtwin as ut
-from twin.logs.airframe import Airframe, Told
+from twin.logs.airframe import Airframe, Cells, Place, Told
 from twin.vehicle.deviation import relative_deviation
 from uavtwin.demo.flights import ACC_NOISE_M_S2, GYRO_NOISE_RAD_S, Waypoints, fly
 
@@ -23,6 +24,7 @@ FLIGHT: Waypoints = (
     ("hover", 2.5, (0.0, 0.0, -1.5)),
     ("forward", 2.5, (3.0, 2.0, -2.0)),
 )
+SIZE = {"arm_m": 0.225, "frame": "x"}
 COPTER = {"mass_kg": 1.4, "arm_m": 0.225, "frame": "x"}
 
 
@@ -87,9 +89,7 @@ def test_every_number_says_where_it_comes_from(drafted: ut.DraftResult) -> None:
     assert told["body.mass"]["from"] == "given"
     assert told["rotors.thrust_from_command"]["from"] == "log"
     assert told["body.inertia"]["from"] == "usual"
-    doubted = ("body.mass", "body.inertia", "rotors.position", "rotors.thrust_from_command")
-    for key in (*doubted, "rotors.torque_per_thrust", "rotors.lag"):
-        assert told[key]["sd"] is not None
+    assert [k for k, n in told.items() if n["sd"] is None] == ["rotors.direction"]
     assert {f.kind for f in drafted.details.facts} == {"given", "log", "usual"}
     assert "mine: 4 rotors, 1.4 kg, hovers at command" in str(drafted)
 
@@ -183,6 +183,34 @@ def test_facts_of_the_log_enter(copter: ut.Flight) -> None:
     found = ut.draft_vehicle(replace(copter, airframe=airframe), **COPTER)  # type: ignore[arg-type]
     _, c1, c2 = found.vehicle.rotors.thrust_n
     assert c2 / (c1 + c2) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_all_that_a_log_can_tell_is_in_the_file() -> None:
+    """A made hover of 20 s with rotor speeds, a battery, a place: no number without an sd."""
+    t = 0.01 * np.arange(2000)
+    table = pd.DataFrame({"time": t, "phase": "hover", "ibat_a": 12.0, "vbat_v": 11.0 - 0.02 * t})
+    table[["acc_x", "acc_y", "acc_z"]] = (0.0, 0.0, -9.81)
+    for i in range(1, 5):
+        table[f"cmd_{i}"], table[f"rotor_{i}"] = 0.4 + 0.001 * t, 500.0
+    airframe = Airframe(
+        place=Told(Place(np.radians(48.0), np.radians(11.0), 500.0, 2025.3), "satellites"),
+        cells=Told(Cells(3, 4.2, 3.5, 18000.0, 0.02), "BAT1"),
+        imu_position_m=Told((0.01, 0.0, 0.0), "EKF2_IMU_POS_X"),
+        gyro_cutoff_hz=Told(60.0, "IMU_GYRO_CUTOFF"),
+    )
+    found = ut.draft_vehicle(ut.Flight("made", table, airframe=airframe), 1.0, **SIZE)  # type: ignore[arg-type]
+    told = {n["key"]: n for n in found.json()["numbers"]}
+    assert [k for k, n in told.items() if n["sd"] is None] == ["rotors.direction"]
+    vehicle = found.vehicle
+    assert vehicle.battery is not None
+    assert vehicle.battery.full_voltage_v == pytest.approx(12.6)
+    assert vehicle.battery.hover_current_a == pytest.approx(12.0)
+    assert vehicle.gravity_m_s2 == pytest.approx(9.8081, abs=1e-3)
+    assert vehicle.gyro_cutoff_hz == 60.0
+    assert vehicle.rotors.reference_voltage_v == pytest.approx(10.8)
+    assert np.linalg.norm(vehicle.sensors.field_n_t) == pytest.approx(4.86e-5, rel=0.02)
+    assert "sd" in told["effects.thrust_curve.slope"]
+    assert found.hover_command == pytest.approx(0.41, rel=0.01)
 
 
 # -- command line -----------------------------------------------------------------------------

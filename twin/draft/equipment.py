@@ -7,11 +7,18 @@ from ..logs.airframe import Place
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.geomagnetism import world_field
 from ..vehicle.gravity import normal_gravity_m_s2
-from .making import Making, rounded
+from .making import Making, percent, rounded
 from .noise import SENSORS, noise_of
 
 _BARO_SD_PA = 150.0
 """Offset of a barometer; by judgement."""
+_FIX_SD_DEG, _HEIGHT_SD_M = 1e-4, 30.0
+"""Of a fix: meters; of its height, ellipsoid or sea."""
+_GRAVITY_SD_M_S2 = 5e-4
+"""Anomalies of the real field: 50 mGal."""
+_YEAR_SD = 0.01
+_NOISE_SD, _PARAMETER_SD, _PLACE_SD_M = 0.1, 0.01, 0.005
+"""Of what readings, set parameters and rulers say; by judgement."""
 _START_S = 2.0
 
 
@@ -22,10 +29,11 @@ def draft_site(m: Making) -> float:
         place, source = found
         latitude, longitude = np.degrees([place.latitude_rad, place.longitude_rad])
         gravity = round(normal_gravity_m_s2(place.latitude_rad, place.height_m), 5)
-        m.file.number("site.latitude", round(float(latitude), 5), "deg", source)
-        m.file.number("site.longitude", round(float(longitude), 5), "deg", source)
-        m.file.number("site.height", round(place.height_m, 1), "m", source)
-        m.file.number("site.gravity", gravity, "m/s^2", f"WGS 84 normal gravity at {source}")
+        m.file.number("site.latitude", round(float(latitude), 5), "deg", source, _FIX_SD_DEG)
+        m.file.number("site.longitude", round(float(longitude), 5), "deg", source, _FIX_SD_DEG)
+        m.file.number("site.height", round(place.height_m, 1), "m", source, _HEIGHT_SD_M)
+        normal = f"WGS 84 normal gravity at {source}"
+        m.file.number("site.gravity", gravity, "m/s^2", normal, _GRAVITY_SD_M_S2)
         when = _year(m, place, source)
         value = f"{latitude:.4f}, {longitude:.4f} deg, {place.height_m:.0f} m{when}"
         m.say("site", f"{value}; gravity {gravity:.4f} m/s2", source)
@@ -49,7 +57,7 @@ def _year(m: Making, place: Place, source: str) -> str:
     except ModelError as error:
         m.warnings.append(f"the date of the log is left out: {error}")
         return ""
-    m.file.number("site.year", place.year, "1", source)
+    m.file.number("site.year", place.year, "1", source, _YEAR_SD)
     return f", year {place.year:.1f}"
 
 
@@ -60,7 +68,8 @@ def draft_sensors(m: Making) -> None:
         noise = noise_of(m.flights, m.hovers, columns)
         if noise.samples and noise.sd > 0:
             value = rounded(noise.sd)
-            m.file.number(key, value, unit, f"readings {noise.where}, {noise.samples} samples")
+            source = f"readings {noise.where}, {noise.samples} samples"
+            m.file.number(key, value, unit, source, percent(_NOISE_SD))
             said.append(f"{columns[0].partition('_')[0]} {value:.3g} {unit} {noise.where}")
     if said:
         m.say("noise", "; ".join(said), "readings of the flights")
@@ -70,11 +79,11 @@ def draft_sensors(m: Making) -> None:
         ("imu.gyro_cutoff", told.gyro_cutoff_hz),
     ):
         if cutoff is not None:
-            m.file.number(key, cutoff.value, "Hz", cutoff.source)
+            m.file.number(key, cutoff.value, "Hz", cutoff.source, percent(_PARAMETER_SD))
             m.say(key.replace("imu.", "").replace("_", " "), f"{cutoff.value:g} Hz", cutoff.source)
     if told.imu_position_m is not None:
         place, source = told.imu_position_m
-        m.file.number("imu.position", np.array(place), "m", source)
+        m.file.number("imu.position", np.array(place), "m", source, _PLACE_SD_M)
         m.say("accelerometer", f"at {', '.join(f'{x:g}' for x in place)} m", source)
 
 
@@ -87,18 +96,18 @@ def draft_battery(m: Making) -> None:
     value = f"{cells.count} cells, {empty:.1f} to {full:.1f} V"
     currents = [float(np.median(f.signal(("ibat_a",))[1])) for f in m.flights if f.has("ibat_a")]
     entries = (
-        ("full_voltage", full, "V"),
-        ("empty_voltage", empty, "V"),
-        ("capacity", cells.capacity_a_s, "A*s"),
-        ("resistance", cells.resistance_ohm, "ohm"),
-        ("hover_current", currents[0] if currents else None, "A"),
-    )
-    lacking = [key.replace("_", " ") for key, number, _ in entries if not number]
+        ("full_voltage", full, "V", 0.03),
+        ("empty_voltage", empty, "V", 0.05),
+        ("capacity", cells.capacity_a_s, "A*s", 0.1),
+        ("resistance", cells.resistance_ohm, "ohm", 0.3),
+        ("hover_current", currents[0] if currents else None, "A", 0.1),
+    )  # standard deviations over the values, by judgement
+    lacking = [key.replace("_", " ") for key, number, _, _ in entries if not number]
     if lacking:
         m.say("battery", f"{value}; no section: {', '.join(lacking)} not told", source)
         m.file.notes.append(f"No [battery]: {value}, but {', '.join(lacking)} are not in the log.")
         return
-    for key, number, unit in entries:
+    for key, number, unit, sd in entries:
         assert number is not None
-        m.file.number(f"battery.{key}", rounded(number), unit, source)
+        m.file.number(f"battery.{key}", rounded(number), unit, source, percent(sd))
     m.say("battery", value, source)

@@ -16,6 +16,8 @@ _HOVER_SD = 0.03
 """Of thrust in hover, over it: density of the air, warm motors; by judgement."""
 _FLOWN_SD = 0.08
 """The same where the aircraft never hovers."""
+_VOLT_SD = 0.01
+"""Of a measured battery voltage, over it."""
 _FACTOR_SD = 0.2
 """Of the elasticity where the owner has set the thrust curve of the autopilot; by judgement."""
 
@@ -66,7 +68,9 @@ def rotor_effects(m: Making, vehicle: Vehicle, supply: Supply) -> dict[str, dict
     if k is not None:
         effects["battery_sag"] = {
             "slope": _written(k.value, k.sd, k.source),
-            "reference_v": Written(supply.reference_v, "battery voltage in hover"),
+            "reference_v": _written(
+                supply.reference_v, _VOLT_SD * supply.reference_v, "battery voltage in hover"
+            ),
         }
         value = f"{k.value:.2f} % thrust per % voltage, sd {k.sd:.2f}; at {supply.reference_v:g} V"
         m.say("battery sag", value, k.source)
@@ -120,12 +124,14 @@ def _speed_map(m: Making, weight_n: float, supply: Supply) -> None:
         return
     line = np.array([rounded(c) for c in thrust.speed_line(m.hovers, e.value)])
     source = f"measured rotor speeds and commands of the hover; slope: {e.source}"
-    m.file.polynomial("rotors.speed_from_command", line, "rad/s", source)
+    m.file.polynomial("rotors.speed_from_command", line, "rad/s", source, sd=percent(_HOVER_SD))
     m.say("rotor speed", f"{line[0]:.4g} + {line[1]:.4g} command, rad/s", source)
     if k is not None:
         measured = "battery voltage in hover"
-        m.file.number("rotors.reference_voltage", supply.reference_v, "V", measured)
-        m.file.number("rotors.voltage_exponent", rounded(k.value / e.value), "1", k.source)
+        volts, exponent = supply.reference_v, rounded(k.value / e.value)
+        m.file.number("rotors.reference_voltage", volts, "V", measured, percent(_VOLT_SD))
+        sd_exponent = rounded(k.sd / e.value)
+        m.file.number("rotors.voltage_exponent", exponent, "1", k.source, sd_exponent)
         m.say("voltage", f"{supply.reference_v:g} V, exponent {k.value / e.value:.2f}", k.source)
 
 

@@ -101,7 +101,8 @@ def _followed(flight: Flight, hover: Hover) -> Estimate | None:
     if hover.cmd is None or not hover.hovers or hover.seconds < _LEAST_S or not flight.has(*ACC):
         return None
     grid = np.arange(hover.t_s[0], hover.t_s[-1], _GRID_S)
-    inside = np.diff(hover.t_s)[np.searchsorted(hover.t_s, grid, side="right") - 1] < 0.5
+    row = np.clip(np.searchsorted(hover.t_s, grid, side="right") - 1, 0, len(hover.t_s) - 2)
+    inside = np.diff(hover.t_s)[row] < 0.5
     command = _lagged(np.interp(grid, hover.t_s, hover.cmd.mean(axis=1)))
     down = sampled(flight, ACC[2], grid)
     assert down is not None
