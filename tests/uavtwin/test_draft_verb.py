@@ -12,7 +12,7 @@ from cli_rig import run
 from sample_logs import moving_topics, ulog
 
 import uavtwin as ut
-from twin.logs.airframe import Airframe, Cells, Place, Told
+from twin.logs.airframe import Airframe, Cells, Place, ThrustCurve, Told
 from twin.vehicle.deviation import relative_deviation
 from uavtwin.demo.flights import ACC_NOISE_M_S2, GYRO_NOISE_RAD_S, Waypoints, fly
 
@@ -179,7 +179,7 @@ def test_measured_rotor_speeds_make_a_map_of_the_speed(copter: ut.Flight) -> Non
 
 def test_facts_of_the_log_enter(copter: ut.Flight) -> None:
     """The curve of the autopilot instead of the usual one."""
-    airframe = Airframe(thrust_factor=Told(0.3, "THR_MDL_FAC 0.3 of the log"))
+    airframe = Airframe(thrust=Told(ThrustCurve(0.3), "THR_MDL_FAC 0.3 of the log"))
     found = ut.draft_vehicle(replace(copter, airframe=airframe), **COPTER)  # type: ignore[arg-type]
     _, c1, c2 = found.vehicle.rotors.thrust_n
     assert c2 / (c1 + c2) == pytest.approx(0.3, rel=1e-3)

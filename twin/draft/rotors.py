@@ -85,11 +85,10 @@ def rotor_effects(m: Making, vehicle: Vehicle, supply: Supply) -> dict[str, dict
 
 
 def _elasticity(m: Making) -> thrust.Estimate:
-    factor = m.airframe.thrust_factor
-    if factor is None:
+    curve = m.airframe.thrust
+    if curve is None or m.level <= curve.value.start:
         return thrust.elasticity(m.flights, m.hovers, m.level)
-    e = thrust.elasticity_of_factor(factor.value, m.level)
-    return thrust.Estimate(e, _FACTOR_SD, factor.source)
+    return thrust.Estimate(curve.value.elasticity(m.level), _FACTOR_SD, curve.source)
 
 
 def _command_map(m: Making, weight_n: float, supply: Supply) -> None:

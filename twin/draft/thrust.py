@@ -18,6 +18,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from ..effects.priors import PRIORS
 from ..logs import Flight
+from ..logs.airframe import ThrustCurve
 from ..logs.columns import ACC
 from .hover import Hover, sampled
 
@@ -63,14 +64,9 @@ def thrust_shape(e: float, s: Array) -> Array:
     return np.maximum((2.0 - e) * s + (e - 1.0) * s**2, 0.0)
 
 
-def elasticity_of_factor(factor: float, command: float) -> float:
-    """e in hover of thrust = f u^2 + (1 - f) u."""
-    return 1.0 + factor * command / (factor * command + 1.0 - factor)
-
-
 def usual_elasticity(command: float) -> Estimate:
     """What is usual where nothing is known."""
-    e = elasticity_of_factor(_ARDUPILOT_EXPO, command)
+    e = ThrustCurve(_ARDUPILOT_EXPO).elasticity(command)
     source = f"usual {e:.2f}, that of ArduPilot's MOT_THST_EXPO {_ARDUPILOT_EXPO} in hover"
     return Estimate(e, _EXPO_SD, source)
 

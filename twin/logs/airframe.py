@@ -59,6 +59,30 @@ class Cells:
 
 
 @dataclass(frozen=True, slots=True)
+class ThrustCurve:
+    """How an autopilot believes that thrust follows the command of a motor.
+
+    With x = (u - start) / (full - start) of the command u, thrust over that at full command is
+    f x^2 + (1 - f) x.
+
+    Attributes:
+        factor: f, 0..1: THR_MDL_FAC of PX4, MOT_THST_EXPO of ArduPilot.
+        start: Command of no thrust.
+        full: Command of full thrust.
+    """
+
+    factor: float
+    start: float = 0.0
+    full: float = 1.0
+
+    def elasticity(self, command: float) -> float:
+        """Relative thrust per relative command, at a command above the start."""
+        f, reach = self.factor, self.full - self.start
+        x = (command - self.start) / reach
+        return command / reach * (2.0 * f * x + 1.0 - f) / (f * x * x + (1.0 - f) * x)
+
+
+@dataclass(frozen=True, slots=True)
 class Airframe:
     """Facts of an aircraft that its log holds besides the signals; None where it does not tell.
 
@@ -67,8 +91,7 @@ class Airframe:
         identity: What tells it from others: serial number of the autopilot; "" unknown.
         rotors: Number of rotors.
         layout: Where they are and how they turn, in the order of `cmd_1..n`.
-        thrust_factor: f of thrust = f u^2 + (1 - f) u over that at full command u, as the
-            autopilot takes it.
+        thrust: Thrust by command, as the autopilot takes it.
         pulse_us: Pulse widths that stand for the commands 0 and 1, us.
         cells: The battery.
         imu_position_m: Accelerometer from the centre of mass, body FRD, three numbers.
@@ -82,7 +105,7 @@ class Airframe:
     identity: str = ""
     rotors: Told[int] | None = None
     layout: Layout | None = None
-    thrust_factor: Told[float] | None = None
+    thrust: Told[ThrustCurve] | None = None
     pulse_us: Told[tuple[float, float]] | None = None
     cells: Told[Cells] | None = None
     imu_position_m: Told[tuple[float, float, float]] | None = None

@@ -7,6 +7,7 @@ import pytest
 from twin.draft import thrust
 from twin.draft.hover import Hover, hover_of
 from twin.logs import Flight
+from twin.logs.airframe import ThrustCurve
 
 WEIGHT_N = 13.0
 
@@ -84,7 +85,7 @@ def test_rotor_speeds_give_the_coefficient_and_the_line() -> None:
 def test_the_factor_of_px4_is_the_same_parabola() -> None:
     """f u^2 + (1 - f) u: its relative slope, and its value along the command."""
     f, u_h = 0.3, 0.45
-    e = thrust.elasticity_of_factor(f, u_h)
+    e = ThrustCurve(f).elasticity(u_h)
     u = np.linspace(0.0, 1.0, 11)
     px4 = (f * u**2 + (1 - f) * u) / (f * u_h**2 + (1 - f) * u_h)
     assert thrust.thrust_shape(e, u / u_h) == pytest.approx(px4)

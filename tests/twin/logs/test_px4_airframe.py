@@ -80,8 +80,8 @@ def test_numbers_of_the_parameters() -> None:
             "BAT1_R_INTERNAL": 0.02,
         }
     )
-    assert told.thrust_factor is not None
-    assert told.thrust_factor.value == pytest.approx(0.3)
+    assert told.thrust is not None
+    assert told.thrust.value.factor == pytest.approx(0.3)
     assert told.imu_position_m is not None
     assert told.imu_position_m.value == pytest.approx((0.02, 0.0, 0.0))
     assert told.cells is not None
@@ -109,7 +109,7 @@ def test_filtered_samples_have_the_cutoff() -> None:
 
 def test_defaults_of_px4_say_nothing() -> None:
     told = airframe({"THR_MDL_FAC": 0.0, "EKF2_IMU_POS_X": 0.0, "BAT1_N_CELLS": 0})
-    assert told.thrust_factor is None
+    assert told.thrust is None
     assert told.imu_position_m is None
     assert told.cells is None
     assert told.layout is None
@@ -160,4 +160,4 @@ def test_absurd_parameters_tell_nothing(params: dict[str, float]) -> None:
     told = airframe(params)
     assert told.layout is None or not told.layout.metric
     assert told.cells is None
-    assert told.thrust_factor is None
+    assert told.thrust is None

@@ -9,8 +9,8 @@ import numpy as np
 from ...errors import LogError
 from ..flight import Array
 from .arming import use_the_flight
-from .dataflash import board, firmware
 from .geometry import Geometry, frame_name, geometry
+from .identity import board, firmware
 from .log import ArduPilotLog, open_ardupilot
 from .outputs import channels_of
 from .parameters import frame_numbers, motor_value, pulse_range_us

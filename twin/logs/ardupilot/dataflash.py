@@ -1,6 +1,5 @@
 """ArduPilot DataFlash -> Flight."""
 
-import re
 from pathlib import Path
 
 import pandas as pd
@@ -11,9 +10,11 @@ from ..columns import MOTION, motor_columns
 from ..flight import Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
+from .airframe import airframe
 from .arming import use_the_flight
 from .estimator import primary
 from .geometry import NO_MULTIROTOR, frame_name, geometry
+from .identity import OTHERS, board, firmware
 from .log import ArduPilotLog, open_ardupilot
 from .motion import add_motion
 from .outputs import from_ardupilot_commands
@@ -22,9 +23,8 @@ from .phases import from_ardupilot_phases, modes, note_failures
 from .rotors import add_rotors
 from .signals import add, add_barometer, add_battery, add_compass, add_imu
 from .site import from_ardupilot_site, place
+from .told import told_by
 from .trim import yaw_trim
-
-_OTHERS = re.compile(r"Ardu(Plane|Rover|Sub)|AntennaTracker|Blimp")
 
 
 def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -75,34 +75,15 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     if where := place(log):
         facts["place"] = str(where)
     facts |= rows.coverage(t_us)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, from_ardupilot_site(log))
-
-
-def firmware(log: ArduPilotLog) -> str:
-    """What the log says of its firmware, "" where it says nothing."""
-    told = [t for t in log.texts("VER", "FWS") + log.texts("MSG", "Message") if "V" in t]
-    named = [t for t in told if t.startswith("Ardu") or _OTHERS.match(t)]
-    return named[0] if named else ""
-
-
-def board(log: ArduPilotLog) -> str:
-    """The message of a board and its serial number: a name, three words of eight hex digits."""
-    for told in log.texts("MSG", "Message"):
-        words = told.split()
-        if len(words) == 4 and all(len(w) == 8 and _is_hex(w) for w in words[1:]):
-            return told
-    return ""
-
-
-def _is_hex(word: str) -> bool:
-    return all(c in "0123456789ABCDEFabcdef" for c in word)
+    site, frame = from_ardupilot_site(log), told_by(airframe(log))
+    return Flight(path.stem, table, tuple(log.findings), facts, path, site, frame)
 
 
 def _facts(log: ArduPilotLog) -> dict[str, str]:
     """What the log says about the vehicle."""
     told = firmware(log)
     facts = {"firmware": told or "ArduPilot"}
-    if other := _OTHERS.match(told):
+    if other := OTHERS.match(told):
         message = f"a log of {other.group()}: this is no multirotor, unless it is a quadplane"
         log.note("error" if log.params.get("Q_ENABLE", 0.0) < 1.0 else "info", "log", message)
     if hardware := board(log):

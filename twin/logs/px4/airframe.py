@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, FRAMES, Layout, frame
-from ..airframe import Airframe, Cells, Place, Told
+from ..airframe import Airframe, Cells, Place, ThrustCurve, Told
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .log import Px4Log, Topic
@@ -73,7 +73,7 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
         identity=log.info.get("sys_uuid", ""),
         rotors=count,
         layout=_layout(log, None if count is None else count.value),
-        thrust_factor=_thrust_factor(log),
+        thrust=_thrust(log),
         pulse_us=_pulse(log),
         cells=_cells(log),
         imu_position_m=_imu_position(log),
@@ -131,10 +131,12 @@ def _allocated(log: Px4Log, motors: int) -> Layout | None:
     )
 
 
-def _thrust_factor(log: Px4Log) -> Told[float] | None:
+def _thrust(log: Px4Log) -> Told[ThrustCurve] | None:
     """0 is the default of PX4 and says nothing."""
     factor = log.params.get("THR_MDL_FAC", 0.0)
-    return Told(factor, f"THR_MDL_FAC {factor:g} of the log") if 0.0 < factor <= 1.0 else None
+    if not 0.0 < factor <= 1.0:
+        return None
+    return Told(ThrustCurve(factor), f"THR_MDL_FAC {factor:g} of the log")
 
 
 def _pulse(log: Px4Log) -> Told[tuple[float, float]] | None:

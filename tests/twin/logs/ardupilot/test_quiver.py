@@ -148,3 +148,21 @@ def test_check_and_gap_take_them(capsys: pytest.CaptureFixture[str], tmp_path: P
     channels = json.loads((tmp_path / "o" / "gap.json").read_text())["channels"]
     assert abs(channels["acc_z"]["mean"]) < 0.5
     assert channels["gyro_rate_z"]["mean"] > 0.1  # the twin turns left by what is trimmed
+
+
+@pytest.mark.slow
+def test_the_log_tells_its_aircraft_in_the_words_of_all_formats() -> None:
+    """What `vehicle draft` begins with."""
+    told = flight("83").airframe
+    assert told is not None and told.no_multirotor == "" and told.layout is not None
+    assert told.rotors is not None and told.rotors.value == 4
+    assert told.layout.position[0, 0] > 0 and told.layout.position[0, 1] > 0  # front right
+    assert told.layout.direction.tolist() == [-1.0, -1.0, 1.0, 1.0] and not told.layout.metric
+    assert told.thrust is not None
+    curve, step = told.thrust.value, 1e-6
+    x = (0.5 - curve.start) / (curve.full - curve.start)
+    thrust = curve.factor * x**2 + (1 - curve.factor) * x
+    more = x + step / (curve.full - curve.start)
+    slope = (curve.factor * more**2 + (1 - curve.factor) * more - thrust) / step
+    assert curve.elasticity(0.5) == pytest.approx(0.5 * slope / thrust, rel=1e-4)
+    assert told.place is not None and told.gyro_cutoff_hz is not None
