@@ -121,6 +121,27 @@ def run_all(
     return [{**f, "run": asdict(r)} for f, r in zip(found, runs, strict=True)]
 
 
+def unpack_scores(scores: Path, out: Path) -> None:
+    """Take scores of trainings that were run elsewhere, a line each, as if they had been run here.
+
+    What was learned from other sources has another key, so that it is never asked for.
+    """
+    lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
+    for content in map(json.loads, lines):
+        path = _scores_file(out, content.pop("key"))
+        if not path.is_file():
+            write_json(path, content)
+
+
+def pack_scores(out: Path, scores: Path) -> None:
+    """Add the scores of all trainings of a folder to one file, a line each, by key."""
+    lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
+    found = {one.pop("key"): one for one in map(json.loads, lines)}
+    found |= {p.stem: json.loads(p.read_text("utf-8")) for p in (out / "runs").glob("*.json")}
+    lines = [json.dumps({"key": k, **found[k]}, sort_keys=True) for k in sorted(found)]
+    scores.write_text("".join(f"{line}\n" for line in lines), "utf-8")
+
+
 def said_by(run: Run, out: Path) -> Array:
     """Corrections of the test flights by a run that is done and does not generate, one flight after
     the other, shape (n, 15)."""
@@ -316,6 +337,10 @@ def _shown(found: dict[str, dict[str, dict[str, float]]], names: Sequence[str]) 
 
 
 def _file(out: Path, run: Run) -> Path:
+    return _scores_file(out, run.key())
+
+
+def _scores_file(out: Path, key: str) -> Path:
     folder = out / "runs"
     folder.mkdir(parents=True, exist_ok=True)
-    return folder / f"{run.key()}.json"
+    return folder / f"{key}.json"

@@ -32,7 +32,7 @@ from benchmarks.compensator.paper_figures import (
     comparison,
     figures_page,
 )
-from benchmarks.compensator.trainings import run_all
+from benchmarks.compensator.trainings import pack_scores, run_all, unpack_scores
 from benchmarks.compensator.usage import usage, usage_figure
 from learning.data.paper_tables import paper_flights
 from learning.devices import device_named
@@ -53,6 +53,10 @@ PAGES = {
 """Names of the pages, of their templates and of the tables that each shows."""
 
 
+SCORES = Path(__file__).parents[1] / "results" / "paper_runs.jsonl"
+"""Of every training that the pages show: what was trained is not trained again elsewhere."""
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -67,8 +71,11 @@ def main() -> None:
     parser.add_argument("--seeds-paper", type=int, help="of the paper's preset in Table V")
     parser.add_argument("--published", action="store_true", help="the published code in Table II")
     given = parser.parse_args()
+    if "paper" not in (given.page or PAGES):  # whose figures need more than scores
+        unpack_scores(SCORES, given.work)
     for page in given.page or PAGES:
         _write(page, given)
+    pack_scores(given.work, SCORES)
     if "paper" in (given.page or PAGES):
         tables = given.data / "rflysimdt" / "paper_residuals"
         page = figures_page(_figures(tables, given.work, given.jobs))

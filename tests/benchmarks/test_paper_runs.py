@@ -33,10 +33,12 @@ from benchmarks.compensator.trainings import (
     RECORDING,
     Run,
     drawn_scores,
+    pack_scores,
     run_all,
     said_by,
     scores,
     shortened,
+    unpack_scores,
 )
 from benchmarks.compensator.usage import usage, usage_figure
 from learning.data.channels import GROUPS, N_PHASES
@@ -44,7 +46,8 @@ from learning.data.paper_tables import paper_flights
 from learning.export.step import streaming_model
 from learning.export.system import export_system, untrained_system
 from learning.model.compensator import ModelInfo, untrained_compensator
-from learning.model.registry import family_row
+from learning.model.folder import write_json
+from learning.model.registry import family_row, preset_named
 
 SMALL = tiny(name="small", clustering="none", epochs=2)
 
@@ -244,3 +247,19 @@ def test_each_page_shows_all_tables_that_are_made_for_it() -> None:
         template = Path(paper.__file__).with_name(f"{page}.md.j2").read_text("utf-8")
         named = jinja2.meta.find_undeclared_variables(jinja2.Environment().parse(template))
         assert named >= {*tables, "options", "commit", "machine"}, page
+
+
+def test_scores_go_from_one_machine_to_another(tmp_path: Path) -> None:
+    """A training that is in the file is not run again; one that is there already is kept."""
+    run = Run("mean of the phase", preset_named("mean")[1], model="trivial")
+    here, there, file = tmp_path / "here", tmp_path / "there", tmp_path / "scores.jsonl"
+    (here / "runs").mkdir(parents=True)
+    write_json(here / "runs" / f"{run.key()}.json", {"run": {"name": "any"}, "seconds": 3.5})
+    pack_scores(here, file)
+    unpack_scores(file, there)
+    (found,) = run_all(tmp_path / "no data", there, [run])
+    assert found["seconds"] == 3.5 and found["run"]["name"] == "mean of the phase"
+    write_json(there / "runs" / f"{run.key()}.json", {"seconds": 1.0})
+    unpack_scores(file, there)
+    assert run_all(tmp_path / "no data", there, [run])[0]["seconds"] == 1.0
+    unpack_scores(tmp_path / "none.jsonl", tmp_path / "empty")
