@@ -7,7 +7,8 @@ import numpy as np
 from .log import ArduPilotLog, Topic
 
 _EKF2 = 2
-_MOST_SENSORS = 16
+_MOST = 16
+_SHOWN = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,8 +18,7 @@ class Primary:
     Attributes:
         family: `XK` of EKF3, `NK` of EKF2, "" without either.
         core: Its number.
-        gyro: Instance of IMU whose gyroscope it uses.
-        accelerometer: The same of its accelerometer.
+        imu: Instance of IMU that it uses.
         compass: Instance of MAG.
         barometer: Instance of BARO.
         gps: Instance of GPS.
@@ -26,15 +26,18 @@ class Primary:
 
     family: str
     core: int = 0
-    gyro: int = 0
-    accelerometer: int = 0
+    imu: int = 0
     compass: int = 0
     barometer: int = 0
     gps: int = 0
 
 
 def primary(log: ArduPilotLog) -> Primary:
-    """What flies the aircraft; a change of core is noted."""
+    """What flies the aircraft; a change of core, or of what it uses, is noted.
+
+    Source: ArduPilot, LogStructure.h of AP_NavEKF3 (XKF4.PI, XKFS) and EK3_IMU_MASK, of whose
+    sensors each core takes one in turn.
+    """
     found = {f: sorted({*log.instances(f"{f}F1"), *log.instances(f"{f}Q")}) for f in ("XK", "NK")}
     there = [f for f, cores in found.items() if cores]
     if not there:
@@ -42,20 +45,24 @@ def primary(log: ArduPilotLog) -> Primary:
     wanted = "NK" if int(log.params.get("AHRS_EKF_TYPE", 3.0)) == _EKF2 else "XK"
     family = wanted if wanted in there else there[0]
     cores = found[family]
-    core = _most(log, log.topic(f"{family}F4", _first(log, f"{family}F4"), "PI"), "PI", cores)
-    if core not in cores:
-        core = cores[0]
+    states = log.topic(f"{family}F4", _first(log, f"{family}F4"))
+    core = _most(log, states, "PI", "q", "core of the EKF in charge")
+    core = core if core in cores else cores[0]
     sensors = log.topic("XKFS", core) if family == "XK" and log.instances("XKFS") else None
+    return Primary(
+        family,
+        core,
+        _imu(int(log.params.get(f"EK{3 if family == 'XK' else 2}_IMU_MASK", 0.0)), core),
+        max(_most(log, sensors, "MI", "mag", "compass of the EKF"), 0),
+        max(_most(log, sensors, "BI", "baro", "barometer of the EKF"), 0),
+        max(_most(log, sensors, "GI", "pos", "GPS of the EKF"), 0),
+    )
 
-    def used(column: str) -> int:
-        """Instance of a sensor, the one used for most of the time."""
-        if sensors is None or not sensors.has(column):
-            return 0
-        values = sensors.raw(column)
-        values = values[(values >= 0) & (values < _MOST_SENSORS)]
-        return int(np.bincount(values.astype(np.int64)).argmax()) if len(values) else 0
 
-    return Primary(family, core, used("GI"), used("AI"), used("MI"), used("BI"), used("SI"))
+def _imu(mask: int, core: int) -> int:
+    """The sensor that a core takes: of those in the mask, the one of its own number."""
+    sensors = [k for k in range(_MOST) if mask >> k & 1]
+    return sensors[core] if core < len(sensors) else core
 
 
 def _first(log: ArduPilotLog, name: str) -> int | None:
@@ -63,18 +70,19 @@ def _first(log: ArduPilotLog, name: str) -> int | None:
     return found[0] if found else None
 
 
-def _most(log: ArduPilotLog, topic: Topic | None, column: str, cores: list[int]) -> int:
-    """The core in charge for most of the time; -1 where nothing says so."""
-    if topic is None:
+def _most(log: ArduPilotLog, topic: Topic | None, column: str, where: str, what: str) -> int:
+    """The number of a core or sensor that holds for most of the time; -1 where nothing says so."""
+    if topic is None or not topic.has(column):
         return -1
-    values = topic.raw(column).astype(np.int64)
-    known = np.isin(values, cores)
+    values = topic.raw(column)
+    known = (values >= 0) & (values < _MOST)
     if not known.any():
         return -1
-    changes = np.flatnonzero(np.diff(values[known])) + 1
-    most = int(np.bincount(values[known]).argmax())
+    numbers = values[known].astype(np.int64)
+    most = int(np.bincount(numbers).argmax())
+    changes = np.flatnonzero(np.diff(numbers)) + 1
     if len(changes):
-        at = ", ".join(f"{t:.1f}" for t in topic.t_s[known][changes][:8])
-        message = f"the core of the EKF in charge changes at {at} s; core {most} is used throughout"
-        log.note("warning", "q", message, len(changes))
+        at = ", ".join(f"{t:.1f}" for t in topic.t_s[known][changes][:_SHOWN])
+        message = f"the {what} changes at {at} s; number {most} is used throughout"
+        log.note("warning", where, message, len(changes))
     return most

@@ -26,6 +26,7 @@ SUBSYSTEMS = {
 """Subsystems of ERR by number."""
 _NOT_LANDED, _LANDED = 28, 18
 _SHOWN = 8
+_MOST = 2.0**53
 
 
 def from_ardupilot_phases(log: ArduPilotLog, used: Primary) -> list[Span]:
@@ -80,15 +81,13 @@ def note_failures(log: ArduPilotLog) -> None:
             if np.isfinite((system, code)).all() and code:
                 name = SUBSYSTEMS.get(int(system), f"subsystem {system:.0f}")
                 log.note("warning", "log", f"error of {name}, code {code:.0f}, at {t:.2f} s")
-    dropped = log.topic("DSF", None, "Dp")
-    if dropped is not None and (lost := float(np.ptp(dropped.raw("Dp")))) > 0.0:
+    if lost := _grown(log, "DSF", None, "Dp"):
         message = "messages that could not be logged; use a faster card or log less"
-        log.note("warning", "log", message, int(lost))
+        log.note("warning", "log", message, lost)
     for instance in log.instances("VIBE"):
-        shaken = log.topic("VIBE", instance, "Clip")
-        if shaken is not None and (clipped := float(np.ptp(shaken.raw("Clip")))) > 0.0:
+        if clipped := _grown(log, "VIBE", instance, "Clip"):
             message = f"samples in which the accelerometer of IMU {instance} was at its limit"
-            log.note("warning", "acc", message, int(clipped))
+            log.note("warning", "acc", message, clipped)
     motors = log.topic("MOTB", None)
     if motors is not None and motors.has("FailFlags"):
         flags = motors.raw("FailFlags")
@@ -97,3 +96,13 @@ def note_failures(log: ArduPilotLog) -> None:
             at = motors.t_s[failed][0]
             message = f"ArduPilot takes a motor for failed (thrust boost) from {at:.2f} s"
             log.note("warning", "cmd", message, int(failed.sum()))
+
+
+def _grown(log: ArduPilotLog, name: str, instance: int | None, field: str) -> int:
+    """By how much a counter grows in the flight, 0 where the log has not got it."""
+    topic = log.topic(name, instance)
+    if topic is None or not topic.has(field):
+        return 0
+    counts = topic.raw(field)
+    counts = counts[np.isfinite(counts) & (np.abs(counts) < _MOST)]
+    return int(np.ptp(counts)) if len(counts) else 0

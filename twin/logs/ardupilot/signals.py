@@ -66,16 +66,16 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
         Facts on rates and filters.
     """
     facts: dict[str, str] = {}
-    for where, instance, fields, unit, names in (
-        ("gyro", used.gyro, _GYRO, "rad/s", GYRO),
-        ("acc", used.accelerometer, _ACC, "m/s/s", ACC),
+    for where, fields, unit, names in (
+        ("gyro", _GYRO, "rad/s", GYRO),
+        ("acc", _ACC, "m/s/s", ACC),
     ):
         there = log.instances("IMU")
         if not there:
             log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
             facts |= _rates(log, rows) if where == "gyro" else {}
             continue
-        instance = instance if instance in there else there[0]
+        instance = used.imu if used.imu in there else there[0]
         topic = log.topic("IMU", instance, *fields)
         if topic is None:
             continue

@@ -66,26 +66,19 @@ def test_the_flown_flight_comes_back(tmp_path: Path, text: bool, units: bool) ->
 
 
 def test_sensors_are_those_of_the_core_in_charge(tmp_path: Path) -> None:
-    """EKF core 1, which uses gyroscope 2, accelerometer 1, compass 1, barometer 1."""
+    """Core 1 takes the second sensor of EK3_IMU_MASK, which is 2; compass 1, barometer 1."""
     base = flown_messages()
-    imu: Any = base["IMU"]
-    still = {k: 0.0 * np.asarray(v) + (k == "AccZ") * -9.8 for k, v in imu.items() if k != "t"}
-    gyro = {k: v for k, v in imu.items() if k.startswith("Gyr")}
-    acc = {k: v for k, v in imu.items() if k.startswith("Acc")}
+    still = {k: 0.0 * np.asarray(v) for k, v in base["IMU"].items() if k != "t"}
     found = flight(
         tmp_path,
         flown(
-            IMU=[
-                {"t": T, "I": 0, **still},
-                {"t": T, "I": 1, **still, **acc},
-                {"t": T, "I": 2, **still, **gyro},
-            ],
+            IMU=[{"t": T, "I": 0, **still}, {"t": T, "I": 1, **still}, {**base["IMU"], "I": 2}],
             XKQ=[{"t": SLOW, "C": 0, "Q1": 1.0}, {**base["XKQ"], "C": 1}],
             XKF1=[{"t": SLOW, "C": 0}, {**base["XKF1"], "C": 1}],
             XKF4=[{"t": SLOW, "C": 0, "PI": 1}, {"t": SLOW, "C": 1, "PI": 1}],
             XKFS=[
                 {"t": SLOW, "C": 0},
-                {"t": SLOW, "C": 1, "GI": 2, "AI": 1, "MI": 1, "BI": 1},
+                {"t": SLOW, "C": 1, "MI": (SLOW > 9.0).astype(int), "BI": 1},
             ],
             MAG=[
                 {"t": SLOW, "I": 0, "MagX": 1},
@@ -93,10 +86,13 @@ def test_sensors_are_those_of_the_core_in_charge(tmp_path: Path) -> None:
             ],
             BARO=[{"t": SLOW, "I": 0, "Press": 9e4}, {**base["BARO"], "I": 1}],
         ),
+        params=FLOWN_PARAMS | {"EK3_IMU_MASK": 5.0},
     )
     compare(found)
+    assert found.facts["gyro from"].startswith("IMU 2 of 3")
     _, mag = found.signal(["mag_x", "mag_y", "mag_z"])
     np.testing.assert_allclose(mag, np.tile([2.2e-5, -2e-6, 4.3e-5], (len(mag), 1)), rtol=1e-9)
+    assert "compass of the EKF changes at 9.0 s; number 1" in said(found, "mag", "warning")
     _, pressure = found.signal(["baro_pa"])
     assert pressure.min() > 1e5
 
@@ -107,7 +103,7 @@ def test_a_change_of_core_is_told(tmp_path: Path) -> None:
     quaternions = [{**base["XKQ"], "C": k} for k in (0, 1)]
     charge = {"t": SLOW, "C": 0, "PI": (SLOW > 20.0).astype(int)}
     found = flight(tmp_path, flown(XKF1=both, XKQ=quaternions, XKF4=charge))
-    assert "changes at 20.0 s; core 0 is used throughout" in said(found, "q", "warning")
+    assert "in charge changes at 20.0 s; number 0 is used" in said(found, "q", "warning")
 
 
 def test_the_delay_of_the_filters_is_taken_off(tmp_path: Path) -> None:

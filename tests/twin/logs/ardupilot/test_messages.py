@@ -161,7 +161,7 @@ def fmt(number: int, length: int, name: bytes, letters: bytes, columns: bytes) -
         ("ODD", 99, "QB", "TimeUS,x", "take 12 bytes, not 99"),
         ("ODD", 12, "QB", "TimeUS,TimeUS", "one name"),
         ("", 12, "QB", "TimeUS,x", "its name"),
-        ("ODD", 3, "", "", "0 names"),
+        ("ODD", 4, "", "", "0 names"),
     ],
 )
 def test_a_definition_that_makes_no_sense_is_told(
@@ -170,8 +170,10 @@ def test_a_definition_that_makes_no_sense_is_told(
     with pytest.raises(ValueError, match=why):
         define(7, length, name, letters, columns)
     made = fmt(7, length, name.encode(), letters.encode(), columns.encode())
-    damage = read_binary(FLOWN[:89] + made + FLOWN[89:], NAMES).damage
-    assert len(damage.undefined) == 1 and damage.lost == 0
+    odd = MARK + b"\x07" + bytes(length - 3)
+    content = read_binary(FLOWN[:89] + made + odd * 3 + FLOWN[89:], NAMES)
+    assert len(content.damage.undefined) == 1 and content.damage.lost == 0
+    assert content.counts[name or "of type 7"] == 3  # stepped over
 
 
 def test_a_second_definition_does_not_change_the_messages_before_it() -> None:
@@ -196,6 +198,10 @@ def test_lines_that_make_no_sense_are_counted() -> None:
     content = read_plain("".join(lines).encode() + b"IMU, 5", NAMES)
     assert content.damage.stretches == 2 and content.damage.tail == 6
     assert sum(content.counts.values()) == len(lines) - 3
+    file = [lines[0], "FMT, 9, 87, FILE, NIZ, FileName,Offset,Data\n", *lines[1:]]
+    file[400:400] = ["FILE, @SYS/x.txt, 0, one, two\n", "three\n", "\n", "four, 5\n"]
+    within = read_plain("".join(file).encode(), NAMES)
+    assert within.damage.lost == content.damage.lost and within.counts["FILE"] == 1
 
 
 def test_ends_that_look_like_padding_take_no_time() -> None:

@@ -55,7 +55,7 @@ def read_binary(blob: bytes, wanted: Collection[str]) -> Content:
     found = {
         name: _decoded(raw, definition, *walk.starts[definition])
         for name, definition in most.items()
-        if name in needed
+        if name in needed and definition.columns
     }
     return Content(with_units(found, wanted), counts, walk.damage)
 
@@ -130,22 +130,22 @@ def _define(
 ) -> None:
     """Take a FMT message in."""
     number, length, *texts = struct.unpack_from("<BB4s16s64s", blob, at)
+    if number == FMT_NUMBER:
+        return  # it never changes
     name, letters, columns = map(text, texts)
     shown = "".join(c for c in name if c.isprintable())[:_SHOWN] or f"of type {number}"
     try:
         made = define(number, length, name, letters, columns)
     except ValueError as why:
         walk.damage.undefined.append(f"{shown}: {why}")
-        return
+        made = Definition(number, shown, "", ())  # its messages are stepped over
     before = walk.defined.get(number)
     if before == made:
         return
-    if before is not None:
+    if before is not None and made.columns:
         walk.damage.redefined.append(shown)
-        if number == FMT_NUMBER:
-            return  # FMT itself never changes
     walk.defined[number] = made
-    sizes[number] = made.size
+    sizes[number] = length
     lists.pop(number, None)
 
 

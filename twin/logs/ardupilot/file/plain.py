@@ -14,7 +14,10 @@ _SHOWN = 8
 
 
 def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
-    """Messages of a text log; arguments as in `read_binary`."""
+    """Messages of a text log; arguments as in `read_binary`.
+
+    FILE holds parts of files with their line ends, so that lines behind it may be of anything.
+    """
     lines = blob.decode("utf-8", "replace").split("\n")
     damage = Damage()
     if lines[-1].strip():  # the last line has no end
@@ -24,13 +27,16 @@ def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
     rows: dict[str, list[list[str]]] = {}
     places: dict[str, list[int]] = {}
     counts: dict[str, int] = {}
-    lost = False
+    lost = within_file = False
     for place, line in enumerate(lines[:-1]):
         if not line.strip():
             continue
         name, _, rest = line.partition(",")
         definition = defined.get(name)
         fields = _fields(definition, rest) if definition and len(line) < _LONGEST_LINE else []
+        if not definition and within_file:
+            continue
+        within_file = name == "FILE"
         if not definition or not fields:
             damage.lost += len(line) + 1
             damage.stretches += not lost
@@ -63,6 +69,8 @@ def _fields(definition: Definition, rest: str) -> list[str]:
 def _define(fields: list[str], defined: dict[str, Definition], damage: Damage) -> None:
     """Take a line of FMT in."""
     number, _, name, letters, columns = fields
+    if name == "FMT":
+        return  # it never changes, and old logs leave a name out
     shown = "".join(c for c in name if c.isprintable())[:_SHOWN]
     try:
         made = define(int(number), None, name, letters, columns)
@@ -72,7 +80,7 @@ def _define(fields: list[str], defined: dict[str, Definition], damage: Damage) -
     before = defined.get(name)
     if before is None:
         defined[name] = made
-    elif before != made and name != "FMT":
+    elif before != made:
         damage.redefined.append(shown)
 
 
