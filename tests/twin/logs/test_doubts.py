@@ -9,7 +9,9 @@ import pytest
 from sample_logs import flown_table
 from scipy.integrate import cumulative_trapezoid
 
+from twin.frames import multiply
 from twin.logs import Finding, read_flight
+from twin.logs.agreement import turns
 
 
 def found(table: pd.DataFrame, folder: Path) -> list[Finding]:
@@ -152,3 +154,32 @@ def test_the_flight_is_exact() -> None:
     f = flown_table()
     way = cumulative_trapezoid(f["vel_x"], f["time"], initial=0.0)
     np.testing.assert_allclose(f["pos_x"] - f["pos_x"][0], way, atol=1e-3)
+
+
+def turn_heading(f: pd.DataFrame, since: int, by_rad: float) -> None:
+    """The attitude from a row on, turned about the vertical."""
+    q = f.loc[since:, ["q_w", "q_x", "q_y", "q_z"]].to_numpy().T
+    step = (np.cos(by_rad / 2.0), 0.0, 0.0, np.sin(by_rad / 2.0))
+    f.loc[since:, ["q_w", "q_x", "q_y", "q_z"]] = np.stack(multiply(step, list(q)), axis=1)
+
+
+def test_an_estimator_that_resets_its_yaw_is_not_doubted(tmp_path: Path) -> None:
+    """One step of 1.5 rad is more than all that the flight turns; ten of them are no resets."""
+    table = flown_table()
+    turn_heading(table, 1000, 1.5)
+    assert not [f for f in found(table, tmp_path) if f.where == "q"]
+    for k in range(10):
+        turn_heading(table, 1100 + 150 * k, 1.5)
+    assert [f for f in found(table, tmp_path) if f.where == "q" and f.severity == "error"]
+
+
+def test_the_kinematic_residual_of_a_gyroscope_that_is_off() -> None:
+    """An offset of the gyroscope is what attitude and gyroscope differ by; a reset is not."""
+    table = flown_table()
+    turn_heading(table, 1000, 1.5)
+    sound = turns(table)
+    table["gyro_y"] += 0.05
+    off = turns(table)
+    assert sound is not None and off is not None
+    assert sound.residual_rad_s.max() < 2e-3  # noise of 0.01 rad/s over 50 samples
+    np.testing.assert_allclose(off.residual_rad_s[1], 0.05, rtol=0.03)
