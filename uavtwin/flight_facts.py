@@ -21,7 +21,7 @@ _LEAST_SPLIT = 1.5
 
 def aircraft_facts(flight: Flight) -> dict[str, str]:
     """Kind of aircraft, command in hover, split between the motors, voltage; what is told."""
-    facts = {"aircraft": _kind(flight)}
+    facts = {"kind": _kind(flight)}
     hover = hover_of(flight) if drives(flight) else None
     if hover is not None:
         facts["hover"] = f"{_level(hover)} ({hover.where})"

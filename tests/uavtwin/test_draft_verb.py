@@ -277,7 +277,7 @@ def test_check_of_a_plane_says_that_it_is_none_of_ours(
     path.write_bytes(ulog(moving_topics(), {"MAV_TYPE": 1}))
     code, said, _ = run(capsys, "check", path)
     assert code == 1
-    assert "aircraft         this is no multirotor: MAV_TYPE is 1, a fixed-wing aircraft" in said
+    assert "kind             this is no multirotor: MAV_TYPE is 1, a fixed-wing aircraft" in said
     assert "good for: " not in said
 
 

@@ -118,10 +118,6 @@ def _notes(m: Making) -> None:
             f"Filters on board that the logged samples have not gone through: {told.filters}."
         )
     m.file.notes.append("No drag: `explain` finds it in a flight that goes forward.")
-    serials = {f.name: f.airframe.identity for f in m.flights if f.airframe is not None}
-    if len({s for s in serials.values() if s}) > 1:
-        each = ", ".join(f"{name} {serial}" for name, serial in serials.items())
-        m.warnings.append(f"the flights are of several autopilots: {each}. Of one aircraft?")
     levels = {h.flight: h.level for h in m.hovers}
     if max(levels.values()) > _LEVELS_APART * min(levels.values()):
         each = ", ".join(f"{name} {level:.3g}" for name, level in levels.items())

@@ -88,7 +88,6 @@ class Airframe:
 
     Attributes:
         no_multirotor: Why it is none, "" where it may be one.
-        identity: What tells it from others: serial number of the autopilot; "" unknown.
         rotors: Number of rotors.
         layout: Where they are and how they turn, in the order of `cmd_1..n`.
         thrust: Thrust by command, as the autopilot takes it.
@@ -102,7 +101,6 @@ class Airframe:
     """
 
     no_multirotor: str = ""
-    identity: str = ""
     rotors: Told[int] | None = None
     layout: Layout | None = None
     thrust: Told[ThrustCurve] | None = None

@@ -9,7 +9,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json
+from .options import Exit, Force, Json, Rebuild
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections
 
 vehicle = typer.Typer(no_args_is_help=True, help="Make a vehicle file.")
@@ -70,6 +70,7 @@ def draft(
     out: Annotated[Path, typer.Option("--out", help="The vehicle file (TOML) to write.")] = Path(
         "my.toml"
     ),
+    rebuild_commands: Rebuild = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -84,7 +85,7 @@ def draft(
             "vehicle draft: --mass is missing. A log tells force over mass alone: weigh the "
             "aircraft with its battery, --mass 1.3kg."
         )
-    flights = read_flights(*logs)
+    flights = read_flights(*logs, rebuild_commands=rebuild_commands)
     found = draft_vehicle(
         flights,
         _in_si(mass, "--mass", _KILOGRAMS, "1.3kg or 1300g", "kg"),

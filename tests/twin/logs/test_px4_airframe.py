@@ -140,8 +140,8 @@ def test_the_place_is_the_median_of_the_fixes() -> None:
 
 
 def test_facts_of_several_logs_are_put_together() -> None:
-    one, two = Airframe(identity="a"), Airframe(identity="b", rotors=Told(6, "two"))
-    assert Airframe.together([one, two]) == Airframe(identity="a", rotors=Told(6, "two"))
+    one, two = Airframe(filters="a"), Airframe(filters="b", rotors=Told(6, "two"))
+    assert Airframe.together([one, two]) == Airframe(filters="a", rotors=Told(6, "two"))
     assert Airframe.together([]) == Airframe()
 
 

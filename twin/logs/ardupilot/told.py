@@ -28,7 +28,6 @@ def told_by(found: Airframe) -> shared.Airframe:
     count = found.motors
     return shared.Airframe(
         no_multirotor=_no_multirotor(found),
-        identity=found.board,
         rotors=Told(count, "outputs by SERVOn_FUNCTION of the log") if count else None,
         layout=_layout(found),
         thrust=_thrust(found),

@@ -70,7 +70,6 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
     )
     return Airframe(
         no_multirotor=_no_multirotor(log),
-        identity=log.info.get("sys_uuid", ""),
         rotors=count,
         layout=_layout(log, None if count is None else count.value),
         thrust=_thrust(log),
