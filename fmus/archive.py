@@ -6,6 +6,7 @@ judged, and never more than `MAX_UNPACKED_BYTES`.
 
 import re
 import stat
+import struct
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,9 +20,15 @@ from twin.representation import short_repr
 MAX_UNPACKED_BYTES = 512 * 2**20
 MAX_MEMBERS = 20_000
 MAX_DESCRIPTION_BYTES = 32 * 2**20
+MAX_DIRECTORY_BYTES = 8 * 2**20
+"""Of the list of members: 400 for each of `MAX_MEMBERS`."""
 DESCRIPTION = "modelDescription.xml"
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _CHUNK = 2**20
+_END_BYTES = 2**16 + 22 + 20 + 56
+"""In which an archive ends: a comment, the end of its list, and of that the form for large ones."""
+_UNREADABLE = (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError)
+"""What `zipfile` raises on what is no archive or a damaged one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +62,52 @@ def open_archive(path: Path) -> Archive:
     Raises:
         FmuError: Not an FMU at all, or its description is unsafe to parse.
     """
+    members = archive_members(path)
     try:
         with zipfile.ZipFile(path) as archive:
-            members = tuple(archive.infolist())
             description = _read_description(path, archive)
-    except (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError) as error:
-        raise FmuError(f"{path.name}: not a readable FMU archive: {error}.") from error
-    except ValueError as error:  # zipfile on damaged headers
+    except (*_UNREADABLE, ValueError) as error:
         raise FmuError(f"{path.name}: not a readable FMU archive: {error}.") from error
     root = _parse(path, description)
     problems = [*member_problems(members), *_identifier_problems(root)]
     return Archive(path, members, tuple(problems), description, root)
+
+
+def archive_members(path: Path, kind: str = "FMU") -> tuple[zipfile.ZipInfo, ...]:
+    """What a zip archive lists, not judged yet; `kind` is for messages.
+
+    Raises:
+        FmuError: It is none, or its list is too long to be read.
+    """
+    try:
+        if (size := _directory_bytes(path)) > MAX_DIRECTORY_BYTES:
+            raise FmuError(
+                f"{path.name}: its list of members has {size} bytes, more than "
+                f"{MAX_DIRECTORY_BYTES}: refused."
+            )
+        with zipfile.ZipFile(path) as archive:
+            return tuple(archive.infolist())
+    except (*_UNREADABLE, ValueError) as error:  # ValueError: of zipfile, on damaged headers
+        raise FmuError(f"{path.name}: not a readable {kind} archive: {error}.") from error
+
+
+def _directory_bytes(path: Path) -> int:
+    """Size of the list of members as the end of an archive says it; 0 where it says nothing.
+
+    Source: PKWARE APPNOTE 6.3.10, 4.3.14 to 4.3.16. `zipfile` makes an object of each entry before
+    it can be asked how many there are.
+    """
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - _END_BYTES, 0))
+        tail = file.read()
+    found = 0
+    for mark, at, code in ((b"PK\5\6", 12, "<I"), (b"PK\6\6", 40, "<Q")):
+        for place in re.finditer(re.escape(mark), tail):
+            field = tail[place.start() + at :][: struct.calcsize(code)]
+            if len(field) == struct.calcsize(code):
+                found = max(found, min(struct.unpack(code, field)[0], size))
+    return found
 
 
 def unpack(path: Path, folder: Path) -> None:
@@ -81,9 +123,7 @@ def unpack(path: Path, folder: Path) -> None:
     try:
         with zipfile.ZipFile(path) as source:
             copy_members(source, archive.members, folder)
-    except (zipfile.BadZipFile, OSError, NotImplementedError, RuntimeError, EOFError) as error:
-        raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
-    except Exception as error:  # zlib.error, lzma.LZMAError: damaged streams
+    except Exception as error:  # also zlib.error, lzma.LZMAError: damaged streams
         raise FmuError(f"{path.name}: cannot be unpacked: {error}.") from error
 
 
@@ -162,7 +202,7 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
             problems.append(f"{name!r} is no plain file")
         if member.flag_bits & 0x1:
             problems.append(f"{name!r} is encrypted")
-    files = {m.filename.casefold() for m in members if not m.is_dir()}
+    files = {m.filename.casefold() for m in members if not m.filename.endswith("/")}
     for name in files:
         for parent in PurePosixPath(name).parents:
             if str(parent) in files:

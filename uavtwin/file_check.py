@@ -111,6 +111,8 @@ def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
         raise TwinError(f"{path}: no such file.")
     with path.open("rb") as file:
         start = file.read(4)
+    if path.suffix == ".ssp":
+        return _check_system(path)
     if start[:2] == b"PK" or path.suffix == ".fmu":
         return _check_fmu(path)
     if path.suffix == ".toml":
@@ -125,6 +127,17 @@ def _check_fmu(path: Path) -> CheckReport:
     if runs_here and not report.problems and "co-simulation" in report.facts["format"]:
         uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
     return CheckReport(path.name, report.facts, report.problems, (), (), tuple(uses))
+
+
+def _check_system(path: Path) -> CheckReport:
+    from cosim.ssp import inspect_ssp  # what runs systems is not needed for the others
+
+    report = inspect_ssp(path)
+    uses = []
+    if report.platforms and not report.problems:
+        where = f"co-simulation on {', '.join(report.platforms)}"
+        uses.append(f"{where}: uavtwin simulate {path.name}" if report.runs_here else where)
+    return CheckReport(path.name, report.facts, report.problems, (), report.notes, tuple(uses))
 
 
 def _check_vehicle(path: Path) -> CheckReport:

@@ -48,11 +48,34 @@ def read_ssp(path: Path) -> System:
     """
     folder = _Folder()
     unpack_ssp(path, folder.path)
-    ssd = folder.path / SSD_FILE
+    return read_unpacked(path, folder.path, read_structure(path, folder.path), folder)
+
+
+def read_structure(path: Path, folder: Path) -> etree._Element:
+    """The description of an SSP that was unpacked.
+
+    Raises:
+        FmuError: There is none, or it is no XML that is safe to parse.
+    """
+    ssd = folder / SSD_FILE
     if not ssd.is_file():
         raise FmuError(f"{path.name}: a zip archive without {SSD_FILE}: not an SSP.")
-    root = parse_xml(path, SSD_FILE, ssd.read_bytes())
-    return _Reader(path.name, folder.path, root).system(folder)
+    return parse_xml(path, SSD_FILE, ssd.read_bytes())
+
+
+def read_unpacked(path: Path, folder: Path, root: etree._Element, keep: object = None) -> System:
+    """The system of an SSP that was unpacked.
+
+    Args:
+        path: Of the SSP, for messages.
+        folder: With its files.
+        root: Its description.
+        keep: What keeps the folder while the system is in use.
+
+    Raises:
+        FmuError: Misspelt or outside the portable subset.
+    """
+    return _Reader(path.name, folder, root).system(keep)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +92,9 @@ class _Reader:
 
     def __init__(self, file: str, folder: Path, root: etree._Element) -> None:
         self.file, self.folder, self.root = file, folder, root
+        self.interfaces: dict[Path, Interface] = {}
 
-    def system(self, folder: _Folder) -> System:
+    def system(self, keep: object) -> System:
         """The whole system."""
         version = self.root.get("version", "")
         if self.root.tag != tag("ssd:SystemStructureDescription") or not version.startswith("1."):
@@ -101,7 +125,7 @@ class _Reader:
             stop_time_s=self.number(times["stopTime"], "stopTime") if "stopTime" in times else None,
             step_s=step_s,
             foreign=True,
-            folder=folder,
+            folder=keep,
         )
         try:
             system.check(interfaces)
@@ -125,14 +149,20 @@ class _Reader:
             if element.get("implementation") == "ModelExchange":
                 raise self.error(f"{name!r} asks for model exchange. Export it for co-simulation.")
             fmu = self.local_file(element.get("source", ""), name)
-            try:
-                interface = read_interface(fmu)
-            except FmuError as error:
-                raise self.error(str(error)) from None
+            interface = self.interface(fmu)
             result[name] = _Component(fmu, interface, self.connectors(element, name, interface))
         if not result:
             raise self.error("the system has no components.")
         return result
+
+    def interface(self, fmu: Path) -> Interface:
+        """Of an FMU, read once however many components are made of it."""
+        if fmu not in self.interfaces:
+            try:
+                self.interfaces[fmu] = read_interface(fmu)
+            except FmuError as error:
+                raise self.error(str(error)) from None
+        return self.interfaces[fmu]
 
     def connectors(
         self, component: etree._Element, name: str, interface: Interface

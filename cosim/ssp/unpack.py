@@ -5,7 +5,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from fmus.archive import MAX_DESCRIPTION_BYTES, copy_members, member_problems
+from fmus.archive import MAX_DESCRIPTION_BYTES, archive_members, copy_members, member_problems
 from twin.errors import FmuError
 
 
@@ -15,14 +15,12 @@ def unpack_ssp(path: Path, folder: Path) -> None:
     Raises:
         FmuError: Unsafe or damaged.
     """
+    members = archive_members(path, "SSP")
+    if problems := member_problems(members):
+        raise FmuError(f"{path.name}: refused: {'; '.join(problems[:5])}.")
     try:
         with zipfile.ZipFile(path) as archive:
-            members = tuple(archive.infolist())
-            if problems := member_problems(members):
-                raise FmuError(f"{path.name}: refused: {'; '.join(problems[:5])}.")
             copy_members(archive, members, folder)
-    except FmuError:
-        raise
     except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files
         raise FmuError(f"{path.name}: not a readable SSP archive: {error}.") from error
 

@@ -1,5 +1,5 @@
 """FMUs of any origin looked at: nothing is unpacked, no library is loaded."""
 
-from .report import FmuReport, inspect_fmu
+from .report import FmuReport, brief, inspect_fmu
 
-__all__ = ["FmuReport", "inspect_fmu"]
+__all__ = ["FmuReport", "brief", "inspect_fmu"]

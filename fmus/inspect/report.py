@@ -45,10 +45,12 @@ class FmuReport:
     Attributes:
         facts: Printable facts by name.
         problems: Everything wrong with it.
+        platforms: It has a folder of binaries for each.
     """
 
     facts: dict[str, str]
     problems: tuple[str, ...]
+    platforms: tuple[str, ...]
 
     __repr__ = short_repr
 
@@ -77,9 +79,9 @@ def inspect_fmu(path: Path) -> FmuReport:
     unpacked = sum(m.file_size for m in archive.members)
     facts = {
         "format": f"FMU, FMI {description.fmiVersion}, {_kinds(description)}",
-        "model": _brief(f"{description.modelName}: {description.description or 'no description'}"),
-        "made by": _brief(description.generationTool or "unknown tool"),
-        "platforms": _brief(", ".join(platforms) or "none"),
+        "model": brief(f"{description.modelName}: {description.description or 'no description'}"),
+        "made by": brief(description.generationTool or "unknown tool"),
+        "platforms": brief(", ".join(platforms) or "none"),
         "sources": "inside" if sources else "not inside",
         **_variables(description),
         "saves its state": "yes" if _saves_state(description) else "no",
@@ -87,10 +89,10 @@ def inspect_fmu(path: Path) -> FmuReport:
     }
     if len(problems) > MAX_PROBLEMS:
         problems[MAX_PROBLEMS:] = [f"and {len(problems) - MAX_PROBLEMS} more problems"]
-    return FmuReport(facts, tuple(map(_brief, problems)))
+    return FmuReport(facts, tuple(map(brief, problems)), tuple(platforms))
 
 
-def _brief(text: str) -> str:
+def brief(text: str) -> str:
     """One line, cut where it is long."""
     line = " ".join(text.split())
     return line if len(line) <= MAX_FACT else f"{line[:MAX_FACT]}..."

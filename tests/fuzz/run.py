@@ -5,8 +5,11 @@ a recipe; `test_fuzz.py` runs these from then on.
 """
 
 import argparse
+import math
+import sys
 import time
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from fuzzing.all_kinds import KINDS, kind
@@ -15,15 +18,23 @@ from fuzzing.engine import Child, Result, recipes
 CORPUS = Path(__file__).with_name("corpus.jsonl")
 
 
-def search(names: list[str], seconds: float, seed: int) -> list[Result]:
-    """Results of as many recipes of each kind as the time allows, by turns."""
-    streams = [recipes(name, kind(name), seed) for name in names]
-    end = time.monotonic() + seconds
-    found = []
+def search(
+    names: list[str], most: int, seconds: float, seed: int, bases: Sequence[str] = ()
+) -> Iterator[Result]:
+    """Results of recipes, until there are as many or the time is over.
+
+    Each kind is given as much time, so that of those that are read at once there are more.
+    """
+    streams = {name: recipes(name, kind(name), seed, bases) for name in names}
+    spent = dict.fromkeys(names, 0.0)
+    begun = now = time.monotonic()
     with Child() as child:
-        while time.monotonic() < end:
-            found += [child.run(next(stream)) for stream in streams]
-    return found
+        for _ in range(most):
+            if now - begun > seconds:
+                break
+            name = min(names, key=lambda n: spent[n])
+            yield child.run(next(streams[name]))
+            spent[name] -= now - (now := time.monotonic())
 
 
 def summary(found: list[Result]) -> str:
@@ -45,16 +56,22 @@ def summary(found: list[Result]) -> str:
 def main() -> None:
     """From the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0)
+    parser.add_argument("--minutes", type=float, help="at most; 10 where no count is given")
+    parser.add_argument("--count", type=int, help="inputs in all")
+    parser.add_argument("--bases", nargs="+", default=[], help="change these sound files alone")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 2**32)
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--show-silent", action="store_true", help="their recipes")
     given = parser.parse_args()
     print(f"seed {given.seed}")
-    found = search(given.kinds, 60.0 * given.minutes, given.seed)
-    print(summary(found))
+    minutes = given.minutes or (10.0 if given.count is None else math.inf)
+    most = given.count or sys.maxsize
     known = set(CORPUS.read_text().splitlines()) if CORPUS.exists() else set()
-    for result in found:
+    found = []
+    for result in search(given.kinds, most, 60.0 * minutes, given.seed, given.bases):
+        found.append(result)
+        if sys.stderr.isatty() or len(found) % 5000 == 0:
+            print(f"\r{len(found)} inputs", end="", file=sys.stderr, flush=True)
         if given.show_silent and result.visible and result.outcome == "silent":
             print(f"silent: {result.recipe.line()}")
         if result.fault and result.recipe.line() not in known:
@@ -62,6 +79,7 @@ def main() -> None:
             print(f"{result.outcome}: {result.recipe.line()}\n{result.text}")
             with CORPUS.open("a") as file:
                 file.write(result.recipe.line() + "\n")
+    print(summary(found))
     raise SystemExit(any(r.fault for r in found))
 
 

@@ -41,11 +41,36 @@ def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
     steps_s = np.diff(t_us) * 1e-6
     if len(steps_s) == 0:
         return None
-    long = steps_s > max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
+    long = steps_s > _longest_s(steps_s)
     if not long.any():
         return None
     worst = int(np.argmax(steps_s))
     return Pauses(int(long.sum()), float(steps_s[worst]), float(t_us[worst]) * 1e-6)
+
+
+def early_end(t_us: NDArray[np.int64], end_us: int) -> str | None:
+    """The text of a finding where a signal of a steady rate stops for the rest of a record.
+
+    The limits are those of `pauses`; six recorded PX4 logs end within 1.5 intervals.
+
+    Args:
+        t_us: Increasing times, us, shape (n,).
+        end_us: When the record ends, us.
+
+    Returns:
+        None where it goes on to the end, or is too short to tell.
+    """
+    if len(t_us) < 2:
+        return None
+    left_s = (end_us - int(t_us[-1])) * 1e-6
+    if left_s <= _longest_s(np.diff(t_us) * 1e-6):
+        return None
+    return f"ends at {t_us[-1] * 1e-6:.2f} s, {left_s:.3g} s before the record does"
+
+
+def _longest_s(steps_s: NDArray[np.float64]) -> float:
+    """Beyond which an interval of a steady signal is a pause, s."""
+    return max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
 
 
 def advancing(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:

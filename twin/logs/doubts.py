@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 
 from .agreement import doubt_force, doubt_turning, doubt_velocity, samples, signals
-from .clock import pauses
+from .clock import early_end, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL
 from .flight import Array, Finding
 
@@ -35,12 +35,16 @@ def doubts(table: pd.DataFrame) -> list[Finding]:
 
 
 def gaps(table: pd.DataFrame) -> list[Finding]:
-    """Pauses of each signal, counted; the reader of a log does it topic by topic."""
+    """Pauses and early ends of each signal; the reader of a log does it topic by topic."""
     found = []
+    end_us = round(float(table["time"].iloc[-1]) * 1e6)
     for name, columns in signals(table).items():
         t_s, _ = samples(table, columns)
-        if pause := pauses(np.round(t_s * 1e6).astype(np.int64)):
+        t_us = np.round(t_s * 1e6).astype(np.int64)
+        if pause := pauses(t_us):
             found.append(Finding("warning", name, pause.told, pause.count))
+        if early := early_end(t_us, end_us):
+            found.append(Finding("warning", name, early))
     return found
 
 

@@ -5,7 +5,16 @@ from typing import cast
 
 from .engine import Kind
 
-KINDS = {"ulog": "ulog", "dataflash": "dataflash", "parquet": "tables:PARQUET", "csv": "tables:CSV"}
+KINDS = {
+    "ulog": "ulog",
+    "dataflash": "dataflash",
+    "parquet": "tables:PARQUET",
+    "csv": "tables:CSV",
+    "vehicle": "vehicles",
+    "fmu": "archives:FMU",
+    "ssp": "archives:SSP",
+    "onnx": "networks",
+}
 """Module below this package, and the name of the object where it is not `KIND`."""
 
 _OF_THE_TESTS = {"faulty": "faulty"}

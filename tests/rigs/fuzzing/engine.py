@@ -7,7 +7,7 @@ import random
 import selectors
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,9 @@ _PATIENCE_S = 90.0
 """For an answer at all: the input is made in that time, too."""
 BYTES = 1 << 30
 """Address space that an input may take beyond what the child had."""
+
+_SMALL = 20_000
+"""Bytes below which the size of a base does not matter: what is larger takes longer to read."""
 
 Step = tuple[str, dict[str, Any]]
 """Name of a change and its arguments, as JSON has them."""
@@ -37,6 +40,11 @@ class Seen:
 
 class Kind(Protocol):
     """One kind of file."""
+
+    @property
+    def file(self) -> str:
+        """Name of an input: a reader may go by how it ends."""
+        ...
 
     visible: frozenset[str]
     """Changes of which a finding is possible: silence is a fault."""
@@ -159,13 +167,21 @@ class Child(contextlib.AbstractContextManager["Child"]):
         self._process = None
 
 
-def recipes(kind_name: str, kind: Kind, seed: int) -> Iterator[Recipe]:
-    """Recipes without end, the same for the same seed."""
+def recipes(kind_name: str, kind: Kind, seed: int, only: Sequence[str] = ()) -> Iterator[Recipe]:
+    """Recipes without end, the same for the same seed; a large base is drawn less often.
+
+    Args:
+        kind_name: As in `all_kinds`.
+        kind: Of that name.
+        seed: Of every draw.
+        only: Bases to draw from; none: from all that there are.
+    """
     rng = random.Random(seed)
-    bases = kind.bases()
+    bases = {k: v for k, v in kind.bases().items() if k in only or not only}
     names = sorted(bases)
+    shares = [1.0 / (_SMALL + len(bases[name])) for name in names]
     while True:
-        base = rng.choice(names)
+        base = rng.choices(names, shares)[0]
         count = 1 if rng.random() < 0.8 else rng.randint(2, 4)
         steps: list[Step] = []
         blob = bases[base]

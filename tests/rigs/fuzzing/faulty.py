@@ -10,6 +10,7 @@ from .engine import Seen, Step
 class Faulty:
     """The kind."""
 
+    file = "input"
     visible: frozenset[str] = frozenset({"set"})
 
     def bases(self) -> dict[str, bytes]:

@@ -2,6 +2,7 @@
 
 import random
 from pathlib import Path
+from typing import Any
 
 from places import DATA
 
@@ -10,6 +11,15 @@ from twin.logs import read_flight
 from .engine import Seen, Step
 
 ABSURD = (0.0, -1.0, float("nan"), float("inf"), -float("inf"), 1e38, -1e38, 1e10, 1e-40)
+
+
+Long = str | tuple[str, int]
+"""A text, or one and how often it is repeated: a recipe stays short."""
+
+
+def spelled(value: Any) -> str:
+    """The whole text; JSON has lists for tuples."""
+    return value if isinstance(value, str) else value[0] * value[1]
 
 
 def recorded(*patterns: str) -> dict[str, bytes]:

@@ -12,7 +12,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from places import DATA
 from sample_logs import flight_table, flown_table
+
+from twin.logs import read_flight
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read
@@ -20,6 +23,8 @@ from .flights import ABSURD, apply_bytes, draw_bytes, read
 _NOTES = ("[" * 50_000, '{"findings": [{"count": null}]}', '{"site": 3}', "{", '{"facts": []}')
 _NAMES = ("cmd_" + "9" * 5000, "acc_X", "", "time", "\x00", "x" * 100_000, "phase", "cmd_13")
 _CELLS = 1_500_000  # more takes longer to write than to read
+_RECORDED = ("real_1", "sim_2")
+"""Logs that are bases as tables, too, where there are recorded flights."""
 _VECTORS = ("acc", "gyro", "pos", "vel", "q")
 
 
@@ -36,21 +41,24 @@ def _to_csv(frame: pd.DataFrame) -> bytes:
 
 @cache
 def _frames() -> dict[str, pd.DataFrame]:
-    return {"rest": flight_table(), "flown": flown_table()}
+    logs = [p for name in _RECORDED for p in DATA.glob(f"rflysimdt/{name}.ulg")]
+    read = {p.stem: read_flight(p).table for p in logs}
+    return {"rest": flight_table(), "flown": flown_table(), **read}
 
 
 @dataclass(frozen=True)
 class Tables:
     """The kind in one of its formats."""
 
+    file: str
     write: Callable[[pd.DataFrame], bytes]
     load: Callable[[io.BytesIO], pd.DataFrame]
     visible: frozenset[str] = frozenset(
-        {"scale", "gap", "freeze", "absurd", "sign", "shuffle", "time_times"}
+        {"scale", "gap", "ends", "freeze", "absurd", "sign", "shuffle", "time_times"}
     )
 
     def bases(self) -> dict[str, bytes]:
-        """Of code alone."""
+        """Of code alone, and what was recorded."""
         return {name: self.write(frame) for name, frame in _frames().items()}
 
     def draw(self, rng: random.Random, blob: bytes) -> Step:
@@ -66,7 +74,9 @@ class Tables:
             stems = []
         names = ["cell", "rows", "wide", "name", "text", "note"]
         names += (
-            ["scale", "gap", "freeze", "absurd", "sign", "shuffle", "time_times"] if stems else []
+            ["scale", "gap", "ends", "freeze", "absurd", "sign", "shuffle", "time_times"]
+            if stems
+            else []
         )
         name = rng.choice(names)
         columns = [str(c) for c in frame]
@@ -100,6 +110,8 @@ class Tables:
                 given = {"stem": low, "by": high}
             case "gap":
                 given = {"stem": stem, "at": rng.uniform(0.1, 0.8)}
+            case "ends":
+                given = {"stem": stem, "at": rng.uniform(0.1, 0.9)}
             case "freeze":
                 given = {"stem": stem, "from": rng.uniform(0.1, 0.3)}
             case "absurd":
@@ -164,6 +176,8 @@ def _changed(frame: pd.DataFrame, name: str, given: dict[str, Any]) -> pd.DataFr
         case "gap":
             begin = int(given["at"] * n)
             frame.loc[begin : begin + max(n // 60, 40), stem] = np.nan
+        case "ends":
+            frame.loc[int(given["at"] * n) :, stem] = np.nan
         case "freeze":
             begin = int(given["from"] * n)
             frame.loc[begin : begin + n * 2 // 3, stem] = frame.loc[begin, stem].to_numpy()
@@ -179,5 +193,5 @@ def _changed(frame: pd.DataFrame, name: str, given: dict[str, Any]) -> pd.DataFr
     return frame
 
 
-PARQUET = Tables(_to_parquet, pd.read_parquet)
-CSV = Tables(_to_csv, pd.read_csv)
+PARQUET = Tables("input.parquet", _to_parquet, pd.read_parquet)
+CSV = Tables("input.csv", _to_csv, pd.read_csv)

@@ -106,8 +106,10 @@ def layout(blob: bytes) -> dict[str, Layout]:
 class ULogs:
     """The kind."""
 
+    file = "input.ulg"
     visible = frozenset(
-        {"stamp_add", "stamp_times", "sample_time", "window", "gap", "freeze", "absurd", "back"}
+        {"stamp_add", "stamp_times", "sample_time", "window", "gap", "ends", "freeze", "absurd"}
+        | {"back"}
     )
 
     def bases(self) -> dict[str, bytes]:
@@ -124,7 +126,16 @@ class ULogs:
         if rng.random() < 0.35 or len(topics) < 2:  # one alone contradicts nothing
             return draw_bytes(rng, blob)
         moving = [t for t in SENSED if t in topics and "vehicle_attitude" in topics]
-        names = ["stamp_add", "stamp_times", "sample_time", "window", "gap", "absurd", "back"]
+        names = [
+            "stamp_add",
+            "stamp_times",
+            "sample_time",
+            "window",
+            "gap",
+            "ends",
+            "absurd",
+            "back",
+        ]
         name = rng.choice([*names, "any_field", "nest", *(["freeze"] if moving else [])])
         if name == "nest":
             return name, {"depth": rng.choice((2, 20, 50)), "width": rng.choice((1, 2, 300))}
@@ -160,6 +171,8 @@ class ULogs:
                     return draw_bytes(rng, blob)
             case "gap":
                 given |= {"at": rng.uniform(0.2, 0.7), "lasting_s": rng.choice((0.4, 1.0, 5.0))}
+            case "ends":
+                given |= {"at": rng.uniform(0.2, 0.9)}
             case "freeze":
                 given = {"topic": rng.choice(moving), "from": rng.uniform(0.2, 0.4)}
             case "absurd":
@@ -210,6 +223,8 @@ class ULogs:
                 begin = stamp[int(given["at"] * n)]
                 inside = (stamp >= begin) & (stamp < begin + np.uint64(given["lasting_s"] * 1e6))
                 return _without(blob, place.at[inside])
+            case "ends":
+                return _without(blob, place.at[int(given["at"] * n) :])
             case "sample_time":
                 return place.put(blob, "timestamp_sample", np.full(n, given["to"], np.uint64))
             case "freeze":

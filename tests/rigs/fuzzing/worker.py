@@ -22,9 +22,10 @@ def _bases(name: str) -> dict[str, bytes]:
 
 
 def _read(name: str, blob: bytes, folder: Path) -> Seen:
-    path = folder / "input"
+    this = kind(name)
+    path = folder / this.file
     path.write_bytes(blob)
-    return kind(name).read(path)
+    return this.read(path)
 
 
 @cache

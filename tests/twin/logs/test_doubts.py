@@ -80,6 +80,13 @@ def gone(columns: list[str]) -> Callable[[pd.DataFrame], None]:
     return change
 
 
+def ends(columns: list[str]) -> Callable[[pd.DataFrame], None]:
+    def change(f: pd.DataFrame) -> None:
+        f.loc[2300:, columns] = np.nan
+
+    return change
+
+
 def frozen(columns: list[str]) -> Callable[[pd.DataFrame], None]:
     def change(f: pd.DataFrame) -> None:
         f.loc[1000:, columns] = f.loc[1000, columns].to_numpy()
@@ -107,6 +114,8 @@ CHANGES: dict[str, tuple[Callable[[pd.DataFrame], None], str, str]] = {
     "height up alone": (height_alone, "pos", "is it a height"),
     "a gap of the gyroscope": (gone(GYRO), "gyro", "gaps, the longest of 0.32 s"),
     "a gap of the attitude": (gone(QUAT), "q", "gaps, the longest of 0.32 s"),
+    "a gyroscope that ends": (ends(GYRO), "gyro", "ends at 22.99 s, 7 s before the record"),
+    "a velocity that ends": (ends(VEL), "vel", "ends at 22.99 s, 7 s before the record"),
     "a frozen gyroscope": (frozen(GYRO), "gyro", "stands still from 10.00 to 29.99"),
     "a frozen attitude": (frozen(QUAT), "q", "stands still"),
     "a frozen accelerometer": (frozen(ACC), "acc", "stands still"),

@@ -193,6 +193,24 @@ def test_a_gap_in_any_topic_is_counted(tmp_path: Path, topic: str) -> None:
     assert said(read(tmp_path, ulog(all_topics)), topic, "gaps, the longest of 0.3") == 1
 
 
+@pytest.mark.parametrize("topic", list(moving_topics()))
+@pytest.mark.parametrize("last_s", [2.0, 7.5])
+def test_a_topic_that_ends_early_is_told(tmp_path: Path, topic: str, last_s: float) -> None:
+    all_topics = moving_topics()
+    kept = np.asarray(all_topics[topic]["t"]) < last_s
+    all_topics[topic] = {k: np.asarray(v)[kept] for k, v in all_topics[topic].items()}
+    flight = read(tmp_path, ulog(all_topics))
+    early = [f.where for f in flight.findings if "before the record does" in f.message]
+    assert early == [topic]
+
+
+def test_slow_topics_may_end_an_interval_before_the_record(tmp_path: Path) -> None:
+    all_topics = moving_topics()
+    fast = all_topics["vehicle_local_position"]
+    all_topics["vehicle_local_position"] = {k: np.asarray(v)[::20] for k, v in fast.items()}
+    assert said(read(tmp_path, ulog(all_topics)), "vehicle_local_position", "record does") == 0
+
+
 @pytest.mark.parametrize("value", [-np.inf, 1e10])
 def test_absurd_commands_are_told(tmp_path: Path, value: float) -> None:
     control = np.asarray(moving_topics()["actuator_motors"]["control"]).copy()

@@ -2,6 +2,7 @@
 """Vehicle files: what they say, how they are converted, and what is refused with which words."""
 
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,49 @@ def test_values_are_converted_to_si() -> None:
 def test_units(key: str, line: str, attribute: str, si: ArrayLike) -> None:
     vehicle = parse_vehicle(entry(FULL, key, line), "v.toml")
     np.testing.assert_allclose(getattr(vehicle, attribute), np.asarray(si), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "unit", ["kg**9**9**9", "((kg**99)**99)**99", "9**99*kg", "kg*m^999999999", "kg" + "*m" * 40]
+)
+def test_units_that_would_take_for_ever_are_refused(unit: str) -> None:
+    begun = time.process_time()
+    with pytest.raises(ModelError, match="write names of units with"):
+        line = f'mass = {{ value = 1.0, unit = "{unit}", source = "s" }}'
+        parse_vehicle(entry(FULL, "mass", line), "v.toml")
+    assert time.process_time() - begun < 1.0
+
+
+@pytest.mark.parametrize("value", ["[" * 5000, "{a=" * 5000, "9" * 5000])
+def test_what_the_parser_cannot_hold_is_refused(value: str) -> None:
+    with pytest.raises(ModelError, match=r"v\.toml: not valid TOML"):
+        parse_vehicle(f"{FULL}\ndeep = {value}\n", "v.toml")
+
+
+@pytest.mark.parametrize("part", ["a.", "'a b' . ", '"\\"". '])
+def test_keys_of_many_parts_are_refused(part: str) -> None:
+    """The parser would take a gigabyte for 20,000."""
+    with pytest.raises(ModelError, match=r"v\.toml: a key has .* parts, at most"):
+        parse_vehicle(f"{FULL}\n{part * 20_000}a = 1\n", "v.toml")
+
+
+def test_unknown_keys_without_end_are_counted() -> None:
+    keys = "".join(f"key_{k} = 1\n" for k in range(30_000))
+    begun = time.process_time()
+    with pytest.raises(ModelError) as refused:
+        parse_vehicle(f"site = 3\n{FULL}{keys}", "v.toml")
+    assert time.process_time() - begun < 2.0
+    text = str(refused.value)
+    assert "[site] must be a table of keys" in text
+    assert f"and {30_000 - 50} more names that are not known" in text
+    assert len(text) < 50_000
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "v.toml"
+    path.write_text(FULL + "#" * 2**20, "utf-8")
+    with pytest.raises(ModelError, match=r"v\.toml: .* bytes, a vehicle file has at most"):
+        load_vehicle(path)
 
 
 @pytest.mark.parametrize(

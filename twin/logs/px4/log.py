@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..clock import advancing, pauses
+from ..clock import advancing, early_end, pauses
 from ..flight import Array, Finding, Severity
 from .definitions import check_definitions, messages
 from .order import data_places, out_of_place
@@ -118,6 +118,8 @@ class Px4Log:
         changed: Parameters changed after the start of the log.
         info: What the log says about firmware and hardware.
         findings: Grows while the log is read.
+        end_us: When two topics of a steady rate have ended, us since the start; None: there are
+            none.
     """
 
     path: Path
@@ -126,6 +128,7 @@ class Px4Log:
     changed: frozenset[str]
     info: dict[str, str]
     findings: list[Finding] = field(default_factory=list)
+    end_us: int | None = None
     _raw: dict[tuple[str, int], Mapping[str, NDArray[Any]]] = field(default_factory=dict)
     _topics: dict[tuple[str, int], Topic | None] = field(default_factory=dict)
 
@@ -198,8 +201,11 @@ class Px4Log:
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}
-        if name not in _ON_CHANGE and (found := pauses(t_us[keep])):
-            self.note("warning", name, found.told, found.count)
+        if name not in _ON_CHANGE:
+            if found := pauses(t_us[keep]):
+                self.note("warning", name, found.told, found.count)
+            if self.end_us is not None and (early := early_end(t_us[keep], self.end_us)):
+                self.note("warning", name, early)
         return Topic(name, t_us[keep], data, by_sample)
 
     def _sampled(
@@ -313,7 +319,18 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     _hold_against_the_file(
         opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list}
     )
+    opened.end_us = _end_us(opened)
     return opened
+
+
+def _end_us(opened: Px4Log) -> int | None:
+    """The last time but one at which a topic of a steady rate ends: one alone may be off."""
+    ends = sorted(
+        int(_from_px4_us(raw["timestamp"], opened.start_us).max())
+        for (name, _), raw in opened._raw.items()
+        if name not in _ON_CHANGE
+    )
+    return ends[-2:][0] if ends else None
 
 
 def _hold_against_the_file(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +27,13 @@ _HUGE = 1e60  # larger numbers overflow once multiplied with each other
 _TEXTS = ("name", "description")
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 _PARTS = {"value", "coefficients", "unit", "source", "of", "sd"}
+_MOST_UNKNOWN = 50
+_LONGEST_UNIT = 64
+_POWER = re.compile(r"\*\*|\^")
+_PLAIN_POWER = re.compile(
+    r"[^\W\d)]\)?\s*(?:\*\*|\^)\s*\(?-?\d{1,2}(?:[./]\d{1,2})?\)?(?![\d.]|\s*(?:\*\*|\^))"
+)
+_OF_BRACKETS = re.compile(r"\)\s*(?:\*\*|\^)")
 _PER_MASS = {"body.drag_linear": "1/s"}
 """Keys that may be given per kilogram of the vehicle, with the SI unit they then have."""
 _Entry = dict[str, Any]
@@ -110,6 +118,19 @@ def read_entries(tree: dict[str, Any]) -> Entries:
 
 
 def _unknown_names(tree: dict[str, Any]) -> Iterator[str]:
+    """The first of the names that are none, and how many more there are."""
+    unknown = _all_unknown(tree)
+    for kind, name, known in islice(unknown, _MOST_UNKNOWN):
+        yield _unknown(kind, name, known)
+    if more := sum(1 for _ in unknown):
+        yield f"and {more} more names that are not known."
+    for section in {key.split(".")[0]: None for key in FIELDS}:
+        if not isinstance(tree.get(section, {}), dict):
+            yield f"[{section}] must be a table of keys."
+
+
+def _all_unknown(tree: dict[str, Any]) -> Iterator[tuple[str, str, set[str]]]:
+    """What a name should be, the name, and those that are known."""
     known: dict[str, set[str]] = {}
     for key in FIELDS:
         section, name = key.split(".")
@@ -118,18 +139,16 @@ def _unknown_names(tree: dict[str, Any]) -> Iterator[str]:
         if section in _TEXTS:
             continue
         if section not in known:
-            yield _unknown("section", section, known.keys() | set(_TEXTS))
-        elif not isinstance(table, dict):
-            yield f"[{section}] must be a table of keys."
-        else:
+            yield "section", section, known.keys() | set(_TEXTS)
+        elif isinstance(table, dict):
             for name in (n for n in table if n not in known[section]):
-                yield _unknown(f"key in [{section}]", name, known[section])
+                yield f"key in [{section}]", name, known[section]
 
 
 def _unknown(kind: str, name: str, known: set[str]) -> str:
-    near = get_close_matches(name, sorted(known), n=1, cutoff=0.5)
+    near = get_close_matches(name[:99], sorted(known), n=1, cutoff=0.5)
     hint = f"Did you mean {near[0]!r}?" if near else f"Known: {', '.join(sorted(known))}."
-    return f"unknown {kind}: {name!r}. {hint}"
+    return f"unknown {kind}: {_short(name)}. {hint}"
 
 
 def read_number(key: str, entry: Any, unit: str) -> tuple[float, Deviation | None]:
@@ -235,6 +254,11 @@ def _factor(key: str, given: str, wanted: str) -> float | None:
     """
     if given == wanted:
         return 1.0
+    if not _is_plain(given):
+        raise ModelError(
+            f"{key} has unit {_short(given)}, which is not a unit: write names of units with *, / "
+            f"and powers of one or two digits, {_LONGEST_UNIT} characters at most."
+        )
     import pint
 
     try:
@@ -247,6 +271,13 @@ def _factor(key: str, given: str, wanted: str) -> float | None:
         raise ModelError(
             f"{key} has unit {_short(bad)}, which is not a unit: {_short(str(error))}."
         ) from error
+
+
+def _is_plain(unit: str) -> bool:
+    """Whether a text is short and has no powers of powers: pint would work them out."""
+    if len(unit) > _LONGEST_UNIT or len(_OF_BRACKETS.findall(unit)) > 1:
+        return False
+    return len(_POWER.findall(unit)) == len(_PLAIN_POWER.findall(unit))
 
 
 def _check_sign(key: str, values: Array, positive: bool | None) -> None:

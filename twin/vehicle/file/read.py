@@ -3,12 +3,14 @@
 `docs/guide/vehicle.md` describes the format for people; `FIELDS` is its one definition.
 """
 
+import re
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +25,10 @@ from .sensors import read_sensors, sensor_contradictions
 
 _ROUNDING = 1e-9
 """Share by which the moments of a flat plate may miss their sum."""
+_MOST_BYTES = 2**20
+_MOST_PARTS = 32
+_STRING = re.compile(r"\"(?:[^\"\\\n]|\\.)*\"|'[^'\n]*'")
+_BETWEEN = re.compile(r"[\s=,#\[\]{}]")
 _BATTERY = tuple(key for key in FIELDS if key.startswith("battery."))
 
 
@@ -60,17 +66,41 @@ def vehicle_text(name_or_path: str | Path) -> tuple[str, str]:
             f"Built in: {', '.join(builtin_vehicles())}; the format is in docs/guide/vehicle.md."
         )
     try:
+        if (size := path.stat().st_size) > _MOST_BYTES:
+            raise ModelError(
+                f"{path.name}: {size} bytes, a vehicle file has at most {_MOST_BYTES}."
+            )
         return path.read_text("utf-8"), path.name
     except (OSError, UnicodeDecodeError) as error:
         raise ModelError(f"{path.name}: cannot be read as text: {error}.") from error
 
 
+def toml_tree(text: str, file: str) -> dict[str, Any]:
+    """Tables of a TOML file; `file` names it in errors.
+
+    Raises:
+        ModelError: It is none, or is nested too deeply or has a number too long to be read.
+    """
+    if (parts := _longest_key(text)) > _MOST_PARTS:
+        raise ModelError(f"{file}: a key has {parts} parts, at most {_MOST_PARTS} are read.")
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        raise ModelError(f"{file}: not valid TOML: {error}.") from error
+
+
+def _longest_key(text: str) -> int:
+    """Parts of the longest dotted key: `tomllib` takes memory as their square."""
+    longest = run = 0
+    for part in _STRING.sub("s", text).split("."):
+        run = 0 if _BETWEEN.search(part.strip(" \t")) else run + 1
+        longest = max(longest, run)
+    return longest
+
+
 def parse_vehicle(text: str, file: str) -> Vehicle:
     """Build a vehicle from the text of a vehicle file; `file` names it in errors."""
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"{file}: not valid TOML: {error}.") from error
+    tree = toml_tree(text, file)
     effects, calibration = tree.pop("effects", {}), tree.pop(SECTION, None)
     entries = read_entries(tree)
     _refuse(file, [*entries.mistakes, *_contradictions(entries)])

@@ -3,10 +3,10 @@
 `docs/guide/vehicle_from_simulators.md` says which of their numbers goes where, and by which law.
 """
 
-import tomllib
 from pathlib import Path
 
 from ....errors import ModelError
+from ..read import toml_tree
 from .drone_models import convert_drone_models, is_drone_models
 from .gazebo import convert_gazebo
 from .jsbsim import convert_jsbsim
@@ -35,10 +35,7 @@ def convert_vehicle(path: str | Path, name: str | None = None) -> str:
         raise ModelError(f"{file}: no such file.")
     suffix = file.suffix.lower()
     if suffix == ".toml":
-        try:
-            tree = tomllib.loads(_text(file))
-        except tomllib.TOMLDecodeError as error:
-            raise ModelError(f"{file.name}: not valid TOML: {error}.") from error
+        tree = toml_tree(_text(file), file.name)
         if is_drone_models(tree):
             return convert_drone_models(tree, file, name)
     elif suffix in (".yaml", ".yml"):
