@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # A worker per core: further threads for its small matrices would only wait for each other.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
-.PHONY: setup cross-tools demo test fast fuzz lint bench figures hidden-effects docs tutorial pictures tables clean
+.PHONY: setup cross-tools demo test fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
 
 setup: $(STAMP)
 
@@ -29,14 +29,23 @@ test: setup lint  ## the whole suite
 fast: setup  ## without the slow tests; 90 s
 	$(PYTEST) -m 'not slow'
 
-MINUTES ?= 10
-fuzz: setup  ## files changed at random: does one fell a reader, is a change told?
-	PYTHONPATH=tests/rigs $(BIN)/python tests/fuzz/run.py --minutes $(MINUTES)
+FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))
+fuzz: setup  ## files changed at random: does one fell a reader, is a change told? MINUTES=10, or COUNT=1000
+	PYTHONPATH=tests/rigs $(BIN)/python tests/fuzz/run.py $(FUZZ)
 
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+AUDIT_STAMP := $(VENV)/.audit-installed
+$(AUDIT_STAMP): $(STAMP)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[audit]'
+	touch $@
+
+audit: $(AUDIT_STAMP)  ## known vulnerabilities of the pinned set, as PyPI's service knows them
+	$(BIN)/pip-audit --strict --no-deps --disable-pip --progress-spinner off --requirement constraints.txt \
+	  || { echo 'audit: not passed. After "could not be audited" or a failed connection nothing was judged: the service cannot be reached from here.' >&2; exit 1; }
 
 bench: setup  ## the speed figures of the README
 	$(BIN)/uavtwin bench

@@ -21,6 +21,13 @@ _WINDOW_S = 0.5  # shorter in a short record
 _LONGEST_S = 36_000.0
 _FEWEST = 20  # windows
 _STEPS = 0.02  # windows with a reset of the estimator: three in a minute and a half
+_TURNED_RAD = 0.02
+"""In a window, rms: of a gyroscope that is off by 2 deg/s at rest it is less."""
+_BOTH_TURNED_RAD = 0.005
+"""The same where both turn: of an attitude that is known to 0.2 deg it is less at rest."""
+_MOVED_M = 0.02
+_AGAINST_M = 0.003
+"""In a window: noise hides that two signals are the same, and does not turn their sign."""
 
 
 def signals(table: pd.DataFrame) -> dict[str, tuple[str, ...]]:
@@ -154,7 +161,7 @@ def doubt_turning(table: pd.DataFrame) -> list[Finding]:
     kept = found.without_steps()
     every = np.ones(len(kept.lasting_s), dtype=np.bool_)
     together, ratio, n = _compared(kept.by_attitude, kept.by_gyro, every)
-    if n < _FEWEST or max(moving, still) < 0.02:
+    if n < _FEWEST or (max(moving, still) < _TURNED_RAD and min(moving, still) < _BOTH_TURNED_RAD):
         return []
     if together > 0.5 and 0.5 < ratio < 2.0:
         return []
@@ -186,13 +193,16 @@ def doubt_velocity(table: pd.DataFrame) -> list[Finding]:
     found = []
     for k, axis in enumerate("xyz"):
         together, ratio, n = _compared(way[:, k], told[:, k], good)
-        if n < _FEWEST or max(np.std(told[good, k]), np.std(way[good, k])) < 0.02:
+        if n < _FEWEST:
             continue
-        if together < -0.5:
+        moved = [float(np.std(some[good, k])) for some in (told, way)]
+        if together < -0.5 and min(moved) > _AGAINST_M:
             message = (
                 f"vel_{axis} and the slope of pos_{axis} have opposite signs (r = {together:.2f})"
             )
             found.append(Finding("error", "vel", message))
+        elif max(moved) < _MOVED_M:
+            continue
         elif together < 0.5 or not 0.5 < ratio < 2.0:
             message = (
                 f"vel_{axis} is {ratio:.3g} times the slope of pos_{axis} (r = {together:.2f}): "

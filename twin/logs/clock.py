@@ -10,6 +10,7 @@ _JUMP_US = 60_000_000
 _FEW = 0.02
 _PAUSE_S = 0.2
 _PAUSE_INTERVALS = 2.2
+_LATEST = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,24 +49,29 @@ def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
     return Pauses(int(long.sum()), float(steps_s[worst]), float(t_us[worst]) * 1e-6)
 
 
-def early_end(t_us: NDArray[np.int64], end_us: int) -> str | None:
-    """The text of a finding where a signal of a steady rate stops for the rest of a record.
+def missing_ends(t_us: NDArray[np.int64], begin_us: int, end_us: int) -> list[str]:
+    """Texts of findings where a signal of a steady rate is not there at the ends of a record.
 
-    The limits are those of `pauses`; six recorded PX4 logs end within 1.5 intervals.
+    It may stop before the end for as long as in `pauses`: of six recorded PX4 logs all topics end
+    within 1.5 intervals. It may begin in the first half: their estimates take up to 22 % of it.
 
     Args:
         t_us: Increasing times, us, shape (n,).
-        end_us: When the record ends, us.
+        begin_us: When the record begins, us.
+        end_us: When it ends.
 
     Returns:
-        None where it goes on to the end, or is too short to tell.
+        None of one sample or none.
     """
     if len(t_us) < 2:
-        return None
-    left_s = (end_us - int(t_us[-1])) * 1e-6
-    if left_s <= _longest_s(np.diff(t_us) * 1e-6):
-        return None
-    return f"ends at {t_us[-1] * 1e-6:.2f} s, {left_s:.3g} s before the record does"
+        return []
+    late_s, left_s = (int(t_us[0]) - begin_us) * 1e-6, (end_us - int(t_us[-1])) * 1e-6
+    found = []
+    if late_s > _LATEST * (end_us - begin_us) * 1e-6:
+        found.append(f"begins at {t_us[0] * 1e-6:.2f} s, {late_s:.3g} s after the record does")
+    if left_s > _longest_s(np.diff(t_us) * 1e-6):
+        found.append(f"ends at {t_us[-1] * 1e-6:.2f} s, {left_s:.3g} s before the record does")
+    return found
 
 
 def _longest_s(steps_s: NDArray[np.float64]) -> float:

@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 
 from .agreement import doubt_force, doubt_turning, doubt_velocity, samples, signals
-from .clock import early_end, pauses
+from .clock import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL
 from .flight import Array, Finding
 
@@ -37,14 +37,13 @@ def doubts(table: pd.DataFrame) -> list[Finding]:
 def gaps(table: pd.DataFrame) -> list[Finding]:
     """Pauses and early ends of each signal; the reader of a log does it topic by topic."""
     found = []
-    end_us = round(float(table["time"].iloc[-1]) * 1e6)
+    begin_us, end_us = (round(float(table["time"].iloc[k]) * 1e6) for k in (0, -1))
     for name, columns in signals(table).items():
         t_s, _ = samples(table, columns)
         t_us = np.round(t_s * 1e6).astype(np.int64)
         if pause := pauses(t_us):
             found.append(Finding("warning", name, pause.told, pause.count))
-        if early := early_end(t_us, end_us):
-            found.append(Finding("warning", name, early))
+        found += [Finding("warning", name, text) for text in missing_ends(t_us, begin_us, end_us)]
     return found
 
 

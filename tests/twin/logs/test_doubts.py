@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -87,6 +88,13 @@ def ends(columns: list[str]) -> Callable[[pd.DataFrame], None]:
     return change
 
 
+def begins(columns: list[str]) -> Callable[[pd.DataFrame], None]:
+    def change(f: pd.DataFrame) -> None:
+        f.loc[:1599, columns] = np.nan
+
+    return change
+
+
 def frozen(columns: list[str]) -> Callable[[pd.DataFrame], None]:
     def change(f: pd.DataFrame) -> None:
         f.loc[1000:, columns] = f.loc[1000, columns].to_numpy()
@@ -116,6 +124,7 @@ CHANGES: dict[str, tuple[Callable[[pd.DataFrame], None], str, str]] = {
     "a gap of the attitude": (gone(QUAT), "q", "gaps, the longest of 0.32 s"),
     "a gyroscope that ends": (ends(GYRO), "gyro", "ends at 22.99 s, 7 s before the record"),
     "a velocity that ends": (ends(VEL), "vel", "ends at 22.99 s, 7 s before the record"),
+    "a velocity that begins late": (begins(VEL), "vel", "begins at 16.00 s, 16 s after the record"),
     "a frozen gyroscope": (frozen(GYRO), "gyro", "stands still from 10.00 to 29.99"),
     "a frozen attitude": (frozen(QUAT), "q", "stands still"),
     "a frozen accelerometer": (frozen(ACC), "acc", "stands still"),
@@ -135,6 +144,31 @@ def test_a_change_is_told(name: str, tmp_path: Path) -> None:
     change(table)
     told = [f for f in found(table, tmp_path) if f.severity != "info"]
     assert [f for f in told if f.where == where and text in f.message], told
+
+
+def hovering(turn: float, sign: float = 1.0, bias: float = 0.0) -> pd.DataFrame:
+    """A flight of half a minute that yaws and drifts by a little; `turn` in rad."""
+    t = 0.01 * np.arange(3000)
+    rng = np.random.default_rng(0)
+    angle, rate = turn * np.sin(0.9 * t), 0.9 * turn * np.cos(0.9 * t)
+    columns: dict[str, Any] = {"time": t, "gyro_x": 0.0 * t, "gyro_y": 0.0 * t}
+    columns["gyro_z"] = sign * rate + bias + 0.002 * rng.standard_normal(len(t))
+    columns |= {"q_w": np.cos(angle / 2), "q_x": 0.0 * t, "q_y": 0.0 * t, "q_z": np.sin(angle / 2)}
+    columns |= {f"pos_{k}": angle for k in "xyz"} | {f"vel_{k}": sign * rate for k in "xyz"}
+    return pd.DataFrame(columns)
+
+
+def test_a_hover_that_hardly_moves_is_compared_too(tmp_path: Path) -> None:
+    """0.04 rad and 4 cm to and fro."""
+    assert found(hovering(0.04), tmp_path) == []
+    told = {(f.where, f.message[:20]) for f in found(hovering(0.04, -1.0), tmp_path)}
+    assert ("q", "does not turn with t") in told
+    assert ("vel", "vel_x and the slope ") in told
+
+
+def test_a_gyroscope_that_is_off_at_rest_is_no_doubt(tmp_path: Path) -> None:
+    """2 deg/s of bias, and an attitude that stands."""
+    assert found(hovering(1e-4, bias=0.035), tmp_path) == []
 
 
 def test_the_motors_idle_before_a_height(tmp_path: Path) -> None:

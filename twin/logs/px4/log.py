@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..clock import advancing, early_end, pauses
+from ..clock import advancing, missing_ends, pauses
 from ..flight import Array, Finding, Severity
 from .definitions import check_definitions, messages
 from .order import data_places, out_of_place
@@ -118,8 +118,7 @@ class Px4Log:
         changed: Parameters changed after the start of the log.
         info: What the log says about firmware and hardware.
         findings: Grows while the log is read.
-        end_us: When two topics of a steady rate have ended, us since the start; None: there are
-            none.
+        span_us: When two topics of a steady rate have begun, and have ended, us since the start.
     """
 
     path: Path
@@ -128,7 +127,7 @@ class Px4Log:
     changed: frozenset[str]
     info: dict[str, str]
     findings: list[Finding] = field(default_factory=list)
-    end_us: int | None = None
+    span_us: tuple[int, int] = (0, 0)
     _raw: dict[tuple[str, int], Mapping[str, NDArray[Any]]] = field(default_factory=dict)
     _topics: dict[tuple[str, int], Topic | None] = field(default_factory=dict)
 
@@ -204,8 +203,8 @@ class Px4Log:
         if name not in _ON_CHANGE:
             if found := pauses(t_us[keep]):
                 self.note("warning", name, found.told, found.count)
-            if self.end_us is not None and (early := early_end(t_us[keep], self.end_us)):
-                self.note("warning", name, early)
+            for text in missing_ends(t_us[keep], *self.span_us):
+                self.note("warning", name, text)
         return Topic(name, t_us[keep], data, by_sample)
 
     def _sampled(
@@ -319,18 +318,20 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     _hold_against_the_file(
         opened, blob, {(d.name, int(d.multi_id)): d.msg_id for d in log.data_list}
     )
-    opened.end_us = _end_us(opened)
+    opened.span_us = _span_us(opened)
     return opened
 
 
-def _end_us(opened: Px4Log) -> int | None:
-    """The last time but one at which a topic of a steady rate ends: one alone may be off."""
-    ends = sorted(
-        int(_from_px4_us(raw["timestamp"], opened.start_us).max())
+def _span_us(opened: Px4Log) -> tuple[int, int]:
+    """The second time at which a topic of a steady rate begins and the last but one at which one
+    ends: one alone may be off."""
+    times = [
+        _from_px4_us(raw["timestamp"], opened.start_us)
         for (name, _), raw in opened._raw.items()
         if name not in _ON_CHANGE
-    )
-    return ends[-2:][0] if ends else None
+    ]
+    begins, ends = sorted(int(t.min()) for t in times), sorted(int(t.max()) for t in times)
+    return (begins[:2][-1], ends[-2:][0]) if times else (0, 0)
 
 
 def _hold_against_the_file(opened: Px4Log, blob: bytes, ids: Mapping[tuple[str, int], int]) -> None:
