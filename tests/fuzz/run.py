@@ -1,10 +1,11 @@
-"""Look for inputs that fell a reader: `make fuzz MINUTES=10`.
+"""Look for inputs that fell a reader: `make fuzz MINUTES=10`, `make fuzz COUNT=100000`.
 
 Prints how many inputs of each kind came out how. One that fells a reader joins `corpus.jsonl`, as
 a recipe; `test_fuzz.py` runs these from then on.
 """
 
 import argparse
+import contextlib
 import math
 import sys
 import time
@@ -53,6 +54,12 @@ def summary(found: list[Result]) -> str:
     return "\n".join(lines)
 
 
+def _until_interrupted(results: Iterator[Result]) -> Iterator[Result]:
+    """The results up to Ctrl-C: they are summed up all the same."""
+    with contextlib.suppress(KeyboardInterrupt):
+        yield from results
+
+
 def main() -> None:
     """From the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -67,11 +74,12 @@ def main() -> None:
     minutes = given.minutes or (10.0 if given.count is None else math.inf)
     most = given.count or sys.maxsize
     known = set(CORPUS.read_text().splitlines()) if CORPUS.exists() else set()
-    found = []
-    for result in search(given.kinds, most, 60.0 * minutes, given.seed, given.bases):
+    found: list[Result] = []
+    results = search(given.kinds, most, 60.0 * minutes, given.seed, given.bases)
+    for result in _until_interrupted(results):
         found.append(result)
-        if sys.stderr.isatty() or len(found) % 5000 == 0:
-            print(f"\r{len(found)} inputs", end="", file=sys.stderr, flush=True)
+        if len(found) % 1000 == 0:
+            print(f"{len(found)} inputs", file=sys.stderr, flush=True)
         if given.show_silent and result.visible and result.outcome == "silent":
             print(f"silent: {result.recipe.line()}")
         if result.fault and result.recipe.line() not in known:

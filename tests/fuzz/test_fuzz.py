@@ -5,6 +5,7 @@ from itertools import islice
 from pathlib import Path
 
 import pytest
+from cli_rig import run as cli
 from fuzzing.all_kinds import KINDS, kind
 from fuzzing.engine import Child, Recipe, Result, recipes
 from places import lacking
@@ -62,6 +63,25 @@ def test_a_recipe_is_all_that_is_needed(name: str) -> None:
                 blob = this.apply(blob, step)
             blobs.append(blob)
         assert blobs[0] == blobs[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in KINDS if name != "onnx"])
+def test_exit_codes_are_those_of_the_documents(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
+) -> None:
+    """0: fine, 1: problems, 2: refused, which names the file. `check` reads no compensator."""
+    this = kind(name)
+    path = tmp_path / this.file
+    for recipe in islice(recipes(name, this, 8, sorted(this.bases())[:1]), 12):
+        blob = this.bases()[recipe.base]
+        for step in recipe.steps:
+            blob = this.apply(blob, step)
+        path.write_bytes(blob)
+        code, said, error = cli(capsys, "check", path)
+        expected = 2 if error else 1 if "\n  problem: " in said else 0
+        assert code == expected, recipe.line()
+        assert not error or error.startswith(f"error: {path.name}"), error
 
 
 @pytest.mark.parametrize(

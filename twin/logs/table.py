@@ -260,7 +260,12 @@ def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
     """A column as float64; anything else is an error with its row."""
     if pd.api.types.is_numeric_dtype(column.dtype) or column.isna().all():
         return column.astype(np.float64)
-    numbers = pd.to_numeric(column, errors="coerce").astype(np.float64)
+    if isinstance(column.dtype, pd.CategoricalDtype):  # one text each, however many rows have it
+        each = pd.to_numeric(column.cat.categories.to_series(), errors="coerce")
+        values = np.append(each.to_numpy(np.float64), np.nan)[column.cat.codes]
+        numbers = pd.Series(values, index=column.index)
+    else:
+        numbers = pd.to_numeric(column, errors="coerce").astype(np.float64)
     text = np.flatnonzero(np.isnan(numbers.to_numpy()) & column.notna().to_numpy())
     if len(text) or not pd.api.types.is_string_dtype(column.dtype):
         k = int(text[0]) if len(text) else 0

@@ -18,7 +18,9 @@ _STYLES = {
 
 
 def check(
-    files: Annotated[list[Path], typer.Argument(help="Logs, flight tables, FMUs, vehicle files.")],
+    files: Annotated[
+        list[Path], typer.Argument(help="Logs, flight tables, FMUs, systems (.ssp), vehicle files.")
+    ],
     vehicle: Annotated[
         str | None,
         typer.Option(help="Vehicle whose hover is put beside that of each flight."),

@@ -15,7 +15,7 @@ from typing import Any, Literal, Protocol, Self
 
 SECONDS = 10.0
 """Longest that a reader may take, of processor time."""
-_PATIENCE_S = 90.0
+_PATIENCE_S = 300.0
 """For an answer at all: the input is made in that time, too."""
 BYTES = 1 << 30
 """Address space that an input may take beyond what the child had."""
