@@ -8,8 +8,13 @@ from pathlib import Path
 import fmpy
 from lxml import etree
 
-from fmus.archive import DESCRIPTION as FMU_DESCRIPTION
-from fmus.archive import MAX_DESCRIPTION_BYTES, MAX_MEMBERS, MAX_UNPACKED_BYTES, archive_members
+from fmus.archive import (
+    DESCRIPTION,
+    MAX_DESCRIPTION_BYTES,
+    MAX_MEMBERS,
+    MAX_UNPACKED_BYTES,
+    archive_members,
+)
 from fmus.inspect import FmuReport, brief, inspect_fmu
 from fmus.names import shown
 from fmus.platforms import PLATFORMS
@@ -81,22 +86,21 @@ def inspect_ssp(path: Path) -> SspReport:
 
 def _too_much(files: Iterable[Path]) -> str | None:
     """Why archives within an archive are not looked at; None: they may be."""
-    left = {"members": MAX_MEMBERS, "bytes": MAX_UNPACKED_BYTES, FMU_DESCRIPTION: 0}
-    left[FMU_DESCRIPTION] = MAX_DESCRIPTION_BYTES
+    members = unpacked = described = 0
     for file in files:
         try:
-            members = archive_members(file)
+            listed = archive_members(file)
         except FmuError:
             continue  # said where the FMU is looked at
-        left["members"] -= len(members)
-        left["bytes"] -= sum(m.file_size for m in members)
-        left[FMU_DESCRIPTION] -= sum(m.file_size for m in members if m.filename == FMU_DESCRIPTION)
-        for what, most, unit in (
-            ("members", MAX_MEMBERS, "members"),
-            ("bytes", MAX_UNPACKED_BYTES, "bytes unpacked"),
-            (FMU_DESCRIPTION, MAX_DESCRIPTION_BYTES, f"bytes of {FMU_DESCRIPTION}"),
+        members += len(listed)
+        unpacked += sum(m.file_size for m in listed)
+        described += sum(m.file_size for m in listed if m.filename == DESCRIPTION)
+        for found, most, unit in (
+            (members, MAX_MEMBERS, "members"),
+            (unpacked, MAX_UNPACKED_BYTES, "bytes unpacked"),
+            (described, MAX_DESCRIPTION_BYTES, f"bytes of {DESCRIPTION}"),
         ):
-            if left[what] < 0:
+            if found > most:
                 return f"its FMUs have more than {most} {unit} in all: they are not looked at"
     return None
 
