@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from twin.errors import TwinError
     from twin.explain.settings import SearchSettings
     from twin.flight.mission import mission_names
-    from twin.logs import Flight, Site, read_flight, write_flight
+    from twin.logs import Flight, Site, open_flight, read_flight, write_flight
     from twin.vehicle.file import builtin_vehicles
 
     from .calibration import CalibrateResult, calibrate
@@ -65,6 +65,7 @@ __all__ = [
     "learned_force",
     "load_vehicle",
     "mission_names",
+    "open_flight",
     "read_flight",
     "read_flights",
     "replay",
@@ -103,6 +104,7 @@ _HOME = {
     "learned_force": "uavtwin.exports.parts",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",
+    "open_flight": "twin.logs",
     "read_flight": "twin.logs",
     "read_flights": "uavtwin.flights",
     "replay": "uavtwin.exports.parts",

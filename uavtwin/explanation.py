@@ -16,13 +16,13 @@ from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.finding import SURE
-from twin.logs import Flight
+from twin.logs import AnyFlight
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
 from .exports.parts import component
 from .exports.write import export_parts
-from .flights import checked_flights
+from .flights import opened_flights
 from .output import output_file, write_json
 from .report.explain import write_explain_report
 from .report.gap import number
@@ -217,8 +217,8 @@ class ExplainResult(Shown):
 
 
 def explain(
-    flights: Flight | Sequence[Flight],
-    holdout: Flight | Sequence[Flight],
+    flights: AnyFlight | Sequence[AnyFlight],
+    holdout: AnyFlight | Sequence[AnyFlight],
     vehicle: Vehicle | None = None,
     *,
     since: Vehicle | None = None,
@@ -250,7 +250,7 @@ def explain(
         TwinError: An argument is no flight or no vehicle, a flight is fitted on and held out, a
             payload is of no flight, or `since` holds no calibration.
     """
-    fit, away = checked_flights(flights, "explain"), checked_flights(holdout, "explain")
+    fit, away = opened_flights(flights, "explain"), opened_flights(holdout, "explain")
     if (vehicle is None) == (since is None):
         raise TwinError(
             f"explain: {'neither a vehicle nor since' if since is None else 'a vehicle and since'} "
@@ -287,7 +287,7 @@ def check_calibrated(vehicle: Vehicle) -> None:
     inner.calibrated_on(vehicle)
 
 
-def _check_apart(fit: Sequence[Flight], away: Sequence[Flight]) -> None:
+def _check_apart(fit: Sequence[AnyFlight], away: Sequence[AnyFlight]) -> None:
     """Refuse a flight on both sides."""
     if not fit:
         raise TwinError("explain: no flight to fit on.")

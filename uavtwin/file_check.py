@@ -9,7 +9,7 @@ from fmus.inspect import inspect_fmu
 from twin.draft import drives, hover_of
 from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
-from twin.logs import Flight, read_flight
+from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
@@ -178,12 +178,12 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
             "holds": f"{len(columns)} columns PART.VARIABLE of {', '.join(parts)}",
         }
         return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
-    flight = read_flight(path)
+    flight = open_flight(path)
     facts = {
         **aircraft_facts(flight),
         **({} if vehicle is None else hover_beside(flight, vehicle)),
-        "holds": ", ".join(c for c in flight.table if c != "time" and flight.has(c)),
-        "rows": f"{len(flight.table)}",
+        "holds": ", ".join(c for c in flight.columns if c != "time" and flight.has(c)),
+        "rows": f"{len(flight.time_s)}",
         "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
         **flight.facts,
     }
@@ -211,7 +211,7 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
     )
 
 
-def _uses(flight: Flight) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _uses(flight: AnyFlight) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What the flight is good for, and why it is good for nothing."""
     if flight.airframe is not None and flight.airframe.no_multirotor:
         return (), (f"good for nothing here: no multirotor, {flight.airframe.no_multirotor}",)
@@ -229,13 +229,13 @@ def _uses(flight: Flight) -> tuple[tuple[str, ...], tuple[str, ...]]:
     return tuple(uses), () if uses else ("good for nothing yet: no acc, gyro or q with vel or pos",)
 
 
-def _unfit(flight: Flight) -> tuple[str, ...]:
+def _unfit(flight: AnyFlight) -> tuple[str, ...]:
     """What the flight does not allow, and why."""
     missing = _missing(flight) if drives(flight) else []
     return (f"no gap at a short horizon: no {' and no '.join(missing)}",) if missing else ()
 
 
-def _missing(flight: Flight) -> list[str]:
+def _missing(flight: AnyFlight) -> list[str]:
     """Signals that the short horizon lacks."""
     return [
         name

@@ -6,7 +6,7 @@ import numpy as np
 
 from twin.draft import Hover, drives, hover_of
 from twin.errors import LogError
-from twin.logs import Flight
+from twin.logs import AnyFlight
 from twin.residuals.flight_gap import means_of
 from twin.vehicle import Vehicle
 from twin.vehicle.layouts import Layout
@@ -19,7 +19,7 @@ _LEAST_SPLIT = 1.5
 """Percent between sides from which on it is said."""
 
 
-def aircraft_facts(flight: Flight) -> dict[str, str]:
+def aircraft_facts(flight: AnyFlight) -> dict[str, str]:
     """Kind of aircraft, command in hover, split between the motors, voltage; what is told."""
     facts = {"kind": _kind(flight)}
     hover = hover_of(flight) if drives(flight) else None
@@ -33,7 +33,7 @@ def aircraft_facts(flight: Flight) -> dict[str, str]:
     return facts
 
 
-def hover_json(flight: Flight) -> dict[str, Any] | None:
+def hover_json(flight: AnyFlight) -> dict[str, Any] | None:
     """The same of the hover as numbers; None without one."""
     hover = hover_of(flight) if drives(flight) else None
     if hover is None:
@@ -49,7 +49,7 @@ def hover_json(flight: Flight) -> dict[str, Any] | None:
     }
 
 
-def hover_beside(flight: Flight, vehicle: Vehicle) -> dict[str, str]:
+def hover_beside(flight: AnyFlight, vehicle: Vehicle) -> dict[str, str]:
     """The hover of a flight beside that of a vehicle.
 
     Raises:
@@ -75,7 +75,7 @@ def hover_beside(flight: Flight, vehicle: Vehicle) -> dict[str, str]:
     return facts
 
 
-def _kind(flight: Flight) -> str:
+def _kind(flight: AnyFlight) -> str:
     """What flew, and what says so."""
     told, motors = flight.airframe, len(drives(flight))
     if told is not None and told.no_multirotor:
@@ -113,7 +113,7 @@ def _split(hover: Hover, layout: Layout | None) -> str:
     return text
 
 
-def _voltage(flight: Flight, hover: Hover | None) -> str:
+def _voltage(flight: AnyFlight, hover: Hover | None) -> str:
     """Range of what was logged with a battery connected, and in hover."""
     volts = flight.signal(("vbat_v",))[1][:, 0]
     volts = volts[volts > _FLOWN_V]

@@ -6,11 +6,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from twin.errors import LogError, TwinError
-from twin.logs import Finding, Flight, read_flight
+from twin.logs import AnyFlight, Finding, Flight, StoredFlight, open_flight, read_flight
 
+_F = TypeVar("_F", bound=AnyFlight)
+AS_LOGGED = (
+    "logged commands, though they could be rebuilt at full rate: those of {} could not, and "
+    "flights of one aircraft are treated alike"
+)
 _SHOWN = 6
 """Names of a folder that a message lists."""
 
@@ -51,37 +56,52 @@ def read_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> l
         LogError: A file cannot be used, or two hold the same flight.
     """
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in paths]
+    return _alike(paths, flights, rebuild_commands)
+
+
+def open_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> list[AnyFlight]:
+    """The same, long flight tables left in their files."""
+    flights = [open_flight(path, rebuild_commands=rebuild_commands) for path in paths]
+    return _alike(paths, flights, rebuild_commands)
+
+
+def _alike(paths: Sequence[Path], flights: Sequence[_F], rebuild: bool | None) -> list[_F]:
+    """Flights that were read one by one, as `read_alike` has them."""
     _check_distinct(paths, flights)
-    if rebuild_commands is None:
-        flights = _commands_alike(paths, flights)
-    names = _distinct_names(paths, flights)
-    told = [(n, f, _aircraft(f)) for n, f in zip(names, flights, strict=True)]
+    several = _commands_alike(paths, flights) if rebuild is None else flights
+    names = _distinct_names(paths, several)
+    told = [(n, _aircraft(f)) for n, f in zip(names, several, strict=True)]
     return [
-        replace(f, name=n, findings=(*f.findings, *_strangers(n, own, told))) for n, f, own in told
+        replace(f, name=n, findings=(*f.findings, *_strangers(own, told)))
+        for f, (n, own) in zip(several, told, strict=True)
     ]
 
 
-def _commands_alike(paths: Sequence[Path], flights: Sequence[Flight]) -> list[Flight]:
+def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F]:
     """The flights, with the commands as logged where those of another cannot be rebuilt."""
     refused = [f for f in flights if "commands_not_rebuilt" in f.facts]
-    found = []
-    for path, flight in zip(paths, flights, strict=True):
+    found = list(flights)
+    for k, flight in enumerate(flights):
         others = [f.name for f in refused if _aircraft(f) == _aircraft(flight)]
-        again = others and "commands_match" in flight.facts
-        found.append(_as_logged(path, others) if again else flight)
+        if others and "commands_match" in flight.facts:
+            logged = read_flight(paths[k], rebuild_commands=False)
+            assert isinstance(logged, type(flight))  # a log of an autopilot is read whole
+            told = AS_LOGGED.format(", ".join(others))
+            finding = Finding("info", "cmd", told)
+            found[k] = replace(logged, findings=(*logged.findings, finding))
     return found
 
 
-def _aircraft(flight: Flight) -> tuple[str, ...]:
+def _aircraft(flight: AnyFlight) -> tuple[str, ...]:
     """What its log tells of the aircraft."""
     return tuple(flight.facts.get(fact, "") for fact in ("aircraft", "airframe", "hardware"))
 
 
 def _strangers(
-    name: str, own: tuple[str, ...], told: Sequence[tuple[str, Flight, tuple[str, ...]]]
+    own: tuple[str, ...], told: Sequence[tuple[str, tuple[str, ...]]]
 ) -> Iterator[Finding]:
     """A finding where a flight is of another aircraft than the first whose log says which."""
-    known = [(other, aircraft) for other, _, aircraft in told if any(aircraft)]
+    known = [(name, aircraft) for name, aircraft in told if any(aircraft)]
     if not any(own) or own == known[0][1]:
         return
     text, first = (", ".join(x for x in aircraft if x) for aircraft in (own, known[0][1]))
@@ -89,7 +109,7 @@ def _strangers(
     yield Finding("error", "aircraft", message)
 
 
-def _check_distinct(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
+def _check_distinct(paths: Sequence[Path], flights: Sequence[AnyFlight]) -> None:
     """Refuse the same flight twice: it would count as two.
 
     Raises:
@@ -104,7 +124,7 @@ def _check_distinct(paths: Sequence[Path], flights: Sequence[Flight]) -> None:
             raise LogError(f"{path}: {text}, which would count as two. Give it once.")
 
 
-def _distinct_names(paths: Sequence[Path], flights: Sequence[Flight]) -> list[str]:
+def _distinct_names(paths: Sequence[Path], flights: Sequence[AnyFlight]) -> list[str]:
     """Names of flights; those of one name by the shortest ends of their paths that differ."""
     found = []
     for path, flight in zip(paths, flights, strict=True):
@@ -116,18 +136,6 @@ def _distinct_names(paths: Sequence[Path], flights: Sequence[Flight]) -> list[st
         )
         found.append("/".join([*reversed(own[:count]), flight.name]))
     return found
-
-
-def _as_logged(path: Path, others: Sequence[str]) -> Flight:
-    """A flight whose commands could be rebuilt, but are those that are logged."""
-    flight = read_flight(path, rebuild_commands=False)
-    told = Finding(
-        "info",
-        "cmd",
-        f"logged commands, though they could be rebuilt at full rate: those of "
-        f"{', '.join(others)} could not, and flights of one aircraft are treated alike",
-    )
-    return replace(flight, findings=(*flight.findings, told))
 
 
 def _matching(pattern: str | Path) -> list[Path]:
@@ -169,19 +177,34 @@ def _instead(path: Path) -> str:
 
 
 def checked_flights(given: Any, verb: str) -> tuple[Flight, ...]:
-    """One flight or several that were handed to a function.
+    """One flight or several that were handed to a function that needs them whole.
 
     Raises:
         TwinError: Something else was handed.
     """
-    flights = (given,) if isinstance(given, Flight | str | Path) else given
+    flights = tuple(f for f in opened_flights(given, verb) if isinstance(f, Flight))
+    for flight in (f for f in opened_flights(given, verb) if not isinstance(f, Flight)):
+        raise TwinError(
+            f"{verb}: {flight.name} stays in its file, {verb} needs it whole: "
+            f"read_flight(FILE), of a part of the log where it does not fit into memory."
+        )
+    return flights
+
+
+def opened_flights(given: Any, verb: str) -> tuple[AnyFlight, ...]:
+    """One flight or several that were handed to a function, whole or left in their files.
+
+    Raises:
+        TwinError: Something else was handed.
+    """
+    flights = (given,) if isinstance(given, Flight | StoredFlight | str | Path) else given
     if not isinstance(flights, Iterable):
         raise TwinError(f"{verb}: a {type(given).__name__} is no flight. {_HOW}")
     flights = tuple(flights)
     for flight in flights:
         if isinstance(flight, str | Path):
             raise TwinError(f"{verb}: '{flight}' is the name of a file, not a flight. {_HOW}")
-        if not isinstance(flight, Flight):
+        if not isinstance(flight, Flight | StoredFlight):
             raise TwinError(f"{verb}: a {type(flight).__name__} is no flight. {_HOW}")
     return flights
 

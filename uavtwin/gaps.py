@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twin.logs import Flight
+from twin.logs import AnyFlight
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S, flight_gap
 from twin.residuals.gap import FlightGap, gap_json, rank, summaries
 from twin.vehicle import Vehicle
 
-from .flights import checked_flights
+from .flights import opened_flights
 from .output import output_file
 from .report.gap import claim, write_gap_report
 from .report.hover import hover_sentence
@@ -149,7 +149,7 @@ class GapResult(Shown):
 
 
 def gap(
-    flights: Flight | Sequence[Flight],
+    flights: AnyFlight | Sequence[AnyFlight],
     vehicle: Vehicle,
     *,
     horizon_s: float = DEFAULT_HORIZON_S,
@@ -168,7 +168,7 @@ def gap(
         LogError: A flight cannot be compared with this vehicle.
         TwinError: An argument is no flight or no vehicle.
     """
-    several, model = checked_flights(flights, "gap"), checked_vehicle(vehicle, "gap")
+    several, model = opened_flights(flights, "gap"), checked_vehicle(vehicle, "gap")
     gaps = []
     for i, flight in enumerate(several):
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..representation import short_repr
 from ..vehicle import GRAVITY_M_S2
@@ -71,16 +71,16 @@ class Hover:
         return told
 
 
-def drives(flight: Flight) -> tuple[str, ...]:
+def drives(flight: AnyFlight) -> tuple[str, ...]:
     """Names of the columns that drive a model: commands, else rotor speeds; () without either."""
     for stem in ("cmd", "rotor"):
-        count = sum(c.startswith(f"{stem}_") for c in flight.table)
+        count = sum(c.startswith(f"{stem}_") for c in flight.columns)
         if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
             return motor_columns(stem, count)
     return ()
 
 
-def hover_of(flight: Flight) -> Hover | None:
+def hover_of(flight: AnyFlight) -> Hover | None:
     """Hover of a flight: by its phases, else where it is slow, else all that it flew.
 
     Returns:
@@ -111,23 +111,20 @@ def hover_of(flight: Flight) -> Hover | None:
     return None
 
 
-def flown(flight: Flight) -> Rows:
+def flown(flight: AnyFlight) -> Rows:
     """Where a flight is in the air, at the times of what drives its rotors, shape (n,)."""
     t_s, told = flight.signal(drives(flight))
     return _flown(flight, t_s, told)
 
 
-def phases_at(flight: Flight, t_s: Array) -> NDArray[np.object_]:
+def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.object_]:
     """Phase at each time; "" where it is not known."""
-    if "phase" not in flight.table:
-        return np.full(len(t_s), "", dtype=object)
-    time = flight.table["time"].to_numpy(dtype=np.float64)
+    time, (codes, names) = flight.time_s, flight.phase_codes
     row = np.clip(np.searchsorted(time, t_s, side="right") - 1, 0, len(time) - 1)
-    phase: NDArray[np.object_] = flight.table["phase"].fillna("").to_numpy(dtype=object)
-    return phase[row]
+    return names[codes[row]]
 
 
-def together(flight: Flight, columns: Sequence[str]) -> tuple[Array, Array] | None:
+def together(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
     """Samples of columns that are taken at the same times; None: there are none."""
     if not flight.has(*columns):
         return None
@@ -135,7 +132,7 @@ def together(flight: Flight, columns: Sequence[str]) -> tuple[Array, Array] | No
     return (t_s, values) if len(t_s) else None
 
 
-def sampled(flight: Flight, column: str, t_s: Array) -> Array | None:
+def sampled(flight: AnyFlight, column: str, t_s: Array) -> Array | None:
     """A column at some times, on straight lines between its samples; None without it."""
     if not flight.has(column):
         return None
@@ -143,7 +140,7 @@ def sampled(flight: Flight, column: str, t_s: Array) -> Array | None:
     return np.interp(t_s, t, values[:, 0])
 
 
-def _choices(flight: Flight, t_s: Array, told: Array) -> list[tuple[Rows, bool, str]]:
+def _choices(flight: AnyFlight, t_s: Array, told: Array) -> list[tuple[Rows, bool, str]]:
     """Rows, whether the aircraft hovers there, and which they are in words; the best first."""
     phase, air = phases_at(flight, t_s), _flown(flight, t_s, told)
     steady = air & ~np.isin(phase, _NOT_FLOWN)
@@ -162,7 +159,7 @@ def _choices(flight: Flight, t_s: Array, told: Array) -> list[tuple[Rows, bool, 
     return found
 
 
-def _flown(flight: Flight, t_s: Array, told: Array) -> Rows:
+def _flown(flight: AnyFlight, t_s: Array, told: Array) -> Rows:
     """In the air: not on the ground by its phases; else above half a metre; else well driven."""
     phase = phases_at(flight, t_s)
     if np.any(phase == "ground"):
@@ -176,7 +173,7 @@ def _flown(flight: Flight, t_s: Array, told: Array) -> Rows:
     return np.asarray(driven)
 
 
-def _speeds(flight: Flight, t_s: Array, motors: int) -> Array | None:
+def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
     """Measured rotor speeds at some times, shape (n, motors)."""
     measured = together(flight, motor_columns("rotor", motors))
     if measured is None:
@@ -185,7 +182,7 @@ def _speeds(flight: Flight, t_s: Array, motors: int) -> Array | None:
     return np.column_stack([np.interp(t_s, t, speeds[:, k]) for k in range(motors)])
 
 
-def _load(flight: Flight, t_s: Array, hovers: bool) -> float:
+def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
     """Mean thrust over weight: what a tilted aircraft needs, else what the accelerometer felt."""
     attitude = together(flight, QUAT) if hovers else None
     if attitude is not None:

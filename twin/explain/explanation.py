@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ..effects import EFFECTS, RandomForce
 from ..errors import LogError, ModelError
 from ..flight.stability import Mission, fly_missions
-from ..logs import Flight, Site
+from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
@@ -126,8 +127,8 @@ class Explanation:
 
 
 def explain(
-    flights: Sequence[Flight],
-    holdout: Sequence[Flight],
+    flights: Sequence[AnyFlight],
+    holdout: Sequence[AnyFlight],
     vehicle: Vehicle,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
@@ -159,10 +160,10 @@ def explain(
     """
     asked = calibrated_on(vehicle) if since else None
     cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
-    flights, holdout = ([f for f, _ in some] for some in cut)
+    read, away = ([f for f, _ in some] for some in cut)
     partly = [note for some in cut for _, note in some if note is not None]
-    stuck = [s for f in (*flights, *holdout) for s in stuck_channels(f, settings.stochastic.stuck)]
-    fit, held = ([without_stuck(f, stuck) for f in some] for some in (flights, holdout))
+    stuck = [s for f in (*read, *away) for s in stuck_channels(f, settings.stochastic.stuck)]
+    fit, held = ([without_stuck(f, stuck) for f in some] for some in (read, away))
     parts = _parts(fit, held, vehicle, payloads, settings)
     found = Explanation(
         "unusable",
@@ -285,7 +286,10 @@ def _parts(
     return _Parts(fit, held, tuple(HeldOut(f.name, tuple(s)) for f, s in both), unread, warnings)
 
 
-def sited(flight: Flight, indoors: bool | None) -> Flight:
+_F = TypeVar("_F", bound=AnyFlight)
+
+
+def sited(flight: _F, indoors: bool | None) -> _F:
     """The flight indoors or outdoors, as somebody says; None: as it says itself."""
     return flight if indoors is None else replace(flight, site=Site(indoors, "as told"))
 

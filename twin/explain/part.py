@@ -6,12 +6,11 @@ begins.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..logs import Flight
+from ..logs import AnyFlight, Flight
 from ..logs.columns import QUAT, VEL, motor_columns
 from .settings import DEFAULT, UsableSettings
 
@@ -20,27 +19,26 @@ READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut th
 
 
 def part_read(
-    flight: Flight, settings: UsableSettings = DEFAULT.usable
+    flight: AnyFlight, settings: UsableSettings = DEFAULT.usable
 ) -> tuple[Flight, str | None]:
     """The flight as far as it is read, and which part that is; None: it is read whole."""
-    time = flight.table["time"].to_numpy(dtype=np.float64)
+    time = flight.time_s
     whole_s = float(time[-1] - time[0]) if len(time) else 0.0
     if whole_s <= settings.longest_s:
-        return flight, None
+        return flight if isinstance(flight, Flight) else flight.between(-np.inf, np.inf), None
     edges = np.arange(time[0], time[-1], settings.block_s)
     moves = np.sum([*_movement(flight, edges)], axis=0)  # (blocks,)
     length = round(settings.longest_s / settings.block_s)
     together = np.convolve(moves, np.ones(length), mode="valid")
     start = float(edges[int(np.argmax(together))])
     end = min(start + settings.longest_s, float(time[-1]))
-    table = flight.table[(time >= start) & (time <= end)].reset_index(drop=True)
-    return replace(flight, table=table), READ.format(flight.name, start, end, whole_s)
+    return flight.between(start, end), READ.format(flight.name, start, end, whole_s)
 
 
-def _movement(flight: Flight, edges: Array) -> Iterator[Array]:
+def _movement(flight: AnyFlight, edges: Array) -> Iterator[Array]:
     """How much each signal changes within each block of time, its mean over the blocks 1."""
     yield np.zeros(len(edges))
-    rotors = sum(c.startswith("cmd_") for c in flight.table)
+    rotors = sum(c.startswith("cmd_") for c in flight.columns)
     for columns in (VEL, QUAT, motor_columns("cmd", rotors)):
         if not columns or not flight.has(*columns):
             continue

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from ..effects import EFFECTS, Effect
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..logs.columns import MIN_MOTORS, motor_columns
 from .model.numbers import ACCELEROMETER, GYROSCOPE, SIGNALS, lacking, on_the_body
 
@@ -22,7 +22,7 @@ class Told:
     unknown: dict[str, tuple[str, ...]]
 
 
-def told_by(flight: Flight) -> Told:
+def told_by(flight: AnyFlight) -> Told:
     """Effects that the columns of a flight can show, by the rule of the search itself.
 
     Whether it flew long enough, and moved in a way that shows them, is not asked.
@@ -39,16 +39,16 @@ def told_by(flight: Flight) -> Told:
     return Told({k: tuple(v) for k, v in told.items()}, {k: tuple(v) for k, v in unknown.items()})
 
 
-def _no_drive(flight: Flight) -> str:
+def _no_drive(flight: AnyFlight) -> str:
     """What is missing to drive a model, "" where nothing is."""
     for stem in ("cmd", "rotor"):
-        count = sum(c.startswith(f"{stem}_") for c in flight.table)
+        count = sum(c.startswith(f"{stem}_") for c in flight.columns)
         if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
             return ""
     return "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
 
 
-def _missing(effect: Effect, flight: Flight) -> Iterator[str]:
+def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
     """Each signal that an effect lacks, in words."""
     for signal in lacking(effect, flight):
         text = f"no {', '.join(SIGNALS[signal])}"

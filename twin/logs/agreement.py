@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ..frames import rotation_vector, to_ned
-from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL
+from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 
 _G_M_S2 = 9.80665
@@ -28,30 +27,35 @@ _BOTH_TURNED_RAD = 0.005
 _MOVED_M = 0.02
 _AGAINST_M = 0.003
 """In a window: noise hides that two signals are the same, and does not turn their sign."""
+_ROWS = 1 << 12
+"""Samples at a time, where an equation has many terms."""
+
+Signals = dict[str, tuple[str, ...]]
+"""Columns that are sampled together, by the name of their signal."""
 
 
-def signals(table: pd.DataFrame) -> dict[str, tuple[str, ...]]:
+def signals(table: Columns) -> Signals:
     """Columns that are sampled together and there, by the name of their signal."""
     groups: dict[str, tuple[str, ...]] = {
         **{g[0][:-2]: g for g in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED)},
         **{c: (c,) for c in ("baro_pa", "vbat_v", "ibat_a")},
-        **{
-            stem: tuple(str(c) for c in table if str(c).startswith(f"{stem}_"))
-            for stem in ("cmd", "rotor")
-        },
+        **{stem: tuple(c for c in table if c.startswith(f"{stem}_")) for stem in ("cmd", "rotor")},
     }
     return {
         name: columns
         for name, columns in groups.items()
-        if columns and all(c in table and table[c].notna().any() for c in columns)
+        if columns and all(c in table and np.isfinite(table[c]).any() for c in columns)
     }
 
 
-def samples(table: pd.DataFrame, columns: Sequence[str]) -> tuple[Array, Array]:
+def samples(table: Columns, columns: Sequence[str]) -> tuple[Array, Array]:
     """Times, s, shape (n,), and values, shape (n, k), where all of the columns are there."""
-    values = table[["time", *columns]].to_numpy(dtype=np.float64)
-    values = values[np.isfinite(values).all(axis=1)]
-    return values[:, 0], values[:, 1:]
+    t_s = table["time"]
+    values = np.empty((len(t_s), len(columns)))
+    for k, column in enumerate(columns):
+        values[:, k] = table[column]
+    there = np.isfinite(values).all(axis=1) & np.isfinite(t_s)
+    return (t_s, values) if there.all() else (t_s[there], values[there])
 
 
 def _windows(*times_s: Array) -> Array:
@@ -66,9 +70,12 @@ def _windows(*times_s: Array) -> Array:
 
 def _total(t_s: Array, values: Array, edges_s: Array) -> Array:
     """Integral of a signal over each window, shape (windows, k)."""
-    steps = np.diff(t_s)[:, None] * (values[1:] + values[:-1]) / 2.0
-    total = np.vstack([np.zeros(values.shape[1]), np.cumsum(steps, axis=0)])
-    return np.diff(_at(t_s, total, edges_s), axis=0)
+    total = np.zeros(len(t_s))
+    found = np.empty((len(edges_s) - 1, values.shape[1]))
+    for k, column in enumerate(values.T):
+        np.cumsum(np.diff(t_s) * (column[1:] + column[:-1]) / 2.0, out=total[1:])
+        found[:, k] = np.diff(np.interp(edges_s, t_s, total))
+    return found
 
 
 def _at(t_s: Array, values: Array, at_s: Array) -> Array:
@@ -125,9 +132,14 @@ class Turns:
         return np.asarray(np.median(np.abs(rates), axis=0))
 
 
-def turns(table: pd.DataFrame) -> Turns | None:
-    """How attitude and gyroscope say that the body turns; None where they do not say enough."""
-    there = signals(table)
+def turns(table: Columns, there: Signals | None = None) -> Turns | None:
+    """How attitude and gyroscope say that the body turns; None where they do not say enough.
+
+    Args:
+        table: Flight table by column.
+        there: Its signals, where they have been looked for already.
+    """
+    there = signals(table) if there is None else there
     if not {"gyro", "q"} <= there.keys():
         return None
     t_gyro, gyro = samples(table, GYRO)
@@ -151,9 +163,9 @@ def turns(table: pd.DataFrame) -> Turns | None:
     return Turns(turned[good], told[good], np.diff(edges)[good])
 
 
-def doubt_turning(table: pd.DataFrame) -> list[Finding]:
+def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
     """Body rates and attitude that do not turn together."""
-    found = turns(table)
+    found = turns(table, there)
     if found is None or len(found.lasting_s) == 0:
         return []
     moving = float(np.sqrt(np.mean(found.by_gyro**2)))
@@ -175,9 +187,8 @@ def doubt_turning(table: pd.DataFrame) -> list[Finding]:
     return [Finding("error", "q", message)]
 
 
-def doubt_velocity(table: pd.DataFrame) -> list[Finding]:
+def doubt_velocity(table: Columns, there: Signals) -> list[Finding]:
     """Velocity that is not the slope of the position, axis by axis."""
-    there = signals(table)
     if not {"pos", "vel"} <= there.keys():
         return []
     t_pos, pos = samples(table, POS)
@@ -217,9 +228,19 @@ def _median_way(way: Array) -> float:
     return max(float(np.median(np.abs(way).max(axis=1))), 0.02)
 
 
-def doubt_force(table: pd.DataFrame) -> list[Finding]:
+def _force_ned(t_acc: Array, acc: Array, t_q: Array, q: Array) -> Array:
+    """Specific force in NED by the attitude next after each sample, shape as `acc`."""
+    force_n = np.empty_like(acc)
+    for first in range(0, len(acc), _ROWS):
+        rows = slice(first, first + _ROWS)
+        near = q[np.clip(np.searchsorted(t_q, t_acc[rows]), 0, len(t_q) - 1)]
+        unit = near / np.linalg.norm(near, axis=1, keepdims=True)
+        force_n[rows] = np.stack(to_ned(list(unit.T), list(acc[rows].T)), axis=1)
+    return force_n
+
+
+def doubt_force(table: Columns, there: Signals) -> list[Finding]:
     """Specific force that does not explain how the velocity changes."""
-    there = signals(table)
     if not {"acc", "q", "vel"} <= there.keys():
         return []
     t_acc, acc = samples(table, ACC)
@@ -230,10 +251,11 @@ def doubt_force(table: pd.DataFrame) -> list[Finding]:
     edges = _windows(t_acc, t_q, t_vel)
     if len(edges) < _FEWEST:
         return []
-    near = np.clip(np.searchsorted(t_q, t_acc), 0, len(t_q) - 1)
-    unit = q[near] / np.linalg.norm(q[near], axis=1, keepdims=True)
-    force_n = np.stack(to_ned(list(unit.T), list(acc.T)), axis=1)
-    gained, told = np.diff(_at(t_vel, vel, edges), axis=0), _total(t_acc, force_n, edges)
+    gained = np.diff(_at(t_vel, vel, edges), axis=0)
+    del vel  # of a long flight each is a good part of what memory there is
+    force_n = _force_ned(t_acc, acc, t_q, q)
+    del acc, q
+    told = _total(t_acc, force_n, edges)
     good = _known(t_acc, edges) & _known(t_q, edges) & _known(t_vel, edges)
     good &= np.abs(gained).max(axis=1) < 20.0 * np.diff(edges)
     if good.sum() < _FEWEST:

@@ -1,40 +1,39 @@
 """Attitude given as Euler angles: turned into the quaternion of the flight table at reading."""
 
 import numpy as np
-import pandas as pd
 
 from ..errors import LogError
 from ..frames import from_euler, rotation_vector
-from .columns import EULER, QUAT
+from .columns import EULER, QUAT, Columns
 from .flight import Array, Finding
 
 _FARTHEST_RAD = 2 * np.pi
 _APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of axes
 
 
-def with_quaternion(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
-    """The table with q_* in place of roll, pitch and yaw.
+def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
+    """The q_* that stand in for roll, pitch and yaw.
 
     Args:
         name: File name, for messages.
-        table: Numbers as float64, a column for each of what the file gives.
+        table: By column, one for each of what the file gives.
 
     Returns:
-        The table without Euler angles, and findings. Where there are both, the quaternion counts.
+        Columns q_*, none where the file gives no Euler angles, not all of them, or a quaternion as
+        well, which then counts; and findings.
 
     Raises:
         LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
     """
     given = [c for c in EULER if c in table]
     if not given:
-        return table, []
-    rest = table.drop(columns=given)
+        return {}, []
     missing = [c for c in EULER if c not in table]
     if missing:
-        return rest, [
+        return {}, [
             Finding("warning", "attitude", f"not used, the Euler angles lack {', '.join(missing)}")
         ]
-    angles = table[[*EULER]].to_numpy()
+    angles = np.stack([table[c] for c in EULER], axis=1)
     _check_radians(name, angles)
     there = np.isfinite(angles)
     whole = there.all(axis=1)
@@ -43,13 +42,14 @@ def with_quaternion(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[
     if partial:
         message = "rows with NaN in a part of the Euler angles; they are left out there"
         findings.append(Finding("error", "attitude", message, partial))
-    told = np.full((len(table), 4), np.nan)
+    told = np.full((len(angles), 4), np.nan)
     told[whole] = from_euler(*angles[whole].T).T
-    if all(c in table for c in QUAT) and table[[*QUAT]].notna().all(axis=1).any():
-        _check_same(name, table[[*QUAT]].to_numpy(), told)
-        return rest, findings
-    rest[[*QUAT]] = told
-    return rest, findings
+    if all(c in table for c in QUAT):
+        q_nb = np.stack([table[c] for c in QUAT], axis=1)
+        if (~np.isnan(q_nb)).all(axis=1).any():
+            _check_same(name, q_nb, told)
+            return {}, findings
+    return {c: np.ascontiguousarray(told[:, k]) for k, c in enumerate(QUAT)}, findings
 
 
 def _check_radians(name: str, angles: Array) -> None:

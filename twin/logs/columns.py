@@ -1,8 +1,15 @@
 """The flight table: every column, its unit and its meaning, written once."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+Columns = Mapping[str, NDArray[Any]]
+"""A flight table by column: numbers as float64, `phase` as text, shape (n,) each. In memory, or in
+a file from which each is read when it is asked for."""
 
 PHASES = ("takeoff", "hover", "forward", "tour", "land", "ground")
 MIN_MOTORS, MAX_MOTORS = 3, 12
@@ -100,3 +107,28 @@ def in_order(names: Iterable[str]) -> list[str]:
         return rank[name[: name.index("_")] + "_{i}"], number
 
     return sorted(names, key=key)
+
+
+class _Over(Columns):
+    """See `over`."""
+
+    def __init__(self, changed: Columns, table: Columns) -> None:
+        self._changed, self._table = changed, table
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        return self._changed[name] if name in self._changed else self._table[name]
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._table
+        yield from (c for c in self._changed if c not in self._table)
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._changed or name in self._table
+
+
+def over(changed: Columns, table: Columns) -> Columns:
+    """A table with some columns changed, others new; nothing of it is read or copied."""
+    return _Over(changed, table)

@@ -1,44 +1,48 @@
 """What is doubtful about a flight table, whatever its format: units, frames, signals that stand
 still. Findings, never errors."""
 
-import numpy as np
-import pandas as pd
+from collections.abc import Sequence
 
-from .agreement import doubt_force, doubt_turning, doubt_velocity, samples, signals
+import numpy as np
+from numpy.typing import NDArray
+
+from .agreement import Signals, doubt_force, doubt_turning, doubt_velocity, samples, signals
 from .clock import missing_ends, pauses
-from .columns import ACC, GYRO, MAG, POS, VEL
+from .columns import ACC, GYRO, MAG, POS, VEL, Columns
 from .flight import Array, Finding
 
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
 _FEWEST = 20  # samples that tell anything
+_AIRBORNE = ("hover", "forward", "tour")
 
 
-def doubts(table: pd.DataFrame) -> list[Finding]:
+def doubts(table: Columns) -> list[Finding]:
     """What the values of a flight table contradict.
 
     Args:
-        table: As in `Flight`; angles, frames and units as in its definition.
+        table: By column; angles, frames and units as in its definition.
     """
+    there = signals(table)
     found = [
         *_doubt_time(table),
         *_doubt_units(table),
         *_doubt_frames(table),
         *_doubt_height(table),
-        *_frozen(table),
-        *doubt_turning(table),
-        *doubt_velocity(table),
+        *_frozen(table, there),
+        *doubt_turning(table, there),
+        *doubt_velocity(table, there),
     ]
     if not any(f.where == "acc" and f.severity == "error" for f in found):
-        found += doubt_force(table)  # else it would say the same again
+        found += doubt_force(table, there)  # else it would say the same again
     return found
 
 
-def gaps(table: pd.DataFrame) -> list[Finding]:
+def gaps(table: Columns, there: Signals) -> list[Finding]:
     """Pauses and early ends of each signal; the reader of a log does it topic by topic."""
     found = []
-    begin_us, end_us = (round(float(table["time"].iloc[k]) * 1e6) for k in (0, -1))
-    for name, columns in signals(table).items():
+    begin_us, end_us = (round(float(table["time"][k]) * 1e6) for k in (0, -1))
+    for name, columns in there.items():
         t_s, _ = samples(table, columns)
         t_us = np.round(t_s * 1e6).astype(np.int64)
         if pause := pauses(t_us):
@@ -47,9 +51,9 @@ def gaps(table: pd.DataFrame) -> list[Finding]:
     return found
 
 
-def _doubt_time(table: pd.DataFrame) -> list[Finding]:
+def _doubt_time(table: Columns) -> list[Finding]:
     """Time in another unit, or not from the start of the record."""
-    t_s = table["time"].to_numpy()
+    t_s = table["time"]
     found = []
     step = float(np.median(np.diff(t_s))) if len(t_s) > 1 else 0.0
     if step > 5.0:
@@ -61,15 +65,24 @@ def _doubt_time(table: pd.DataFrame) -> list[Finding]:
     return found
 
 
-def _norms(table: pd.DataFrame, columns: tuple[str, ...]) -> Array:
+def _norms(table: Columns, columns: tuple[str, ...]) -> Array:
     """Norm of a vector signal where all its parts are there, shape (n,)."""
     if any(c not in table for c in columns):
         return np.zeros(0)
-    norm = np.linalg.norm(table[list(columns)].to_numpy(), axis=1)
+    squares = np.zeros(len(table["time"]))
+    for column in columns:
+        squares += np.square(table[column])
+    norm = np.sqrt(squares, out=squares)
     return np.asarray(norm[np.isfinite(norm)])
 
 
-def _doubt_units(table: pd.DataFrame) -> list[Finding]:
+def _finite(table: Columns, column: str) -> Array:
+    """Samples of a column, shape (n,); none where it is not there."""
+    values = table[column] if column in table else np.zeros(0)
+    return np.asarray(values[np.isfinite(values)])
+
+
+def _doubt_units(table: Columns) -> list[Finding]:
     """Magnitudes that fit another unit better."""
     found = []
     acc, gyro, mag = (_norms(table, g) for g in (ACC, GYRO, MAG))
@@ -97,8 +110,9 @@ def _doubt_units(table: pd.DataFrame) -> list[Finding]:
             f"median {np.median(mag):.3g} T: the Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)"
         )
         found.append(Finding("error", "mag", message))
-    speed = table[[c for c in table if str(c).startswith("rotor_")]].to_numpy()
-    median = float(np.median(speed[speed > 0])) if (speed > 0).any() else 0.0
+    turning = [v[v > 0] for c in table if c.startswith("rotor_") for v in (table[c],)]
+    speed = np.concatenate(turning) if turning else np.zeros(0)
+    median = float(np.median(speed)) if len(speed) else 0.0
     if median > _FASTEST_ROTOR_RAD_S:
         message = f"median {median:.0f} rad/s: is it in rpm? 1 rpm = 0.10472 rad/s"
         found.append(Finding("error", "rotor", message))
@@ -107,34 +121,34 @@ def _doubt_units(table: pd.DataFrame) -> list[Finding]:
         ("vbat_v", 2.0, 500.0, "expected in V"),
         ("ibat_a", -1e3, 1e3, "expected in A"),
     ):
-        if column in table and table[column].notna().any():
-            median = float(table[column].median())
+        if len(values := _finite(table, column)):
+            median = float(np.median(values))
             if not low <= median <= high:
                 found.append(Finding("error", column, f"median {median:.4g}: {message}"))
     return found
 
 
-def _doubt_frames(table: pd.DataFrame) -> list[Finding]:
+def _doubt_frames(table: Columns) -> list[Finding]:
     """Signs that fit another frame better."""
     found = []
-    if "acc_z" in table and table["acc_z"].notna().any() and table["acc_z"].median() > 0.3:
+    if len(values := _finite(table, "acc_z")) and (down := float(np.median(values))) > 0.3:
         message = (
-            f"acc_z has median {table['acc_z'].median():+.2f} m/s^2; at rest and in hover it is "
+            f"acc_z has median {down:+.2f} m/s^2; at rest and in hover it is "
             "-9.8 in FRD. Axes FLU (z up), or gravity instead of specific force?"
         )
         found.append(Finding("error", "acc", message))
-    if "acc_ned_z" in table and table["acc_ned_z"].notna().any():
-        down = float(table["acc_ned_z"].median())
-        if abs(down) > 5.0:
-            message = (
-                f"acc_ned_z has median {down:+.2f} m/s^2; that of a motion is about 0 on average: "
-                "is gravity in it, or specific force meant?"
-            )
-            found.append(Finding("error", "acc_ned", message))
-    air = table["phase"].isin(["hover", "forward", "tour"])
-    ground = table["phase"] == "ground"
+    if len(values := _finite(table, "acc_ned_z")) and abs(down := float(np.median(values))) > 5.0:
+        message = (
+            f"acc_ned_z has median {down:+.2f} m/s^2; that of a motion is about 0 on average: "
+            "is gravity in it, or specific force meant?"
+        )
+        found.append(Finding("error", "acc_ned", message))
     if "pos_z" in table:
-        height = table.loc[air, "pos_z"].median() - table.loc[ground, "pos_z"].median()
+        down_m, phase = table["pos_z"], table["phase"]
+        there = np.isfinite(down_m)
+        air = down_m[there & np.logical_or.reduce([phase == p for p in _AIRBORNE])]
+        ground = down_m[there & (phase == "ground")]
+        height = float(np.median(air) - np.median(ground)) if len(air) and len(ground) else 0.0
         if height > 0.3:
             message = (
                 f"pos_z is {height:+.1f} m higher in flight than on the ground; NED has z down"
@@ -143,13 +157,12 @@ def _doubt_frames(table: pd.DataFrame) -> list[Finding]:
     return found
 
 
-def _doubt_height(table: pd.DataFrame) -> list[Finding]:
+def _doubt_height(table: Columns) -> list[Finding]:
     """Height that is counted upwards, by the pressure and by motors that idle at the start."""
-    if "pos_z" not in table or not table["pos_z"].notna().any():
+    if not len(_finite(table, "pos_z")):
         return []
     found = []
-    pressure = table.get("baro_pa")
-    if pressure is not None and pressure.notna().sum() > _FEWEST:
+    if len(_finite(table, "baro_pa")) > _FEWEST:
         t, down = samples(table, ("pos_z",))
         t_baro, baro = samples(table, ("baro_pa",))
         then = np.interp(t_baro, t, down[:, 0])
@@ -157,7 +170,7 @@ def _doubt_height(table: pd.DataFrame) -> list[Finding]:
         if climbs and np.corrcoef(then, baro[:, 0])[0, 1] < -0.5:
             message = "pos_z falls as the pressure rises; NED has z down: is it a height?"
             found.append(Finding("error", "pos", message))
-    commands = [c for c in table if str(c).startswith("cmd_")]
+    commands = [c for c in table if c.startswith("cmd_")]
     if commands:
         t_cmd, cmd = samples(table, commands)
         t, down = samples(table, ("pos_z",))
@@ -173,49 +186,68 @@ def _doubt_height(table: pd.DataFrame) -> list[Finding]:
     return found
 
 
-def _frozen(table: pd.DataFrame) -> list[Finding]:
+def _frozen(table: Columns, there: Signals) -> list[Finding]:
     """Signals that keep a value for seconds of a flight in which they change otherwise."""
-    there = signals(table)
-    ground = (table["phase"] == "ground").to_numpy()
-    time = table["time"].to_numpy()
-    found = []
-    for name in ("acc", "gyro", "mag", "pos", "vel", "q", "cmd", "rotor"):
-        if name not in there:
-            continue
-        t_s, values = samples(table, there[name])
-        changes = np.flatnonzero((np.diff(values, axis=0) != 0.0).any(axis=1)) + 1
-        if len(changes) < _FEWEST:
-            continue
-        first = np.concatenate([[0], changes])
-        last = np.concatenate([changes, [len(t_s)]]) - 1
-        usual_s = float(np.median(t_s[last] - t_s[first] + np.median(np.diff(t_s))))
-        off = name in ("cmd", "rotor") and ~values.any(axis=1)  # motors that stand are no fault
-        stopped = np.broadcast_to(off, len(t_s))[first]
-        begin, end = t_s[first], t_s[last]
-        long = (end - begin > max(_FROZEN_S, 20.0 * usual_s)) & ~stopped
-        for a, b in zip(begin[long], end[long], strict=True):
-            if not ground[(time > a) & (time < b)].all():
-                found.append((name, float(a), float(b)))
+    ground = np.asarray(table["phase"] == "ground")
+    time = table["time"]
+    found = [
+        (name, begin, end)
+        for name in ("acc", "gyro", "mag", "pos", "vel", "q", "cmd", "rotor")
+        if name in there
+        for begin, end in _still(*samples(table, there[name]), name in ("cmd", "rotor"))
+        if not ground[(time > begin) & (time < end)].all()
+    ]
+    moves = _moving(table, there, found)
     return [
         Finding("warning", name, f"stands still from {begin:.2f} to {end:.2f} s, changes otherwise")
-        for name, begin, end in found
-        if _moves(table, there, name, begin, end)
+        for (name, begin, end), moving in zip(found, moves, strict=True)
+        if moving
     ]
 
 
-def _moves(
-    table: pd.DataFrame,
-    there: dict[str, tuple[str, ...]],
-    but: str,
-    begin_s: float,
-    end_s: float,
-) -> bool:
-    """Whether another signal of the motion changes all along a span."""
+def _still(t_s: Array, values: Array, may_stand: bool) -> list[tuple[float, float]]:
+    """Spans, s, over which a signal keeps its value for much longer than it does otherwise.
+
+    Args:
+        t_s: Shape (n,).
+        values: Shape (n, k).
+        may_stand: Whether all zeros are no fault: motors that stand.
+    """
+    changes = np.flatnonzero(_changed(values)) + 1
+    if len(changes) < _FEWEST:
+        return []
+    off = np.zeros(len(t_s), dtype=np.bool_)
+    if may_stand:
+        off = np.asarray(~values.any(axis=1))
+    del values
+    first = np.concatenate([[0], changes])
+    last = np.concatenate([changes, [len(t_s)]]) - 1
+    usual_s = float(np.median(t_s[last] - t_s[first] + np.median(np.diff(t_s))))
+    long = (t_s[last] - t_s[first] > max(_FROZEN_S, 20.0 * usual_s)) & ~off[first]
+    begin, end = t_s[first[long]], t_s[last[long]]
+    return list(zip(begin.tolist(), end.tolist(), strict=True))
+
+
+def _changed(values: Array) -> NDArray[np.bool_]:
+    """Whether any of the columns differs from the row before, shape (n - 1,)."""
+    changed = np.zeros(max(len(values) - 1, 0), dtype=np.bool_)
+    for column in values.T:
+        changed |= column[1:] != column[:-1]
+    return changed
+
+
+def _moving(
+    table: Columns, there: Signals, spans: Sequence[tuple[str, float, float]]
+) -> NDArray[np.bool_]:
+    """Whether a signal of the motion changes all along each span, other than that of the span."""
+    moving = np.zeros(len(spans), dtype=np.bool_)
     for name in ("acc", "gyro", "q", "vel", "pos"):
-        if name == but or name not in there:
+        asked = [k for k, span in enumerate(spans) if not moving[k] and span[0] != name]
+        if not asked or name not in there:
             continue
         t_s, values = samples(table, there[name])
-        inside = values[(t_s > begin_s) & (t_s < end_s)]
-        if len(inside) > 4 and np.mean((np.diff(inside, axis=0) != 0.0).any(axis=1)) > 0.5:
-            return True
-    return False
+        for k in asked:
+            _, begin_s, end_s = spans[k]
+            inside = values[(t_s > begin_s) & (t_s < end_s)]
+            moving[k] = len(inside) > 4 and np.mean(_changed(inside)) > 0.5
+    return moving

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import LogError
 from ..representation import short_repr
 from .airframe import Airframe
+from .columns import Columns
 
 Array = NDArray[np.float64]
 Severity = Literal["info", "warning", "error"]
@@ -76,6 +77,24 @@ class Flight:
         return None if self.site is None else self.site.indoors
 
     @property
+    def columns(self) -> Columns:
+        """The table by column."""
+        return {str(c): self.table[c].to_numpy() for c in self.table}
+
+    @property
+    def time_s(self) -> Array:
+        """Times of the rows, s, shape (n,)."""
+        return np.asarray(self.table["time"].to_numpy(dtype=np.float64))
+
+    @property
+    def phase_codes(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
+        """Phase of each row as a place in a list of names, and the list."""
+        if "phase" not in self.table:
+            return np.zeros(len(self.table), dtype=np.int8), np.array([""], dtype=object)
+        codes, names = pd.factorize(self.table["phase"].fillna("").to_numpy(dtype=object))
+        return codes.astype(np.int8), np.asarray(names, dtype=object)
+
+    @property
     def fingerprint(self) -> str:
         """Hash of all its numbers, whatever its file is called and however columns are ordered."""
         digest = hashlib.sha256()
@@ -106,9 +125,24 @@ class Flight:
         """
         missing = [c for c in columns if not self.has(c)]
         if missing:
-            raise LogError(
-                f"{self.name}: no samples of {', '.join(missing)}. "
-                f"The flight has: {', '.join(c for c in self.table if self.has(c))}."
-            )
-        rows = self.table[["time", *columns]].dropna().to_numpy(dtype=np.float64)
-        return rows[:, 0], rows[:, 1:]
+            raise missing_signal(self.name, missing, [c for c in self.table if self.has(c)])
+        columns = list(columns)
+        return finite_rows(self.time_s, self.table[columns].to_numpy(dtype=np.float64))
+
+    def between(self, start_s: float, end_s: float) -> "Flight":
+        """The part of the flight within a span of time, both ends included."""
+        inside = (self.time_s >= start_s) & (self.time_s <= end_s)
+        return replace(self, table=self.table[inside].reset_index(drop=True))
+
+
+def missing_signal(name: str, missing: Sequence[str], there: Sequence[str]) -> LogError:
+    """The error where a flight lacks columns that are asked for."""
+    return LogError(
+        f"{name}: no samples of {', '.join(missing)}. The flight has: {', '.join(there)}."
+    )
+
+
+def finite_rows(t_s: Array, values: Array) -> tuple[Array, Array]:
+    """Times and values of the rows that are known altogether; the same arrays where all are."""
+    known = ~np.isnan(values).any(axis=1) & ~np.isnan(t_s)
+    return (t_s, values) if known.all() else (t_s[known], values[known])

@@ -2,12 +2,17 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import LogError
 from .doubts import doubts
 from .flight import Flight
-from .formats import ReadOptions, known_formats, nearly, recognise
+from .formats import LogFormat, ReadOptions, known_formats, nearly, recognise
 from .signature import HEAD, Magic, Signature
+from .stored import AnyFlight
+from .table import open_parquet
+
+_F = TypeVar("_F", bound=AnyFlight)
 
 NOT_READ: tuple[tuple[Signature, str], ...] = (
     (Magic(b"PK\x03\x04"), "a ZIP archive (or FMU). Unpack it first."),
@@ -36,14 +41,38 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
         raise LogError(f"{path.name}: {error}") from None
     if found is None:
         raise LogError(f"{path.name}: {_looks_like(blob)} Known formats: {known_formats()}.")
-    flight = found.load()(path, blob, ReadOptions(rebuild_commands))
+    return _doubted(found.load()(path, blob, ReadOptions(rebuild_commands)), found)
+
+
+def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> AnyFlight:
+    """The same, a long flight table in Parquet left in its file: memory does not grow with it.
+
+    Args:
+        path: As of `read_flight`.
+        rebuild_commands: As of `read_flight`.
+
+    Raises:
+        LogError: As of `read_flight`.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+    except (OSError, ValueError):
+        return read_flight(path, rebuild_commands=rebuild_commands)  # which says why
+    if Magic(b"PAR1").matches(head) and (found := recognise(head)) is not None:
+        stored = open_parquet(path)
+        if stored is not None:
+            return _doubted(stored, found)
+    return read_flight(path, rebuild_commands=rebuild_commands)
+
+
+def _doubted(flight: _F, read_as: LogFormat) -> _F:
+    """The flight with its format, and with what its values contradict."""
     said = set(flight.findings)
-    doubted = [f for f in doubts(flight.table) if f not in said]  # a writer may have noted them
-    return replace(
-        flight,
-        facts={"format": found.name, **flight.facts},
-        findings=(*flight.findings, *doubted),
-    )
+    more = [f for f in doubts(flight.columns) if f not in said]  # a writer may have noted them
+    facts = {"format": read_as.name, **flight.facts}
+    return replace(flight, facts=facts, findings=(*flight.findings, *more))
 
 
 def _content(path: Path) -> bytes:

@@ -15,12 +15,14 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from ..errors import LogError
 from .attitude import with_quaternion
-from .columns import is_known
-from .flight import Finding, Flight, Severity, Site
+from .columns import EULER, is_known, over
+from .flight import Array, Finding, Flight, Severity, Site
 from .formats import ReadOptions
+from .stored import ParquetColumns, StoredFlight, damaged
 from .validate import check_columns, validate
 
 _METADATA = b"uavtwin"
@@ -28,6 +30,8 @@ _LONGEST_LINE = 1_000_000
 _MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
 _MOST_COLUMNS = 10_000
 _MOST_CELLS = 100_000_000  # 0.8 GB of float64
+HELD_CELLS = 10_000_000
+"""Larger tables in Parquet stay in their file: 80 MB of float64, eight minutes at 1 kHz."""
 _SHOWN = 40
 _EMPTY = ["", "nan", "NaN", "NAN"]
 
@@ -68,14 +72,66 @@ def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     return _checked(path, _csv(path, blob, findings), {}, findings)
 
 
-def _checked(
-    path: Path, raw: pd.DataFrame, facts: dict[str, str], findings: list[Finding]
-) -> Flight:
+def open_parquet(path: Path) -> StoredFlight | None:
+    """A flight table in Parquet, left in its file where it is large and holds plain numbers.
+
+    Args:
+        path: The file.
+
+    Returns:
+        None where it is to be read whole: smaller than `HELD_CELLS`, with Euler angles that have to
+        be turned into a quaternion first, or with a column that holds no plain numbers.
+
+    Raises:
+        LogError: It contradicts the definition of the flight table.
+    """
+    try:
+        schema, size = pq.read_schema(path), pq.read_metadata(path)
+    except (pa.ArrowException, OSError) as error:
+        raise damaged(path, error) from None
+    held = [n for n in schema.names if is_known(n) and n != "phase"]
+    plain = all(_is_plain(schema.field(n).type) for n in held if schema.names.count(n) == 1)
+    if size.num_rows * (len(held) + 1) <= HELD_CELLS or not plain or {*held} & {*EULER}:
+        return None
+    _check_rows(path, size.num_rows, size.num_columns)
+    _check_once(path, schema.names)
+    findings = check_columns(path.name, schema.names)
+    _check_flat(path, schema, [n for n in schema.names if is_known(n)])
+    facts: dict[str, str] = {}
+    noted: list[Finding] = []
+    site = _take_over((schema.metadata or {}).get(_METADATA, b"{}"), facts, noted)
+    stored = ParquetColumns(path, held)
+    time_s = stored["time"]
+    mended, doubts = validate(path.name, over({"time": time_s}, stored))
+    there = [c for c in held if c not in mended and stored.has_sample(c)]
+    there += [c for c, values in mended.items() if np.isfinite(values).any()]
+    return StoredFlight(
+        path.stem,
+        stored,
+        mended,
+        (*noted, *findings, *doubts),
+        facts,
+        path,
+        site,
+        time_s,
+        frozenset([*there, "phase"]),
+    )
+
+
+def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Finding]) -> Flight:
     """The flight of known columns as they are in the file."""
-    table = pd.DataFrame({c: _numbers(path, raw[c]) for c in raw if c != "phase"})
-    table, turned = with_quaternion(path.name, table)
-    table["phase"] = _phase(raw)
-    table, doubts = validate(path.name, table)
+    columns: dict[str, Any] = {}
+    phase = _phase(raw)
+    for name in [c for c in raw.column_names if c != "phase"]:
+        columns[name] = _numbers(path, name, raw.column(name).to_pandas())
+        raw = raw.drop_columns(name)
+    quaternion, turned = with_quaternion(path.name, columns)
+    columns = {c: v for c, v in columns.items() if c not in EULER} | quaternion
+    columns["phase"] = phase
+    mended, doubts = validate(path.name, columns)
+    columns |= mended
+    columns["phase"] = pd.Series(phase, dtype=object)
+    table = pd.DataFrame(columns, copy=False)
     return Flight(path.stem, table, (*findings, *turned, *doubts), facts, path)
 
 
@@ -117,7 +173,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
 
 def _parquet(
     path: Path, blob: bytes, facts: dict[str, str], findings: list[Finding]
-) -> tuple[pd.DataFrame, Site | None]:
+) -> tuple[pa.Table, Site | None]:
     """Parquet -> known columns as they are; what the writer noted is taken over."""
     try:
         file = pq.ParquetFile(io.BytesIO(blob))
@@ -129,8 +185,7 @@ def _parquet(
         found = check_columns(path.name, schema.names)
         _check_flat(path, schema, held)
         # a text that stands in many rows is held once
-        arrow = pq.read_table(io.BytesIO(blob), columns=held, read_dictionary=texts)
-        frame = arrow.to_pandas(ignore_metadata=True)
+        raw = pq.read_table(io.BytesIO(blob), columns=held, read_dictionary=texts)
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
         raise LogError(
             f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
@@ -138,16 +193,28 @@ def _parquet(
         ) from None
     site = _take_over((schema.metadata or {}).get(_METADATA, b"{}"), facts, findings)
     findings += found
-    return frame, site
+    return raw, site
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
     """Refuse what would not fit in memory, before it is unpacked."""
-    if rows > _MOST_ROWS or rows * columns > _MOST_CELLS or columns > _MOST_COLUMNS:
+    _check_rows(path, rows, columns)
+    if rows * columns > _MOST_CELLS:
         raise LogError(
-            f"{path.name}: {rows} rows of {columns} columns; at most {_MOST_ROWS} rows, "
-            f"{_MOST_COLUMNS} columns and {_MOST_CELLS} cells are read. Cut the flight, or leave "
-            "out columns that are not of the flight table."
+            f"{path.name}: {rows} rows of {columns} columns; at most {_MOST_CELLS} cells are held "
+            "in memory. Cut the flight, or leave out columns that are not of the flight table; a "
+            "table in Parquet, of numbers alone and with q_* for the attitude, is not held in "
+            "memory by check, gap and explain."
+        )
+
+
+def _check_rows(path: Path, rows: int, columns: int) -> None:
+    """Refuse what no flight is."""
+    if rows > _MOST_ROWS or columns > _MOST_COLUMNS:
+        raise LogError(
+            f"{path.name}: {rows} rows of {columns} columns; at most {_MOST_ROWS} rows and "
+            f"{_MOST_COLUMNS} columns are read. Cut the flight, or leave out columns that are not "
+            "of the flight table."
         )
 
 
@@ -166,6 +233,11 @@ def _is_number(kind: pa.DataType) -> bool:
         or pa.types.is_boolean(kind)
         or pa.types.is_decimal(kind)
     )
+
+
+def _is_plain(kind: pa.DataType) -> bool:
+    """Whether a column of Parquet holds numbers as they are."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
 def _check_flat(path: Path, schema: pa.Schema, names: list[str]) -> None:
@@ -207,7 +279,7 @@ def _finding(severity: str, where: str, message: str, count: int = 1) -> Finding
     return Finding(cast(Severity, severity), where, message, count)
 
 
-def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
+def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
     """CSV -> known columns as they are; a last row without line end is dropped and counted."""
     try:
         text = blob.decode("utf-8-sig")
@@ -252,14 +324,13 @@ def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pd.DataFrame:
     except pa.ArrowException as error:
         raise LogError(f"{path.name}: not readable as CSV: {error}.") from None
     findings += check_columns(path.name, header)
-    frame = arrow.to_pandas()
-    return frame[[c for c in header if is_known(c)]]
+    return arrow.select([c for c in header if is_known(c)])
 
 
-def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
+def _numbers(path: Path, name: str, column: "pd.Series[Any]") -> Array:
     """A column as float64; anything else is an error with its row."""
     if pd.api.types.is_numeric_dtype(column.dtype) or column.isna().all():
-        return column.astype(np.float64)
+        return np.array(column.to_numpy(dtype=np.float64, na_value=np.nan))
     if isinstance(column.dtype, pd.CategoricalDtype):  # one text each, however many rows have it
         each = pd.to_numeric(column.cat.categories.to_series(), errors="coerce")
         values = np.append(each.to_numpy(np.float64), np.nan)[column.cat.codes]
@@ -271,16 +342,16 @@ def _numbers(path: Path, column: "pd.Series[Any]") -> "pd.Series[Any]":
         k = int(text[0]) if len(text) else 0
         shown = str(column.iloc[k])[:_SHOWN]
         raise LogError(
-            f"{path.name}: {column.name} in data row {k + 1} is '{shown}', not a number "
+            f"{path.name}: {name} in data row {k + 1} is '{shown}', not a number "
             f"({max(len(text), 1)} such values). Leave a cell empty where there is no sample."
         )
-    return numbers
+    return np.array(numbers.to_numpy())
 
 
-def _phase(raw: pd.DataFrame) -> "pd.Series[Any]":
-    """Phase as text, "" where there is none."""
-    if "phase" not in raw:
-        return pd.Series("", index=raw.index, dtype=object)
-    code, kinds = pd.factorize(raw["phase"])  # missing: code -1, the last of the texts below
+def _phase(raw: pa.Table) -> NDArray[np.object_]:
+    """Phase as text, "" where there is none, shape (n,)."""
+    if "phase" not in raw.column_names:
+        return np.full(raw.num_rows, "", dtype=object)
+    code, kinds = pd.factorize(raw.column("phase").to_pandas())  # missing: code -1, the last
     texts = np.array([*map(str, kinds), ""], dtype=object)
-    return pd.Series(texts[code], index=raw.index, dtype=object)
+    return np.asarray(texts[code], dtype=object)

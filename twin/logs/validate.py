@@ -4,8 +4,10 @@ import difflib
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from ..errors import LogError
+from .agreement import signals
 from .columns import (
     ACC,
     ACC_NED,
@@ -20,9 +22,11 @@ from .columns import (
     POS,
     QUAT,
     VEL,
+    Columns,
     is_known,
     motor_columns,
     motor_number,
+    over,
 )
 from .doubts import gaps
 from .flight import Array, Finding
@@ -123,42 +127,53 @@ def _check_motors(name: str, columns: list[str]) -> None:
         raise LogError(f"{name}: {counts['cmd']} commands but {counts['rotor']} rotor speeds.")
 
 
-def validate(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
+def validate(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
     """Check the values of a flight table whose columns are known.
 
     Args:
         name: File name, for messages.
-        table: Flight table, numbers as float64, `phase` as text.
+        table: By column, `phase` among them.
 
     Returns:
-        The table, with quaternions off unit norm normalised, and the doubts.
+        Columns that had to be mended: samples beyond all limits left out, commands a little outside
+        0..1 set to its end, quaternions off unit norm normalised. And the doubts.
 
     Raises:
         LogError: Time that does not increase, infinite values, commands outside 0..1, ...
     """
-    if table.empty:
+    if not len(table["time"]):
         raise LogError(f"{name}: no rows.")
-    _check_time(name, table["time"].to_numpy())
-    empty = [str(c) for c in table if table[c].isna().all()]
-    table, bounded = _bounded(table)
-    for column in table.columns.drop("phase"):
-        _check_range(name, str(column), table[column].to_numpy())
+    _check_time(name, table["time"])
+    numbers = [c for c in table if c != "phase"]
+    empty = [c for c in numbers if np.isnan(table[c]).all()]
+    mended, bounded = _bounded(table)
+    table = over(mended, table)
+    for column in numbers:
+        _check_range(name, column, table[column])
     _check_phase(name, table["phase"])
-    if not any(table[c].notna().any() for c in MOTION if c in table):
+    if not any(np.isfinite(table[c]).any() for c in MOTION if c in table):
         left_out = f" {bounded[0].where}: {bounded[0].message}" if bounded else ""
         raise LogError(f"{name}: the motion signals have no sample, all cells are empty.{left_out}")
-    table, findings = _unit_quaternions(name, table)
+    unit, findings = _unit_quaternions(name, table)
+    mended |= unit
     findings += [Finding("warning", c, "has no sample at all") for c in empty]
     findings += _partial_vectors(table)
-    return table, [*bounded, *findings, *gaps(table)]
+    return mended, [*bounded, *findings, *gaps(table, signals(table))]
 
 
-def _partial_vectors(table: pd.DataFrame) -> list[Finding]:
+def _partial_vectors(table: Columns) -> list[Finding]:
     """Rows in which a vector has some of its components and NaN for the others."""
     found = []
     for group in (ACC, GYRO, MAG, POS, VEL, QUAT, ACC_NED):
-        there = table[[c for c in group if c in table and table[c].notna().any()]].notna()
-        count = int((there.any(axis=1) & ~there.all(axis=1)).sum())
+        there = [~np.isnan(table[c]) for c in group if c in table]
+        there = [t for t in there if t.any()]
+        if not there:
+            continue
+        some, every = there[0].copy(), there[0].copy()
+        for one in there[1:]:
+            some |= one
+            every &= one
+        count = int(np.count_nonzero(some & ~every))
         if count:
             message = "rows with NaN in a part of the vector; the vector is left out there"
             found.append(Finding("error", group[0][:-2], message, count))
@@ -180,31 +195,44 @@ def _check_time(name: str, t_s: Array) -> None:
         )
 
 
-def _bounded(table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
+def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
     """Samples beyond all limits left out, commands a little outside 0..1 set to its end."""
-    table = table.copy()
+    mended: dict[str, Array] = {}
     found = []
-    rotors = {"rotor": tuple(str(c) for c in table if str(c).startswith("rotor_"))}
+    rotors = {"rotor": tuple(c for c in table if c.startswith("rotor_"))}
     for signal, columns in (SIGNALS | rotors).items():
         there = [c for c in columns if c in table]
-        values = table[there].to_numpy()
-        out = beyond(signal, values) & ~np.isinf(values).any(axis=1)  # those are refused below
+        out = np.zeros(len(table["time"]), dtype=np.bool_)
+        refused = out.copy()  # infinite values are, below
+        for column in there:
+            out |= beyond(signal, table[column][:, None])
+            refused |= np.isinf(table[column])
+        out &= ~refused
         if out.any():
-            table.loc[out, there] = np.nan
-            found.append(Finding("error", signal, told(signal), int(out.sum())))
-    commands = [str(c) for c in table if str(c).startswith("cmd_")]
-    cmd = table[commands].to_numpy()
-    outside = (cmd < -_TINY) | (cmd > 1.0 + _TINY)
-    little = outside & (np.abs(cmd - 0.5) <= 0.5 + _OVERFLOW)
-    if outside.any() and not (outside & ~little).any() and outside.mean() < _MOSTLY:
-        worst = cmd[outside][np.argmax(np.abs(cmd[outside] - 0.5))]
+            for column in there:
+                mended[column] = np.where(out, np.nan, table[column])
+            found.append(Finding("error", signal, told(signal), int(np.count_nonzero(out))))
+    commands = [c for c in table if c.startswith("cmd_")]
+    count, worst = 0, 0.5
+    for column in commands:
+        cmd = table[column]
+        off = cmd[(cmd < -_TINY) | (cmd > 1.0 + _TINY)]
+        count += len(off)
+        if len(off):
+            farthest = float(off[np.argmax(np.abs(off - 0.5))])
+            worst = max(worst, farthest, key=lambda c: abs(c - 0.5))
+    if (
+        count
+        and abs(worst - 0.5) <= 0.5 + _OVERFLOW
+        and count < _MOSTLY * len(commands) * len(table["time"])
+    ):
         message = (
             f"values outside 0..1, the farthest {worst:.4g}, set to its end: a duty cycle that "
             "overflows?"
         )
-        table[commands] = np.clip(cmd, 0.0, 1.0)
-        found.append(Finding("error", "cmd", message, int(outside.sum())))
-    return table, found
+        mended |= {c: np.clip(table[c], 0.0, 1.0) for c in commands}
+        found.append(Finding("error", "cmd", message, count))
+    return mended, found
 
 
 def _check_range(name: str, column: str, values: Array) -> None:
@@ -235,26 +263,28 @@ def _check_range(name: str, column: str, values: Array) -> None:
         )
 
 
-def _check_phase(name: str, phase: "pd.Series[str]") -> None:
+def _check_phase(name: str, phase: NDArray[np.object_]) -> None:
     """Only the known phases."""
-    for value in phase.unique():
+    for value in pd.unique(phase):
         if value and value not in PHASES:
             shown = value[:_SHOWN]
             near = difflib.get_close_matches(shown.lower(), PHASES, 1)
             hint = f" Did you mean '{near[0]}'?" if near else ""
             raise LogError(
                 f"{name}: unknown phase '{shown}' in data row "
-                f"{int((phase == value).to_numpy().argmax()) + 1}; one of {', '.join(PHASES)} or "
+                f"{int(np.asarray(phase == value).argmax()) + 1}; one of {', '.join(PHASES)} or "
                 f"empty.{hint}"
             )
 
 
-def _unit_quaternions(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, list[Finding]]:
+def _unit_quaternions(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
     """Quaternions of unit norm; small deviations are mended and counted."""
     if "q_w" not in table:
-        return table, []
-    q = table[list(QUAT)].to_numpy(copy=True)
-    norm = np.linalg.norm(q, axis=1)
+        return {}, []
+    norm = np.zeros(len(table["time"]))
+    for column in QUAT:
+        norm += np.square(table[column])
+    norm = np.sqrt(norm, out=norm)
     off = np.abs(norm - 1.0) > _NORM_DOUBT
     wrong = np.flatnonzero(np.abs(norm - 1.0) > 0.1)
     if len(wrong):
@@ -264,9 +294,8 @@ def _unit_quaternions(name: str, table: pd.DataFrame) -> tuple[pd.DataFrame, lis
             f"({len(wrong)} such). Expected: q_w, q_x, q_y, q_z, body to NED."
         )
     if not off.any():
-        return table, []
-    mended = table.copy()
-    q[off] /= norm[off, None]
-    mended[list(QUAT)] = q
-    count = int(off.sum())
-    return mended, [Finding("warning", "q", "off unit norm by over 0.001, normalised", count)]
+        return {}, []
+    norm[~off] = 1.0
+    count = int(np.count_nonzero(off))
+    found = [Finding("warning", "q", "off unit norm by over 0.001, normalised", count)]
+    return {c: table[c] / norm for c in QUAT}, found

@@ -1,7 +1,8 @@
 """A flight beside its twin: the inputs and the measured states of a flight on the twin's grid."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -11,17 +12,27 @@ from ..component import Component
 from ..component.rows import OverRows
 from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..physics.airframe import airframe
 from ..physics.sensors.imu import imu
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .measured import MeasuredMotion, measured_motion
-from .teacher_forced import GRID_S, Inputs, airframe_inputs, choose_drive, measured_states
+from .teacher_forced import (
+    GRID_S,
+    Inputs,
+    InputSignals,
+    RotorStates,
+    choose_drive,
+    hidden_of,
+    measured_states,
+)
 
 Array = NDArray[np.float64]
-LONGEST_FLIGHT_S = 3600.0
-"""Everything is held in memory on a 1 ms grid, about 0.5 MB per second of flight."""
+LONGEST_FLIGHT_S = 10_000.0
+"""Of what is held in memory the most is one signal of the flight, or 200 Hz of all states."""
+BLOCK_ROWS = 1 << 18
+"""Rows of a block: with inputs and states some 70 MB."""
 LIFT_OFF_HEIGHT_M = 0.1
 """Above its resting place by this much, a vehicle counts as airborne."""
 
@@ -64,50 +75,207 @@ class AlignedFlight:
 
 
 def align_flight(
-    flight: Flight, vehicle: Vehicle, grid_s: float = GRID_S, effects: Iterable[str] = ()
+    flight: AnyFlight,
+    vehicle: Vehicle,
+    grid_s: float = GRID_S,
+    effects: Iterable[str] = (),
+    motion: MeasuredMotion | None = None,
 ) -> AlignedFlight:
-    """Put a flight onto the grid of a twin.
+    """Put a flight onto the grid of a twin, in one piece.
 
     Args:
         flight: As read by `twin.logs.read_flight`.
         vehicle: As read by `twin.vehicle.file.load_vehicle`.
         grid_s: Step of the grid, s; unmeasured states are integrated with it.
         effects: Effects to build into the airframe, switched off.
+        motion: Of the flight, where it has been measured already.
 
     Raises:
         LogError: The flight lacks what the vehicle needs, is too short, or never flies.
     """
-    body = airframe(vehicle, choose_drive(flight, vehicle), effects)
-    switches = {v.name for v in body.parameters}
-    late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
-    body = body.with_starts({name: 0.0 for name in late if name in switches})
-    time = flight.table["time"].to_numpy(dtype=np.float64)
-    if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
-        raise LogError(f"{flight.name}: too short: {len(time)} samples.")
-    if time[-1] - time[0] > LONGEST_FLIGHT_S:
-        raise LogError(
-            f"{flight.name}: {time[-1] - time[0]:.0f} s long, more than {LONGEST_FLIGHT_S:.0f} s. "
-            f"Cut the log, or check its clock."
+    alignment = Alignment(flight, vehicle, grid_s, effects, motion)
+    (block,) = alignment.blocks([0, alignment.rows])
+    return alignment.piece(block, alignment.airborne([block]), alignment.phases(0, alignment.rows))
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Rows of the grid of a twin, one after the other.
+
+    Attributes:
+        first: Number of the first of them.
+        inputs: Of the airframe.
+        states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
+    """
+
+    first: int
+    inputs: Inputs
+    states: Array
+
+    __repr__ = short_repr
+
+    @property
+    def end(self) -> int:
+        """Number of the row after the last."""
+        return self.first + len(self.states)
+
+
+class Alignment:
+    """A flight and a vehicle, to be put on the twin's grid: whole, or one block of rows after
+    another, with the same numbers.
+
+    Attributes:
+        airframe: As of `AlignedFlight`.
+        imu: As of `AlignedFlight`.
+        motion: Measured motion.
+        rows: How many grid points there are.
+        step_s: Step of the grid.
+        notes: What was assumed or left out.
+    """
+
+    def __init__(
+        self,
+        flight: AnyFlight,
+        vehicle: Vehicle,
+        grid_s: float = GRID_S,
+        effects: Iterable[str] = (),
+        motion: MeasuredMotion | None = None,
+    ) -> None:
+        """Arguments and errors as of `align_flight`; that it never flies is said by `airborne`."""
+        body = airframe(vehicle, choose_drive(flight, vehicle), effects)
+        switches = {v.name for v in body.parameters}
+        late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
+        self.airframe = body.with_starts({name: 0.0 for name in late if name in switches})
+        time = flight.time_s
+        if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
+            raise LogError(f"{flight.name}: too short: {len(time)} samples.")
+        if time[-1] - time[0] > LONGEST_FLIGHT_S:
+            raise LogError(
+                f"{flight.name}: {time[-1] - time[0]:.0f} s long, more than "
+                f"{LONGEST_FLIGHT_S:.0f} s. Cut the log, or check its clock."
+            )
+        self._first = round(float(time[0]) / grid_s)
+        self.rows = int(np.floor(float(time[-1]) / grid_s + 1e-6)) + 1 - self._first
+        self._flight, self._vehicle, self._grid_s = flight, vehicle, grid_s
+        start_s, next_s = self.times(0, 2)
+        self.step_s = float(next_s - start_s)
+        self.motion = motion or measured_motion(flight)
+        self._signals = InputSignals(flight, vehicle, self.airframe)
+        self.imu = _quiet(imu(vehicle))
+        self.notes = self.motion.notes + self._signals.notes
+
+    def times(self, first: int, end: int) -> Array:
+        """Times of some rows, s."""
+        rows = np.arange(self._first + first, self._first + end)
+        return np.asarray(rows.astype(np.float64) * self._grid_s)
+
+    def phases(self, first: int, end: int) -> NDArray[np.str_]:
+        """Phases of some rows: of the last row of the table at or before each, "" where the flight
+        says nothing."""
+        codes, names = self._flight.phase_codes
+        return np.asarray(names.astype("<U8")[codes[self._table_rows(first, end)]])
+
+    def spans(self) -> tuple[tuple[str, float, float], ...]:
+        """Name, first and last time of each phase, as they lie on the grid."""
+        told, names = self._flight.phase_codes
+        codes = np.empty(self.rows, dtype=told.dtype)
+        for a, b in pairwise(self.edges(BLOCK_ROWS)):
+            codes[a:b] = told[self._table_rows(a, b)]
+        changes = np.flatnonzero(codes[1:] != codes[:-1]) + 1
+        edges = [0, *changes.tolist(), self.rows - 1]
+        return tuple(
+            (str(names[codes[a]]), float(self.times(a, a + 1)[0]), float(self.times(b, b + 1)[0]))
+            for a, b in pairwise(edges)
+            if names[codes[a]]
         )
-    first = round(float(time[0]) / grid_s)
-    last = int(np.floor(float(time[-1]) / grid_s + 1e-6))
-    t: Array = np.arange(first, last + 1).astype(np.float64) * grid_s
-    motion = measured_motion(flight)
-    inputs = airframe_inputs(flight, vehicle, body, t)
-    phases = _phases(flight, t)
-    airborne = _airborne(vehicle, body, inputs, motion, phases)
-    if not airborne.any():
-        raise LogError(
-            f"{flight.name}: never airborne with {vehicle.name}: {_why_grounded(motion, phases)}"
+
+    def _table_rows(self, first: int, end: int) -> NDArray[np.intp]:
+        """The last row of the table at or before each row."""
+        at_s = self.times(first, end) + 1e-9
+        rows = np.searchsorted(self._flight.time_s, at_s, side="right") - 1
+        return np.asarray(np.maximum(rows, 0))
+
+    def edges(self, rows: int) -> list[int]:
+        """Where blocks of at most so many rows begin, and the end of the last one."""
+        return [*range(0, self.rows, rows), self.rows]
+
+    def blocks(self, edges: Sequence[int]) -> Iterator[Block]:
+        """The rows between neighbouring edges, from the first row on, none left out."""
+        rotors = RotorStates(self.airframe, self.step_s)
+        hidden = hidden_of(self.airframe, self.step_s)
+        for first, end in pairwise(edges):
+            t_s = self.times(first, end)
+            u = self._signals.at(t_s)
+            along = rotors.along(u)
+            inputs = Inputs(self._signals.columns, t_s, u, along, self._signals.notes)
+            yield Block(first, inputs, measured_states(self.airframe, self.motion, inputs, hidden))
+
+    def airborne(self, blocks: Iterable[Block]) -> NDArray[np.bool_]:
+        """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
+        resting place where the record starts at rest and holds a position.
+
+        Args:
+            blocks: All rows.
+
+        Raises:
+            LogError: There are none.
+        """
+        weight = self._vehicle.mass_kg * self._vehicle.gravity_m_s2
+        thrust = _rotor_thrust(self.airframe, self._vehicle.rotors.count)
+        carried = np.zeros(self.rows, dtype=np.bool_)
+        grounded = np.zeros(self.rows, dtype=np.bool_)
+        height = np.full(self.rows if self.motion.position is not None else 0, np.nan)
+        down = [s.name for s in self.airframe.states].index("pos_z")
+        codes, names = self._flight.phase_codes
+        for block in blocks:
+            rows = slice(block.first, block.end)
+            inputs = block.inputs
+            carried[rows] = thrust(inputs.rotor_states, inputs.u)[:, 0] > 0.5 * weight
+            grounded[rows] = (names == "ground")[codes[self._table_rows(block.first, block.end)]]
+            if len(height):
+                height[rows] = -block.states[:, down]
+        airborne = carried & ~grounded
+        soon = slice(None, max(1, round(0.2 / self.step_s)))
+        starts_in_air = bool(np.median(carried[soon])) and not grounded[0]
+        if len(height) and not starts_in_air:
+            rest = height[np.isfinite(height) & ~carried]
+            if len(rest):
+                airborne &= ~(height < float(np.median(rest)) + LIFT_OFF_HEIGHT_M)
+        if not airborne.any():
+            raise LogError(
+                f"{self._flight.name}: never airborne with {self._vehicle.name}: "
+                f"{_why_grounded(self.motion, bool(grounded.all()))}"
+            )
+        return np.asarray(airborne)
+
+    def piece(
+        self, block: Block, airborne: NDArray[np.bool_], phases: NDArray[np.str_]
+    ) -> AlignedFlight:
+        """A block by itself.
+
+        Args:
+            block: Its rows.
+            airborne: Of these rows.
+            phases: Of these rows.
+        """
+        notes = (*self.notes, *self.left_out(airborne))
+        return AlignedFlight(
+            self.airframe,
+            self.imu,
+            block.inputs,
+            self.motion,
+            block.states,
+            phases,
+            airborne,
+            notes,
         )
-    states = measured_states(body, motion, inputs)
-    on_ground = float(np.mean(~airborne))
-    notes = list(motion.notes + inputs.notes)
-    if on_ground > 0:
-        notes.append(f"{on_ground * (t[-1] - t[0]):.1f} s on the ground are left out")
-    return AlignedFlight(
-        body, _quiet(imu(vehicle)), inputs, motion, states, phases, airborne, tuple(notes)
-    )
+
+    def left_out(self, airborne: NDArray[np.bool_]) -> list[str]:
+        """How long the flight is on the ground, in words; nothing where it never is."""
+        on_ground = float(np.mean(~airborne))
+        first_s, last_s = self.times(0, 1)[0], self.times(self.rows - 1, self.rows)[0]
+        seconds = on_ground * (last_s - first_s)
+        return [f"{seconds:.1f} s on the ground are left out"] if on_ground > 0 else []
 
 
 def _quiet(sensor: Component) -> Component:
@@ -118,18 +286,9 @@ def _quiet(sensor: Component) -> Component:
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
 
 
-def _phases(flight: Flight, t_s: Array) -> NDArray[np.str_]:
-    """Phase of the last row at or before each time, "" where the flight says nothing."""
-    if "phase" not in flight.table:
-        return np.full(len(t_s), "", dtype="<U8")
-    rows = np.searchsorted(flight.table["time"].to_numpy(), t_s + 1e-9, side="right") - 1
-    text = flight.table["phase"].fillna("").to_numpy(dtype="<U8")
-    return np.asarray(text[np.maximum(rows, 0)])
-
-
-def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
-    """Way out for a flight without a sample in the air."""
-    if np.all(phases == "ground"):
+def _why_grounded(motion: MeasuredMotion, said: bool) -> str:
+    """Way out for a flight without a sample in the air, `said` to be on the ground all along."""
+    if said:
         return "the whole flight is in phase ground."
     if motion.position is not None:
         down = motion.position.values[:, 2]
@@ -147,37 +306,13 @@ def _why_grounded(motion: MeasuredMotion, phases: NDArray[np.str_]) -> str:
     )
 
 
-def _rotor_thrust(body: Component, rotors: int, inputs: Inputs) -> Array:
-    """Thrust of all rotors together in still air, N, shape (n,)."""
+def _rotor_thrust(body: Component, rotors: int) -> OverRows:
+    """Thrust of all rotors together in still air, N, shape (n, 1), of their states and inputs."""
     moving = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
     r, u = ca.SX.sym("r", len(moving)), ca.SX.sym("u", len(body.inputs))
     p = body.parameter_values()
-    x = ca.SX(body.initial(inputs.u[0], p))
+    x = ca.SX(body.initial(body.input_values(), p))
     x[moving] = r
     each = [body.output_names.index(f"thrust_{i}") for i in range(1, rotors + 1)]
     total = ca.sum1(body.outputs(x, u, p)[each])
-    thrust = OverRows(ca.Function("thrust", [r, u], [ca.densify(total)]), 2)
-    return thrust(inputs.rotor_states, inputs.u)[:, 0]
-
-
-def _airborne(
-    vehicle: Vehicle,
-    body: Component,
-    inputs: Inputs,
-    motion: MeasuredMotion,
-    phases: NDArray[np.str_],
-) -> NDArray[np.bool_]:
-    """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
-    resting place where the record starts at rest and holds a position."""
-    thrust = _rotor_thrust(body, vehicle.rotors.count, inputs)
-    carried = thrust > 0.5 * vehicle.mass_kg * vehicle.gravity_m_s2
-    airborne = carried & (phases != "ground")
-    starts_in_air = (
-        bool(np.median(carried[: max(1, round(0.2 / inputs.step_s))])) and phases[0] != "ground"
-    )
-    if motion.position is not None and not starts_in_air:
-        height = -motion.position.at(inputs.t_s)[:, 2]
-        rest = height[np.isfinite(height) & ~carried]
-        if len(rest):
-            airborne &= ~(height < float(np.median(rest)) + LIFT_OFF_HEIGHT_M)
-    return np.asarray(airborne, dtype=np.bool_)
+    return OverRows(ca.Function("thrust", [r, u], [ca.densify(total)]), 2)

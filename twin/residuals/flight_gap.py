@@ -4,23 +4,23 @@ Teacher-forced: the twin's equations at the measured state, see `imu`. Short hor
 restarted from the measured state every horizon, compared at the end of each window.
 """
 
-from collections.abc import Callable, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..frames import AXES, rotation_vector
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..vehicle import Vehicle
-from .aligned import AlignedFlight, align_flight
+from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
 from .channels import GRID_HZ
 from .gap import Channel, FlightGap
 from .imu import imu_channels
 from .means import HoverMeans, hover_means
-from .short_horizon import READ, whole_windows, window_ends
+from .short_horizon import READ, window_ends, window_starts
 from .teacher_forced import GRID_S
 
 Array = NDArray[np.float64]
@@ -30,18 +30,20 @@ LIKELY_WEIGHT = (0.5, 2.0)
 
 
 def flight_gap(
-    flight: Flight,
+    flight: AnyFlight,
     vehicle: Vehicle,
     horizon_s: float = DEFAULT_HORIZON_S,
     progress: Callable[[float], None] = lambda _: None,
+    block_rows: int = BLOCK_ROWS,
 ) -> FlightGap:
     """Residuals of one flight against one vehicle.
 
     Args:
-        flight: As read by `twin.logs.read_flight`.
+        flight: As read by `twin.logs.read_flight`, or left in its file by `twin.logs.open_flight`.
         vehicle: As read by `twin.vehicle.file.load_vehicle`.
         horizon_s: Short horizon; a multiple of 1 ms, at least 10 ms.
         progress: Called with the share done, 0..1.
+        block_rows: How many milliseconds are held in memory at a time; the result is the same.
 
     Raises:
         LogError: The flight cannot be compared with this vehicle.
@@ -49,11 +51,14 @@ def flight_gap(
     if not 0.01 <= horizon_s < np.inf or abs(horizon_s / GRID_S - round(horizon_s / GRID_S)) > 1e-6:
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
     # the coarse grid first, and gone before the fine one is there: both together need more memory
-    channels = imu_channels(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ))
+    alignment = Alignment(flight, vehicle)
+    channels = imu_channels(
+        flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ, motion=alignment.motion)
+    )
     progress(0.2)
-    aligned = align_flight(flight, vehicle)
-    progress(0.5)
-    short, notes = _short_horizon(aligned, horizon_s, lambda done: progress(0.5 + 0.5 * done))
+    short, notes = _short_horizon(
+        alignment, horizon_s, block_rows, lambda done: progress(0.2 + 0.8 * done)
+    )
     notes += _wrong_vehicle(channels, vehicle)
     warnings = [f"{f.where}: {f.message}" for f in flight.findings if f.severity != "info"]
     progress(1.0)
@@ -61,14 +66,14 @@ def flight_gap(
         flight=flight.name,
         vehicle=vehicle.name,
         channels=tuple(channels + short),
-        phases=_spans(aligned.inputs.t_s, aligned.phases),
-        warnings=tuple([*aligned.notes, *notes, *warnings]),
+        phases=alignment.spans(),
+        warnings=tuple([*alignment.notes, *notes, *warnings]),
         facts=dict(flight.facts),
         means=hover_means(channels, vehicle),
     )
 
 
-def means_of(flight: Flight, vehicle: Vehicle) -> HoverMeans | None:
+def means_of(flight: AnyFlight, vehicle: Vehicle) -> HoverMeans | None:
     """What a hover says of a twin, without all else of the gap.
 
     Raises:
@@ -91,18 +96,97 @@ def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:
 
 
 def _short_horizon(
-    aligned: AlignedFlight, horizon_s: float, progress: Callable[[float], None]
+    alignment: Alignment, horizon_s: float, block_rows: int, progress: Callable[[float], None]
 ) -> tuple[list[Channel], list[str]]:
-    """Channels at the ends of all windows, or why there are none."""
-    motion = aligned.motion
+    """Channels at the ends of all windows, and what to say of them.
+
+    The flight is gone through twice, in blocks: where it is airborne is known at its end alone.
+    """
+    known = np.zeros(alignment.rows, dtype=np.bool_)
+    first: list[Block] = []  # kept where it is the only one
+
+    def noted() -> Iterator[Block]:
+        """All blocks, what is known of them noted."""
+        edges = alignment.edges(block_rows)
+        for block in alignment.blocks(edges):
+            known[block.first : block.end] = np.all(np.isfinite(block.states), axis=1)
+            if len(edges) == 2:
+                first.append(block)
+            yield block
+            progress(0.4 * block.end / alignment.rows)
+
+    airborne = alignment.airborne(noted())
+    notes = alignment.left_out(airborne)
+    motion = alignment.motion
     if motion.attitude is None or motion.velocity is None or motion.rates is None:
-        return [], ["no short-horizon residuals: they need attitude, velocity and body rates"]
+        return [], [
+            *notes,
+            "no short-horizon residuals: they need attitude, velocity and body rates",
+        ]
     steps = round(horizon_s / GRID_S)
-    starts = whole_windows(aligned, steps)
+    starts = window_starts(airborne & known, steps)
     if not len(starts):
-        return [], [f"no stretch of {horizon_s:g} s of measured flight for short-horizon residuals"]
-    predicted = window_ends(aligned, starts, steps, tail=0, progress=progress)[:, 0]
-    return end_channels(aligned, starts + steps, predicted, horizon_s), []
+        why = f"no stretch of {horizon_s:g} s of measured flight for short-horizon residuals"
+        return [], [*notes, why]
+    parts = []
+    edges = [0, *_cuts(starts, steps, block_rows), alignment.rows]
+    blocks = first if len(edges) == len(first) + 1 else alignment.blocks(edges)
+    before: Block | None = None
+    for block in blocks:
+        whole = block if before is None else _joined(before, block)
+        rows = slice(whole.first, whole.end)
+        aligned = alignment.piece(whole, airborne[rows], alignment.phases(rows.start, rows.stop))
+        here = starts[(starts >= rows.start) & (starts + steps < rows.stop)] - rows.start
+        if len(here):
+            predicted = window_ends(aligned, here, steps, tail=0)[:, 0]
+            parts.append(end_channels(aligned, here + steps, predicted, horizon_s))
+        before = _tail(block)
+        progress(0.4 + 0.6 * rows.stop / alignment.rows)
+    return [_chained(same) for same in zip(*parts, strict=True)], notes
+
+
+def _cuts(starts: NDArray[np.intp], steps: int, block_rows: int) -> list[int]:
+    """Rows that begin a block: behind ends of windows, about so many rows apart where windows are
+    shorter."""
+    cuts: list[int] = []
+    since = 0
+    for end in (starts + steps + 1).tolist():
+        if end - since >= block_rows and end <= int(starts[-1]) + steps:
+            cuts.append(end)
+            since = end
+    return cuts
+
+
+def _tail(block: Block) -> Block:
+    """The last row of a block: the next window begins where the one before it ended."""
+    u, rotors = block.inputs.u[-1:].copy(), block.inputs.rotor_states[-1:].copy()
+    inputs = replace(block.inputs, t_s=block.inputs.t_s[-1:], u=u, rotor_states=rotors)
+    return Block(block.end - 1, inputs, block.states[-1:].copy())
+
+
+def _joined(before: Block, block: Block) -> Block:
+    """Two blocks, one after the other, as one."""
+    a, b = before.inputs, block.inputs
+    inputs = replace(
+        b,
+        t_s=np.concatenate([a.t_s, b.t_s]),
+        u=np.vstack([a.u, b.u]),
+        rotor_states=np.vstack([a.rotor_states, b.rotor_states]),
+    )
+    return Block(before.first, inputs, np.vstack([before.states, block.states]))
+
+
+def _chained(parts: Sequence[Channel]) -> Channel:
+    """The same channel of spans of time that follow each other, as one."""
+    if len(parts) == 1:
+        return parts[0]
+    return replace(
+        parts[0],
+        t_s=np.concatenate([c.t_s for c in parts]),
+        measured=np.concatenate([c.measured for c in parts]),
+        simulated=np.concatenate([c.simulated for c in parts]),
+        phase=np.concatenate([c.phase for c in parts]),
+    )
 
 
 def end_channels(
@@ -144,12 +228,3 @@ def end_channels(
         for names, unit, flown, twin in groups
         for i, name in enumerate(names)
     ]
-
-
-def _spans(t_s: Array, phases: NDArray[np.str_]) -> tuple[tuple[str, float, float], ...]:
-    """Name, first and last time of each phase."""
-    changes = np.flatnonzero(phases[1:] != phases[:-1]) + 1
-    edges = [0, *changes.tolist(), len(t_s) - 1]
-    return tuple(
-        (str(phases[a]), float(t_s[a]), float(t_s[b])) for a, b in pairwise(edges) if phases[a]
-    )

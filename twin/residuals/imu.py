@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..component import Component
 from ..component.rows import OverRows
 from ..effects import EFFECTS, Equation, ages
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..physics.sensors.imu import imu
 from ..physics.sensors.table import BODY, SENSORS, Sensor
 from ..vehicle import Vehicle
@@ -36,14 +36,14 @@ from .channels import (
     shifted,
 )
 from .gap import Channel
-from .measured import Signal
+from .measured import signal_of
 
 Array = NDArray[np.float64]
 OF_IMU = tuple(s for s in SENSORS if s.group == BODY)
 """Sensors of the IMU; each reads along x, y and z."""
 
 
-def readings_on_grid(sensor: Sensor, flight: Flight, t_s: Array) -> Array:
+def readings_on_grid(sensor: Sensor, flight: AnyFlight, t_s: Array) -> Array:
     """What is compared of a sensor, nothing filtered out, shape (n, 3), NaN where unknown.
 
     Args:
@@ -51,13 +51,13 @@ def readings_on_grid(sensor: Sensor, flight: Flight, t_s: Array) -> Array:
         flight: Has its columns.
         t_s: Grid of `GRID_HZ`.
     """
-    values = on_grid(Signal(*flight.signal(sensor.columns)), t_s)
+    values = on_grid(signal_of(flight, sensor.columns), t_s)
     return rate_over_step(values) if sensor.rate_unit else values
 
 
 def imu_readings(
     sensor: Sensor,
-    flight: Flight,
+    flight: AnyFlight,
     vehicle: Vehicle,
     aligned: AlignedFlight,
     together: bool = False,
@@ -75,14 +75,32 @@ def imu_readings(
         None where no piece of flight is long enough.
     """
     t_s = aligned.inputs.t_s
-    known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
+    raw = readings_on_grid(sensor, flight, t_s)
+    return _readings(sensor, flight, vehicle, t_s, raw, _known(aligned), together)
+
+
+def _known(aligned: AlignedFlight) -> NDArray[np.bool_]:
+    """Grid points in the air at which all states are known, shape (n,)."""
+    return np.asarray(aligned.airborne & np.all(np.isfinite(aligned.states), axis=1))
+
+
+def _readings(
+    sensor: Sensor,
+    flight: AnyFlight,
+    vehicle: Vehicle,
+    t_s: Array,
+    raw: Array,
+    known: NDArray[np.bool_],
+    together: bool = False,
+) -> Measured | None:
+    """See `imu_readings`."""
     return measured(
         sensor.channels,
         sensor.channel_unit,
         t_s,
-        readings_on_grid(sensor, flight, t_s),
+        raw,
         known,
-        min(BAND_HZ, 0.35 * Signal(*flight.signal(sensor.columns)).rate_hz),
+        min(BAND_HZ, 0.35 * signal_of(flight, sensor.columns).rate_hz),
         sensor.cutoff_hz(vehicle),
         together,
     )
@@ -155,20 +173,24 @@ def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
     return states
 
 
-def imu_channels(flight: Flight, vehicle: Vehicle, aligned: AlignedFlight) -> list[Channel]:
+def imu_channels(flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight) -> list[Channel]:
     """Channels of horizon 0: accelerometer, and rate of change of the gyroscope.
 
     Args:
         flight: As read.
         vehicle: The twin.
-        aligned: The flight on a grid of `GRID_HZ`.
+        aligned: The flight on a grid of `GRID_HZ`; where nobody else holds it, it is gone before
+            the readings are there.
     """
     t_s, felt, late = aligned.inputs.t_s, predicted_imu(aligned, vehicle), ages(vehicle)
+    known, phase_of_row = _known(aligned), aligned.phases
+    del aligned
     channels: list[Channel] = []
     for k, sensor in enumerate(OF_IMU):
         if not flight.has(*sensor.columns):
             continue
-        readings = imu_readings(sensor, flight, vehicle, aligned)
+        raw = readings_on_grid(sensor, flight, t_s)
+        readings = _readings(sensor, flight, vehicle, t_s, raw, known)
         if readings is None:
             continue
         predicted = felt[:, 3 * k : 3 * k + 3]
@@ -176,20 +198,14 @@ def imu_channels(flight: Flight, vehicle: Vehicle, aligned: AlignedFlight) -> li
             predicted = mean_over_step(predicted)
         if age_s := late.get(sensor.signal, 0.0):
             predicted = shifted(predicted, age_s)
-        raw = readings_on_grid(sensor, flight, t_s)
         whole = [readings.unfiltered(v) for v in (t_s, raw)] + [readings.sensed(predicted)]
         simulated = readings.filtered(predicted, readings.filters_hz)
+        phases = [
+            phase_of_row[np.searchsorted(t_s, t - 0.5 / GRID_HZ)] for t in (whole[0], readings.t_s)
+        ]
         for i, (name, unit) in enumerate((c, readings.unit) for c in readings.names):
-            wide = _channel(name, unit, whole[0], whole[1][:, i], whole[2][:, i], aligned)
-            narrow = _channel(
-                name, unit, readings.t_s, readings.values[:, i], simulated[:, i], aligned
-            )
-            channels.append(replace(narrow, unfiltered=wide))
+            of_all = whole[0], whole[1][:, i], whole[2][:, i], phases[0]
+            of_band = readings.t_s, readings.values[:, i], simulated[:, i], phases[1]
+            wide = Channel(name, unit, 0.0, *of_all)
+            channels.append(Channel(name, unit, 0.0, *of_band, unfiltered=wide))
     return channels
-
-
-def _channel(
-    name: str, unit: str, t_s: Array, values: Array, simulated: Array, aligned: AlignedFlight
-) -> Channel:
-    rows = np.searchsorted(aligned.inputs.t_s, t_s - 0.5 / GRID_HZ)
-    return Channel(name, unit, 0.0, t_s, values, simulated, aligned.phases[rows])

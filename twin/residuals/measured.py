@@ -4,8 +4,9 @@ Where the flight lacks velocity or body rates, they are derived from position an
 `MeasuredMotion.notes` says so.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from scipy.signal import butter, filtfilt, savgol_filter
 
 from ..errors import LogError
 from ..frames import rotation_vector
-from ..logs import Flight
+from ..logs import AnyFlight, Flight, StoredFlight
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..representation import short_repr
 
@@ -23,6 +24,10 @@ RATE_CUTOFF_HZ = 30.0
 Above it there is rotor vibration (28 Hz and more in the X150 logs), not motion of the body."""
 AGREEMENT_HZ = 3.0
 """Below it attitude and gyroscope are compared."""
+AGREEMENT_BLOCK_S = 600.0
+"""Of a longer flight they are compared in blocks of about this length, summed up."""
+ROWS = 1 << 18
+"""Samples at a time, where an equation has many terms."""
 LONGEST_GAP_INTERVALS = 5.0
 """A pause of more than so many median intervals is a gap: no state is made up inside it."""
 LONGEST_GAP_S = 0.25
@@ -41,25 +46,122 @@ class Signal:
     @property
     def rate_hz(self) -> float:
         """Samples per second by the median interval; 0 for a single sample."""
-        return 0.0 if len(self.t_s) < 2 else 1.0 / float(np.median(np.diff(self.t_s)))
+        return _rate_hz(self.t_s)
 
     def at(self, t_s: Array) -> Array:
         """Interpolated values, shape (len(t_s), k)."""
-        out = np.stack([np.interp(t_s, self.t_s, v) for v in self.values.T], axis=-1)
-        if len(self.t_s) < 2:
-            out[np.abs(t_s - self.t_s[0]) > 1e-9] = np.nan
-            return out
-        after = np.clip(np.searchsorted(self.t_s, t_s, side="left"), 1, len(self.t_s) - 1)
-        span = self.t_s[after] - self.t_s[after - 1]
-        limit = max(LONGEST_GAP_INTERVALS / self.rate_hz, 1e-9)
-        outside = (t_s < self.t_s[0] - 1e-9) | (t_s > self.t_s[-1] + 1e-9)
-        out[outside | (span > min(limit, max(LONGEST_GAP_S, 1.5 / self.rate_hz)))] = np.nan
-        return out
+        return _interpolated(t_s, self.t_s, self.values, self.rate_hz)
 
     def held(self, t_s: Array) -> Array:
         """Last sample at or before each time (the first one before the record)."""
-        index = np.searchsorted(self.t_s, t_s + 1e-9, side="right") - 1
-        return self.values[np.maximum(index, 0)]
+        return _held(t_s, self.t_s, self.values)
+
+    def between(self, start_s: float, end_s: float) -> "Signal":
+        """Samples within a span of time, both ends included."""
+        first = int(np.searchsorted(self.t_s, start_s, side="left"))
+        end = int(np.searchsorted(self.t_s, end_s, side="right"))
+        return Signal(self.t_s[first:end], self.values[first:end])
+
+
+@dataclass(frozen=True, slots=True)
+class StoredSignal:
+    """A signal of a flight that stays in its file: what `Signal` says of it, read where it is
+    asked for.
+
+    Attributes:
+        flight: The flight.
+        columns: Of the flight table.
+        rate_hz: Samples per second by the median interval; 0 for a single sample.
+        signs: By which a unit quaternion is multiplied in each row, shape (rows,); None: values are
+            as they are in the table.
+    """
+
+    flight: StoredFlight
+    columns: tuple[str, ...]
+    rate_hz: float
+    signs: NDArray[np.int8] | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def t_s(self) -> Array:
+        """Times of all samples."""
+        return self.flight.signal(self.columns)[0]
+
+    @property
+    def values(self) -> Array:
+        """All samples."""
+        return self.between(-np.inf, np.inf).values
+
+    def at(self, t_s: Array) -> Array:
+        """Interpolated values, shape (len(t_s), k)."""
+        there = self._around(float(np.min(t_s)), float(np.max(t_s)))
+        return _interpolated(t_s, there.t_s, there.values, self.rate_hz)
+
+    def held(self, t_s: Array) -> Array:
+        """Last sample at or before each time (the first one before the record)."""
+        there = self._around(float(np.min(t_s)), float(np.max(t_s)))
+        return _held(t_s, there.t_s, there.values)
+
+    def between(self, start_s: float, end_s: float) -> Signal:
+        """Samples within a span of time, both ends included."""
+        return self._around(start_s, end_s).between(start_s, end_s)
+
+    def _around(self, start_s: float, end_s: float) -> Signal:
+        """Samples within a span of time, and some on either side."""
+        t_s, values, first = self.flight.around(self.columns, start_s, end_s)
+        if self.signs is None:
+            return Signal(t_s, values)
+        signs = self.signs[self.flight.rows_of(t_s, first)]
+        return Signal(t_s, _unit(values) * signs[:, None])
+
+
+AnySignal = Signal | StoredSignal
+
+
+def signal_of(flight: AnyFlight, columns: Sequence[str]) -> AnySignal:
+    """Samples of some columns, left in the file where the flight is.
+
+    Raises:
+        LogError: A column is missing or has no finite sample.
+    """
+    if isinstance(flight, Flight):
+        return Signal(*flight.signal(columns))
+    return StoredSignal(flight, tuple(columns), _rate_hz(flight.signal(columns)[0]))
+
+
+def blocks_of(signal: AnySignal, block_s: float) -> Iterator[Signal]:
+    """A signal in blocks of time, all of about the same length."""
+    t_s = signal.t_s
+    start_s, end_s = float(t_s[0]), float(t_s[-1])
+    del t_s
+    count = max(1, int(np.ceil((end_s - start_s) / block_s)))
+    edges = np.linspace(start_s, end_s, count + 1)
+    for first, last in pairwise(edges):
+        yield signal.between(float(first), float(last))
+
+
+def _rate_hz(t_s: Array) -> float:
+    return 0.0 if len(t_s) < 2 else 1.0 / float(np.median(np.diff(t_s)))
+
+
+def _interpolated(t_s: Array, known_s: Array, values: Array, rate_hz: float) -> Array:
+    """Values at times, NaN outside what is known and in gaps."""
+    out = np.stack([np.interp(t_s, known_s, v) for v in values.T], axis=-1)
+    if len(known_s) < 2:
+        out[np.abs(t_s - known_s[0]) > 1e-9] = np.nan
+        return out
+    after = np.clip(np.searchsorted(known_s, t_s, side="left"), 1, len(known_s) - 1)
+    span = known_s[after] - known_s[after - 1]
+    limit = max(LONGEST_GAP_INTERVALS / rate_hz, 1e-9)
+    outside = (t_s < known_s[0] - 1e-9) | (t_s > known_s[-1] + 1e-9)
+    out[outside | (span > min(limit, max(LONGEST_GAP_S, 1.5 / rate_hz)))] = np.nan
+    return out
+
+
+def _held(t_s: Array, known_s: Array, values: Array) -> Array:
+    index = np.searchsorted(known_s, t_s + 1e-9, side="right") - 1
+    return values[np.maximum(index, 0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +174,17 @@ class MeasuredMotion:
         notes: What was derived or is missing, for the report.
     """
 
-    position: Signal | None
-    velocity: Signal | None
-    attitude: Signal | None
-    rates: Signal | None
+    position: AnySignal | None
+    velocity: AnySignal | None
+    attitude: AnySignal | None
+    rates: AnySignal | None
     rates_measured: bool
     notes: tuple[str, ...]
 
     __repr__ = short_repr
 
 
-def measured_motion(flight: Flight) -> MeasuredMotion:
+def measured_motion(flight: AnyFlight) -> MeasuredMotion:
     """Collect the motion signals of a flight.
 
     Raises:
@@ -108,7 +210,7 @@ def measured_motion(flight: Flight) -> MeasuredMotion:
     if len(missing) == 3 and not flight.has("acc_x"):
         raise LogError(
             f"{flight.name}: no motion signal. The gap needs acc_*, gyro_*, q_* or pos_*; the "
-            f"flight has {', '.join(c for c in flight.table if flight.has(c))}."
+            f"flight has {', '.join(c for c in flight.columns if flight.has(c))}."
         )
     if missing:
         notes.append(f"no {', no '.join(missing)}: channels that need them are left out")
@@ -118,49 +220,102 @@ def measured_motion(flight: Flight) -> MeasuredMotion:
     return MeasuredMotion(position, velocity, attitude, rates, measured, tuple(notes))
 
 
-def zero_phase(signal: Signal, cutoff_hz: float) -> Array:
+def zero_phase(signal: AnySignal, cutoff_hz: float) -> Array:
     """Values low-passed forward and backward (Butterworth, second order each way).
 
     A cutoff above 0.4 of the sample rate leaves the values as they are.
     """
-    rate = signal.rate_hz
-    if len(signal.t_s) < 16 or cutoff_hz > 0.4 * rate:
-        return signal.values
-    b, a = butter(2, cutoff_hz / (rate / 2))
-    return np.asarray(filtfilt(b, a, signal.values, axis=0), dtype=np.float64)
+    values, rate = signal.values, signal.rate_hz
+    if not _is_filtered(len(values), rate, cutoff_hz):
+        return values
+    found = np.empty_like(values)
+    for k, column in enumerate(values.T):  # one by one: half the memory
+        found[:, k] = _filtered(column, rate, cutoff_hz)
+    return found
 
 
-def differentiate(signal: Signal) -> Array:
+def filtered_at(signal: AnySignal, cutoff_hz: float, t_s: Array) -> Array:
+    """The same, interpolated at times, shape (len(t_s), k)."""
+    t_known_s, values, rate = signal.t_s, signal.values, signal.rate_hz
+    if not _is_filtered(len(values), rate, cutoff_hz):
+        return _interpolated(t_s, t_known_s, values, rate)
+    each = (
+        _interpolated(t_s, t_known_s, _filtered(column, rate, cutoff_hz)[:, None], rate)
+        for column in values.T
+    )
+    return np.hstack([*each])
+
+
+def _is_filtered(samples: int, rate_hz: float, cutoff_hz: float) -> bool:
+    return samples >= 16 and cutoff_hz <= 0.4 * rate_hz
+
+
+def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
+    """Butterworth, forward and backward, of a column, shape (n,)."""
+    b, a = butter(2, cutoff_hz / (rate_hz / 2))
+    return np.asarray(filtfilt(b, a, column), dtype=np.float64)
+
+
+def differentiate(signal: AnySignal) -> Array:
     """Central differences on the signal's own times, shape as the values."""
     return np.asarray(np.gradient(signal.values, signal.t_s, axis=0), dtype=np.float64)
 
 
-def _signal(flight: Flight, columns: Sequence[str]) -> Signal | None:
-    return Signal(*flight.signal(columns)) if flight.has(*columns) else None
+def _signal(flight: AnyFlight, columns: Sequence[str]) -> AnySignal | None:
+    return signal_of(flight, columns) if flight.has(*columns) else None
 
 
-def _continuous(attitude: Signal) -> Signal:
+def _unit(q: Array) -> Array:
+    """Quaternions of unit norm."""
+    return np.asarray(q / np.linalg.norm(q, axis=1, keepdims=True))
+
+
+def _continuous(attitude: AnySignal) -> AnySignal:
     """Unit quaternions with signs such that neighbours are close."""
-    q = attitude.values / np.linalg.norm(attitude.values, axis=1, keepdims=True)
+    if isinstance(attitude, Signal):
+        q = _unit(attitude.values)
+        return Signal(attitude.t_s, q * _signs(q)[:, None])
+    flight = attitude.flight
+    signs = np.ones(len(flight.time_s), dtype=np.int8)
+    before = np.zeros((0, 4))
+    for first in range(0, len(signs), ROWS):
+        last = min(first + ROWS, len(signs)) - 1
+        span_s = float(flight.time_s[first]), float(flight.time_s[last])
+        t_s, values, low = flight.around(attitude.columns, *span_s)
+        inside = (t_s >= span_s[0]) & (t_s <= span_s[1])
+        q = np.vstack([before, _unit(values[inside])])
+        if len(q):
+            told = _signs(q)
+            signs[flight.rows_of(t_s[inside], low)] = told[len(before) :]
+            before = q[-1:] * told[-1]
+    return replace(attitude, signs=signs)
+
+
+def _signs(q: Array) -> NDArray[np.int8]:
+    """Signs by which neighbours are close, the first as it is, shape (n,)."""
     flips = np.sign(np.sum(q[1:] * q[:-1], axis=1))
     flips[flips == 0] = 1.0
-    signs = np.concatenate([[1.0], np.cumprod(flips)])
-    return Signal(attitude.t_s, q * signs[:, None])
+    return np.concatenate([[1.0], np.cumprod(flips)]).astype(np.int8)
 
 
-def _derivative(signal: Signal) -> Signal:
+def _derivative(signal: AnySignal) -> Signal:
     smooth = savgol_filter(signal.values, 9, 2, axis=0)
-    return Signal(signal.t_s, differentiate(Signal(signal.t_s, smooth)))
+    t_s = signal.t_s
+    return Signal(t_s, differentiate(Signal(t_s, smooth)))
 
 
-def rates_of(attitude: Signal) -> Signal:
+def rates_of(attitude: AnySignal) -> Signal:
     """Body rates between neighbouring attitudes, rad/s, at the times half-way."""
-    step = rotation_vector(attitude.values[1:], attitude.values[:-1])
-    dt = np.diff(attitude.t_s)[:, None]
-    return Signal((attitude.t_s[1:] + attitude.t_s[:-1]) / 2, step / dt)
+    t_s, q = attitude.t_s, attitude.values
+    rates = np.empty((len(q) - 1, 3))
+    for first in range(0, len(rates), ROWS):
+        rows = slice(first, min(first + ROWS, len(rates)))
+        after = slice(rows.start + 1, rows.stop + 1)
+        rates[rows] = rotation_vector(q[after], q[rows]) / (t_s[after] - t_s[rows])[:, None]
+    return Signal((t_s[1:] + t_s[:-1]) / 2, rates)
 
 
-def agreement(attitude: Signal, rates: Signal, later_s: float = 0.0) -> float | None:
+def agreement(attitude: AnySignal, rates: AnySignal, later_s: float = 0.0) -> float | None:
     """Correlation of the turning of the attitude with the gyroscope, -1 to 1.
 
     Both pass a low-pass at `AGREEMENT_HZ`; a conjugated quaternion, one in the order x, y, z, w or
@@ -176,18 +331,31 @@ def agreement(attitude: Signal, rates: Signal, later_s: float = 0.0) -> float | 
     """
     if len(attitude.t_s) < 40 or attitude.rate_hz < 5 * AGREEMENT_HZ:
         return None
+    sums = np.zeros(4)  # of a * b, a * a, b * b and of samples
+    for block in blocks_of(attitude, AGREEMENT_BLOCK_S):
+        if len(block.t_s) > 1:
+            sums += _turned_together(block, rates, later_s)
+    both, first, second, n = sums
+    if n == 0 or np.sqrt(second / n) < 0.05:
+        return None
+    return float(both / np.sqrt(first * second + 1e-30))
+
+
+def _turned_together(attitude: Signal, rates: AnySignal, later_s: float) -> Array:
+    """Sums of products of the slow turning of an attitude and of a gyroscope, and how many."""
     turning = rates_of(attitude)
     slow = zero_phase(turning, AGREEMENT_HZ)
-    gyro = Signal(rates.t_s, zero_phase(rates, AGREEMENT_HZ)).at(turning.t_s - later_s)
+    start_s, end_s = float(turning.t_s[0]) - later_s - 1.0, float(turning.t_s[-1]) - later_s + 1.0
+    beside = rates.between(start_s, end_s)
+    if not len(beside.t_s):
+        return np.zeros(4)
+    gyro = Signal(beside.t_s, zero_phase(beside, AGREEMENT_HZ)).at(turning.t_s - later_s)
     known = np.all(np.isfinite(gyro) & np.isfinite(slow), axis=1)
     a, b = slow[known], gyro[known]
-    size = float(np.sqrt(np.mean(b**2))) if known.any() else 0.0
-    if size < 0.05:
-        return None
-    return float(np.sum(a * b) / np.sqrt(np.sum(a * a) * np.sum(b * b) + 1e-30))
+    return np.array([np.sum(a * b), np.sum(a * a), np.sum(b * b), b.size])
 
 
-def _attitude_doubt(attitude: Signal, rates: Signal) -> list[str]:
+def _attitude_doubt(attitude: AnySignal, rates: AnySignal) -> list[str]:
     """A warning when attitude and gyroscope turn in different ways."""
     same = agreement(attitude, rates)
     if same is None or same > 0.5:

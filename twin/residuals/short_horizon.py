@@ -32,16 +32,15 @@ def whole_windows(aligned: AlignedFlight, steps: int) -> NDArray[np.intp]:
         aligned: A flight on the grid of its twin.
         steps: Grid steps per window.
     """
-    known = aligned.airborne & np.all(np.isfinite(aligned.states), axis=1)
-    unknown_before = np.concatenate([[0], np.cumsum(~known)])
-    starts, k = [], int(np.argmax(known))
-    while k + steps < len(known):
-        if unknown_before[k + steps + 1] == unknown_before[k]:
-            starts.append(k)
-            k += steps
-        else:
-            k += 1
-    return np.array(starts, dtype=np.intp)
+    return window_starts(aligned.airborne & np.all(np.isfinite(aligned.states), axis=1), steps)
+
+
+def window_starts(known: NDArray[np.bool_], steps: int) -> NDArray[np.intp]:
+    """The same, of the grid points that count, shape (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
+    stretches = zip(edges[::2], edges[1::2], strict=True)
+    starts = [np.arange(first, end - steps, steps, dtype=np.intp) for first, end in stretches]
+    return np.concatenate([np.zeros(0, dtype=np.intp), *starts])
 
 
 def window_ends(

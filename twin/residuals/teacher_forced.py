@@ -5,7 +5,9 @@ only the rotor states, which nobody measures, are integrated from the commands, 
 step as in the FMU.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -18,13 +20,13 @@ from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
 from ..frames import AXES
-from ..logs import Flight
+from ..logs import AnyFlight
 from ..logs.columns import is_known, motor_columns
 from ..physics.rotors import Drive
 from ..representation import short_repr
 from ..vehicle import Vehicle
-from .measured import MeasuredMotion, Signal, differentiate
-from .unmeasured import integrate_states
+from .measured import AnySignal, MeasuredMotion, Signal, differentiate, signal_of
+from .unmeasured import Integration
 
 Array = NDArray[np.float64]
 GRID_S = 1e-3
@@ -64,7 +66,7 @@ class Inputs:
         return float(self.t_s[1] - self.t_s[0])
 
 
-def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
+def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
     """Measured rotor speeds where vehicle and flight allow it, else commands.
 
     Raises:
@@ -86,46 +88,69 @@ def choose_drive(flight: Flight, vehicle: Vehicle) -> Drive:
     missing = [c for c in needed if not flight.has(c)]
     raise LogError(
         f"{flight.name}: no samples of {', '.join(missing)}, which drive the {n} rotors of "
-        f"{vehicle.name}. The flight has: {', '.join(c for c in flight.table if flight.has(c))}."
+        f"{vehicle.name}. The flight has: {', '.join(c for c in flight.columns if flight.has(c))}."
     )
 
 
-def airframe_inputs(flight: Flight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
-    """Inputs of the airframe on a uniform grid: the last sample held.
+class InputSignals:
+    """What a flight holds of the inputs of an airframe, the last sample held.
 
     What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
     those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
     so that they are to be off in the airframe: a delay line knows no past where an airframe is
     started in mid-flight.
+
+    Attributes:
+        columns: Flight-table columns that are airframe inputs of the same name.
+        notes: What was assumed.
     """
-    notes: list[str] = []
-    late_s = late_actions(vehicle)
-    u = np.tile(airframe.input_values(), (len(t_s), 1))
-    columns = []
-    for i, name in enumerate(airframe.input_names):
-        if not is_known(name):
-            speed = name.replace(SPIN_RATE, "rotor_")
-            if speed != name and flight.has(speed):
-                u[:, i] = _rate(Signal(*flight.signal([speed])), t_s)
-            continue
-        if flight.has(name):
-            signal = Signal(*flight.signal([name]))
-            delay_s = late_s.get(name.rpartition("_")[0])
-            if delay_s is None:
-                u[:, i] = signal.held(t_s)[:, 0]
+
+    def __init__(self, flight: AnyFlight, vehicle: Vehicle, airframe: Component) -> None:
+        late_s = late_actions(vehicle)
+        self._start = airframe.input_values()
+        self._at: dict[int, Callable[[Array], Array]] = {}
+        columns, notes = [], []
+        for i, name in enumerate(airframe.input_names):
+            if not is_known(name):
+                speed = name.replace(SPIN_RATE, "rotor_")
+                if speed != name and flight.has(speed):
+                    self._at[i] = partial(_rate, _rate_of_change(signal_of(flight, [speed])))
+            elif flight.has(name):
+                signal = signal_of(flight, [name])
+                delay_s = late_s.get(name.rpartition("_")[0])
+                if delay_s is None:
+                    self._at[i] = partial(_held, signal)
+                else:
+                    self._at[i] = partial(_arriving, signal, delay_s)
+                columns.append(name)
             else:
-                u[:, i] = _arriving(signal, t_s, delay_s)
-            columns.append(name)
-        else:
-            notes.append(
-                f"no {name} in the flight: {name} = {u[0, i]:g} {airframe.inputs[i].unit} assumed"
-            )
-    return Inputs(
-        tuple(columns), t_s, u, _rotor_states(airframe, u, float(t_s[1] - t_s[0])), tuple(notes)
-    )
+                notes.append(
+                    f"no {name} in the flight: {name} = {self._start[i]:g} "
+                    f"{airframe.inputs[i].unit} assumed"
+                )
+        self.columns, self.notes = tuple(columns), tuple(notes)
+
+    def at(self, t_s: Array) -> Array:
+        """All inputs of the airframe in its order, shape (n, n_u)."""
+        u = np.tile(self._start, (len(t_s), 1))
+        for i, value in self._at.items():
+            u[:, i] = value(t_s)
+        return u
 
 
-def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
+def airframe_inputs(flight: AnyFlight, vehicle: Vehicle, airframe: Component, t_s: Array) -> Inputs:
+    """Inputs of the airframe on a uniform grid, as `InputSignals` has them."""
+    signals = InputSignals(flight, vehicle, airframe)
+    u = signals.at(t_s)
+    rotors = RotorStates(airframe, float(t_s[1] - t_s[0])).along(u)
+    return Inputs(signals.columns, t_s, u, rotors, signals.notes)
+
+
+def _held(signal: AnySignal, t_s: Array) -> Array:
+    return signal.held(t_s)[:, 0]
+
+
+def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:
     """A held command a while later, as the airframe's delay line has it; shape (n,).
 
     The line is sampled at the end of each period, where what was held over it counts.
@@ -138,9 +163,13 @@ def _arriving(command: Signal, t_s: Array, delay_s: float) -> Array:
     return np.asarray(after + max(periods - whole, 0.0) * (before - after))
 
 
-def _rate(signal: Signal, t_s: Array) -> Array:
+def _rate_of_change(signal: AnySignal) -> Signal:
+    return Signal(signal.t_s, differentiate(signal))
+
+
+def _rate(rate: Signal, t_s: Array) -> Array:
     """Rate of change of a measured speed, 0 where it is unknown; shape (n,)."""
-    return np.nan_to_num(Signal(signal.t_s, differentiate(signal)).at(t_s)[:, 0])
+    return np.nan_to_num(rate.at(t_s)[:, 0])
 
 
 def rotor_states_of(airframe: Component) -> list[int]:
@@ -150,30 +179,59 @@ def rotor_states_of(airframe: Component) -> list[int]:
 
 def with_rotor_states(inputs: Inputs, airframe: Component) -> Inputs:
     """The same inputs, the rotors following them as those of another airframe do."""
-    return replace(inputs, rotor_states=_rotor_states(airframe, inputs.u, inputs.step_s))
+    rotors = RotorStates(airframe, inputs.step_s).along(inputs.u)
+    return replace(inputs, rotor_states=rotors)
 
 
-def _rotor_states(airframe: Component, u: Array, step_s: float) -> Array:
-    """Integrate the rotor states alone over the inputs, settled on the first input."""
-    index = rotor_states_of(airframe)
-    if not index:
-        return np.zeros((len(u), 0))
-    p = airframe.parameter_values()
-    r, v = ca.SX.sym("r", len(index)), ca.SX.sym("v", u.shape[1])
-    x = ca.SX(airframe.initial(airframe.input_values(), p))
-    x[index] = r
-    step = ca.Function("rotor_step", [r, v], [airframe.step(x, v, p, step_s)[index]])
-    warm = round(_WARM_UP_S / step_s)
-    held = np.vstack([np.tile(u[:1], (warm, 1)), u[:-1]])
-    start = np.asarray(airframe.initial(u[0], p), dtype=np.float64).ravel()[index]
-    return accumulated(step, start, held)[0][warm - 1 :]
+class RotorStates:
+    """The rotor states alone over the inputs, settled on the first of them, one block of rows after
+    another."""
+
+    def __init__(self, airframe: Component, step_s: float) -> None:
+        self._airframe, self._index = airframe, rotor_states_of(airframe)
+        p = airframe.parameter_values()
+        r, v = ca.SX.sym("r", len(self._index)), ca.SX.sym("v", len(airframe.inputs))
+        x = ca.SX(airframe.initial(airframe.input_values(), p))
+        x[self._index] = r
+        after = airframe.step(x, v, p, step_s)[self._index]
+        self._step = ca.Function("rotor_step", [r, v], [after])
+        self._warm = round(_WARM_UP_S / step_s)
+        self._last: tuple[Array, Array] | None = None  # state and inputs of the last row
+
+    def along(self, u: Array) -> Array:
+        """States at the next rows of inputs, shape (n, n_r)."""
+        if not self._index:
+            return np.zeros((len(u), 0))
+        found = np.empty((len(u), len(self._index)))
+        if self._last is None:
+            p = self._airframe.parameter_values()
+            start = np.asarray(self._airframe.initial(u[0], p), dtype=np.float64).ravel()
+            held = np.tile(u[:1], (self._warm, 1))
+            found[0] = accumulated(self._step, start[self._index], held)[0][-1]
+        else:
+            found[0] = accumulated(self._step, *self._last)[0][-1]
+        if len(u) > 1:
+            found[1:] = accumulated(self._step, found[0], u[:-1])[0]
+        self._last = found[-1], u[-1:]
+        return found
 
 
-def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs) -> Array:
+def measured_states(
+    airframe: Component,
+    motion: MeasuredMotion,
+    inputs: Inputs,
+    hidden: "HiddenStates | None" = None,
+) -> Array:
     """Full airframe states at the grid, shape (n, n_x), NaN where nothing was measured.
 
     Position, velocity and attitude that the flight lacks altogether stay at rest, level, at the
     origin: specific force and angular acceleration need them for drag alone.
+
+    Args:
+        airframe: With what it says of states that nobody measures.
+        motion: Measured motion.
+        inputs: On a uniform grid.
+        hidden: States that nobody measures, up to this block of rows; None: it is the first.
     """
     t = inputs.t_s
     x = np.zeros((len(t), len(airframe.states)))
@@ -193,23 +251,30 @@ def measured_states(airframe: Component, motion: MeasuredMotion, inputs: Inputs)
             x[:, [column[n] for n in names]] = values
     rotors = rotor_states_of(airframe)
     x[:, rotors] = inputs.rotor_states
-    arrived = {
-        i: s.partition(".")[2]
-        for s, i in column.items()
-        if s.partition(".")[0] in {e.name for e in acting_late()}
-    }
-    for i, name in arrived.items():
+    for i, name in _arrived(airframe).items():
         x[:, i] = inputs.u[:, airframe.input_names.index(name)]
-    hidden = sorted(set(range(x.shape[1])) - {*rotors, *arrived} - {column[n] for n in RIGID})
-    if hidden:
-        x[:, hidden] = hidden_states(airframe, hidden, x, inputs)
+    hidden = hidden or hidden_of(airframe, inputs.step_s)
+    if hidden.index:
+        x[:, hidden.index] = hidden.along(x, inputs.u)
     return x
 
 
-def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
-    """Integrate states that nobody measures, such as a load on its rope, along the measured ones.
+def _arrived(airframe: Component) -> dict[int, str]:
+    """Positions of states that are inputs as they arrive, and these inputs."""
+    late = {e.name for e in acting_late()}
+    stems = ((i, s.name.partition(".")) for i, s in enumerate(airframe.states))
+    return {i: name for i, (stem, _, name) in stems if stem in late}
 
-    Where the motion is unknown its last known values count.
+
+def hidden_of(airframe: Component, step_s: float) -> "HiddenStates":
+    """What nobody measures of an airframe, nothing of it known yet."""
+    seen = {i for i, s in enumerate(airframe.states) if s.name in RIGID}
+    seen |= {*rotor_states_of(airframe), *_arrived(airframe)}
+    return HiddenStates(airframe, sorted(set(range(len(airframe.states))) - seen), step_s)
+
+
+def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:
+    """States that nobody measures of a whole flight, as `HiddenStates` has them.
 
     Args:
         airframe: It says how they change, and where they start.
@@ -220,14 +285,37 @@ def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Input
     Returns:
         Shape (n, len(index)).
     """
-    known = np.all(np.isfinite(x), axis=1)
-    if not known.any():
-        return np.full((len(x), len(index)), np.nan)
-    first = x[int(np.argmax(known))]
-    names = [s.name for s in airframe.states]
-    begin = {f"initial.{n}": float(first[names.index(n)]) for n in RIGID}
-    p = airframe.parameter_values({"ground.enabled": 0.0, **begin})
-    return integrate_states(airframe, index, x, inputs.u, p, inputs.step_s)
+    return HiddenStates(airframe, index, inputs.step_s).along(x, inputs.u)
+
+
+class HiddenStates:
+    """States that nobody measures, such as a load on its rope, integrated along the measured ones,
+    one block of rows after another.
+
+    Where the motion is unknown its last known values count.
+    """
+
+    def __init__(self, airframe: Component, index: list[int], step_s: float) -> None:
+        self._airframe, self.index, self._step_s = airframe, index, step_s
+        self._integration: Integration | None = None
+
+    def along(self, x: Array, u: Array) -> Array:
+        """The states at the next rows, shape (n, len(index)).
+
+        Args:
+            x: All states, shape (n, n_x); those that are integrated are not used.
+            u: Inputs, shape (n, n_u).
+        """
+        if self._integration is None:
+            known = np.all(np.isfinite(x), axis=1)
+            if not known.any():
+                return np.full((len(x), len(self.index)), np.nan)
+            first = x[int(np.argmax(known))]
+            names = [s.name for s in self._airframe.states]
+            begin = {f"initial.{n}": float(first[names.index(n)]) for n in RIGID}
+            p = self._airframe.parameter_values({"ground.enabled": 0.0, **begin})
+            self._integration = Integration(self._airframe, self.index, p, self._step_s)
+        return self._integration.along(x, u)
 
 
 def predicted_readings(

@@ -23,7 +23,7 @@ from .options import (
 from .printing import STDOUT, print_damage, print_explanation, print_json, progress
 
 if TYPE_CHECKING:
-    from twin.logs import Flight
+    from twin.logs import AnyFlight
 
 
 def explain(
@@ -63,7 +63,7 @@ def explain(
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
-    from ..flights import read_alike
+    from ..flights import open_alike
     from ..output import check_folder, results_folder, write_run
     from ..vehicles import load_vehicle
 
@@ -76,7 +76,7 @@ def explain(
     for path in held:
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
-    read = read_alike([*flights, *held], rebuild_commands)
+    read = open_alike([*flights, *held], rebuild_commands)
     fit, away = read[: len(flights)], read[len(flights) :]
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
@@ -127,7 +127,7 @@ def _one_vehicle(vehicle: str | None, since: str | None) -> str:
     )
 
 
-def site_record(flight: "Flight", indoor: bool | None) -> dict[str, bool | str]:
+def site_record(flight: "AnyFlight", indoor: bool | None) -> dict[str, bool | str]:
     """What a flight was taken for, and why, for `run.json`."""
     from twin.explain.explanation import sited
 

@@ -25,13 +25,13 @@ def gap(
 ) -> None:
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from .. import gaps
-    from ..flights import read_alike
+    from ..flights import open_alike
     from ..output import check_folder, results_folder, write_json, write_run
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
-    flights = read_alike(logs, rebuild_commands)
+    flights = open_alike(logs, rebuild_commands)
     with progress("comparing") as step:
         found = gaps.gap(flights, model, horizon_s=horizon, progress=step)
     options = {

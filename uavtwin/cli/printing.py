@@ -5,7 +5,7 @@ import tempfile
 import time
 import traceback
 import unicodedata
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from ..output import json_text
 from .options import Exit
 
 if TYPE_CHECKING:
-    from twin.logs import Flight
+    from twin.logs import AnyFlight
 
     from ..explanation import ExplainResult
     from ..exports.products import WrittenFile
@@ -165,7 +165,7 @@ def print_explanation(found: "ExplainResult") -> None:
         print_table(table, unbroken=table.header[0])
 
 
-def print_damage(flights: "list[Flight]") -> int:
+def print_damage(flights: "Sequence[AnyFlight]") -> int:
     """Print what the readers found damaged; how many."""
     errors = [(f.name, x) for f in flights for x in f.findings if x.severity == "error"]
     for name, finding in errors:

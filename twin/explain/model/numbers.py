@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Average, Effect, EffectParameter, Equation, Shift
-from ...logs import Flight
+from ...logs import AnyFlight, Flight
 from ...logs.columns import ACC_NED, POS, QUAT, VEL
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
@@ -136,7 +136,7 @@ def visible(effect: Effect, flights: Iterable[Flight]) -> bool:
     return not any(lacking(effect, flight) for flight in flights)
 
 
-def lacking(effect: Effect, flight: Flight) -> tuple[str, ...]:
+def lacking(effect: Effect, flight: AnyFlight) -> tuple[str, ...]:
     """Signals of `Effect.needs` for want of which a flight cannot show an effect.
 
     A velocity is told from the position. What an accelerometer or a gyroscope would feel of the
@@ -152,7 +152,7 @@ def lacking(effect: Effect, flight: Flight) -> tuple[str, ...]:
     )
 
 
-def pose_shows(signal: str, flight: Flight) -> bool:
+def pose_shows(signal: str, flight: AnyFlight) -> bool:
     """Whether the pose of a flight can stand in for a sensor of the IMU."""
     if signal not in (ACCELEROMETER, GYROSCOPE) or not flight.has(*QUAT):
         return False
@@ -169,7 +169,7 @@ def on_the_body(effect: Effect) -> bool:
     )
 
 
-def has_signal(flight: Flight, signal: str) -> bool:
+def has_signal(flight: AnyFlight, signal: str) -> bool:
     """Whether a flight has a signal named in `Effect.needs`."""
     return flight.has(SIGNALS[signal][0])
 

@@ -78,9 +78,9 @@ def test_the_yaw_trim_between_the_pairs(log: str) -> None:
 @pytest.mark.slow
 def test_gyroscope_and_attitude_agree_as_they_do_in_px4_logs() -> None:
     """Kinematic residual, half-second windows, worst axis of each flight."""
-    ours = [turns(flight(log).table) for log in LOGS]
+    ours = [turns(flight(log).columns) for log in LOGS]
     theirs = [
-        turns(read_flight(DATA / "rflysimdt" / f"real_{k}.ulg", rebuild_commands=False).table)
+        turns(read_flight(DATA / "rflysimdt" / f"real_{k}.ulg", rebuild_commands=False).columns)
         for k in (1, 2, 3)
     ]
     worst = [max(t.residual_rad_s.max() for t in each if t) for each in (ours, theirs)]

@@ -1,0 +1,263 @@
+"""A long flight whose table stays in its file: columns, and rows of them, are read when they are
+asked for, and nothing is kept but what had to be mended."""
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from ..errors import LogError
+from ..representation import short_repr
+from .columns import Columns, over
+from .flight import Array, Finding, Flight, Site, finite_rows, missing_signal
+
+_BATCH = 1 << 16
+"""Rows that are unpacked at a time."""
+_KEPT_BYTES = 200_000_000
+"""Of the parts of columns that were read last: neighbouring blocks of rows lie in the same."""
+
+
+class ParquetColumns(Columns):
+    """Columns of numbers and the phase of a Parquet file, each read when it is asked for."""
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Look at a file; only its phase is read.
+
+        Args:
+            path: Parquet file.
+            names: Columns, numbers all but `phase`.
+
+        Raises:
+            LogError: It is damaged.
+        """
+        self._path, self._names = path, tuple(names)
+        try:
+            self._metadata = pq.read_metadata(path)
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(path, error) from None
+        groups = range(self._metadata.num_row_groups)
+        sizes = [self._metadata.row_group(g).num_rows for g in groups]
+        self._edges = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
+        self._kept: OrderedDict[tuple[int, str], Array] = OrderedDict()
+        self.phase_codes, self.phase_names = self._phase()
+
+    @property
+    def rows(self) -> int:
+        """How many there are."""
+        return int(self._edges[-1])
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self:
+            raise KeyError(name)
+        if name == "phase":
+            return self.phase_names[self.phase_codes]
+        return self._unpacked(range(len(self._edges) - 1), name)
+
+    def __iter__(self) -> Iterator[str]:
+        yield from self._names
+        yield "phase"
+
+    def __len__(self) -> int:
+        return len(self._names) + 1
+
+    def __contains__(self, name: object) -> bool:
+        return name == "phase" or name in self._names
+
+    def part(self, name: str, first: int, end: int) -> NDArray[Any]:
+        """Rows `first` to before `end` of a column."""
+        if name == "phase":
+            return self.phase_names[self.phase_codes[first:end]]
+        found = np.empty(max(end - first, 0))
+        for group in range(len(self._edges) - 1):
+            a, b = max(first, self._edges[group]), min(end, self._edges[group + 1])
+            if a < b:
+                there = self._group(group, name)
+                found[a - first : b - first] = there[a - self._edges[group] :][: b - a]
+        return found
+
+    def has_sample(self, name: str) -> bool:
+        """Whether a value of a column is finite."""
+        batches = self._batches(range(len(self._edges) - 1), name)
+        return any(np.isfinite(b.to_numpy(zero_copy_only=False)).any() for b in batches)
+
+    def _group(self, group: int, name: str) -> Array:
+        """A column in one row group; those read last are kept."""
+        key = group, name
+        if key not in self._kept:
+            self._kept[key] = self._unpacked(range(group, group + 1), name)
+            while len(self._kept) > 1 and sum(v.nbytes for v in self._kept.values()) > _KEPT_BYTES:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return self._kept[key]
+
+    def _unpacked(self, groups: range, name: str) -> Array:
+        """A column in neighbouring row groups."""
+        found = np.empty(int(self._edges[groups.stop] - self._edges[groups.start]))
+        first = 0
+        for batch in self._batches(groups, name):
+            found[first : first + len(batch)] = batch.to_numpy(zero_copy_only=False)
+            first += len(batch)
+        return found
+
+    def _phase(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
+        """Phase of each row as a place in a list of names, and the list."""
+        codes, names = np.zeros(self.rows, dtype=np.int8), [""]
+        if "phase" not in self._metadata.schema.to_arrow_schema().names:
+            return codes, np.array(names, dtype=object)
+        first = 0
+        for batch in self._batches(range(len(self._edges) - 1), "phase"):
+            code, kinds = pd.factorize(batch.to_pandas())
+            told = [*map(str, kinds), ""]  # missing: code -1, the last
+            names += [n for n in dict.fromkeys(told) if n not in names]
+            if len(names) > np.iinfo(np.int8).max:
+                raise LogError(f"{self._path.name}: {len(names)} kinds of phase.")
+            place = np.array([names.index(n) for n in told], dtype=np.int8)
+            codes[first : first + len(batch)] = place[code]
+            first += len(batch)
+        return codes, np.array(names, dtype=object)
+
+    def _batches(self, groups: Sequence[int], name: str) -> Iterator[pa.Array]:
+        """A column of some row groups, some thousand rows at a time."""
+        try:
+            with pq.ParquetFile(self._path, metadata=self._metadata, pre_buffer=False) as file:
+                for batch in file.iter_batches(
+                    _BATCH, row_groups=list(groups), columns=[name], use_threads=False
+                ):
+                    yield batch.column(0)
+        except (pa.ArrowException, OSError) as error:
+            raise damaged(self._path, error) from None
+
+
+def damaged(path: Path, error: Exception) -> LogError:
+    """The error of a Parquet file that cannot be read."""
+    return LogError(
+        f"{path.name}: damaged Parquet file ({error}). A Parquet file cut short cannot be read at "
+        f"all: copy it again."
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class StoredFlight:
+    """One recorded flight as in `Flight`, its table in the file that it came from.
+
+    Attributes:
+        name: Short name, usually the stem of the file.
+        stored: Columns as they are in the file.
+        mended: Columns that are not what they are in the file.
+        findings: What the reader counted or doubts, in the order of reading.
+        facts: What the log says about itself.
+        source: File it came from.
+        site: Indoors or outdoors, and how that is known; None: not known.
+        time_s: Times of the rows, s, strictly increasing, shape (n,).
+        known: Columns with a finite sample.
+    """
+
+    name: str
+    stored: ParquetColumns
+    mended: dict[str, Array]
+    findings: tuple[Finding, ...]
+    facts: dict[str, str]
+    source: Path
+    site: Site | None
+    time_s: Array
+    known: frozenset[str] = field(default=frozenset())
+
+    __repr__ = short_repr
+
+    @property
+    def columns(self) -> Columns:
+        """The table by column, each read when it is asked for."""
+        return over({**self.mended, "time": self.time_s}, self.stored)
+
+    @property
+    def phase_codes(self) -> tuple[NDArray[np.int8], NDArray[np.object_]]:
+        """Phase of each row as a place in a list of names, and the list."""
+        return self.stored.phase_codes, self.stored.phase_names
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of its file: two of one content are the same flight."""
+        with self.source.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+
+    @property
+    def airframe(self) -> None:
+        """Flight tables tell none."""
+        return None
+
+    def has(self, *columns: str) -> bool:
+        """Whether every column is there with at least one finite sample."""
+        return self.known.issuperset(columns)
+
+    def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
+        """Samples at the rows where all the columns are finite, as of `Flight.signal`."""
+        missing = [c for c in columns if not self.has(c)]
+        if missing:
+            raise missing_signal(self.name, missing, [c for c in self.columns if self.has(c)])
+        return self._rows(columns, 0, len(self.time_s))
+
+    def around(
+        self, columns: Sequence[str], start_s: float, end_s: float
+    ) -> tuple[Array, Array, int]:
+        """The same from two samples before a span of time to two samples after it, as far as there
+        are any, and a row before which there are none of them."""
+        first, end = (int(i) for i in np.searchsorted(self.time_s, [start_s, end_s], side="right"))
+        reach = 16
+        while True:
+            low, high = max(first - reach, 0), min(end + reach, len(self.time_s))
+            t_s, values = self._rows(columns, low, high)
+            before = low == 0 or np.count_nonzero(t_s <= start_s) >= 2
+            after = high == len(self.time_s) or np.count_nonzero(t_s > end_s) >= 2
+            if before and after:
+                return t_s, values, low
+            reach *= 8
+
+    def rows_of(self, t_s: Array, first: int) -> NDArray[np.intp]:
+        """Rows of some of its times, `first` or later."""
+        end = int(np.searchsorted(self.time_s, t_s[-1], side="right")) if len(t_s) else first
+        return first + np.searchsorted(self.time_s[first:end], t_s)
+
+    def between(self, start_s: float, end_s: float) -> Flight:
+        """The part of the flight within a span of time, both ends included, in memory."""
+        first = int(np.searchsorted(self.time_s, start_s, side="left"))
+        end = int(np.searchsorted(self.time_s, end_s, side="right"))
+        names = [c for c in self.columns if c != "phase"]
+        table: dict[str, Any] = {c: self._part(c, first, end) for c in names}
+        table["phase"] = pd.Series(self.stored.part("phase", first, end), dtype=object)
+        return Flight(
+            self.name,
+            pd.DataFrame(table, copy=False),
+            self.findings,
+            self.facts,
+            self.source,
+            self.site,
+        )
+
+    def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:
+        """Times and values of the rows at which all columns are finite."""
+        values = np.empty((end - first, len(columns)))
+        for k, column in enumerate(columns):
+            values[:, k] = self._part(column, first, end)
+        return finite_rows(self.time_s[first:end], values)
+
+    def _part(self, column: str, first: int, end: int) -> Array:
+        """Rows of a column."""
+        if column == "time":
+            return self.time_s[first:end].copy()
+        if column in self.mended:
+            return self.mended[column][first:end].copy()
+        if end - first == len(self.time_s):
+            return self.stored[column]
+        return self.stored.part(column, first, end)
+
+
+AnyFlight = Flight | StoredFlight
+"""In memory, or in its file."""
