@@ -67,6 +67,7 @@ def fly(
     seed: int,
     name: str = "demo",
     waypoints: Waypoints = WAYPOINTS,
+    imu_s: float = IMU_S,
 ) -> Flight:
     """Fly the waypoints with the plant under the twin's controller and record the sensors.
 
@@ -76,19 +77,20 @@ def fly(
         seed: Of the sensor noise.
         name: Of the flight.
         waypoints: Phase, duration and place of each leg.
+        imu_s: Time between two rows of the table, commands and IMU in each.
     """
     setpoints, phases = _setpoints(plant, waypoints)
     drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
     recorder = Recorder(
         streams=(
-            Stream(drives, IMU_S),
-            Stream(ACC, IMU_S, ACC_NOISE_M_S2),
-            Stream(GYRO, IMU_S, GYRO_NOISE_RAD_S),
+            Stream(drives, imu_s),
+            Stream(ACC, imu_s, ACC_NOISE_M_S2),
+            Stream(GYRO, imu_s, GYRO_NOISE_RAD_S),
             Stream(POS, POSE_S, POS_NOISE_M),
             Stream(VEL, POSE_S, VEL_NOISE_M_S),
             Stream(QUAT, POSE_S, ATT_NOISE),
         ),
-        rate_hz=1 / IMU_S,
+        rate_hz=1 / imu_s,
         sampled_hz=1 / STEP_S,
         seed=seed,
     )
