@@ -12,6 +12,7 @@ from twin.logs import Flight, read_flight
 from twin.logs.ardupilot.airframe import read_airframe
 from twin.logs.ardupilot.geometry import _CIRCLES, _PLACES, CLASSES, TYPES, geometry
 from twin.logs.ardupilot.rotors import instances_of
+from twin.vehicle.layouts import frame
 
 RPM = 30.0 / np.pi
 SLOW = flown_table()["time"].to_numpy()[::4]
@@ -127,13 +128,11 @@ def test_a_frame_can_fly(frame: tuple[str, str]) -> None:
 
 def test_quad_x_is_that_of_the_built_in_vehicles() -> None:
     """Front right, rear left, front left, rear right; PX4 has the same order."""
-    from twin.logs.px4.mixers import _GEOMETRIES
-
     found = geometry(1, 1)
     assert found is not None
-    told = np.array(_GEOMETRIES["quad_x"])
-    np.testing.assert_allclose(found.direction, told[:, :2], atol=1e-5)
-    np.testing.assert_array_equal(found.turn, told[:, 2])
+    told = frame("x", "here")
+    np.testing.assert_allclose(found.direction, told.position[:, :2], atol=1e-5)
+    np.testing.assert_array_equal(found.turn, -told.direction)
 
 
 def test_frames_that_are_not_known() -> None:
