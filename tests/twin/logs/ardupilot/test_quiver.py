@@ -9,11 +9,13 @@ import pytest
 from cli_rig import run
 from places import DATA, needs
 
+import uavtwin as ut
 from twin.logs import Flight, read_flight
 from twin.logs.agreement import turns
 from twin.logs.ardupilot.airframe import read_airframe
 from twin.logs.ardupilot.log import open_ardupilot
 from twin.logs.ardupilot.trim import yaw_trim
+from twin.vehicle.file import parse_vehicle
 
 FOLDER = DATA / "quiver_pt1"
 LOGS = ("80", "81", "83", "87", "92")
@@ -166,3 +168,13 @@ def test_the_log_tells_its_aircraft_in_the_words_of_all_formats() -> None:
     slope = (curve.factor * more**2 + (1 - curve.factor) * more - thrust) / step
     assert curve.elasticity(0.5) == pytest.approx(0.5 * slope / thrust, rel=1e-4)
     assert told.place is not None and told.gyro_cutoff_hz is not None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", LOGS)
+def test_a_draft_hovers_as_the_log_does(log: str) -> None:
+    """By the mass of the README, with an arm that nobody wrote down; inertia by the study."""
+    found = ut.draft_vehicle(flight(log), 18.0, arm_m=0.6)
+    assert found.hover_command == pytest.approx(found.details.level, rel=0.03)
+    inertia = np.diag(parse_vehicle(found.details.text, "quiver.toml").inertia_kg_m2)
+    np.testing.assert_allclose(inertia, (1.24, 1.225, 2.17), rtol=2 * 0.3)
