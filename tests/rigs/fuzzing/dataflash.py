@@ -103,6 +103,7 @@ def _flown() -> dict[str, Any]:
 class DataFlash:
     """The kind."""
 
+    file = "input.bin"
     visible = frozenset(
         {"stamp_add", "stamp_times", "gap", "freeze", "absurd", "back", "cut", "redefine", "unit"}
     )
