@@ -7,8 +7,16 @@ from typing import TypeVar
 from ..errors import LogError
 from .doubts import doubts
 from .flight import Flight
-from .formats import LogFormat, ReadOptions, known_formats, nearly, recognise
-from .signature import HEAD, Magic, Signature
+from .formats import (
+    HEAD,
+    LogFormat,
+    Magic,
+    ReadOptions,
+    Signature,
+    known_formats,
+    nearly,
+    recognise,
+)
 from .stored import AnyFlight
 from .table import open_parquet
 

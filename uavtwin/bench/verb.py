@@ -9,6 +9,7 @@ import json
 import sys
 import tempfile
 import time
+from importlib import metadata
 from pathlib import Path
 
 VERBS = ("read", "check", "gap", "explain")
@@ -26,15 +27,14 @@ def run(verb: str, file: str, vehicle: str, out: str) -> None:
 
         open_flight(file)
         return
-    from uavtwin.cli.main import main
-
     options = {
         "check": ["--json"],
         "gap": ["--vehicle", vehicle, "--out", out],
         "explain": ["--vehicle", vehicle, "--out", out, "--no-fmus"],
     }
     sys.argv = ["uavtwin", verb, file, *options[verb]]
-    main()
+    (command,) = metadata.entry_points(group="console_scripts", name="uavtwin")
+    command.load()()
 
 
 def peak_mb() -> float:

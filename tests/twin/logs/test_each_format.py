@@ -10,8 +10,7 @@ from sample_logs import SAMPLES
 
 from twin.errors import TwinError
 from twin.logs import read_flight
-from twin.logs.formats import FORMATS
-from twin.logs.signature import HEAD
+from twin.logs.formats import FORMATS, HEAD
 
 NAMES = [f.name for f in FORMATS]
 

@@ -17,9 +17,17 @@ from sample_logs import SAMPLES
 import twin.logs
 from twin.errors import LogError
 from twin.logs import read_flight
-from twin.logs.formats import FORMATS, LogFormat, ReadOptions, known_formats, recognise
+from twin.logs.formats import (
+    FORMATS,
+    HEAD,
+    FirstWord,
+    LogFormat,
+    Magic,
+    ReadOptions,
+    known_formats,
+    recognise,
+)
 from twin.logs.read import NOT_READ
-from twin.logs.signature import HEAD, FirstWord, Magic
 
 LOGS = Path(twin.logs.__file__).parent
 NAMES = [f.name for f in FORMATS]

@@ -10,7 +10,7 @@ from ..columns import MOTION, motor_columns
 from ..flight import Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
-from .airframe import airframe
+from .airframe import airframe, told_by
 from .arming import use_the_flight
 from .estimator import primary
 from .geometry import NO_MULTIROTOR, frame_name, geometry
@@ -23,7 +23,6 @@ from .phases import from_ardupilot_phases, modes, note_failures
 from .rotors import add_rotors
 from .signals import add, add_barometer, add_battery, add_compass, add_imu
 from .site import from_ardupilot_site, place
-from .told import told_by
 from .trim import yaw_trim
 
 

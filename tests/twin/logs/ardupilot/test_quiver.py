@@ -141,7 +141,12 @@ lag = { value = 0.1, unit = "s", source = "made up" }
 def test_check_and_gap_take_them(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The twin carries its weight on the logged commands, and needs no yaw trim."""
     code, said, _ = run(capsys, "check", path_of("92"))
-    assert code == 0 and "clockwise rotors get 0.087 more" in said and "good for: gap" in said
+    assert (
+        code == 1
+        and "problem" not in said
+        and "clockwise rotors get 0.087 more" in said
+        and "good for: gap" in said
+    )
     (tmp_path / "quiver.toml").write_text(VEHICLE)
     code, _, _ = run(
         capsys, "gap", path_of("92"), "--vehicle", tmp_path / "quiver.toml", "--out", tmp_path / "o"
