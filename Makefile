@@ -26,7 +26,7 @@ demo: setup  ## find the effect hidden in built-in flights and write out/demo/re
 test: setup lint  ## the whole suite
 	$(PYTEST)
 
-fast: setup  ## without the slow tests; 90 s
+fast: setup  ## without the slow tests; three minutes
 	$(PYTEST) -m 'not slow'
 
 FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))
