@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzzing.feedback import amplifier, motor
 from lxml import etree
 
 from cosim.master import Master
 from cosim.ssp import read_ssp, write_ssp
 from cosim.system import Connection, System
 from fmus import build, component_model
-from twin.component import ComponentBuilder
 from twin.errors import FmuError
 
 SSD = "SystemStructure.ssd"
@@ -27,21 +27,11 @@ SSD = "SystemStructure.ssd"
 def system(tmp_path_factory: pytest.TempPathFactory) -> System:
     """A motor, FMI 2, in a loop with an amplifier, FMI 3, that also drives a second motor."""
     folder = tmp_path_factory.mktemp("parts")
-    m = ComponentBuilder("motor", "A lag")
-    on = m.parameter("on", 1.0, "1", "Whether it turns", boolean=True)
-    u = m.input("u", "V", "Voltage")
-    x = m.state("speed", "rad/s", "Speed", m.parameter("initial.speed", 0.0, "rad/s", "Start"))
-    m.derivative("speed", on * (u - x))
-    m.output("speed", "rad/s", "Speed", x)
-    motor = build(component_model(m.build()), folder / "the motor.fmu")
-    m = ComponentBuilder("amplifier", "Feedback")
-    gain = m.parameter("gain", 2.0, "1", "Gain")
-    speed = m.input("speed", "rad/s", "Speed")
-    m.output("u", "V", "Voltage", gain * (1.0 - speed))
+    motor_fmu = build(component_model(motor()), folder / "the motor.fmu")
     (folder / "other").mkdir()
-    amplifier = build(component_model(m.build()), folder / "other" / "the motor.fmu", 3)
+    amplifier_fmu = build(component_model(amplifier()), folder / "other" / "the motor.fmu", 3)
     return System(
-        {"motor": motor, "amplifier": amplifier, "second": motor},
+        {"motor": motor_fmu, "amplifier": amplifier_fmu, "second": motor_fmu},
         (
             Connection("motor.speed", "amplifier.speed"),
             Connection("amplifier.u", "motor.u"),

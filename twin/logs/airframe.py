@@ -4,10 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Generic, NamedTuple, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..representation import short_repr
 from ..vehicle.layouts import Layout
 
 T = TypeVar("T")
+Array = NDArray[np.float64]
 
 
 class Told(NamedTuple, Generic[T]):
@@ -74,6 +78,11 @@ class ThrustCurve:
     factor: float
     start: float = 0.0
     full: float = 1.0
+
+    def thrust(self, command: Array) -> Array:
+        """Thrust over that at full command, of commands of any shape."""
+        x = np.clip((command - self.start) / (self.full - self.start), 0.0, 1.0)
+        return np.asarray(self.factor * x * x + (1.0 - self.factor) * x)
 
     def elasticity(self, command: float) -> float:
         """Relative thrust per relative command, at a command above the start."""

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from .clock import longest_stretch
 from .columns import in_order
-from .flight import Array
+from .flight import Array, Noted
+from .limits import beyond, told
 
 
 @dataclass(slots=True)
@@ -66,3 +67,33 @@ class Rows:
                 group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
                 facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
         return facts
+
+
+def add_signal(
+    log: Noted,
+    rows: Rows,
+    where: str,
+    names: tuple[str, ...],
+    t_us: NDArray[np.int64],
+    values: Array,
+    begin: str = "the log began",
+) -> None:
+    """Add a signal and note what it loses.
+
+    Args:
+        log: Takes the findings.
+        rows: Takes the samples.
+        where: What the signal is called in findings, and in `limits`.
+        names: Its columns.
+        t_us: Strictly increasing times, us, shape (n,).
+        values: Shape (n, len(names)).
+        begin: What happens at time 0.
+    """
+    absurd = beyond(where, values)
+    if absurd.any():
+        log.note("error", where, told(where), int(absurd.sum()))
+    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
+    if early:
+        log.note("info", where, f"samples left out, taken before {begin}", early)
+    if broken:
+        log.note("error", where, "samples left out, a value is NaN or infinite", broken)

@@ -1,6 +1,7 @@
 """Time stamps put in order: which samples of a series can stay."""
 
 from bisect import bisect_left
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,29 @@ _FEW = 0.02
 _PAUSE_S = 0.2
 _PAUSE_INTERVALS = 2.2
 _LATEST = 0.5
+
+
+class Timed:
+    """Samples with times.
+
+    Attributes:
+        t_us: Time of each, us, shape (n,).
+    """
+
+    __slots__ = ()
+    t_us: NDArray[np.int64]
+
+    @property
+    def t_s(self) -> NDArray[np.float64]:
+        """Times, s, shape (n,)."""
+        return np.asarray(self.t_us * 1e-6, dtype=np.float64)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate between the first and the last, 0 for fewer than two."""
+        if len(self.t_us) < 2:
+            return 0.0
+        return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,3 +171,14 @@ def _longest_rise(t: NDArray[np.int64]) -> NDArray[np.int64]:
         chain.append(i)
         i = int(before[i])
     return np.array(chain[::-1], dtype=np.int64)
+
+
+def told_dropped(what: str, backward: int, repeated: int, jumped: int) -> Iterator[tuple[str, int]]:
+    """Messages and counts of what `advancing` leaves out, of samples that are called so."""
+    for count, why in (
+        (backward, "whose time runs backward"),
+        (repeated, "whose time repeats"),
+        (jumped, "that lie more than a minute from the rest"),
+    ):
+        if count:
+            yield f"{what} dropped {why}", count

@@ -29,6 +29,17 @@ class Finding:
     count: int = 1
 
 
+class Noted:
+    """What is being read, with findings that grow meanwhile."""
+
+    __slots__ = ()
+    findings: list[Finding]
+
+    def note(self, severity: Severity, where: str, message: str, count: int = 1) -> None:
+        """Add a finding."""
+        self.findings.append(Finding(severity, where, message, count))
+
+
 @dataclass(frozen=True, slots=True)
 class Site:
     """Where a flight took place, as far as it matters to the air around it.

@@ -63,7 +63,6 @@ def explain(
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
-    from ..flights import open_alike
     from ..output import check_folder, results_folder, write_run
     from ..vehicles import load_vehicle
 
@@ -73,11 +72,7 @@ def explain(
     model, held = load_vehicle(given), holdout or []
     if since is not None:
         explanation.check_calibrated(model)
-    for path in held:
-        if path.resolve() in {p.resolve() for p in flights}:
-            raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
-    read = open_alike([*flights, *held], rebuild_commands)
-    fit, away = read[: len(flights)], read[len(flights) :]
+    fit, away = _read(flights, held, rebuild_commands)
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
         found = explanation.explain(
@@ -109,6 +104,23 @@ def explain(
     damaged = print_damage([*fit, *away])
     if damaged or found.verdict != "nothing":
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _read(
+    flights: Sequence[Path], held: Sequence[Path], rebuild_commands: bool | None
+) -> "tuple[list[AnyFlight], list[AnyFlight]]":
+    """Flights to fit on, and those held out, all read in the same way.
+
+    Raises:
+        TwinError: One is both, or cannot be used.
+    """
+    from ..flights import open_alike
+
+    for path in held:
+        if path.resolve() in {p.resolve() for p in flights}:
+            raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
+    read = open_alike([*flights, *held], rebuild_commands)
+    return read[: len(flights)], read[len(flights) :]
 
 
 def _one_vehicle(vehicle: str | None, since: str | None) -> str:

@@ -68,6 +68,7 @@ def _lines(what: str) -> Callable[[float], None]:
     began = said = time.monotonic()
 
     def tell(done: float) -> None:
+        """Print a line where the last one is old enough."""
         nonlocal said
         now = time.monotonic()
         if now - said < EVERY_S:

@@ -13,6 +13,17 @@ from .printing import STDERR, STDOUT, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
+Aircraft = Annotated[
+    str | None,
+    typer.Option(
+        help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
+        f"{VEHICLE_VARIABLE} in the environment, else {_VEHICLE}; of an .ssp its own parts."
+    ),
+]
+Trust = Annotated[
+    Path | None,
+    typer.Option(help="Hashes by sha256sum, of an .ssp or all its FMUs: run in this process."),
+]
 
 if TYPE_CHECKING:
     from ..run import Run
@@ -22,13 +33,7 @@ def simulate(
     scenario: Annotated[
         str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
     ],
-    vehicle: Annotated[
-        str | None,
-        typer.Option(
-            help="Vehicle file (TOML), or the name of a built-in vehicle. Default: that of "
-            f"{VEHICLE_VARIABLE} in the environment, else {_VEHICLE}; of an .ssp its own parts."
-        ),
-    ] = None,
+    vehicle: Aircraft = None,
     wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
     gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
@@ -43,10 +48,7 @@ def simulate(
     algorithm: Annotated[Algorithm, typer.Option(help="How the parts exchange values.")] = "jacobi",
     fused: Annotated[bool, typer.Option("--fused", help="Run the twin as one FMU.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="As fast as the clock.")] = False,
-    trust: Annotated[
-        Path | None,
-        typer.Option(help="Hashes by sha256sum, of an .ssp or all its FMUs: run in this process."),
-    ] = None,
+    trust: Trust = None,
     call_limit: Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")] = 60.0,
     time_limit: Annotated[float, typer.Option(help="Of a run of foreign FMUs, s.")] = 3600.0,
     memory_limit: Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")] = 4.0,
@@ -65,7 +67,7 @@ def simulate(
 
     check_folder(out, force)
     own_parts = scenario.endswith(".ssp") and vehicle in (None, _VEHICLE)
-    vehicle = vehicle_named(vehicle, _VEHICLE)
+    vehicle = _VEHICLE if own_parts else vehicle_named(vehicle, _VEHICLE)
     plan = Scenario(
         scenario,
         None if own_parts else load_vehicle(vehicle),
@@ -99,6 +101,11 @@ def simulate(
     given = (Path(scenario), Path(vehicle), *([] if trust is None else [trust]))
     inputs = [p for p in given if p.is_file()]
     _write(run, out, force, "recording.csv" if csv else "recording.parquet", options, inputs, seed)
+    _say(run, out, realtime, as_json)
+
+
+def _say(run: "Run", out: Path, realtime: bool, as_json: bool) -> None:
+    """What came of a run; ends the verb where it did not come to its end."""
     if as_json:
         print_json(run.json())
     if run.ended is not None:

@@ -17,10 +17,11 @@ from cosim.ssp import write_ssp
 from cosim.system import Connection, System
 from fmus import component_model
 from fmus.description import model_description
-from twin.component import Component, ComponentBuilder
+from twin.component import Component
 
 from .checked import read_checked
 from .engine import Seen, Step
+from .feedback import amplifier, motor
 from .flights import Long, apply_bytes, draw_bytes, spelled
 
 _VALUES: tuple[Long, ...] = (
@@ -280,24 +281,6 @@ def _changed_xml(content: bytes, name: str, given: dict[str, Any]) -> bytes:
 # -- sound ones -----------------------------------------------------------------------------
 
 
-def _motor() -> Component:
-    m = ComponentBuilder("motor", "A lag")
-    on = m.parameter("on", 1.0, "1", "Whether it turns", boolean=True)
-    u = m.input("u", "V", "Voltage")
-    x = m.state("speed", "rad/s", "Speed", m.parameter("initial.speed", 0.0, "rad/s", "Start"))
-    m.derivative("speed", on * (u - x))
-    m.output("speed", "rad/s", "Speed", x)
-    return m.build()
-
-
-def _amplifier() -> Component:
-    m = ComponentBuilder("amplifier", "Feedback")
-    gain = m.parameter("gain", 2.0, "1", "Gain")
-    speed = m.input("speed", "rad/s", "Speed")
-    m.output("u", "V", "Voltage", gain * (1.0 - speed))
-    return m.build()
-
-
 def _header(size: int = 4096) -> bytes:
     """A library of x86-64 Linux that is nothing but its ELF header."""
     start = b"\x7fELF\2\1\1" + bytes(9)
@@ -318,7 +301,7 @@ def _fmu(component: Component, fmi: int) -> bytes:
 
 @cache
 def _fmus() -> dict[str, bytes]:
-    return {"motor": _fmu(_motor(), 2), "amplifier": _fmu(_amplifier(), 3)}
+    return {"motor": _fmu(motor(), 2), "amplifier": _fmu(amplifier(), 3)}
 
 
 @cache

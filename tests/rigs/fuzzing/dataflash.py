@@ -15,6 +15,7 @@ from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read, recorded
+from .layout import Layout
 
 _TYPES = {
     **{"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2", "c": "<i2", "C": "<u2"},
@@ -33,33 +34,14 @@ _FMT_SIZE = 89
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """Where the messages of one name stand in a log."""
+class Messages(Layout):
+    """The same of messages of `size` bytes."""
 
-    at: NDArray[np.int64]
-    fields: dict[str, tuple[int, np.dtype[Any]]]
     size: int
-
-    def get(self, blob: bytes, field: str) -> NDArray[Any]:
-        """Values of a field, shape (n,)."""
-        offset, kind = self.fields[field]
-        raw = np.frombuffer(blob, np.uint8)
-        place = self.at[:, None] + offset + np.arange(kind.itemsize)
-        return np.ascontiguousarray(raw[place]).view(kind)[:, 0]
-
-    def put(self, blob: bytes, field: str, values: NDArray[Any]) -> bytes:
-        """The log with other values of a field."""
-        offset, kind = self.fields[field]
-        raw = np.frombuffer(blob, np.uint8).copy()
-        place = self.at[:, None] + offset + np.arange(kind.itemsize)
-        with np.errstate(invalid="ignore", over="ignore"):
-            new = np.ascontiguousarray(values.astype(kind)).view(np.uint8)
-        raw[place] = new.reshape(len(self.at), -1)
-        return raw.tobytes()
 
 
 @lru_cache(12)
-def layout(blob: bytes) -> dict[str, Layout]:
+def layout(blob: bytes) -> dict[str, Messages]:
     """By name, as far as the log is sound."""
     defined: dict[int, tuple[str, dict[str, tuple[int, np.dtype[Any]]], int]] = {
         _FMT: ("FMT", {"Length": (1, np.dtype("u1"))}, _FMT_SIZE)
@@ -84,7 +66,7 @@ def layout(blob: bytes) -> dict[str, Layout]:
                 defined[told] = (name, fields, 3 + starts[-1])
         at += size
     return {
-        defined[n][0]: Layout(np.array(p, dtype=np.int64), defined[n][1], defined[n][2])
+        defined[n][0]: Messages(np.array(p, dtype=np.int64), defined[n][1], defined[n][2])
         for n, p in places.items()
         if len(p) > 9
     }
@@ -199,7 +181,7 @@ class DataFlash:
         return read(path)
 
 
-def _stamped(blob: bytes, place: Layout, name: str, given: dict[str, Any]) -> bytes:
+def _stamped(blob: bytes, place: Messages, name: str, given: dict[str, Any]) -> bytes:
     """Other times, or messages of a span taken out."""
     stamp = place.get(blob, "TimeUS")
     n = len(stamp)
@@ -227,7 +209,7 @@ def _without(blob: bytes, at: NDArray[np.int64], size: int) -> bytes:
     return b"".join([*out, blob[last:]])
 
 
-def _frozen(blob: bytes, place: Layout, since: float) -> bytes:
+def _frozen(blob: bytes, place: Messages, since: float) -> bytes:
     """Two thirds of the messages with the values of the first of them."""
     n = len(place.at)
     first = int(since * n)
@@ -239,7 +221,7 @@ def _frozen(blob: bytes, place: Layout, since: float) -> bytes:
     return blob
 
 
-def _redefined(blob: bytes, place: Layout, given: dict[str, Any]) -> bytes:
+def _redefined(blob: bytes, place: Messages, given: dict[str, Any]) -> bytes:
     """Another definition of a kind amid its messages, or its own with another length."""
     number = blob[int(place.at[0]) - 1]
     at = blob.find(MARK + bytes([_FMT, number]))
@@ -256,7 +238,7 @@ def _redefined(blob: bytes, place: Layout, given: dict[str, Any]) -> bytes:
     return blob[:middle] + made + blob[middle:]
 
 
-def _with_unit(blob: bytes, place: Layout, unit: str) -> bytes:
+def _with_unit(blob: bytes, place: Messages, unit: str) -> bytes:
     """Every column of a kind in another unit by its FMTU."""
     number = blob[int(place.at[0]) - 1]
     units = layout(blob).get("FMTU")

@@ -2,7 +2,6 @@
 
 import random
 import struct
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from sample_logs import SAMPLES, moving_topics, ulog, ulog_message
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read, recorded
+from .layout import Layout
 
 _TYPES = {
     **{f"{u}int{n}_t": f"<{u[:1] or 'i'}{n // 8}" for u in ("", "u") for n in (8, 16, 32, 64)},
@@ -40,31 +40,6 @@ INPUTS = {
     "actuator_motors": ("control[1]",),
     "vehicle_rates_setpoint": ("roll", "thrust_body[2]"),
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Layout:
-    """Where the samples of a topic's first instance stand in a log."""
-
-    at: NDArray[np.int64]
-    fields: dict[str, tuple[int, np.dtype[Any]]]
-
-    def get(self, blob: bytes, field: str) -> NDArray[Any]:
-        """Values of a field, shape (n,)."""
-        offset, kind = self.fields[field]
-        raw = np.frombuffer(blob, np.uint8)
-        place = self.at[:, None] + offset + np.arange(kind.itemsize)
-        return np.ascontiguousarray(raw[place]).view(kind)[:, 0]
-
-    def put(self, blob: bytes, field: str, values: NDArray[Any]) -> bytes:
-        """The log with other values of a field."""
-        offset, kind = self.fields[field]
-        raw = np.frombuffer(blob, np.uint8).copy()
-        place = self.at[:, None] + offset + np.arange(kind.itemsize)
-        with np.errstate(invalid="ignore", over="ignore"):
-            new = np.ascontiguousarray(values.astype(kind)).view(np.uint8)
-        raw[place] = new.reshape(len(self.at), -1)
-        return raw.tobytes()
 
 
 @lru_cache(12)

@@ -1,13 +1,12 @@
 """`uavtwin vehicle convert` and `ut.convert_vehicle`: an aircraft of Gazebo becomes one of ours."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cli_rig import run as uavtwin
 
 import uavtwin as ut
-from uavtwin.cli.main import main
 
 MASS_KG, ROTOR_KG, ARM_M, WAYS = 1.2, 0.01, 0.15, ("ccw", "ccw", "cw", "cw")
 PLACES_FLU = ((1, -1), (-1, 1), (1, 1), (-1, -1))
@@ -43,16 +42,7 @@ def sdf(tmp_path: Path) -> Path:
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of `uavtwin vehicle convert`."""
-    argv, sys.argv = sys.argv, ["uavtwin", "vehicle", "convert", *map(str, arguments)]
-    try:
-        main()
-        code = 0
-    except SystemExit as stop:
-        code = int(stop.code or 0)
-    finally:
-        sys.argv = argv
-    captured = capsys.readouterr()
-    return code, captured.out, captured.err
+    return uavtwin(capsys, "vehicle", "convert", *arguments)
 
 
 def test_the_aircraft_of_a_file_arrives(

@@ -10,7 +10,7 @@ from ..columns import MOTION, motor_columns
 from ..flight import Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
-from .airframe import airframe, told_by
+from .airframe import from_ardupilot_airframe
 from .arming import use_the_flight
 from .estimator import primary
 from .geometry import NO_MULTIROTOR, frame_name, geometry
@@ -22,7 +22,7 @@ from .parameters import frame_numbers
 from .phases import from_ardupilot_phases, modes, note_failures
 from .rotors import add_rotors
 from .signals import add, add_barometer, add_battery, add_compass, add_imu
-from .site import from_ardupilot_site, place
+from .site import fix, from_ardupilot_site
 from .trim import yaw_trim
 
 
@@ -71,10 +71,10 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         facts["yaw trim"] = str(trim)
     if told := modes(log):
         facts["modes"] = told
-    if where := place(log):
+    if where := fix(log):
         facts["place"] = str(where)
     facts |= rows.coverage(t_us)
-    site, frame = from_ardupilot_site(log), told_by(airframe(log))
+    site, frame = from_ardupilot_site(log), from_ardupilot_airframe(log)
     return Flight(path.stem, table, tuple(log.findings), facts, path, site, frame)
 
 

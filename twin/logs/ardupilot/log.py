@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..clock import advancing, pauses
-from ..flight import Array, Finding, Severity
+from ..clock import Timed, advancing, pauses, told_dropped
+from ..flight import Array, Finding, Noted
 from ..px4.order import out_of_place
 from .file.binary import MARK, read_binary
 from .file.definitions import in_si, instance_column
@@ -52,7 +52,7 @@ _NAMED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Topic:
+class Topic(Timed):
     """Messages of one name and instance, in order of time.
 
     Attributes:
@@ -66,18 +66,6 @@ class Topic:
     t_us: NDArray[np.int64]
     source: Messages
     rows: NDArray[np.int64]
-
-    @property
-    def t_s(self) -> Array:
-        """Times, s, shape (n,)."""
-        return np.asarray(self.t_us * 1e-6, dtype=np.float64)
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate between the first and the last, 0 for fewer than two."""
-        if len(self.t_us) < 2:
-            return 0.0
-        return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
 
     def has(self, *fields: str) -> bool:
         """Whether every field is there and holds numbers."""
@@ -113,7 +101,7 @@ class Topic:
 
 
 @dataclass(slots=True)
-class ArduPilotLog:
+class ArduPilotLog(Noted):
     """One DataFlash log on the clock of a flight.
 
     Attributes:
@@ -136,10 +124,6 @@ class ArduPilotLog:
     _dropped: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     """Of messages by name: those whose time is another clock's."""
     _topics: dict[tuple[str, int | None], Topic | None] = field(default_factory=dict)
-
-    def note(self, severity: Severity, where: str, message: str, count: int = 1) -> None:
-        """Add a finding."""
-        self.findings.append(Finding(severity, where, message, count))
 
     def texts(self, name: str, column: str) -> list[str]:
         """A column of texts of all messages of a name, [] without any."""
@@ -217,14 +201,9 @@ class ArduPilotLog:
         if name in EVENTS:
             order = np.argsort(t_us, kind="stable")
             return Topic(name, t_us[order], messages, rows[order])
-        keep, backward, repeated, jumped = advancing(t_us)
-        for count, what in (
-            (backward, "messages dropped whose time runs backward"),
-            (repeated, "messages dropped whose time repeats"),
-            (jumped, "messages dropped that lie more than a minute from the rest"),
-        ):
-            if count and tell:
-                self.note("error", name, what, count)
+        keep, *lost = advancing(t_us)
+        for message, count in told_dropped("messages", *lost) if tell else ():
+            self.note("error", name, message, count)
         if not keep.any():
             return None
         steady = name in STEADY and name not in _PAUSE_OF_TELEMETRY

@@ -2,14 +2,14 @@
 barometer, battery. ArduPilot's axes are those of the table: FRD, NED."""
 
 import math
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..assemble import Rows
+from ..assemble import Rows, add_signal
 from ..columns import ACC, GYRO, MAG
 from ..flight import Array
-from ..limits import beyond, told
 from .estimator import Primary
 from .log import ArduPilotLog, Topic
 from .outputs import MotorCommands
@@ -24,23 +24,8 @@ _LEAST_V = 1.0
 _IDLE, _WORKING = 0.05, 0.2
 
 
-def add(
-    log: ArduPilotLog,
-    rows: Rows,
-    where: str,
-    names: tuple[str, ...],
-    t_us: NDArray[np.int64],
-    values: Array,
-) -> None:
-    """Add a signal and count what it loses."""
-    absurd = beyond(where, values)
-    if absurd.any():
-        log.note("error", where, told(where), int(absurd.sum()))
-    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
-    if early:
-        log.note("info", where, "samples left out, taken before the motors ran", early)
-    if broken:
-        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
+add = partial(add_signal, begin="the motors ran")
+"""As `assemble.add_signal`."""
 
 
 def si(

@@ -15,7 +15,7 @@ _MOST_WEEKS = 4000
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Fix:
     """Where and when.
 
     Attributes:
@@ -50,7 +50,7 @@ def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
     return Site(False, "GPS has a fix")
 
 
-def place(log: ArduPilotLog) -> Place | None:
+def fix(log: ArduPilotLog) -> Fix | None:
     """Median of the fixes, None without any."""
     found = _fixes(log)
     if found is None or not found[1].any() or not found[0].has("Lat", "Lng", "Alt", "GWk", "GMS"):
@@ -63,4 +63,4 @@ def place(log: ArduPilotLog) -> Place | None:
     if abs(where[0]) > 90.0 or abs(where[1]) > 180.0 or not 0.0 <= ms < 7 * 86_400_000:
         return None
     then = _GPS_EPOCH + timedelta(weeks=week, milliseconds=ms, seconds=-_LEAP_S)
-    return Place(where[0], where[1], where[2], then.date())
+    return Fix(where[0], where[1], where[2], then.date())

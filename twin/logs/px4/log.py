@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
-from ..clock import advancing, missing_ends, pauses
-from ..flight import Array, Finding, Severity
+from ..clock import Timed, advancing, missing_ends, pauses, told_dropped
+from ..flight import Array, Finding, Noted
 from .definitions import check_definitions, messages
 from .order import data_places, out_of_place
 
@@ -59,7 +59,7 @@ NEEDED = ("sensor_combined", "vehicle_attitude", "vehicle_local_position", "actu
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
+class Topic(Timed):
     """Samples of one topic instance, in order of time.
 
     Attributes:
@@ -74,18 +74,6 @@ class Topic:
     t_us: NDArray[np.int64]
     data: Mapping[str, NDArray[Any]]
     by_sample_time: bool
-
-    @property
-    def t_s(self) -> Array:
-        """Times, s, shape (n,)."""
-        return np.asarray(self.t_us * 1e-6, dtype=np.float64)
-
-    @property
-    def rate_hz(self) -> float:
-        """Mean rate between the first and the last sample, 0 for fewer than two samples."""
-        if len(self.t_us) < 2:
-            return 0.0
-        return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
 
     def has(self, *fields: str) -> bool:
         """Whether every field is there."""
@@ -108,7 +96,7 @@ class Topic:
 
 
 @dataclass(slots=True)
-class Px4Log:
+class Px4Log(Noted):
     """One ULog on its own clock.
 
     Attributes:
@@ -136,10 +124,6 @@ class Px4Log:
         """Firmware version, a byte each from the top; 0 where the log has none that makes sense."""
         told = self.info.get("ver_sw_release", "")
         return int(told) if told.isdecimal() and len(told) < 11 else 0
-
-    def note(self, severity: Severity, where: str, message: str, count: int = 1) -> None:
-        """Add a finding."""
-        self.findings.append(Finding(severity, where, message, count))
 
     def instances(self, name: str) -> list[int]:
         """Instances of a topic that hold samples."""
@@ -189,14 +173,9 @@ class Px4Log:
                 "times of publication run backward or repeat; those of sampling are used",
                 back,
             )
-        keep, backward, repeated, jumped = advancing(t_us)
-        for count, what in (
-            (backward, "samples dropped whose time runs backward"),
-            (repeated, "samples dropped whose time repeats"),
-            (jumped, "samples dropped that lie more than a minute from the rest"),
-        ):
-            if count:
-                self.note("error", name, what, count)
+        keep, *lost = advancing(t_us)
+        for message, count in told_dropped("samples", *lost):
+            self.note("error", name, message, count)
         if not keep.any():
             return None
         data = {k: v[keep] for k, v in raw.items()}

@@ -7,11 +7,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..assemble import Rows
+from ..assemble import Rows, add_signal
 from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
-from ..limits import beyond, told
 from ..phases import label_phases
 from .airframe import from_px4_airframe
 from .commands import from_px4_commands
@@ -52,7 +51,7 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     _rotors(log, rows)
     if commands is not None:
         n = commands.cmd.shape[1]
-        _add(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
+        add_signal(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
         facts |= commands.facts
     t_us, absurd = rows.times_us()
     if absurd:
@@ -83,25 +82,6 @@ def from_px4_gauss(field: Array) -> Array:
 def from_px4_rpm(rpm: Array) -> Array:
     """Rotor speed, rpm of either sign -> rad/s, not negative."""
     return np.abs(rpm) * _RPM_RAD_S
-
-
-def _add(
-    log: Px4Log,
-    rows: Rows,
-    where: str,
-    names: tuple[str, ...],
-    t_us: NDArray[np.int64],
-    values: Array,
-) -> None:
-    """Add a signal and count what it loses."""
-    absurd = beyond(where, values)
-    if absurd.any():
-        log.note("error", where, told(where), int(absurd.sum()))
-    early, broken = rows.add(names, t_us[~absurd], values[~absurd])
-    if early:
-        log.note("info", where, "samples left out, taken before the log began", early)
-    if broken:
-        log.note("error", where, "samples left out, a value is NaN or infinite", broken)
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
@@ -158,7 +138,7 @@ def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
         if not rising.all():
             count = int(np.count_nonzero(~rising))
             log.note("error", where, "samples dropped whose averaging times overlap", count)
-        _add(log, rows, where, names, t_us[rising], values[rising])
+        add_signal(log, rows, where, names, t_us[rising], values[rising])
     _gaps(log, topic, gyro_dt, facts)
     clipping = topic.data.get("accelerometer_clipping")
     if clipping is not None and np.any(clipping):
@@ -225,7 +205,7 @@ def _filtered_imu(log: Px4Log, rows: Rows) -> None:
             log.note("warning", where, f"neither sensor_combined nor {name} is in the log")
             continue
         log.note("warning", where, f"from {name}: low-pass filtered on board, bias removed")
-        _add(log, rows, where, names, topic.t_us, topic.array("xyz", 3))
+        add_signal(log, rows, where, names, topic.t_us, topic.array("xyz", 3))
 
 
 def _magnetometer(log: Px4Log, rows: Rows) -> None:
@@ -235,14 +215,16 @@ def _magnetometer(log: Px4Log, rows: Rows) -> None:
         return
     if len(log.instances("vehicle_magnetometer")) > 1:
         log.note("info", "mag", "several magnetometers in the log, the first is used")
-    _add(log, rows, "mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
+    add_signal(log, rows, "mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
 
 
 def _barometer(log: Px4Log, rows: Rows) -> None:
     """Static pressure."""
     topic = log.topic("vehicle_air_data", 0, "baro_pressure_pa")
     if topic is not None:
-        _add(log, rows, "baro", ("baro_pa",), topic.t_us, topic.columns(("baro_pressure_pa",)))
+        add_signal(
+            log, rows, "baro", ("baro_pa",), topic.t_us, topic.columns(("baro_pressure_pa",))
+        )
 
 
 def _end(log: Px4Log) -> None:
@@ -277,7 +259,7 @@ def _estimate(log: Px4Log, rows: Rows) -> None:
             "warning", "q", "quaternions off unit norm by over 0.001, normalised", int(off.sum())
         )
     _resets(log, "q", topic, ("quat_reset_counter",))
-    _add(log, rows, "q", QUAT, topic.t_us[usable], q[usable] / norm[usable, None])
+    add_signal(log, rows, "q", QUAT, topic.t_us[usable], q[usable] / norm[usable, None])
 
 
 def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
@@ -294,7 +276,7 @@ def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
         if not valid.all():
             count = int(np.count_nonzero(~valid))
             log.note("info", where, "samples left out, the estimator says they are invalid", count)
-        _add(log, rows, where, names, topic.t_us[valid], values[valid])
+        add_signal(log, rows, where, names, topic.t_us[valid], values[valid])
     counters = ("xy_reset_counter", "z_reset_counter", "vxy_reset_counter", "vz_reset_counter")
     _resets(log, "pos", topic, counters)
     vision = int(log.params.get("EKF2_AID_MASK", 0)) & 8 or int(log.params.get("EKF2_EV_CTRL", 0))
@@ -330,7 +312,7 @@ def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> None:
     if np.nanmax(volts, initial=0.0) < 1.0:
         log.note("warning", "vbat_v", "left out: battery_status never exceeds 1 V")
     else:
-        _add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+        add_signal(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
     if not topic.has("current_a"):
         return
     current = topic.columns(("current_a",))
@@ -338,7 +320,7 @@ def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> None:
     if reason:
         log.note("warning", "ibat_a", f"left out: {reason}", len(current))
     else:
-        _add(log, rows, "ibat_a", ("ibat_a",), topic.t_us, current)
+        add_signal(log, rows, "ibat_a", ("ibat_a",), topic.t_us, current)
 
 
 def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) -> str:
@@ -377,7 +359,7 @@ def _rotors(log: Px4Log, rows: Rows) -> None:
         )
         return
     speeds = from_px4_rpm(topic.columns(alive))
-    _add(log, rows, "rotor", motor_columns("rotor", len(alive)), topic.t_us, speeds)
+    add_signal(log, rows, "rotor", motor_columns("rotor", len(alive)), topic.t_us, speeds)
 
 
 __all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]

@@ -9,7 +9,7 @@ from dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.logs import Flight, read_flight
-from twin.logs.ardupilot.airframe import read_airframe
+from twin.logs.airframe import Cells
 from twin.logs.ardupilot.geometry import _CIRCLES, _PLACES, CLASSES, TYPES, geometry
 from twin.logs.ardupilot.rotors import instances_of
 from twin.vehicle.layouts import frame
@@ -126,12 +126,24 @@ def test_a_frame_can_fly(frame: tuple[str, str]) -> None:
     assert sum(found.below) == (found.count // 2 if coaxial else 0)
 
 
-def test_quad_x_is_that_of_the_built_in_vehicles() -> None:
-    """Front right, rear left, front left, rear right; PX4 has the same order."""
-    found = geometry(1, 1)
+@pytest.mark.parametrize(
+    ("numbers", "name"),
+    [
+        ((1, 1), "x"),
+        ((1, 0), "+"),
+        ((1, 3), "h"),
+        ((2, 1), "hex x"),
+        ((2, 0), "hex +"),
+        ((3, 1), "octo x"),
+        ((3, 0), "octo +"),
+    ],
+)
+def test_frames_are_those_of_px4(numbers: tuple[int, int], name: str) -> None:
+    """Two tables by two sources; the order of quad X is front right, rear left, front left, rear
+    right."""
+    found, told = geometry(*numbers), frame(name, "here")
     assert found is not None
-    told = frame("x", "here")
-    np.testing.assert_allclose(found.direction, told.position[:, :2], atol=1e-5)
+    np.testing.assert_allclose(found.direction, told.position[:, :2] / told.arm, atol=1e-5)
     np.testing.assert_array_equal(found.turn, -told.direction)
 
 
@@ -152,14 +164,17 @@ def test_the_aircraft_of_a_log(tmp_path: Path) -> None:
     board = {"t": [0.0], "Message": ["CubeOrange 00340022 31305110 33353838"]}
     messages: dict[str, Any] = {**flown_messages(), "MSG": [head, board]}
     path.write_bytes(dataflash(messages, params))
-    found = read_airframe(path)
-    assert (found.autopilot, found.firmware) == ("ArduPilot", "ArduCopter V4.5.7 (2a3dc4b7)")
-    assert found.board == "CubeOrange 00340022 31305110 33353838"
-    assert (found.frame, found.motors, found.channels) == ("quad x", 4, (1, 2, 3, 4))
-    assert found.rotors is not None and found.rotors.sense == ("ccw", "ccw", "cw", "cw")
-    assert found.pulse_us == (1000.0, 2000.0)
-    assert found.thrust.voltage_v == (13.2, 16.8) and found.thrust.hover == 0.3
-    assert (found.filters.gyro_hz, found.filters.accelerometer_hz) == (40.0, None)
-    assert found.params["MOT_THST_EXPO"] == 0.7 and found.place is None
-    ends = found.thrust.thrust(np.array([0.0, 0.12, 0.52, 0.92, 1.0]))
+    flight = read_flight(path)
+    assert flight.facts["firmware"] == "ArduCopter V4.5.7 (2a3dc4b7)"
+    assert flight.facts["hardware"] == "CubeOrange 00340022 31305110 33353838"
+    assert flight.facts["airframe"] == "quad x"
+    found = flight.airframe
+    assert found is not None and found.rotors is not None and found.rotors.value == 4
+    assert found.layout is not None and found.layout.direction.tolist() == [-1, -1, 1, 1]
+    assert found.pulse_us is not None and found.pulse_us.value == (1000.0, 2000.0)
+    assert found.cells is not None and found.cells.value == Cells(4, 4.2, 3.3)
+    assert found.gyro_cutoff_hz is not None and found.gyro_cutoff_hz.value == 40.0
+    assert found.accel_cutoff_hz is None and found.place is None
+    assert found.thrust is not None
+    ends = found.thrust.value.thrust(np.array([0.0, 0.12, 0.52, 0.92, 1.0]))
     np.testing.assert_allclose(ends, [0.0, 0.0, 0.3 * 0.5 + 0.7 * 0.25, 1.0, 1.0], atol=1e-12)

@@ -12,7 +12,7 @@ from places import DATA, needs
 import uavtwin as ut
 from twin.logs import Flight, read_flight
 from twin.logs.agreement import turns
-from twin.logs.ardupilot.airframe import read_airframe
+from twin.logs.ardupilot.geometry import geometry
 from twin.logs.ardupilot.log import open_ardupilot
 from twin.logs.ardupilot.trim import yaw_trim
 from twin.vehicle.file import parse_vehicle
@@ -68,7 +68,7 @@ def test_rotor_speeds_are_those_of_the_readme(log: str) -> None:
 @pytest.mark.parametrize("log", LOGS)
 def test_the_yaw_trim_between_the_pairs(log: str) -> None:
     """Clockwise rotors get more in every flight, and turn faster."""
-    rotors = read_airframe(path_of(log)).rotors
+    rotors = geometry(1, 1)
     assert rotors is not None
     found = yaw_trim(flight(log).table, rotors)
     assert found is not None and 0.05 < found.command < 0.1 and 0.08 < found.share < 0.14
@@ -103,21 +103,20 @@ def test_the_frame_is_the_one_that_flew(log: str) -> None:
     The commands are taken back through the thrust curve; a roll to the right takes thrust from
     rotors on the right, and a yaw to the right is the reaction of rotors that turn to the left.
     """
-    blob = path_of(log).read_bytes()
-    frame = read_airframe(path_of(log))
-    assert frame.rotors is not None
-    opened = open_ardupilot(path_of(log), blob)
+    frame, told = geometry(1, 1), flight(log).airframe
+    assert frame is not None and told is not None and told.thrust is not None
+    opened = open_ardupilot(path_of(log), path_of(log).read_bytes())
     rate, outputs = opened.topic("RATE"), opened.topic("RCOU")
     assert rate is not None and outputs is not None
     wanted = np.column_stack([rate.raw(c) for c in ("ROut", "POut", "YOut")])
     wanted = np.column_stack([np.interp(outputs.t_us, rate.t_us, w) for w in wanted.T])
-    widths = np.column_stack([outputs.raw(f"C{k}") for k in frame.channels])
-    thrust = frame.thrust.thrust((widths - 1000.0) / 1000.0)
+    widths = np.column_stack([outputs.raw(f"C{k}") for k in range(1, 5)])
+    thrust = told.thrust.value.thrust((widths - 1000.0) / 1000.0)
     flying = (widths > 1300.0).all(axis=1)
     apart = thrust[flying] - thrust[flying].mean(axis=1, keepdims=True)
     mixed, *_ = np.linalg.lstsq(wanted[flying], apart, rcond=None)
-    x, y = frame.rotors.direction.T
-    for row, expected in zip(mixed, (-y, x, frame.rotors.turn), strict=True):
+    x, y = frame.direction.T
+    for row, expected in zip(mixed, (-y, x, frame.turn), strict=True):
         assert np.corrcoef(row, expected)[0, 1] > 0.95
 
 
