@@ -14,6 +14,7 @@ import pytest
 from cli_rig import run
 
 import uavtwin as ut
+from twin.draft import hover_of
 from twin.residuals.gap import Channel, FlightGap, gap_json
 from twin.vehicle.file import parse_vehicle
 from uavtwin.demo.flights import fly, hide
@@ -134,8 +135,9 @@ def test_every_key_of_check_and_draft_is_documented() -> None:
     flight = ut.Flight("made", table)
     drafted = ut.draft_vehicle(flight, 1.0, arm_m=0.2, frame="x").json()
     documented = _json_keys("vehicle draft --json") | _json_keys("check --json")
-    hover = hover_json(flight)
-    assert hover is not None
+    told = hover_of(flight)
+    assert told is not None
+    hover = hover_json(told)
     for keys in (
         drafted,
         drafted["hover"],

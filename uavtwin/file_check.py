@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fmus.inspect import inspect_fmu
-from twin.draft import drives, hover_of
+from twin.draft import Hover, drives, hover_of
 from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
 from twin.logs import AnyFlight, open_flight
@@ -179,9 +179,10 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
         }
         return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
     flight = open_flight(path)
+    hover = hover_of(flight)
     facts = {
-        **aircraft_facts(flight),
-        **({} if vehicle is None else hover_beside(flight, vehicle)),
+        **aircraft_facts(flight, hover),
+        **({} if vehicle is None else hover_beside(flight, hover, vehicle)),
         "holds": ", ".join(c for c in flight.columns if c != "time" and flight.has(c)),
         "rows": f"{len(flight.time_s)}",
         "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
@@ -197,7 +198,7 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
         )
 
     told = told_by(flight)
-    uses, useless = _uses(flight)
+    uses, useless = _uses(flight, hover)
     return CheckReport(
         path.name,
         facts,
@@ -207,11 +208,11 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
         uses,
         told=tuple(f"{component}: {', '.join(names)}" for component, names in told.effects.items()),
         not_told=tuple(f"{', '.join(names)}: {why}" for why, names in told.unknown.items()),
-        hover=hover_json(flight),
+        hover=None if hover is None else hover_json(hover),
     )
 
 
-def _uses(flight: AnyFlight) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _uses(flight: AnyFlight, hover: Hover | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """What the flight is good for, and why it is good for nothing."""
     if flight.airframe is not None and flight.airframe.no_multirotor:
         return (), (f"good for nothing here: no multirotor, {flight.airframe.no_multirotor}",)
@@ -224,7 +225,7 @@ def _uses(flight: AnyFlight) -> tuple[tuple[str, ...], tuple[str, ...]]:
         uses.append(f"gap, teacher-forced: {' and '.join(forced)}")
     if not _missing(flight):
         uses.append("gap at a short horizon: attitude, rates, velocity")
-    if hover_of(flight) is not None:
+    if hover is not None:
         uses.append("vehicle draft")
     return tuple(uses), () if uses else ("good for nothing yet: no acc, gyro or q with vel or pos",)
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.draft import Hover, drives, hover_of
+from twin.draft import Hover, drives
 from twin.errors import LogError
 from twin.logs import AnyFlight
 from twin.residuals.flight_gap import means_of
@@ -19,10 +19,14 @@ _LEAST_SPLIT = 1.5
 """Percent between sides from which on it is said."""
 
 
-def aircraft_facts(flight: AnyFlight) -> dict[str, str]:
-    """Kind of aircraft, command in hover, split between the motors, voltage; what is told."""
+def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
+    """Kind of aircraft, command in hover, split between the motors, voltage; what is told.
+
+    Args:
+        flight: The flight.
+        hover: Its hover; None: it has none.
+    """
     facts = {"kind": _kind(flight)}
-    hover = hover_of(flight) if drives(flight) else None
     if hover is not None:
         facts["hover"] = f"{_level(hover)} ({hover.where})"
         facts["motors"] = _split(hover, flight.airframe.layout if flight.airframe else None)
@@ -33,11 +37,8 @@ def aircraft_facts(flight: AnyFlight) -> dict[str, str]:
     return facts
 
 
-def hover_json(flight: AnyFlight) -> dict[str, Any] | None:
-    """The same of the hover as numbers; None without one."""
-    hover = hover_of(flight) if drives(flight) else None
-    if hover is None:
-        return None
+def hover_json(hover: Hover) -> dict[str, Any]:
+    """A hover as numbers."""
     volts = hover.voltage_v
     return {
         "drive": "command" if hover.cmd is not None else "rotor_speed",
@@ -49,13 +50,12 @@ def hover_json(flight: AnyFlight) -> dict[str, Any] | None:
     }
 
 
-def hover_beside(flight: AnyFlight, vehicle: Vehicle) -> dict[str, str]:
+def hover_beside(flight: AnyFlight, hover: Hover | None, vehicle: Vehicle) -> dict[str, str]:
     """The hover of a flight beside that of a vehicle.
 
     Raises:
         LogError: The flight cannot be compared with the vehicle.
     """
-    hover = hover_of(flight) if drives(flight) else None
     if hover is None:
         return {f"hover of {vehicle.name}": "nothing to compare: the flight has none"}
     if hover.motors != vehicle.rotors.count:
