@@ -123,7 +123,7 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
     columns: dict[str, Any] = {}
     phase = _phase(raw)
     for name in [c for c in raw.column_names if c != "phase"]:
-        columns[name] = _numbers(path, name, raw.column(name).to_pandas())
+        columns[name] = _numbers(path, name, raw.column(name).to_pandas(use_threads=False))
         raw = raw.drop_columns(name)
     quaternion, turned = with_quaternion(path.name, columns)
     columns = {c: v for c, v in columns.items() if c not in EULER} | quaternion
@@ -162,7 +162,7 @@ def write_flight(flight: Flight, path: str | Path) -> None:
                 "findings": [asdict(f) for f in flight.findings],
                 "site": None if flight.site is None else asdict(flight.site),
             }
-            arrow = pa.Table.from_pandas(flight.table, preserve_index=False)
+            arrow = pa.Table.from_pandas(flight.table, preserve_index=False, nthreads=1)
             arrow = arrow.replace_schema_metadata({_METADATA: json.dumps(about).encode()})
             pq.write_table(arrow, path)
         else:
@@ -184,8 +184,10 @@ def _parquet(
         held = [n for n in schema.names if is_known(n)]
         found = check_columns(path.name, schema.names)
         _check_flat(path, schema, held)
-        # a text that stands in many rows is held once
-        raw = pq.read_table(io.BytesIO(blob), columns=held, read_dictionary=texts)
+        # A text that stands in many rows is held once. In this thread: one of pyarrow's that still
+        # runs when the interpreter ends aborts it, 50 times in 360 short reads on a busy machine.
+        whole = pq.ParquetFile(io.BytesIO(blob), read_dictionary=texts, pre_buffer=False)
+        raw = whole.read(columns=held, use_threads=False)
     except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
         raise LogError(
             f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
@@ -352,6 +354,7 @@ def _phase(raw: pa.Table) -> NDArray[np.object_]:
     """Phase as text, "" where there is none, shape (n,)."""
     if "phase" not in raw.column_names:
         return np.full(raw.num_rows, "", dtype=object)
-    code, kinds = pd.factorize(raw.column("phase").to_pandas())  # missing: code -1, the last
+    column = raw.column("phase").to_pandas(use_threads=False)
+    code, kinds = pd.factorize(column)  # missing: code -1, the last
     texts = np.array([*map(str, kinds), ""], dtype=object)
     return np.asarray(texts[code], dtype=object)
