@@ -10,6 +10,7 @@ from dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from twin.logs import read_flight
+from twin.logs.table.notes import Notes
 
 
 @pytest.fixture
@@ -32,6 +33,9 @@ def test_the_table_is_the_flight(
         kept = {k: v for k, v in before.facts.items() if k != "format"}
         assert kept.items() <= after.facts.items()
         assert set(before.findings) <= set(after.findings)
+        assert before.airframe is not None and before.airframe.layout is not None
+        about = [Notes(site=f.site, airframe=f.airframe).metadata() for f in (before, after)]
+        assert about[0] == about[1]
     noted = json.loads((out.parent / "flight.run.json").read_text())
     assert noted["verb"] == "convert" and noted["inputs"][0]["name"] == "flight.bin"
 

@@ -69,7 +69,7 @@ class Flight:
             commands), printable key by key.
         source: File it came from.
         site: Indoors or outdoors, and how that is known; None: not known.
-        airframe: What the log says of the aircraft itself; None: nothing, as of flight tables.
+        airframe: What the log says of the aircraft itself; None: nothing.
     """
 
     name: str

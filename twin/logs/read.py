@@ -17,8 +17,8 @@ from .formats import (
     nearly,
     recognise,
 )
-from .stored import AnyFlight
 from .table import open_parquet
+from .table.stored import AnyFlight
 
 _F = TypeVar("_F", bound=AnyFlight)
 

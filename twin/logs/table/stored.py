@@ -14,10 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ..errors import LogError
-from ..representation import short_repr
-from .columns import Columns, over
-from .flight import Array, Finding, Flight, Site, finite_rows, missing_signal
+from ...errors import LogError
+from ...representation import short_repr
+from ..airframe import Airframe
+from ..columns import Columns, over
+from ..flight import Array, Finding, Flight, Site, finite_rows, missing_signal
 
 _BATCH = 1 << 16
 """Rows that are unpacked at a time."""
@@ -156,6 +157,7 @@ class StoredFlight:
         facts: What the log says about itself.
         source: File it came from.
         site: Indoors or outdoors, and how that is known; None: not known.
+        airframe: What the log says of the aircraft itself; None: nothing.
         time_s: Times of the rows, s, strictly increasing, shape (n,).
         known: Columns with a finite sample.
     """
@@ -167,6 +169,7 @@ class StoredFlight:
     facts: dict[str, str]
     source: Path
     site: Site | None
+    airframe: Airframe | None
     time_s: Array
     known: frozenset[str] = field(default=frozenset())
 
@@ -187,11 +190,6 @@ class StoredFlight:
         """Hash of its file: two of one content are the same flight."""
         with self.source.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-
-    @property
-    def airframe(self) -> None:
-        """Flight tables tell none."""
-        return None
 
     def has(self, *columns: str) -> bool:
         """Whether every column is there with at least one finite sample."""
@@ -239,6 +237,7 @@ class StoredFlight:
             self.facts,
             self.source,
             self.site,
+            self.airframe,
         )
 
     def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:

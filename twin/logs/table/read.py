@@ -1,14 +1,10 @@
-"""The flight table as a file: Parquet, or CSV with the same header.
-
-`columns.COLUMNS` is the definition of the table; `validate.validate` what is checked.
-"""
+"""Read a flight table, in memory or as one that stays in its file."""
 
 import io
-import json
 from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,15 +13,15 @@ import pyarrow.csv as csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ..errors import LogError
-from .attitude import with_quaternion
-from .columns import EULER, is_known, over
-from .flight import Array, Finding, Flight, Severity, Site
-from .formats import ReadOptions
+from ...errors import LogError
+from ..attitude import with_quaternion
+from ..columns import EULER, is_known, over
+from ..flight import Array, Finding, Flight
+from ..formats import ReadOptions
+from ..validate import check_columns, validate
+from .notes import Notes, read_notes
 from .stored import ParquetColumns, StoredFlight, damaged
-from .validate import check_columns, validate
 
-_METADATA = b"uavtwin"
 _LONGEST_LINE = 1_000_000
 _MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
 _MOST_COLUMNS = 10_000
@@ -60,10 +56,9 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     Raises:
         LogError: It contradicts the definition of the flight table.
     """
-    findings: list[Finding] = []
-    facts: dict[str, str] = {}
-    raw, site = _parquet(path, blob, facts, findings)
-    return replace(_checked(path, raw, facts, findings), site=site)
+    raw, notes, found = _parquet(path, blob)
+    flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
+    return replace(flight, site=notes.site, airframe=notes.airframe)
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -97,9 +92,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
     _check_once(path, schema.names)
     findings = check_columns(path.name, schema.names)
     _check_flat(path, schema, [n for n in schema.names if is_known(n)])
-    facts: dict[str, str] = {}
-    noted: list[Finding] = []
-    site = _take_over((schema.metadata or {}).get(_METADATA, b"{}"), facts, noted)
+    notes = read_notes(schema.metadata)
     stored = ParquetColumns(path, held)
     time_s = stored["time"]
     mended, doubts = validate(path.name, over({"time": time_s}, stored))
@@ -109,10 +102,11 @@ def open_parquet(path: Path) -> StoredFlight | None:
         path.stem,
         stored,
         mended,
-        (*noted, *findings, *doubts),
-        facts,
+        (*notes.findings, *findings, *doubts),
+        notes.facts,
         path,
-        site,
+        notes.site,
+        notes.airframe,
         time_s,
         frozenset([*there, "phase"]),
     )
@@ -135,46 +129,8 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
     return Flight(path.stem, table, (*findings, *turned, *doubts), facts, path)
 
 
-def check_suffix(path: Path) -> None:
-    """Refuse a name by which no flight table can be written.
-
-    Raises:
-        LogError: It ends neither in `.parquet` nor in `.csv`.
-    """
-    if path.suffix not in (".parquet", ".csv"):
-        raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
-
-
-def write_flight(flight: Flight, path: str | Path) -> None:
-    """Write the table of a flight; an existing file is replaced.
-
-    Args:
-        flight: Flight; its facts, findings and site go along in Parquet, CSV has no room for
-            them.
-        path: File ending in `.parquet` or `.csv`.
-    """
-    path = Path(path)
-    check_suffix(path)
-    try:
-        if path.suffix == ".parquet":
-            about = {
-                "facts": flight.facts,
-                "findings": [asdict(f) for f in flight.findings],
-                "site": None if flight.site is None else asdict(flight.site),
-            }
-            arrow = pa.Table.from_pandas(flight.table, preserve_index=False, nthreads=1)
-            arrow = arrow.replace_schema_metadata({_METADATA: json.dumps(about).encode()})
-            pq.write_table(arrow, path)
-        else:
-            flight.table.to_csv(path, index=False, lineterminator="\n")
-    except OSError as error:
-        raise LogError(f"{path}: cannot be written: {error}.") from None
-
-
-def _parquet(
-    path: Path, blob: bytes, facts: dict[str, str], findings: list[Finding]
-) -> tuple[pa.Table, Site | None]:
-    """Parquet -> known columns as they are; what the writer noted is taken over."""
+def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
+    """Parquet -> known columns as they are, what the writer noted, and what is found of columns."""
     try:
         file = pq.ParquetFile(io.BytesIO(blob))
         _check_size(path, file.metadata.num_rows, file.metadata.num_columns)
@@ -193,9 +149,7 @@ def _parquet(
             f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
             "cut short cannot be read at all: copy it again."
         ) from None
-    site = _take_over((schema.metadata or {}).get(_METADATA, b"{}"), facts, findings)
-    findings += found
-    return raw, site
+    return raw, read_notes(schema.metadata), found
 
 
 def _check_size(path: Path, rows: int, columns: int) -> None:
@@ -250,35 +204,6 @@ def _check_flat(path: Path, schema: pa.Schema, names: list[str]) -> None:
         text = pa.types.is_string(inner) or pa.types.is_large_string(inner)
         if not (_is_number(inner) or text or pa.types.is_null(inner)):
             raise LogError(f"{path.name}: column {name} holds {kind}, not numbers.")
-
-
-def _take_over(noted: bytes, facts: dict[str, str], findings: list[Finding]) -> Site | None:
-    """Facts, findings and site as the writer noted them; all or nothing of it."""
-    try:
-        about = json.loads(noted)
-        told = {str(k): str(v) for k, v in about.get("facts", {}).items()}
-        found = [_finding(**f) for f in about.get("findings", [])]
-        site = about.get("site") or None
-        if site is not None:
-            site = Site(bool(site["indoors"]), str(site["source"]))
-    except (ValueError, TypeError, AttributeError, KeyError, RecursionError):
-        findings.append(Finding("warning", "file", "what the writer noted cannot be read"))
-        return None
-    facts |= told
-    findings += found
-    return site
-
-
-def _finding(severity: str, where: str, message: str, count: int = 1) -> Finding:
-    """A finding of the writer.
-
-    Raises:
-        TypeError: It is none.
-    """
-    texts = isinstance(where, str) and isinstance(message, str)
-    if severity not in get_args(Severity) or not texts or type(count) is not int or count < 1:
-        raise TypeError
-    return Finding(cast(Severity, severity), where, message, count)
 
 
 def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
