@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 import subprocess
 import tempfile
 import uuid
@@ -36,6 +37,7 @@ CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-
 NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
 _ENTRY = 2
 """Form of the entries of the cache."""
+_INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 _HEADERS = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
@@ -130,20 +132,20 @@ def _compile(
 ) -> bytes:
     """Shared library of the sources, from the cache when the same was compiled before.
 
-    Objects are kept as well: twins of one vehicle share most of theirs.
+    Objects are kept as well: twins of one vehicle share most of theirs, and so do the versions of
+    FMI, which only their own file knows.
     """
     file = f"{name}{platform.suffix}"
     whole = _entry(file, compiler, sources, platform.suffix)
     if (binary := kept(whole)) is not None:
         return binary
-    headers = {n: text for n, text in sources.items() if n not in compiled}
     with tempfile.TemporaryDirectory() as folder:
         for source, text in sources.items():
             Path(folder, source).write_text(text)
         # Relative names and a fixed order: nothing of this machine enters the binary.
         objects = []
         for source in compiled:
-            part = _entry(source, compiler, {**headers, source: sources[source]}, ".o")
+            part = _entry(source, compiler, _included(source, sources), ".o")
             objects.append(f"{Path(source).stem}.o")
             made = Path(folder, objects[-1])
             if (before := kept(part)) is not None:
@@ -155,6 +157,18 @@ def _compile(
         binary = Path(folder, file).read_bytes()
     keep(whole, binary)
     return binary
+
+
+def _included(source: str, sources: Mapping[str, str]) -> dict[str, str]:
+    """A source with every header among the sources that it includes, directly or not."""
+    found: dict[str, str] = {}
+    left = [source]
+    while left:
+        name = left.pop()
+        if name in sources and name not in found:
+            found[name] = sources[name]
+            left += _INCLUDE.findall(sources[name])
+    return found
 
 
 def _entry(file: str, compiler: Compiler, sources: Mapping[str, str], suffix: str) -> str:

@@ -42,15 +42,21 @@ def test_two_builds_are_the_same_bytes(
 def test_what_is_the_same_is_not_compiled_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One number differs, and with it the part and the token; the library is that from nothing."""
+    """One number differs, and with it the part and the token; or the version of FMI, and with it
+    its own file and the token. The library is that from nothing."""
     other = component_model(component("battery").with_starts({"resistance": 0.25}))
     kept: list[int] = []
-    for cache, one in (("warm", model("battery")), ("warm", other), ("empty", other)):
+    first = model("battery")
+    for cache, one, fmi in (
+        *(("warm", first, 2), ("warm", other, 2), ("warm", first, 3)),
+        *(("empty", other, 2), ("clean", first, 3)),
+    ):
         monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / cache))
-        build(one, tmp_path / f"{len(kept)}.fmu", 2)
+        build(one, tmp_path / f"{len(kept)}.fmu", fmi)
         kept.append(len(list((tmp_path / cache).glob("*.o"))))
-    assert kept == [4, 6, 4]
-    assert sha256(tmp_path / "1.fmu") == sha256(tmp_path / "2.fmu")
+    assert kept == [4, 6, 8, 4, 4]
+    assert sha256(tmp_path / "1.fmu") == sha256(tmp_path / "3.fmu")
+    assert sha256(tmp_path / "2.fmu") == sha256(tmp_path / "4.fmu")
 
 
 def test_another_process_builds_the_same_bytes(fmu_file: FmuFile, tmp_path: Path) -> None:
