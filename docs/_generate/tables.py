@@ -41,6 +41,8 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
+from uavtwin.series.flight_mcap import FOXGLOVE, MEANINGS, TOPICS
+from uavtwin.series.table import SIDES
 
 DOCS = Path(__file__).parents[1]
 BEGIN = "<!-- table: do not edit, run docs/_generate/tables.py -->"
@@ -75,6 +77,28 @@ def log_formats() -> str:
         for f in FORMATS
     ]
     return "\n".join(rows(("format", "usual ending", "begins with", "package", "holds"), lines))
+
+
+def series() -> str:
+    """Topics of a flight in MCAP, and the columns of the series of results."""
+    units = {c.name: c.unit for c in COLUMNS}
+    topics = [(f"`{t}`", f"`{FOXGLOVE[t]['title']}`", meaning) for t, meaning in MEANINGS.items()]
+    for topic, columns in TOPICS.items():
+        fields = ", ".join(f"`{c}`" for c in columns)
+        unit = ", ".join(dict.fromkeys(units[c] for c in columns))
+        topics.append((f"`{topic}`", "numbers", f"{fields}; {unit}"))
+    sides = [(f"`{side}`", verbs, meaning) for side, (verbs, meaning) in SIDES.items()]
+    return "\n".join(
+        [
+            "## Topics of a flight",
+            "",
+            *rows(("topic", "schema", "holds"), topics),
+            "",
+            "## Columns of a result",
+            "",
+            *rows(("before the point", "of", "meaning"), sides),
+        ]
+    )
 
 
 def compensator() -> str:
@@ -344,6 +368,7 @@ DOCUMENTS = {
     "reference/settings.md": settings,
     "reference/cli.md": command_line,
     "guide/log_formats.md": log_formats,
+    "guide/series.md": series,
     "guide/compensator.md": compensator,
 }
 

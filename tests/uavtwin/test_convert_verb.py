@@ -51,12 +51,12 @@ def test_a_file_that_is_there_stays(
     assert code == 0 and out.read_text().startswith("time,")
 
 
-@pytest.mark.parametrize("name", ["flight.mat", "flight", "flight.mcap"])
+@pytest.mark.parametrize("name", ["flight.mat", "flight", "flight.bag"])
 def test_another_ending_is_refused_before_the_log_is_read(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
 ) -> None:
     code, _, said = run(capsys, "convert", tmp_path / "none.bin", "--out", tmp_path / name)
-    assert code == 2 and ".parquet or .csv" in said
+    assert code == 2 and ".parquet, .csv, .mcap" in said
 
 
 def test_findings_of_kind_error_give_exit_code_1(

@@ -1,34 +1,48 @@
-"""`uavtwin convert`: a log as a flight table."""
+"""`uavtwin convert`: a log as a flight table, or as MCAP."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from twin.errors import TwinError
+
 from ..options import Exit, Force, Rebuild
 from ..printing import STDERR, STDOUT, print_damage
+
+_WRITTEN = (".parquet", ".csv", ".mcap")
 
 
 def convert(
     log: Annotated[Path, typer.Argument(help="Log of any format that is read, or flight table.")],
-    out: Annotated[Path, typer.Option("--out", help="Flight table to write, .parquet or .csv.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Flight table to write, .parquet or .csv; or .mcap.")
+    ],
     rebuild_commands: Rebuild = None,
     force: Force = False,
 ) -> None:
     """Write a log as a flight table: SI, NED, FRD, one clock.
 
-    Parquet keeps what the log says of itself and what was found in it, CSV the table alone.
+    Parquet keeps what the log says of itself and what was found in it, CSV the table alone. MCAP
+    is for Foxglove and PlotJuggler; nothing here reads it back.
     """
     from twin.logs import read_flight, write_flight
-    from twin.logs.table import check_suffix
 
     from ...output import check_file, output_file, write_run
+    from ...series.flight_mcap import write_flight_mcap
+    from ...series.mcap_file import check_mcap
 
-    check_suffix(out)
+    if out.suffix not in _WRITTEN:
+        raise TwinError(f"{out.name}: a flight is written as {', '.join(_WRITTEN)}.")
+    if out.suffix == ".mcap":
+        check_mcap()
     check_file(out, force)
     flight = read_flight(log, rebuild_commands=rebuild_commands)
     with output_file(out) as file:
-        write_flight(flight, file)
+        if out.suffix == ".mcap":
+            write_flight_mcap(flight, file)
+        else:
+            write_flight(flight, file)
     options = {"rebuild_commands": rebuild_commands}
     write_run(out.parent, "convert", options, [log], file=f"{out.stem}.run.json")
     columns = ", ".join(str(c) for c in flight.table if c != "time" and flight.has(str(c)))
