@@ -17,6 +17,7 @@ from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.finding import SURE
 from twin.logs import AnyFlight
+from twin.residuals.channels import ChannelData
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
@@ -37,6 +38,7 @@ from .report.words import (
     shrink_words,
     title,
 )
+from .series.table import EXPLAINED, TWIN, Column, Series, compared
 from .shown import Shown, TextTable, counted
 
 if TYPE_CHECKING:
@@ -183,6 +185,16 @@ class ExplainResult(Shown):
             ),
         )
 
+    def series(self) -> tuple[Series, ...]:
+        """Of each held-out flight measured, twin and residual over time, with the named effects
+        beside; none where nothing could be held out."""
+        compared_with = self.details.comparison
+        if compared_with is None:
+            return ()
+        flights, after = compared_with.model.flights, compared_with.after
+        each = zip(flights, compared_with.before, after, strict=True)
+        return tuple(_series(self.details, f.flight.name, old, new) for f, old, new in each)
+
     def json(self) -> dict[str, Any]:
         """The content of `explain.json`."""
         return explain_json(self.details)
@@ -214,6 +226,21 @@ class ExplainResult(Shown):
             f"{type(self).__name__}: {self.verdict}{what}; {self.details.vehicle.name}, fitted on "
             f"{counted(self.details.flights, 'flight')}"
         )
+
+
+def _series(
+    found: Explanation, flight: str, before: Sequence[ChannelData], after: Sequence[ChannelData]
+) -> Series:
+    """Columns of one held-out flight."""
+    columns: list[Column] = []
+    for old, new in zip(before, after, strict=True):
+        sides = {TWIN: old.measured - old.residual}
+        if found.added is not None:
+            sides[EXPLAINED] = new.measured - new.residual
+        columns += compared(old.name, old.unit, old.t_s, old.measured, sides)
+    effects = ", ".join(found.effects) if found.added is not None else ""
+    facts = {"verb": "explain", "vehicle": found.vehicle.name, "effects": effects}
+    return Series(flight, tuple(columns), facts)
 
 
 def explain(

@@ -14,6 +14,7 @@ from .flights import opened_flights
 from .output import output_file
 from .report.gap import claim, write_gap_report
 from .report.hover import hover_sentence
+from .series.table import TWIN, Column, Series, compared
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
@@ -120,6 +121,10 @@ class GapResult(Shown):
             ignore_index=True,
         )
 
+    def series(self) -> tuple[Series, ...]:
+        """Measured, twin and residual of each flight over time, as the numbers are made of them."""
+        return tuple(_series(gap) for gap in self.flights)
+
     def json(self) -> dict[str, Any]:
         """The content of `gap.json`."""
         return gap_json(self.flights)
@@ -146,6 +151,16 @@ class GapResult(Shown):
             f"{type(self).__name__}: {counted(self.flights, 'flight')} against {vehicles}, "
             f"{counted(tuple(channels), 'channel')}"
         )
+
+
+def _series(gap: FlightGap) -> Series:
+    """Columns of one flight."""
+    columns: list[Column] = []
+    for c in gap.channels:
+        how = f"{c.horizon_s:g} s after a restart from it" if c.horizon_s else "at it"
+        about = f"twin: from the measured state, {how}"
+        columns += compared(c.name, c.unit, c.t_s, c.measured, {TWIN: c.simulated}, about)
+    return Series(gap.flight, tuple(columns), {"verb": "gap", "vehicle": gap.vehicle})
 
 
 def gap(

@@ -1,7 +1,7 @@
 """Simulations: fly a scenario or run an `.ssp`, and a result to print, plot and report."""
 
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,9 @@ from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
 from .output import output_file
+from .series.files import write_frame
+from .series.series_mcap import write_series_mcap
+from .series.table import Column, Series
 from .shown import Shown, TextTable, counted
 from .simulation import Scenario, run_scenario, scenario_system, summary
 from .trust import trusted
@@ -98,10 +101,27 @@ class Run(Shown):
         return Path(path)
 
     def save(self, path: str | Path) -> Path:
-        """Write the recording as `.parquet` or `.csv`; returns its path."""
+        """Write the recording as `.parquet`, `.csv` or `.mcap`; returns its path.
+
+        Units are in the metadata of Parquet's columns and of MCAP; there the aircraft has a pose.
+        """
         with output_file(Path(path)) as file:
-            self.recording.write(file)
+            if file.suffix == ".parquet":
+                write_frame(self.recording.frame(), self.units, file)
+            elif file.suffix == ".mcap":
+                write_series_mcap(self._series(), file, _pose(self.recording.names))
+            else:
+                self.recording.write(file)
         return Path(path)
+
+    def _series(self) -> Series:
+        """Every output over time."""
+        r = self.recording
+        columns = tuple(
+            Column(name, self.units.get(name, ""), r.time_s, r[name]) for name in r.names
+        )
+        why = {"incomplete": r.incomplete} if r.incomplete else {}
+        return Series(self.name, columns, {"verb": "simulate", **why})
 
     def sections(self) -> Iterable[str | TextTable]:
         """The claim and its figures."""
@@ -117,6 +137,15 @@ class Run(Shown):
         """How long, and how many outputs."""
         outputs = counted(self.recording.names, "output")
         return f"{type(self).__name__}: {self.name}, {self.recording.time_s[-1]:g} s, {outputs}"
+
+
+def _pose(names: Sequence[str]) -> tuple[str, ...]:
+    """Outputs that tell where the aircraft is and how it is turned; none where nothing flies."""
+    for part in ("airframe", "twin.airframe"):
+        wanted = [*(f"{part}.pos_{a}" for a in "xyz"), *(f"{part}.q_{a}" for a in "wxyz")]
+        if set(wanted) <= {*names}:
+            return tuple(wanted)
+    return ()
 
 
 def simulate(

@@ -41,7 +41,8 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
-from uavtwin.series.flight_mcap import FOXGLOVE, MEANINGS, TOPICS
+from uavtwin.series.flight_mcap import TOPICS
+from uavtwin.series.foxglove import FOXGLOVE, MEANINGS
 from uavtwin.series.table import SIDES
 
 DOCS = Path(__file__).parents[1]

@@ -30,14 +30,15 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_gap_writes_its_three_files(
+def test_gap_writes_its_files(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
     code, said, _ = run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", out)
     assert code == 0
     assert "acc_z" in said.splitlines()[0]
-    assert {p.name for p in out.iterdir()} == {"gap.json", "report.html", "run.json"}
+    assert {p.name for p in out.iterdir()} == {"gap.json", "report.html", "run.json", "series"}
+    assert [p.name for p in (out / "series").iterdir()] == ["flight.parquet"]
     gap = json.loads((out / "gap.json").read_text())
     # To hover 10 % heavier takes 10 % more thrust: the twin expects 0.1 g too much of it.
     assert gap["channels"]["acc_z"]["mean"] == pytest.approx(0.1 * 9.80665, rel=0.05)
@@ -53,8 +54,11 @@ def test_the_same_run_gives_the_same_bytes(
     capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
 ) -> None:
     for name in ("a", "b"):
-        run(capsys, "gap", table, "--vehicle", VEHICLE, "--out", tmp_path / name)
-    for file in ("gap.json", "report.html", "run.json"):
+        forms = ("--csv", "--mcap", "--out", tmp_path / name)
+        run(capsys, "gap", table, "--vehicle", VEHICLE, *forms)
+    assert len(list((tmp_path / "a" / "series").iterdir())) == 2
+    series = ("series/flight.csv", "series/flight.mcap")
+    for file in ("gap.json", "report.html", "run.json", *series):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from fmpy import read_model_description
 
@@ -124,6 +125,19 @@ def named(folder: Path, dragged: list[Path]) -> Run:
     """The verb on flights with rotor drag."""
     one, two, three = dragged
     return run(folder / "named", one, two, "--holdout", three, "--vehicle", "copter_default")
+
+
+def test_series_are_what_the_gap_is_of(named: Run) -> None:
+    """Of the held-out flight alone, as it stood and with the effect."""
+    (path,) = (named.out / "series").iterdir()
+    table = pd.read_parquet(path)
+    assert path.name == "three.parquet"
+    for channel, told in named.json["gap"].items():
+        columns = f"residual.{channel}", f"residual_explained.{channel}"
+        for column, key in zip(columns, ("before", "after"), strict=True):
+            left = table[column].dropna()
+            assert len(left) == told["n"]
+            assert np.sqrt(np.mean(left**2)) == pytest.approx(told[key], rel=1e-5), column
 
 
 def test_the_hidden_effect_is_named_and_its_number_lies_in_its_interval(named: Run) -> None:
@@ -294,7 +308,8 @@ def test_nothing_hidden_nothing_named(folder: Path) -> None:
     assert out.json["effects"] == []
     assert out.json["nothing_probability"] > 0.9
     assert all(g["before"] == g["after"] for g in out.json["gap"].values())
-    assert {p.name for p in out.out.iterdir()} == {"explain.json", "report.html", "run.json"}
+    files = {"explain.json", "report.html", "run.json", "series"}
+    assert {p.name for p in out.out.iterdir()} == files
     assert "lacks nothing" in out.stdout
 
 

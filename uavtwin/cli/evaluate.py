@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out, Rebuild
+from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild
 from .printing import STDOUT, print_damage, print_json, print_sections, progress
 
 
@@ -26,6 +26,8 @@ def evaluate(
     ] = None,
     out: Out = Path("evaluation"),
     rebuild_commands: Rebuild = None,
+    csv: Csv = False,
+    mcap: Mcap = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -39,10 +41,12 @@ def evaluate(
     from ..learned import check_extra_learn
     from ..learned import evaluate as evaluate_folder
     from ..output import check_folder, results_folder, write_json, write_run
+    from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
     check_extra_learn()
     check_folder(out, force)
+    forms = chosen_forms(csv, mcap)
     others = {
         name: load_vehicle(path)
         for name, path in (("explained", explained), ("physics", physics))
@@ -56,6 +60,7 @@ def evaluate(
         "explained": None if explained is None else Path(explained).name,
         "physics": None if physics is None else Path(physics).name,
         "rebuild_commands": rebuild_commands,
+        "series": list(forms),
     }
     numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)
     inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
@@ -63,11 +68,12 @@ def evaluate(
     with results_folder(out, force) as folder:
         write_json(folder / "evaluation.json", found.json())
         found.report(folder / "report.html")
+        write_all_series(found.series(), folder, forms)
         write_run(folder, "evaluate", options, inputs)
     if as_json:
         print_json(found.json())
     else:
         print_sections(found.sections())
-        STDOUT.print(f"written: {out / 'report.html'}, evaluation.json, run.json")
+        STDOUT.print(f"written: {out / 'report.html'}, evaluation.json, series/, run.json")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)

@@ -10,10 +10,12 @@ from twin.errors import TwinError
 
 from .options import (
     VEHICLE_VARIABLE,
+    Csv,
     Exit,
     Force,
     Indoor,
     Json,
+    Mcap,
     Out,
     Payload,
     Rebuild,
@@ -55,6 +57,8 @@ def explain(
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
     no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
     out: Out = Path("explain"),
+    csv: Csv = False,
+    mcap: Mcap = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -64,9 +68,11 @@ def explain(
 
     from .. import explanation
     from ..output import check_folder, results_folder, write_run
+    from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
+    forms = chosen_forms(csv, mcap)
     if not no_fmus:
         compilers(select_platforms(DEFAULT))  # a missing one is reported before the search
     model, held = load_vehicle(given), holdout or []
@@ -90,11 +96,14 @@ def explain(
         "no_fmus": no_fmus,
         "payload": payload or [],
         "rebuild_commands": rebuild_commands,
+        "series": list(forms),
         "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
     }
     inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = explanation.write_explanation(found.details, folder, not no_fmus, step)
+        if write_all_series(found.series(), folder, forms):
+            written.append("series/")
         write_run(folder, "explain", options, inputs, seed)
     if as_json:
         print_json(found.json())

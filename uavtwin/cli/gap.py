@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Exit, Force, Json, Out, Rebuild, VehicleName
+from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -20,6 +20,8 @@ def gap(
         float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
     ] = 0.5,
     rebuild_commands: Rebuild = None,
+    csv: Csv = False,
+    mcap: Mcap = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -27,9 +29,11 @@ def gap(
     from .. import gaps
     from ..flights import open_alike
     from ..output import check_folder, results_folder, write_json, write_run
+    from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
+    forms = chosen_forms(csv, mcap)
     model = load_vehicle(vehicle)
     flights = open_alike(logs, rebuild_commands)
     with progress("comparing") as step:
@@ -38,11 +42,13 @@ def gap(
         "vehicle": Path(vehicle).name,
         "horizon": horizon,
         "rebuild_commands": rebuild_commands,
+        "series": list(forms),
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
     with results_folder(out, force) as folder:
         write_json(folder / "gap.json", found.json())
         found.report(folder / "report.html")
+        write_all_series(found.series(), folder, forms)
         write_run(folder, "gap", options, inputs)
     if as_json:
         print_json(found.json())
@@ -64,4 +70,4 @@ def _print_gap(found: "GapResult", out: Path) -> None:
             STDOUT.print(f"{g.flight}: commands {g.facts['commands_match']}", markup=False)
         for warning in g.warnings:
             STDERR.print(f"{g.flight}: {warning}", style="yellow", markup=False)
-    STDOUT.print(f"written: {out / 'report.html'}, gap.json, run.json", markup=False)
+    STDOUT.print(f"written: {out / 'report.html'}, gap.json, series/, run.json", markup=False)

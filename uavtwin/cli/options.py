@@ -55,6 +55,10 @@ def start_values(texts: Sequence[str] | None) -> dict[str, float]:
 Out = Annotated[Path, typer.Option("--out", help="Folder for the results.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Csv = Annotated[bool, typer.Option("--csv", help="Series as CSV, not Parquet.")]
+Mcap = Annotated[
+    bool, typer.Option("--mcap", help="Series as MCAP, for Foxglove and PlotJuggler, not Parquet.")
+]
 VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
 """Of the environment: the vehicle where a command names none."""
 VehicleName = Annotated[

@@ -8,7 +8,17 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import VEHICLE_VARIABLE, Exit, Force, Json, Out, start_values, vehicle_named
+from .options import (
+    VEHICLE_VARIABLE,
+    Csv,
+    Exit,
+    Force,
+    Json,
+    Mcap,
+    Out,
+    start_values,
+    vehicle_named,
+)
 from .printing import STDERR, STDOUT, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
@@ -52,7 +62,8 @@ def simulate(
     call_limit: Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")] = 60.0,
     time_limit: Annotated[float, typer.Option(help="Of a run of foreign FMUs, s.")] = 3600.0,
     memory_limit: Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")] = 4.0,
-    csv: Annotated[bool, typer.Option("--csv", help="Recording as CSV, not Parquet.")] = False,
+    csv: Csv = False,
+    mcap: Mcap = False,
     out: Out = Path("simulation"),
     force: Force = False,
     as_json: Json = False,
@@ -62,10 +73,12 @@ def simulate(
 
     from ..output import check_folder
     from ..run import run_plan
+    from ..series.files import chosen_forms
     from ..simulation import Scenario
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
+    forms = chosen_forms(csv, mcap)
     own_parts = scenario.endswith(".ssp") and vehicle in (None, _VEHICLE)
     vehicle = _VEHICLE if own_parts else vehicle_named(vehicle, _VEHICLE)
     plan = Scenario(
@@ -100,7 +113,8 @@ def simulate(
     }
     given = (Path(scenario), Path(vehicle), *([] if trust is None else [trust]))
     inputs = [p for p in given if p.is_file()]
-    _write(run, out, force, "recording.csv" if csv else "recording.parquet", options, inputs, seed)
+    recordings = [f"recording.{form}" for form in forms]
+    _write(run, out, force, recordings, options, inputs, seed)
     _say(run, out, realtime, as_json)
 
 
@@ -128,7 +142,7 @@ def _write(
     run: "Run",
     out: Path,
     force: bool,
-    recording: str,
+    recordings: Sequence[str],
     options: Mapping[str, Any],
     inputs: Sequence[Path],
     seed: int,
@@ -139,7 +153,8 @@ def _write(
 
     printed = run.recording.printed
     with results_folder(out, force) as folder:
-        run.save(folder / recording)
+        for name in recordings:
+            run.save(folder / name)
         write_json(folder / "summary.json", run.json())
         facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
         write_simulation_report(

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ from ..report.figures import embedded, pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import horizons_figure
 from ..report.page import render
+from ..series.table import CORRECTED, TWIN, Column, Series, residual_of
+from ..series.table import EXPLAINED as EXPLAINED_SIDE
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
 from .fold import in_force
@@ -51,6 +53,7 @@ class ForceEvaluation(Shown):
         windows: By flight: how often the twins were left alone.
         hovers: How each flight hovered, and each twin that flies by itself, by name; empty where no
             flight did.
+        flown: By flight and twin: what the twin was off, each time that it was left alone.
     """
 
     model: ForceModel
@@ -58,6 +61,7 @@ class ForceEvaluation(Shown):
     inside: Mapping[str, tuple[float, ...]]
     windows: Mapping[str, int]
     hovers: Mapping[str, Steadiness]
+    flown: Mapping[str, Mapping[str, OpenLoop]] = field(default_factory=dict)
 
     @property
     def claim(self) -> str:
@@ -76,6 +80,11 @@ class ForceEvaluation(Shown):
     def frame(self) -> pd.DataFrame:
         """A row per twin, flight, horizon, quantity and axis."""
         return self.table.copy()
+
+    def series(self) -> tuple[Series, ...]:
+        """Of each flight what the twins were off over time, measured minus twin, at the horizon of
+        the claim."""
+        return tuple(self._series(name, flown) for name, flown in self.flown.items())
 
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
@@ -103,6 +112,22 @@ class ForceEvaluation(Shown):
         yield self.claim
         yield shown_table(self.table)
 
+    def _series(self, flight: str, flown: Mapping[str, OpenLoop]) -> Series:
+        """Columns of one flight."""
+        at, columns = HORIZONS_S.index(CLAIMED_S), []
+        about = f"{CLAIMED_S:g} s after the twin was left alone"
+        sides = {PHYSICS: TWIN, EXPLAINED: EXPLAINED_SIDE, SHIPPED: CORRECTED}
+        for name, side in sides.items():
+            if name not in flown:
+                continue
+            t_s, off = flown[name].t_s + CLAIMED_S, flown[name].off[:, at]  # (w, 4, 3)
+            for q, (quantity, unit) in enumerate(QUANTITIES):
+                for k, a in enumerate(AXES):
+                    column = f"{residual_of(side)}.{quantity}_{a}"
+                    columns.append(Column(column, unit, t_s, -off[:, q, k], about))
+        facts = {"verb": "evaluate", "vehicle": self.model.vehicle, "task": "force"}
+        return Series(flight, tuple(columns), facts)
+
     def brief(self) -> str:
         """Protocol and flights."""
         return f"{type(self).__name__}: {counted(list(self.inside), 'flight')}"
@@ -125,7 +150,7 @@ def evaluate_force(
     force, vehicle = learned_force(folder), load_vehicle(folder / VEHICLE_FILE)
     model = force.model
     _check_new(flights, folder, model)
-    rows, inside, windows = [], {}, {}
+    rows, inside, windows, kept = [], {}, {}, {}
     with tempfile.TemporaryDirectory() as place:
         fleet = _Fleet(force, vehicle, physics, Path(place))
         total, done = len(flights) * len(fleet.names) + 1, 0  # the last one hovers
@@ -144,9 +169,10 @@ def evaluate_force(
             near = np.mean(flown[SHIPPED].watched[..., 0] <= 1, axis=0)
             inside[flight.name] = tuple(near.tolist())
             windows[flight.name] = len(flown[SHIPPED].t_s)
+            kept[flight.name] = flown
     steady = hovers(flights, {EXPLAINED: (vehicle, None), SHIPPED: (vehicle, force)})
     progress(1.0)
-    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady)
+    return ForceEvaluation(model, pd.DataFrame(rows), inside, windows, steady, kept)
 
 
 def _numbers(hover: Steadiness) -> dict[str, float | None]:

@@ -28,6 +28,8 @@ from ..report.figures import embedded, pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import anomaly_figure, correction_figure
 from ..report.page import render
+from ..series.table import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
+from ..series.table import MODEL as OF_MODEL
 from ..shown import Shown, TextTable, counted
 from .compiled import compiled_compensator
 from .generated import GeneratedEvaluation, evaluate_drawn
@@ -68,6 +70,11 @@ class Evaluation(Shown):
         """A row per model, flight, phase and channel."""
         return self.table.copy()
 
+    def series(self) -> tuple[Series, ...]:
+        """Of each flight measured, twin, corrected twin and residuals at every new reading, and
+        what the model says of itself."""
+        return tuple(_series(self, i) for i in range(len(self.flights)))
+
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
         return evaluation_json(self)
@@ -87,6 +94,29 @@ class Evaluation(Shown):
         """Protocol and flights."""
         flights = counted(self.flights, "flight")
         return f"{type(self).__name__}: {self.model.info.protocol}, {flights}"
+
+
+def _series(found: Evaluation, i: int) -> Series:
+    """Columns of one flight; readings are those carried to the grid, as they are scored."""
+    flight, corrected = found.flights[i], found.corrected[i]
+    columns: list[Column] = []
+    for c, (channel, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
+        fresh = flight.fresh[:, c]
+        if not fresh.any():
+            continue
+        t_s, virtual = flight.t_s[fresh], flight.virtual[fresh, c]
+        sides = {TWIN: virtual}
+        if found.explained is not None:
+            sides[EXPLAINED] = found.explained[i].virtual[fresh, c]
+        sides[CORRECTED] = virtual + corrected.correction[fresh, c]
+        columns += compared(channel, unit, t_s, virtual + flight.residual[fresh, c], sides)
+        columns.append(Column(f"{SPREAD}.{channel}", unit, t_s, corrected.spread[fresh, c]))
+    inside = corrected.inside.astype(np.float64)
+    for name, values in (("anomaly", corrected.anomaly), ("inside", inside)):
+        columns.append(Column(f"{OF_MODEL}.{name}", "1", flight.t_s, values))
+    info = found.model.info
+    facts = {"verb": "evaluate", "vehicle": info.vehicle, "model": found.model.family}
+    return Series(flight.name, tuple(columns), {**facts, "task": _task(found.model)})
 
 
 def evaluate_model(

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from learning.data.channels import CHANNELS, GROUPS
+from learning.data.channels import CHANNELS, GROUPS, UNITS
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from learning.data.residual_table import read_residuals
 from learning.evaluation.generating import evaluate_generated
@@ -32,6 +32,8 @@ from ..report.figures import embedded, pretty_unit
 from ..report.gap import number
 from ..report.learning_figures import spectra_figure
 from ..report.page import render
+from ..series.table import DRAWN as DRAWN_SIDE
+from ..series.table import TWIN, Column, Series, compared
 from ..shown import Shown, TextTable, counted
 from .training import RESIDUALS, VEHICLE_FILE
 
@@ -159,6 +161,10 @@ class GeneratedEvaluation(Shown):
         """A row per model, seed, flight, phase and channel."""
         return self.table.copy()
 
+    def series(self) -> tuple[Series, ...]:
+        """Of each flight measured, twin and one draw over time, at every new reading."""
+        return tuple(self._series(i) for i in range(len(self.flights)))
+
     def json(self) -> dict[str, Any]:
         """The content of `evaluation.json`."""
         info = self.model.info
@@ -218,6 +224,21 @@ class GeneratedEvaluation(Shown):
     def brief(self) -> str:
         """Protocol and flights."""
         return f"{type(self).__name__}: generate, {counted(self.flights, 'flight')}"
+
+    def _series(self, i: int) -> Series:
+        """Columns of one flight."""
+        flight = self.flights[i]
+        columns: list[Column] = []
+        for c, (channel, unit) in enumerate(zip(CHANNELS, UNITS, strict=True)):
+            fresh = flight.fresh[:, c]
+            virtual = flight.virtual[fresh, c]
+            sides = {TWIN: virtual, DRAWN_SIDE: virtual + self.drawn[i][fresh, c]}
+            measured = virtual + flight.residual[fresh, c]
+            if fresh.any():
+                columns += compared(channel, unit, flight.t_s[fresh], measured, sides)
+        info = self.model.info
+        facts = {"verb": "evaluate", "vehicle": info.vehicle, "model": self.model.family}
+        return Series(flight.name, tuple(columns), {**facts, "task": info.protocol})
 
     def _others(self) -> list[str]:
         return [n for n in self.table["model"].unique() if n not in (MODEL, RECORDED)]

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -10,7 +10,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from .mcap_file import check_mcap, write_series_mcap
+from .mcap_file import check_mcap
+from .series_mcap import write_series_mcap
 from .table import NS, Series
 
 Form = Literal["parquet", "csv", "mcap"]
@@ -68,6 +69,22 @@ def write_series(series: Series, path: Path) -> None:
     {".parquet": _write_parquet, ".csv": _write_csv, ".mcap": write_series_mcap}[path.suffix](
         series, path
     )
+
+
+def write_frame(table: pd.DataFrame, units: Mapping[str, str], path: Path) -> None:
+    """Write a table as Parquet, `attrs` kept, with the unit of a column in its metadata.
+
+    Args:
+        table: Its index is left out.
+        units: By column, "" where there is none.
+        path: An existing one is replaced.
+    """
+    arrow = pa.Table.from_pandas(table, preserve_index=False, nthreads=1)
+    told = {"time": "s"} | {k: v for k, v in units.items() if v}
+    fields = [
+        f.with_metadata({"unit": told[f.name]} if f.name in told else {}) for f in arrow.schema
+    ]
+    pq.write_table(arrow.cast(pa.schema(fields, metadata=arrow.schema.metadata)), path)
 
 
 def _write_parquet(series: Series, path: Path) -> None:

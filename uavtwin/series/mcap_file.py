@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twin.errors import TwinError
 
-from .table import NS, Series
+from .table import NS
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
@@ -187,30 +187,3 @@ class PlotTopics:
                     each = zip(names, values[row], known[row], strict=True)
                     found.append((topic, {n: v for n, v, ok in each if ok}))
             yield found
-
-
-def write_series_mcap(series: Series, path: Path) -> None:
-    """Write series: a topic per side (`/measured`), a field per channel (`acc_x`).
-
-    What stands before the last point of a column's name is its topic.
-
-    Raises:
-        TwinError: The package `mcap` is not installed, or a time is negative.
-    """
-    topics: dict[str, dict[str, tuple[str, str]]] = {}
-    for column in series.columns:
-        side, _, name = column.name.rpartition(".")
-        topics.setdefault("/" + side.replace(".", "/"), {})[column.name] = name, column.unit
-    with mcap_file(path) as file:
-        plots = PlotTopics(file, topics)
-        file.note("uavtwin", {"name": series.name, **series.facts})
-        file.note("units", {c.name: c.unit for c in series.columns})
-        first = True
-        for t_ns, values in series.blocks(1 << 12):
-            if first:
-                check_times(series.name, int(t_ns[0]))
-            first = False
-            block = dict(zip(series.names, values, strict=True))
-            for t, messages in zip(t_ns.tolist(), plots.rows(block), strict=True):
-                for topic, message in messages:
-                    file.write(topic, t, message)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -124,6 +125,20 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
     assert "explained twin" in page and "corrected twin" in page
+    series = pd.read_parquet(tmp_path / "e" / "series" / "three.parquet")
+    sides = {c.rpartition(".")[0] for c in series.columns[1:]}
+    assert sides == {
+        *("measured", "twin", "explained", "corrected", "spread", "model"),
+        *("residual", "residual_explained", "residual_corrected"),
+    }
+    left = {(r["channel"], r["model"]): r for r in printed["channels"] if r["phase"] == "all"}
+    for channel in ("acc_x", "gyro_z", "vel_y"):
+        told = series[f"residual_corrected.{channel}"].dropna()
+        row = left[channel, "model"]
+        assert len(told) == row["n"]
+        assert np.sqrt(np.mean(told**2)) == pytest.approx(row["rmse"], rel=1e-9)
+        no_model = np.sqrt(np.mean(series[f"residual.{channel}"].dropna() ** 2))
+        assert no_model == pytest.approx(left[channel, "none"]["rmse"], rel=1e-9)
 
 
 @pytest.mark.slow
