@@ -44,7 +44,7 @@ def scratch_file(path: Path) -> Iterator[Path]:
     os.close(handle)
     try:
         yield Path(name)
-        os.chmod(name, 0o666 & ~_umask())
+        os.chmod(name, 0o666 & ~umask())
         os.replace(name, path)
     except BaseException:
         Path(name).unlink(missing_ok=True)
@@ -84,8 +84,8 @@ def _prefix() -> str:
     return f"{PREFIX}{_HOST}-{os.getpid()}-{started(os.getpid())}-"
 
 
-def _umask() -> int:
+def umask() -> int:
     """Of this process, which cannot be read without being set."""
-    umask = os.umask(0o077)
-    os.umask(umask)
-    return umask
+    found = os.umask(0o077)
+    os.umask(found)
+    return found

@@ -12,7 +12,8 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 
 from .flights import checked_flights
-from .output import results_folder
+from .model_card.license import UNSAID, check_license
+from .output import readable, results_folder
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
@@ -88,6 +89,7 @@ def train(
     epochs: int | None = None,
     seed: int | None = None,
     device: str = "cpu",
+    license: str = UNSAID,
     force: bool = False,
     progress: Progress = lambda _: None,
 ) -> TrainResult:
@@ -112,6 +114,7 @@ def train(
         seed: Of everything that is drawn; default: the preset's, 0 in most.
         device: `cpu`; `cuda`: a GPU; `auto`: a GPU where torch finds one. The same seed gives the
             same bytes on `cpu` alone.
+        license: Of the model, for its card, as Hugging Face names it: `cc-by-4.0`.
         force: Whether the folder may hold other files already.
         progress: Called with the share done, 0..1.
 
@@ -120,15 +123,20 @@ def train(
     """
     several, twin = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
     out = Path(folder)
+    check_license(license)
     if protocol == "force":
         with extra_learn():
             from .force.train import check_force_options, force_claim, train_force
+        from .model_card.write import write_card
+
         check_force_options(model, preset, horizon, rate_hz, epochs, device)
         _check_kind(out, "model.json", "a compensator of the sensors")
         with results_folder(out, force) as place:
             made = train_force(several, twin, seed or 0, place, progress)
+            made.append(write_card(place, force_claim(place), license))
         return TrainResult(out, tuple(made), force_claim(out), seed or 0, {"protocol": protocol})
     with extra_learn():
+        from .model_card.write import write_card
         from .sensors import training
     _check_kind(out, "force.json", "a learned force")
     plan = training.plan_training(
@@ -138,6 +146,8 @@ def train(
     written = training.run_training(
         plan, residuals, twin, out, lambda done: progress(0.1 + 0.9 * done)
     )
+    written.append(write_card(out, training.training_claim(out), license))
+    readable(out / name for name in written)
     options = {
         "model": plan.family.name,
         "preset": plan.preset.name,
@@ -148,6 +158,37 @@ def train(
         "device": plan.device,
     }
     return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
+
+
+def complete_model_card(
+    model: Path,
+    found: "Evaluation | ForceEvaluation | GeneratedEvaluation",
+    flights: Sequence[Flight],
+    elsewhere: Path,
+) -> Path:
+    """Put what was measured on the card of a model.
+
+    Args:
+        model: Folder of the model.
+        found: What `evaluate` returned.
+        flights: That it was measured on.
+        elsewhere: Folder for the card where that beside the model was edited by somebody, or cannot
+            be replaced.
+
+    Returns:
+        The card.
+    """
+    from learning.force.model import is_force
+
+    if is_force(model):
+        from .force.train import force_claim as claim
+    else:
+        from .sensors.training import training_claim as claim
+    from .model_card.measured import Measured
+    from .model_card.write import complete_card
+
+    measured = Measured(found.json(), {f.name: f.fingerprint for f in flights})
+    return complete_card(model, claim(model), measured, elsewhere)
 
 
 def _check_kind(out: Path, file: str, what: str) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import TwinError
-from twin.scratch import PREFIX, leftovers, scratch_folder, sweep
+from twin.scratch import PREFIX, leftovers, scratch_folder, sweep, umask
 
 _MOVING = "moving"
 """In a temporary folder: names of the results that are being moved to their place."""
@@ -71,6 +71,7 @@ def results_folder(out: Path, force: bool) -> Iterator[Path]:
         results = folder / "results"
         results.mkdir()
         yield results
+        readable(results.rglob("*"))
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             if force:
@@ -100,9 +101,22 @@ def output_file(path: Path) -> Iterator[Path]:
         with scratch_folder(path.parent) as folder:
             file = folder / path.name
             yield file
+            readable([file])
             file.replace(path)
     except OSError as error:
         raise TwinError(f"{path}: cannot be written: {error.strerror}.") from error
+
+
+def readable(files: Iterable[Path]) -> None:
+    """Give files the rights that the umask allows: some libraries write theirs for the owner alone.
+
+    Args:
+        files: Folders among them, and what is not there, are left as they are.
+    """
+    rights = 0o666 & ~umask()
+    for file in files:
+        if file.is_file() and not file.is_symlink():
+            file.chmod(file.stat().st_mode | rights)
 
 
 def _nearest(out: Path) -> Path:

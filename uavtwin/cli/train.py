@@ -57,6 +57,9 @@ def train(
             "bytes on cpu alone."
         ),
     ] = "cpu",
+    license: Annotated[
+        str, typer.Option(help="Of the model, for its card: cc-by-4.0, or another identifier.")
+    ] = "unknown",
     out: Out = Path("model"),
     rebuild_commands: Rebuild = None,
     force: Force = False,
@@ -90,12 +93,14 @@ def train(
             epochs=epochs,
             seed=seed,
             device=device,
+            license=license,
             force=force,
             progress=step,
         )
     options = {
         "vehicle": Path(vehicle).name,
         "rebuild_commands": rebuild_commands,
+        "license": license,
         **trained.options,
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]

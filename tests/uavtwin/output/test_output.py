@@ -9,7 +9,7 @@ import pytest
 from places import IMPORT_PATH
 
 from twin.errors import TwinError
-from uavtwin.output import check_folder, results_folder
+from uavtwin.output import check_folder, output_file, results_folder
 
 
 def tree(folder: Path) -> dict[str, str]:
@@ -33,6 +33,24 @@ def test_results_arrive_in_a_new_or_empty_folder(tmp_path: Path, out: str) -> No
     write_into(tmp_path / out)
     assert tree(tmp_path) == {f"{out}/{name}": text for name, text in RESULTS.items()}
     assert not list(tmp_path.rglob(".uavtwin-*"))
+
+
+@pytest.mark.parametrize(("umask", "rights"), [(0o022, 0o644), (0o007, 0o660)])
+def test_results_have_the_rights_that_the_umask_gives(
+    tmp_path: Path, umask: int, rights: int
+) -> None:
+    """Some libraries write theirs for the owner alone."""
+    before = os.umask(umask)
+    try:
+        with results_folder(tmp_path / "out", force=False) as folder:
+            (folder / "deep").mkdir()
+            (folder / "deep" / "a").touch(0o600)
+        with output_file(tmp_path / "b") as file:
+            file.touch(0o600)
+    finally:
+        os.umask(before)
+    for path in (tmp_path / "out" / "deep" / "a", tmp_path / "b"):
+        assert path.stat().st_mode & 0o777 == rights
 
 
 def test_forced_results_replace_those_of_the_same_name_only(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 import json
 import re
+import shutil
+import stat
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+import yaml
 
 from learning.data.channels import GROUPS
 from learning.data.flights import residual_flight
@@ -80,7 +83,9 @@ def model(logs: dict[str, Path], tmp_path_factory: pytest.TempPathFactory) -> Pa
 @pytest.mark.slow
 def test_training_leaves_a_model_with_its_page(model: Path) -> None:
     names = {p.name for p in model.iterdir()}
+    assert len({stat.filemode(p.stat().st_mode) for p in model.iterdir()}) == 1  # as the umask says
     assert names >= {
+        "README.md",
         "report.html",
         "model.onnx",
         "weights.safetensors",
@@ -102,6 +107,7 @@ def test_training_leaves_a_model_with_its_page(model: Path) -> None:
 def test_evaluation_scores_the_model_beside_baselines(
     model: Path, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    model = Path(shutil.copytree(model, tmp_path / "model"))  # its card will be completed
     explained = tmp_path / "explained.toml"
     explained.write_text((model / "vehicle.toml").read_text("utf-8"), "utf-8")
     _run(
@@ -125,6 +131,12 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
     assert "explained twin" in page and "corrected twin" in page
+    (result,) = yaml.safe_load((model / "README.md").read_text("utf-8").split("---\n")[1])[
+        "model-index"
+    ][0]["results"]
+    own = [g for g in printed["groups"] if g["model"] == "model"]
+    assert [m["value"] for m in result["metrics"]] == [g["rmse"] for g in own]
+    assert result["dataset"]["args"]["sha256"] == [read_flight(logs["three"]).fingerprint]
     series = pd.read_parquet(tmp_path / "e" / "series" / "three.parquet")
     sides = {c.rpartition(".")[0] for c in series.columns[1:]}
     assert sides == {

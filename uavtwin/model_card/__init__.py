@@ -1,0 +1,1 @@
+"""Model cards: what a trained model is, learned from, was measured to do, and where it ends."""
