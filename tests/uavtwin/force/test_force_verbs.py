@@ -8,7 +8,9 @@ from pathlib import Path
 
 import fmpy
 import numpy as np
+import pandas as pd
 import pytest
+import yaml
 
 import uavtwin as ut
 from twin.errors import TwinError
@@ -77,7 +79,7 @@ def found(
 @pytest.mark.slow
 def test_the_drag_that_is_missing_becomes_a_law(model: Path) -> None:
     names = {p.name for p in model.iterdir()}
-    assert names == {"force.json", "vehicle.toml", "report.html", "run.json"}
+    assert names == {"README.md", "force.json", "vehicle.toml", "report.html", "run.json"}
     law = json.loads((model / "force.json").read_text("utf-8"))
     for a in "xy":
         assert law["outputs"][f"force_{a}"]["law"] != "none"
@@ -100,6 +102,13 @@ def test_the_exported_twin_is_less_far_off_on_a_flight_it_has_not_seen(
     assert rows["physics"]["position"] == pytest.approx(rows[EXPLAINED]["position"], rel=1e-9)
     assert min(told["inside"]["three"][:3]) > 0.8  # type: ignore[index]
     assert "explained + observer + linear" in (out / "report.html").read_text("utf-8")
+    series = pd.read_parquet(out / "series" / "three.parquet")
+    for side, twin in (("", "physics"), ("_explained", EXPLAINED), ("_corrected", SHIPPED)):
+        off = series[[f"residual{side}.velocity_{a}" for a in "xyz"]]
+        assert np.sqrt((off**2).mean().sum()) == pytest.approx(rows[twin]["velocity"], rel=1e-9)
+    head = yaml.safe_load((model / "README.md").read_text("utf-8").split("---\n")[1])
+    metrics = {m["name"]: m["value"] for m in head["model-index"][0]["results"][0]["metrics"]}
+    assert metrics["velocity after 0.5 s, m/s"] == rows[SHIPPED]["velocity"]
 
 
 @pytest.mark.slow
