@@ -1,12 +1,13 @@
 """`modelDescription.xml` of FMI 2.0 and FMI 3.0 from one interface table."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from lxml import etree
 
 from twin.component import Variable
 
 from .documentation.project import project
+from .exchange import ExchangeState
 from .model import FmuModel, check_interface
 from .units import base_exponents
 
@@ -46,25 +47,29 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         description=model.description,
         **_made_by(),
         variableNamingConvention="structured",
-        numberOfEventIndicators="0",
+        numberOfEventIndicators=str(len(model.exchange.crossings) if model.exchange else 0),
     )
-    simulation = etree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=model.name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-        providesDirectionalDerivative="true",
-    )
-    files = etree.SubElement(simulation, "SourceFiles")
-    for name in sources:
-        etree.SubElement(files, "File", name=name)
+    common = {
+        "modelIdentifier": model.name,
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "providesDirectionalDerivative": "true",
+    }
+    kinds = {"CoSimulation": {"canHandleVariableCommunicationStepSize": "true"}}
+    if model.exchange is not None:
+        kinds = {"ModelExchange": {"completedIntegratorStepNotNeeded": "true"}, **kinds}
+    for kind, own in kinds.items():
+        simulation = etree.SubElement(root, kind, **common, **own)
+        files = etree.SubElement(simulation, "SourceFiles")
+        for name in sources:
+            etree.SubElement(files, "File", name=name)
     _unit_definitions(root, model)
     categories = etree.SubElement(root, "LogCategories")
     etree.SubElement(categories, "Category", name="logStatusError", description="Errors")
     _default_experiment(root, model)
     table = etree.SubElement(root, "ModelVariables")
+    index = {v.name: i for i, v in enumerate(model.variables, start=1)}
+    states = states_of(model)
     for reference, variable in enumerate(model.variables, start=1):
         scalar = etree.SubElement(
             table,
@@ -75,17 +80,16 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
             causality=variable.causality,
             variability=_variability(variable),
         )
-        if variable.causality == "output":
+        if _computed(variable):
             scalar.set("initial", "calculated")
-        _type_element(scalar, "Boolean" if variable.boolean else "Real", variable)
-    index = {v.name: i for i, v in enumerate(model.variables, start=1)}
+        element = _type_element(scalar, "Boolean" if variable.boolean else "Real", variable)
+        _of_exchange(element, variable.name, states, index)
     structure = etree.SubElement(root, "ModelStructure")
-    for group, dependencies in (
-        ("Outputs", model.dependencies),
-        ("InitialUnknowns", model.initial_dependencies),
-    ):
+    for group, names, dependencies in _unknowns(model):
+        if not names and group == "Derivatives":
+            continue
         unknowns = etree.SubElement(structure, group)
-        for name in _outputs(model):
+        for name in names:
             on = sorted(index[k] for k in dependencies[name])
             etree.SubElement(
                 unknowns, "Unknown", index=str(index[name]), dependencies=" ".join(map(str, on))
@@ -103,15 +107,15 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         **_made_by(),
         variableNamingConvention="structured",
     )
-    etree.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=model.name,
-        canHandleVariableCommunicationStepSize="true",
-        canGetAndSetFMUState="true",
-        canSerializeFMUState="true",
-        providesDirectionalDerivatives="true",
-    )
+    common = {
+        "modelIdentifier": model.name,
+        "canGetAndSetFMUState": "true",
+        "canSerializeFMUState": "true",
+        "providesDirectionalDerivatives": "true",
+    }
+    if model.exchange is not None:
+        etree.SubElement(root, "ModelExchange", **common, needsCompletedIntegratorStep="false")
+    etree.SubElement(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize="true")
     _unit_definitions(root, model)
     categories = etree.SubElement(root, "LogCategories")
     etree.SubElement(categories, "Category", name="logStatusError", description="Errors")
@@ -127,6 +131,8 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         variability="continuous",
         unit="s",
     )
+    reference_of = {v.name: i for i, v in enumerate(model.variables, start=1)}
+    states = states_of(model)
     for reference, variable in enumerate(model.variables, start=1):
         element = _type_element(table, "Boolean" if variable.boolean else "Float64", variable)
         attributes = {
@@ -136,17 +142,21 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
             "causality": variable.causality,
             "variability": _variability(variable),
         }
-        if variable.causality == "output":
+        if _computed(variable):
             attributes["initial"] = "calculated"
         for key, value in attributes.items():
             element.set(key, value)
-    reference_of = {v.name: i for i, v in enumerate(model.variables, start=1)}
+        _of_exchange(element, variable.name, states, reference_of)
     structure = etree.SubElement(root, "ModelStructure")
-    for tag, dependencies in (
-        ("Output", model.dependencies),
-        ("InitialUnknown", model.initial_dependencies),
-    ):
-        for name in _outputs(model):
+    tags = {
+        "Outputs": "Output",
+        "Derivatives": "ContinuousStateDerivative",
+        "InitialUnknowns": "InitialUnknown",
+        "EventIndicators": "EventIndicator",
+    }
+    for group, names, dependencies in _unknowns(model, indicators=True):
+        tag = tags[group]
+        for name in names:
             on = sorted(reference_of[k] for k in dependencies[name])
             etree.SubElement(
                 structure,
@@ -169,8 +179,57 @@ def _made_by() -> dict[str, str]:
     }
 
 
-def _outputs(model: FmuModel) -> list[str]:
-    return [v.name for v in model.variables if v.causality == "output"]
+def _computed(variable: Variable) -> bool:
+    return variable.causality in ("output", "local")
+
+
+def states_of(model: FmuModel) -> dict[str, ExchangeState]:
+    """Continuous states by the variable that shows each, and by that of its derivative."""
+    states = model.exchange.states if model.exchange else ()
+    return {s.name: s for s in states} | {s.derivative: s for s in states}
+
+
+def _of_exchange(
+    element: etree._Element,
+    name: str,
+    states: Mapping[str, ExchangeState],
+    number: Mapping[str, int],
+) -> None:
+    """Attributes of a state or a derivative; of other variables none."""
+    if name not in states:
+        return
+    state = states[name]
+    if name == state.derivative:
+        element.set("derivative", str(number[state.name]))
+        return
+    element.set("nominal", repr(state.nominal))
+    if state.jumps:
+        element.set("reinit", "true")
+
+
+def _unknowns(
+    model: FmuModel, indicators: bool = False
+) -> Iterator[tuple[str, list[str], dict[str, set[str]]]]:
+    """Groups of the model structure: name, variables, on which each depends.
+
+    A derivative and an event indicator depend on states and inputs. So does an output, where
+    there is a solver outside; in co-simulation the states are inside, and on inputs alone.
+    """
+    exchange = model.exchange
+    states = exchange.states if exchange else ()
+    now = {
+        name: {*inputs, *(exchange.depends[name] if exchange else ())}
+        for name, inputs in model.dependencies.items()
+    }
+    start = {name: set(known) for name, known in model.initial_dependencies.items()}
+    outputs = [v.name for v in model.variables if v.causality == "output"]
+    derivatives = [s.derivative for s in states]
+    hidden = [s.name for s in states if s.name not in outputs]
+    yield "Outputs", outputs, now
+    yield "Derivatives", derivatives, now
+    yield "InitialUnknowns", [*outputs, *hidden, *derivatives], start
+    if indicators and exchange is not None:
+        yield "EventIndicators", list(exchange.crossings), now
 
 
 def _variability(variable: Variable) -> str:
@@ -183,7 +242,7 @@ def _type_element(parent: etree._Element, tag: str, variable: Variable) -> etree
     """Type element with unit, range and start value."""
     element = etree.SubElement(parent, tag)
     if variable.boolean:
-        if variable.causality != "output":
+        if not _computed(variable):
             element.set("start", "true" if variable.start else "false")
         return element
     element.set("unit", variable.unit)
@@ -191,7 +250,7 @@ def _type_element(parent: etree._Element, tag: str, variable: Variable) -> etree
         element.set("min", repr(float(variable.minimum)))
     if variable.maximum is not None:
         element.set("max", repr(float(variable.maximum)))
-    if variable.causality != "output":
+    if not _computed(variable):
         element.set("start", repr(float(variable.start)))
     return element
 

@@ -60,6 +60,8 @@ def _renamed(owner: str, name: str, of: FmuModel | Component) -> Part:
     if len(model.parts) > 1:
         raise FmuError(f"{owner}: {name} is fused already; give its parts instead.")
     (part,) = model.parts
+    if part.exchange is not None:
+        raise FmuError(f"{owner}: {name} is for model exchange; give it for co-simulation alone.")
 
     def under(names: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
         return {f"{name}.{k}": tuple(f"{name}.{v}" for v in values) for k, values in names.items()}

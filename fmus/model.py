@@ -11,7 +11,8 @@ from twin.component import Causality, Component, Sampling, Variable, check_range
 from twin.errors import FmuError, ModelError
 from twin.representation import short_repr
 
-from .names import LONGEST_VARIABLE, check_identifier, check_name, check_text
+from .exchange import Exchange, exchanged
+from .names import check_identifier, check_text, check_variable
 
 Constant = int | tuple[int, ...] | tuple[float, ...]
 """Value of a macro: a number, or the numbers of an array."""
@@ -43,6 +44,7 @@ class Part:
         resources: Files it reads.
         folder: Where they lie in the resources folder, "" or ending in a slash.
         may_lack: Inputs and outputs that may be no number (NaN); any other stops the simulation.
+        exchange: What a solver outside sees, for model exchange; None: co-simulation alone.
     """
 
     name: str
@@ -59,11 +61,12 @@ class Part:
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
     may_lack: frozenset[str] = frozenset()
+    exchange: Exchange | None = None
 
     __repr__ = short_repr
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
-        """Its parameters, inputs or outputs."""
+        """Its parameters, inputs, outputs or local variables."""
         return tuple(v for v in self.variables if v.causality == causality)
 
 
@@ -92,9 +95,9 @@ class FmuModel:
 
     @property
     def variables(self) -> tuple[Variable, ...]:
-        """In value-reference order from 1 on: parameters, inputs without source, outputs."""
+        """In value-reference order: parameters, inputs without source, outputs, locals."""
         connected = {target for _, target in self.connections}
-        kinds: tuple[Causality, ...] = ("parameter", "input", "output")
+        kinds: tuple[Causality, ...] = ("parameter", "input", "output", "local")
         return tuple(
             v for kind in kinds for p in self.parts for v in p.of(kind) if v.name not in connected
         )
@@ -115,7 +118,7 @@ class FmuModel:
         Raises:
             ModelError: A name is neither, or a value is outside its range.
         """
-        known = {v.name: v for v in self.variables if v.causality != "output"}
+        known = {v.name: v for v in self.variables if v.causality in ("parameter", "input")}
         for name, value in starts.items():
             if name not in known:
                 raise ModelError(unknown_name(self.name, "parameter or input", name, known))
@@ -160,6 +163,11 @@ class FmuModel:
         return {p.folder + name: file for p in self.parts for name, file in p.resources.items()}
 
     @property
+    def exchange(self) -> Exchange | None:
+        """What a solver outside sees; None: co-simulation alone."""
+        return self.parts[0].exchange if len(self.parts) == 1 else None
+
+    @property
     def longest_step_s(self) -> float:
         """Longest internal step, s."""
         return self.step_s or self.parts[0].max_step_s
@@ -175,16 +183,27 @@ def check_interface(model: FmuModel) -> None:
     check_text(f"{model.name}: description", model.description)
     names: set[str] = set()
     for v in (v for part in model.parts for v in part.variables):
-        check_name(f"{model.name}: variable", v.name, LONGEST_VARIABLE)
+        check_variable(f"{model.name}: variable", v.name)
         check_text(f"{model.name}: description of {v.name}", v.description)
         if v.name in names:
             raise FmuError(f"{model.name}: {v.name} is there twice; name each variable once.")
         names.add(v.name)
 
 
-def component_model(component: Component) -> FmuModel:
-    """The FMU model of a CasADi component: kernels generated as C."""
-    kernels = _kernels(component)
+def component_model(component: Component, exchange: bool = False) -> FmuModel:
+    """The FMU model of a CasADi component: kernels generated as C.
+
+    Args:
+        component: Equations and interface.
+        exchange: Whether a solver outside may integrate it, beside co-simulation.
+
+    Raises:
+        FmuError: The component cannot be exchanged.
+    """
+    offered: Exchange | None = None
+    if exchange:
+        component, offered = exchanged(component)
+    kernels = _kernels(component, exchange)
     part = Part(
         name=component.name,
         variables=component.variables,
@@ -197,13 +216,17 @@ def component_model(component: Component) -> FmuModel:
         defines=_workspace(kernels),
         shortcuts=len(component.shortcuts),
         sampling=component.sampling,
+        exchange=offered,
     )
     return FmuModel(component.name, component.description, (part,))
 
 
-def _kernels(component: Component) -> list[ca.Function]:
+def _kernels(component: Component, exchange: bool) -> list[ca.Function]:
     """Every function of the component that its C source calls."""
-    functions = [component.initial, component.step, component.outputs, *_tangents(component)]
+    functions = [component.initial, component.step, component.outputs]
+    functions += _tangents(component, exchange)
+    if exchange and component.continuous is not None:
+        functions.append(component.continuous.rests)
     sampling = component.sampling
     if sampling is not None:
         functions.append(sampling.update)
@@ -249,23 +272,29 @@ def _workspace(functions: list[ca.Function]) -> dict[str, int]:
     }
 
 
-def _tangents(component: Component) -> list[ca.Function]:
-    """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start."""
-    x = ca.SX.sym("x", len(component.states))
+def _tangents(component: Component, exchange: bool) -> list[ca.Function]:
+    """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start.
+
+    With `exchange` the first has another argument, the change of the states: `dx`.
+    """
+    x, dx = (ca.SX.sym(n, len(component.states)) for n in ("x", "dx"))
     u, du = (ca.SX.sym(n, len(component.inputs)) for n in ("u", "du"))
     p, dp = (ca.SX.sym(n, len(component.parameters)) for n in ("p", "dp"))
     w = _draws(component)
 
-    def tangent(name: str, state: ca.SX, arguments: list[ca.SX]) -> ca.Function:
+    def tangent(
+        name: str, state: ca.SX, arguments: list[ca.SX], known: list[ca.SX], change: list[ca.SX]
+    ) -> ca.Function:
         """Change of the outputs, with the state as an expression of the arguments."""
         y = component.outputs(state, u, p)
-        dy = ca.jtimes(y, ca.vertcat(u, p), ca.vertcat(du, dp))
+        dy = ca.jtimes(y, ca.vertcat(*known), ca.vertcat(*change))
         return ca.Function(name, arguments, [ca.cse(dy)])
 
-    return [
-        tangent("tangent", x, [x, u, p, du, dp]),
-        tangent("initial_tangent", _first_state(component, u, p, w), [u, p, du, dp, w]),
-    ]
+    first, d = _first_state(component, u, p, w), [du, dp]
+    starting = tangent("initial_tangent", first, [u, p, *d, w], [u, p], d)
+    if exchange:
+        return [tangent("tangent", x, [x, u, p, *d, dx], [u, p, x], [*d, dx]), starting]
+    return [tangent("tangent", x, [x, u, p, *d], [u, p], d), starting]
 
 
 def _draws(component: Component) -> ca.SX:

@@ -32,6 +32,17 @@ def check_name(where: str, name: object, longest: int = LONGEST_NAME) -> str:
     return _checked(where, name, _NAME, "letters, digits, _ and dots", longest)
 
 
+def check_variable(where: str, name: object) -> str:
+    """The name of a variable of an FMU; that of a derivative is `der(...)`, as in FMI 2.2.9.
+
+    Raises:
+        FmuError: It is none.
+    """
+    if isinstance(name, str) and name.startswith("der(") and name.endswith(")"):
+        return f"der({check_name(where, name[4:-1], LONGEST_VARIABLE)})"
+    return check_name(where, name, LONGEST_VARIABLE)
+
+
 def check_identifier(where: str, name: object, longest: int = LONGEST_NAME) -> str:
     """The same without dots: an identifier of C.
 

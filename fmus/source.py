@@ -7,9 +7,10 @@ from collections.abc import Iterable
 
 from twin.component import Sampling, Variable
 
+from .exchange import Exchange
 from .literals import c_list, c_number, c_string
 from .model import Constant, FmuModel, Part
-from .names import LONGEST_VARIABLE, check_identifier, check_name
+from .names import check_identifier, check_variable
 
 
 def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
@@ -60,6 +61,7 @@ def _part(part: Part) -> str:
             ),
             f"static const char* const state_names[] = {{{states}0}};\n",
             *([] if part.sampling is None else [_sampling(part, part.sampling)]),
+            *([] if part.exchange is None else [_exchange(part, part.exchange)]),
             part.kernels,
             f'#include "{part.glue}"\n',
         ]
@@ -72,7 +74,7 @@ def _constant(value: Constant) -> str:
 
 def _variable(v: Variable, may_lack: bool) -> str:
     """One line of the interface table."""
-    name = c_string(check_name("variable of an FMU", v.name, LONGEST_VARIABLE))
+    name = c_string(check_variable("variable of an FMU", v.name))
     causality = "FIXED_PARAMETER" if v.fixed else check_identifier(v.name, v.causality.upper())
     low = "-HUGE_VAL" if v.minimum is None else c_number(float(v.minimum))
     high = "HUGE_VAL" if v.maximum is None else c_number(float(v.maximum))
@@ -94,6 +96,23 @@ def _sampling(part: Part, sampling: Sampling) -> str:
             *(f"#define {name} {value}" for name, value in defines.items()),
             "",
             _table("static const Line lines[]", lines or ["{0, 0}"]),
+        ]
+    )
+
+
+def _exchange(part: Part, exchange: Exchange) -> str:
+    reference = {v.name: i for i, v in enumerate(part.variables, start=1)}
+    states = [
+        f"{{{s.place}, {reference[s.name]}, {reference[s.derivative]}, {c_number(s.nominal)}}}"
+        for s in exchange.states
+    ]
+    crossings = [str(reference[name]) for name in exchange.crossings]
+    return "\n".join(
+        [
+            f"#define N_CONTINUOUS {len(states)}",
+            f"#define N_CROSSINGS {len(crossings)}\n",
+            _table("static const Continuous continuous[]", states or ["{0, 0, 0, 0}"]),
+            _table("static const unsigned crossings[]", crossings or ["0"]),
         ]
     )
 

@@ -44,6 +44,15 @@ BASE_UNITS: dict[str, dict[str, int]] = {
 }
 
 
+_RATE = re.compile(r"(.+)/s([0-9]?)")
+
+
+def rate_unit(unit: str) -> str:
+    """Unit of the time derivative: "m/s2" of "m/s"."""
+    rate = _RATE.fullmatch(unit)
+    return f"{unit}/s" if rate is None else f"{rate[1]}/s{int(rate[2] or 1) + 1}"
+
+
 def base_exponents(unit: str) -> dict[str, int]:
     """Exponents of kg, m, s, A, K, mol, cd, rad.
 
@@ -54,6 +63,9 @@ def base_exponents(unit: str) -> dict[str, int]:
     """
     if unit in BASE_UNITS:
         return BASE_UNITS[unit]
+    if (rate := _RATE.fullmatch(unit)) is not None and rate[1] in BASE_UNITS:
+        base = dict(BASE_UNITS[rate[1]])
+        return {**base, "s": base.get("s", 0) - int(rate[2] or 1)}
     match = re.fullmatch(r"(N|N\.m)\.s([0-9]?)/rad([0-9]?)", unit)
     if match is None or match[2] != match[3]:
         raise KeyError(f"unit {unit!r} is not in fmus/units.py")

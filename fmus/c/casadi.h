@@ -54,8 +54,20 @@ static void model_tangent(const Part* p, int starting, const double* noise, doub
     const double *d_p = change + 1, *d_u = change + FIRST_INPUT;
     double* d_y = change + FIRST_OUTPUT;
     if (starting) CALL(initial_tangent, d_y, INPUTS, PARAMETERS, d_u, d_p, noise);
+#ifdef N_CONTINUOUS
+    else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p, p->next);
+#else
     else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p);
+#endif
 }
+
+#ifdef N_CONTINUOUS
+static int model_rests(const Part* p) {
+    double yes;
+    CALL(rests, &yes, PARAMETERS);
+    return yes != 0;
+}
+#endif
 
 #ifdef SAMPLE_PERIOD
 static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
@@ -114,4 +126,11 @@ const Model MODEL = {
     .step = model_step,
     .outputs = model_outputs,
     .tangent = model_tangent,
+#ifdef N_CONTINUOUS
+    .n_continuous = N_CONTINUOUS,
+    .continuous = continuous,
+    .n_crossings = N_CROSSINGS,
+    .crossings = crossings,
+    .rests = model_rests,
+#endif
 };

@@ -61,7 +61,7 @@ static int allocate(Instance* c) {
     return 0;
 }
 
-Instance* core_new(const char* resources, char* message, size_t size) {
+Instance* core_new(const char* resources, int exchange, char* message, size_t size) {
     Instance* c = calloc(1, sizeof *c + fmu.n_parts * sizeof(Part));
     for (unsigned i = 0; c && i < fmu.n_parts; i++) c->parts[i].model = fmu.models[i];
     if (!c || allocate(c)) {
@@ -76,6 +76,7 @@ Instance* core_new(const char* resources, char* message, size_t size) {
             return NULL;
         }
     }
+    c->exchange = exchange != 0;
     core_reset(c);
     return c;
 }
@@ -279,7 +280,7 @@ int core_set(Instance* c, unsigned vr, double value) {
         return fail(c, "%sno settable variable has value reference %.0f", "", vr, 0);
     const Port at = fmu.ports[vr];
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
-    if (k->causality == OUTPUT) return fail(c, "%s is an output and cannot be set", k->name, 0, 0);
+    if (k->causality >= OUTPUT) return fail(c, "%s is computed and cannot be set", k->name, 0, 0);
     if (k->causality == FIXED_PARAMETER && c->state->mode >= STEPPING)
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);
     if (!isfinite(value) && !(k->may_lack && isnan(value)))
@@ -291,11 +292,24 @@ int core_set(Instance* c, unsigned vr, double value) {
     return 0;
 }
 
+/* A small change of a state that a variable shows, of which the tangent reads `next`; 0: of none. */
+static int seed_state(Part* p, unsigned variable, double change) {
+    for (unsigned i = 0; i < p->model->n_continuous; i++) {
+        if (p->model->continuous[i].reference != variable) continue;
+        p->next[p->model->continuous[i].place] += change;
+        return 1;
+    }
+    return 0;
+}
+
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                     size_t n_known, const double seed[], double result[]) {
     FOR_EACH_PART(p) memset(p->change, 0, p->model->n_variables * sizeof(double));
+    if (c->exchange) memset(c->parts[0].next, 0, c->parts[0].model->n_states * sizeof(double));
     for (size_t i = 0; i < n_known; i++) {
         const Port at = fmu.ports[known[i] < fmu.n_ports ? known[i] : 0];
+        if (c->exchange && c->state->mode >= STEPPING && seed_state(&c->parts[0], at.variable, seed[i]))
+            continue;
         if (at.variable == 0 || at.variable >= fmu.models[at.part]->first_output)
             return fail(c, "%sdirectional derivative: value reference %.0f is no input or parameter", "",
                         known[i], 0);
@@ -337,7 +351,7 @@ int core_exit_initialization(Instance* c) {
     receive(c); /* what enters states alone may have come after its part's visit */
     FOR_EACH_PART(p)
         if (begin(c, p) || check_states(c, p)) return -1;
-    c->state->mode = STEPPING;
+    c->state->mode = c->exchange ? IN_EVENT : STEPPING;
     c->state->outputs = STALE;
     return 0;
 }
@@ -373,8 +387,126 @@ int core_step(Instance* c, double time, double h) {
 }
 
 int core_terminate(Instance* c) {
-    if (c->state->mode != STEPPING) return fail(c, "%sterminate before initialization", "", 0, 0);
+    if (c->state->mode < STEPPING || c->state->mode == TERMINATED)
+        return fail(c, "%sterminate before initialization", "", 0, 0);
     c->state->mode = TERMINATED;
+    return 0;
+}
+
+/* ---- model exchange: the part alone, integrated by a solver outside ---- */
+
+int core_can_exchange(void) { return fmu.n_parts == 1 && fmu.models[0]->continuous != NULL; }
+
+static int check_mode(Instance* c, int from, int to, const char* what) {
+    if (c->state->mode >= from && c->state->mode <= to) return 0;
+    return fail(c, "%s does not go in this mode", what, 0, 0);
+}
+
+static int check_count(Instance* c, size_t n, unsigned expected) {
+    if (n == expected) return 0;
+    return fail(c, "%sthe importer asks for %.0f numbers, there are %.0f", "", (double)n, expected);
+}
+
+/* Instants that nothing felt were passed over: signals count as having always been as they are. */
+static void wake(Part* p) {
+    const Sampling* s = p->model->sampling;
+    double* line = p->record;
+    if (!s->n_lines) return;
+    s->signals(p, p->signal);
+    for (unsigned i = 0; i < s->n_lines; line += s->lines[i].capacity, i++)
+        for (unsigned k = 0; k < s->lines[i].capacity; k++) line[k] = p->signal[i];
+}
+
+/* The instant that is due, if one is, and whether it moved what the solver integrates. */
+static int take_instant(Instance* c, double instant) {
+    Part* p = &c->parts[0];
+    const Model* m = p->model;
+    if (instant <= *p->samples) return 0;
+    if (instant > *p->samples + 1) wake(p);
+    *p->samples = instant;
+    for (unsigned i = 0; i < m->n_continuous; i++)
+        p->change[m->continuous[i].derivative] = p->x[m->continuous[i].place]; /* as they were */
+    if (sample(c, p)) return -1;
+    for (unsigned i = 0; i < m->n_continuous; i++)
+        c->state->moved |= p->change[m->continuous[i].derivative] != p->x[m->continuous[i].place];
+    c->state->outputs = STALE;
+    return check_states(c, p);
+}
+
+/* Number of the last sample instant; -1 where nothing feels them. */
+static double last_instant(const Instance* c) {
+    const Part* p = &c->parts[0];
+    const Sampling* s = p->model->sampling;
+    if (!s || p->model->rests(p)) return -1;
+    return floor((c->state->time - c->state->start_time) / p->v[s->period] + SAMPLE_TOLERANCE);
+}
+
+/* An instant sees the inputs before those that the event brings, as that at the end of a step does. */
+int core_enter_event(Instance* c) {
+    if (check_mode(c, IN_EVENT, IN_TIME, "event mode")) return -1;
+    c->state->mode = IN_EVENT;
+    return take_instant(c, last_instant(c));
+}
+
+int core_enter_time(Instance* c) {
+    if (check_mode(c, IN_EVENT, IN_EVENT, "continuous-time mode")) return -1;
+    c->state->mode = IN_TIME;
+    return 0;
+}
+
+int core_set_time(Instance* c, double time) {
+    if (check_mode(c, IN_EVENT, IN_TIME, "setting the time")) return -1;
+    if (!isfinite(time)) return fail(c, "%stime %g is not finite", "", time, 0);
+    c->state->time = c->parts[0].v[0] = time;
+    return 0;
+}
+
+int core_update(Instance* c, int* states_moved, double* next) {
+    const Part* p = &c->parts[0];
+    const double instant = last_instant(c);
+    if (check_mode(c, IN_EVENT, IN_EVENT, "updating discrete states") || take_instant(c, instant)) return -1;
+    *states_moved = c->state->moved;
+    c->state->moved = 0;
+    *next = HUGE_VAL;
+    if (instant >= 0) *next = c->state->start_time + (instant + 1) * p->v[p->model->sampling->period];
+    return 0;
+}
+
+int core_get_states(Instance* c, double x[], size_t n) {
+    const Part* p = &c->parts[0];
+    if (check_count(c, n, p->model->n_continuous)) return -1;
+    if (c->state->mode < STEPPING && refresh(c)) return -1;
+    for (size_t i = 0; i < n; i++) x[i] = p->x[p->model->continuous[i].place];
+    return 0;
+}
+
+int core_set_states(Instance* c, const double x[], size_t n) {
+    Part* p = &c->parts[0];
+    if (check_count(c, n, p->model->n_continuous) || check_mode(c, IN_EVENT, IN_TIME, "setting states"))
+        return -1;
+    for (size_t i = 0; i < n; i++) p->x[p->model->continuous[i].place] = x[i];
+    c->state->outputs = STALE;
+    return check_states(c, p);
+}
+
+int core_get_derivatives(Instance* c, double dx[], size_t n) {
+    const Part* p = &c->parts[0];
+    if (check_count(c, n, p->model->n_continuous) || refresh(c)) return -1;
+    for (size_t i = 0; i < n; i++) dx[i] = p->v[p->model->continuous[i].derivative];
+    return 0;
+}
+
+int core_get_nominals(Instance* c, double x[], size_t n) {
+    const Model* m = c->parts[0].model;
+    if (check_count(c, n, m->n_continuous)) return -1;
+    for (size_t i = 0; i < n; i++) x[i] = m->continuous[i].nominal;
+    return 0;
+}
+
+int core_get_crossings(Instance* c, double z[], size_t n) {
+    const Part* p = &c->parts[0];
+    if (check_count(c, n, p->model->n_crossings) || refresh(c)) return -1;
+    for (size_t i = 0; i < n; i++) z[i] = p->v[p->model->crossings[i]];
     return 0;
 }
 
@@ -386,6 +518,7 @@ size_t core_saved_size(const Instance* c) { return tag_size() + c->state_size; }
 
 void core_save(const Instance* c, char* bytes) {
     memcpy(bytes, fmu.token, tag_size());
+    bytes[tag_size() - 1] = c->exchange; /* in place of the end of the text */
     memcpy(bytes + tag_size(), c->state, c->state_size);
 }
 
@@ -393,8 +526,10 @@ int core_check_saved(Instance* c, const char* bytes, size_t size) {
     if (size != core_saved_size(c))
         return fail(c, "%ssaved state has %.0f bytes, expected %.0f", "", (double)size,
                     (double)core_saved_size(c));
-    if (memcmp(bytes, fmu.token, tag_size()) != 0)
+    if (memcmp(bytes, fmu.token, tag_size() - 1) != 0)
         return fail(c, "%ssaved state belongs to another FMU or another version of this one", "", 0, 0);
+    if (bytes[tag_size() - 1] != c->exchange)
+        return fail(c, "%ssaved state is of the other kind, co-simulation or model exchange", "", 0, 0);
     return 0;
 }
 

@@ -19,7 +19,7 @@
 #include <stdint.h>
 
 /* ---- what a part is: constant data ---- */
-enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT };
+enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT, LOCAL }; /* from OUTPUT on: computed */
 
 typedef struct {
     const char* name;
@@ -51,6 +51,13 @@ typedef struct {
     void (*update)(const Part* p, const double* noise, const double* delayed, double* x_next);
 } Sampling;
 
+/* A state that a solver outside integrates, in model exchange. References are those of the part. */
+typedef struct {
+    unsigned place; /* among all states of the part */
+    unsigned reference, derivative;
+    double nominal;
+} Continuous;
+
 typedef struct {
     unsigned n_variables, first_input, first_output; /* [0] is time; parameters, inputs, outputs */
     const Variable* variables;
@@ -68,6 +75,12 @@ typedef struct {
      * variable; those of parameters and inputs are read, those of outputs written. At the start the
      * states change too; `noise` is what the first sample instant draws. */
     void (*tangent)(const Part* p, int starting, const double* noise, double* change);
+    /* For model exchange, a part alone; n_continuous = 0 and continuous = NULL: co-simulation only. */
+    unsigned n_continuous;
+    const Continuous* continuous;
+    unsigned n_crossings;
+    const unsigned* crossings; /* variables at whose zeros the derivatives jump */
+    int (*rests)(const Part* p); /* whether nothing feels what is done at sample instants */
 } Model;
 
 /* ---- how parts make a system: constant data, in system.c ---- */
@@ -104,13 +117,14 @@ struct Part {
     int gives;                                        /* whether a connection starts here */
 };
 
-enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
+enum { INSTANTIATED, INITIALIZING, STEPPING, IN_EVENT, IN_TIME, TERMINATED };
 /* Which outputs are older than the states: none, those of parts that give nothing, or all. */
 enum { FRESH, REST_STALE, STALE };
 
 typedef struct {
     double time, start_time;
     int32_t mode, outputs;
+    int32_t moved, unused; /* whether an event has moved a state that a solver integrates */
     double values[]; /* of the connections, then of the parts */
 } State;
 
@@ -119,12 +133,13 @@ typedef struct {
     size_t state_size;
     double* carried; /* in the state, by connection */
     void* host;      /* handles of the FMI shim, never part of the state */
+    char exchange;   /* whether a solver outside integrates; else it is stepped */
     char message[320];
     Part parts[];
 } Instance;
 
 /* ---- used by the FMI shims: 0, or -1 with c->message ---- */
-Instance* core_new(const char* resources, char* message, size_t size);
+Instance* core_new(const char* resources, int exchange, char* message, size_t size);
 void core_free(Instance* c);
 void core_reset(Instance* c);
 int core_get(Instance* c, unsigned vr, double* value);
@@ -135,6 +150,19 @@ int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, con
                     size_t n_known, const double seed[], double result[]);
 int core_step(Instance* c, double time, double h);
 int core_terminate(Instance* c);
+
+/* Model exchange. The order of states and crossings is that of the tables. */
+int core_can_exchange(void);
+int core_enter_event(Instance* c);
+int core_enter_time(Instance* c);
+int core_set_time(Instance* c, double time);
+/* An iteration of an event; *next is HUGE_VAL where no instant is to come. */
+int core_update(Instance* c, int* states_moved, double* next);
+int core_get_states(Instance* c, double x[], size_t n);
+int core_set_states(Instance* c, const double x[], size_t n);
+int core_get_derivatives(Instance* c, double dx[], size_t n);
+int core_get_nominals(Instance* c, double x[], size_t n);
+int core_get_crossings(Instance* c, double z[], size_t n);
 
 /* A saved state: version tag and bytes, core_saved_size() in all. */
 size_t core_saved_size(const Instance* c);

@@ -1,4 +1,5 @@
-/* FMI 2.0 co-simulation in terms of core.h. */
+/* FMI 2.0, co-simulation and model exchange, in terms of core.h. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -83,13 +84,13 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     char message[320] = "", path[4096] = "";
     Instance* c = NULL;
     Host* h = NULL;
-    if (fmuType != fmi2CoSimulation) {
+    if (fmuType != fmi2CoSimulation && !core_can_exchange()) {
         snprintf(message, sizeof message, "only co-simulation is supported");
     } else if (!fmuGUID || strcmp(fmuGUID, fmu.token) != 0) {
         snprintf(message, sizeof message, "GUID does not match: binary and modelDescription.xml differ");
     } else if ((h = calloc(1, sizeof *h + strlen(name)))) {
         path_of_uri(fmuResourceLocation ? fmuResourceLocation : "", path, sizeof path);
-        c = core_new(path, message, sizeof message);
+        c = core_new(path, fmuType != fmi2CoSimulation, message, sizeof message);
     }
     if (!c) {
         free(h);
@@ -202,6 +203,43 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
     (void)noSetFMUStatePrior;
     return status(c, core_step(c, time, h));
 }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return status(c, core_enter_event(c)); }
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return status(c, core_enter_time(c)); }
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo* info) {
+    int moved;
+    double next;
+    if (core_update(c, &moved, &next)) return status(c, -1);
+    info->newDiscreteStatesNeeded = fmi2False;
+    info->terminateSimulation = fmi2False;
+    info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->valuesOfContinuousStatesChanged = moved ? fmi2True : fmi2False;
+    info->nextEventTimeDefined = isfinite(next) ? fmi2True : fmi2False;
+    info->nextEventTime = isfinite(next) ? next : 0;
+    return fmi2OK;
+}
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePrior,
+                                       fmi2Boolean* enterEventMode, fmi2Boolean* terminateSimulation) {
+    (void)c, (void)noSetFMUStatePrior;
+    *enterEventMode = *terminateSimulation = fmi2False;
+    return fmi2OK;
+}
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return status(c, core_set_time(c, time)); }
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {
+    return status(c, core_set_states(c, x, n));
+}
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
+    return status(c, core_get_states(c, x, n));
+}
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t n) {
+    return status(c, core_get_derivatives(c, derivatives, n));
+}
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real z[], size_t n) {
+    return status(c, core_get_crossings(c, z, n));
+}
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n) {
+    return status(c, core_get_nominals(c, x, n));
+}
+
 fmi2Status fmi2CancelStep(fmi2Component c) { return refuse(c, "no step is pending"); }
 
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],

@@ -1,4 +1,5 @@
-/* FMI 3.0 co-simulation in terms of core.h. */
+/* FMI 3.0, co-simulation and model exchange, in terms of core.h. */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,24 +26,18 @@ static fmi3Status refuse(fmi3Instance c, const char* what) {
 
 const char* fmi3GetVersion(void) { return fmi3Version; }
 
-fmi3Instance fmi3InstantiateCoSimulation(
-    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
-    fmi3Boolean loggingOn, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
-    const fmi3ValueReference requiredIntermediateVariables[], size_t nRequiredIntermediateVariables,
-    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
-    fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)instanceName, (void)visible, (void)loggingOn, (void)earlyReturnAllowed;
-    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
+static fmi3Instance instantiate(const char* wrong, const char* token, const char* resources, int exchange,
+                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
     char message[320] = "";
     Instance* c = NULL;
     Host* h = NULL;
-    if (eventModeUsed) {
-        snprintf(message, sizeof message, "event mode is not supported");
-    } else if (!instantiationToken || strcmp(instantiationToken, fmu.token) != 0) {
+    if (wrong) {
+        snprintf(message, sizeof message, "%s", wrong);
+    } else if (!token || strcmp(token, fmu.token) != 0) {
         snprintf(message, sizeof message,
                  "instantiation token does not match: binary and modelDescription.xml differ");
     } else if ((h = calloc(1, sizeof *h))) {
-        c = core_new(resourcePath ? resourcePath : "", message, sizeof message);
+        c = core_new(resources ? resources : "", exchange, message, sizeof message);
     }
     if (!c) {
         free(h);
@@ -55,12 +50,25 @@ fmi3Instance fmi3InstantiateCoSimulation(
     return c;
 }
 
-fmi3Instance fmi3InstantiateModelExchange(fmi3String a, fmi3String b, fmi3String c, fmi3Boolean d,
-                                          fmi3Boolean e, fmi3InstanceEnvironment environment,
+fmi3Instance fmi3InstantiateCoSimulation(
+    fmi3String instanceName, fmi3String instantiationToken, fmi3String resourcePath, fmi3Boolean visible,
+    fmi3Boolean loggingOn, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+    const fmi3ValueReference requiredIntermediateVariables[], size_t nRequiredIntermediateVariables,
+    fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3IntermediateUpdateCallback intermediateUpdate) {
+    (void)instanceName, (void)visible, (void)loggingOn, (void)earlyReturnAllowed;
+    (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
+    const char* wrong = eventModeUsed ? "event mode is not supported in co-simulation" : NULL;
+    return instantiate(wrong, instantiationToken, resourcePath, 0, environment, log);
+}
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken,
+                                          fmi3String resourcePath, fmi3Boolean visible,
+                                          fmi3Boolean loggingOn, fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log) {
-    (void)a, (void)b, (void)c, (void)d, (void)e;
-    if (log) log(environment, fmi3Error, "logStatusError", "only co-simulation is supported");
-    return NULL;
+    (void)instanceName, (void)visible, (void)loggingOn;
+    const char* wrong = core_can_exchange() ? NULL : "only co-simulation is supported";
+    return instantiate(wrong, instantiationToken, resourcePath, 1, environment, log);
 }
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String a, fmi3String b, fmi3String c, fmi3Boolean d,
                                                fmi3Boolean e, fmi3InstanceEnvironment environment,
@@ -205,6 +213,61 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boole
     return status(c, code);
 }
 
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { return status(c, core_enter_event(c)); }
+fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return status(c, core_enter_time(c)); }
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) {
+    (void)c; /* everything is evaluated when it is asked for */
+    return fmi3OK;
+}
+fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean* discreteStatesNeedUpdate,
+                                    fmi3Boolean* terminateSimulation,
+                                    fmi3Boolean* nominalsOfContinuousStatesChanged,
+                                    fmi3Boolean* valuesOfContinuousStatesChanged,
+                                    fmi3Boolean* nextEventTimeDefined, fmi3Float64* nextEventTime) {
+    int moved;
+    double next;
+    if (core_update(c, &moved, &next)) return status(c, -1);
+    *discreteStatesNeedUpdate = fmi3False;
+    *terminateSimulation = fmi3False;
+    *nominalsOfContinuousStatesChanged = fmi3False;
+    *valuesOfContinuousStatesChanged = moved != 0;
+    *nextEventTimeDefined = isfinite(next) != 0;
+    *nextEventTime = isfinite(next) ? next : 0;
+    return fmi3OK;
+}
+fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetFMUStatePrior,
+                                       fmi3Boolean* enterEventMode, fmi3Boolean* terminateSimulation) {
+    (void)c, (void)noSetFMUStatePrior;
+    *enterEventMode = *terminateSimulation = fmi3False;
+    return fmi3OK;
+}
+fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { return status(c, core_set_time(c, time)); }
+fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) {
+    return status(c, core_set_states(c, x, n));
+}
+fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) {
+    return status(c, core_get_states(c, x, n));
+}
+fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t n) {
+    return status(c, core_get_derivatives(c, derivatives, n));
+}
+fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 z[], size_t n) {
+    return status(c, core_get_crossings(c, z, n));
+}
+fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 x[], size_t n) {
+    return status(c, core_get_nominals(c, x, n));
+}
+fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t* n) {
+    (void)c;
+    *n = fmu.models[0]->n_continuous;
+    return fmi3OK;
+}
+fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t* n) {
+    (void)c;
+    *n = fmu.models[0]->n_crossings;
+    return fmi3OK;
+}
+
 fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknown[], size_t nUnknown,
                                         const fmi3ValueReference known[], size_t nKnown,
                                         const fmi3Float64 seed[], size_t nSeed, fmi3Float64 result[],
@@ -230,12 +293,7 @@ UNSUPPORTED(fmi3GetAdjointDerivative, Vr u, size_t nu, Vr k, size_t nk, const fm
             fmi3Float64 d[], size_t nd)
 UNSUPPORTED(fmi3EnterConfigurationMode)
 UNSUPPORTED(fmi3ExitConfigurationMode)
-UNSUPPORTED(fmi3EnterEventMode)
 UNSUPPORTED(fmi3EnterStepMode)
-UNSUPPORTED(fmi3EnterContinuousTimeMode)
-UNSUPPORTED(fmi3EvaluateDiscreteStates)
-UNSUPPORTED(fmi3UpdateDiscreteStates, fmi3Boolean* a, fmi3Boolean* b, fmi3Boolean* d, fmi3Boolean* e,
-            fmi3Boolean* f, fmi3Float64* t)
 UNSUPPORTED(fmi3GetIntervalDecimal, Vr vr, size_t n, fmi3Float64 v[], fmi3IntervalQualifier q[])
 UNSUPPORTED(fmi3GetIntervalFraction, Vr vr, size_t n, fmi3UInt64 a[], fmi3UInt64 b[], fmi3IntervalQualifier q[])
 UNSUPPORTED(fmi3GetShiftDecimal, Vr vr, size_t n, fmi3Float64 v[])
@@ -244,14 +302,5 @@ UNSUPPORTED(fmi3SetIntervalDecimal, Vr vr, size_t n, const fmi3Float64 v[])
 UNSUPPORTED(fmi3SetIntervalFraction, Vr vr, size_t n, const fmi3UInt64 a[], const fmi3UInt64 b[])
 UNSUPPORTED(fmi3SetShiftDecimal, Vr vr, size_t n, const fmi3Float64 v[])
 UNSUPPORTED(fmi3SetShiftFraction, Vr vr, size_t n, const fmi3UInt64 a[], const fmi3UInt64 b[])
-UNSUPPORTED(fmi3CompletedIntegratorStep, fmi3Boolean a, fmi3Boolean* b, fmi3Boolean* d)
-UNSUPPORTED(fmi3SetTime, fmi3Float64 t)
-UNSUPPORTED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
-UNSUPPORTED(fmi3GetContinuousStateDerivatives, fmi3Float64 x[], size_t n)
-UNSUPPORTED(fmi3GetEventIndicators, fmi3Float64 x[], size_t n)
-UNSUPPORTED(fmi3GetContinuousStates, fmi3Float64 x[], size_t n)
-UNSUPPORTED(fmi3GetNominalsOfContinuousStates, fmi3Float64 x[], size_t n)
-UNSUPPORTED(fmi3GetNumberOfEventIndicators, size_t* n)
-UNSUPPORTED(fmi3GetNumberOfContinuousStates, size_t* n)
 UNSUPPORTED(fmi3GetOutputDerivatives, Vr vr, size_t n, const fmi3Int32 order[], fmi3Float64 v[], size_t m)
 UNSUPPORTED(fmi3ActivateModelPartition, fmi3ValueReference clock, fmi3Float64 t)

@@ -48,6 +48,7 @@ def documentation(model: FmuModel, fmi: int) -> dict[str, bytes]:
         project=project(),
         inputs=[v for v in model.variables if v.causality == "input"],
         outputs=[v for v in model.variables if v.causality == "output"],
+        locals=[v for v in model.variables if v.causality == "local"],
         parameters=[v for v in parameters if v.name not in of_effects],
         effects=effects,
     )

@@ -118,11 +118,11 @@ def _build(
 
 
 def component_text(component: Component) -> str:
-    """A component as JSON, equations serialized by CasADi; shortcuts, which `Run` never takes, not.
+    """A component as JSON, equations serialized by CasADi, without what `Run` never takes.
 
     `script.read_component` reads it.
     """
-    fields = asdict(replace(component, shortcuts=()))
+    fields = asdict(replace(component, shortcuts=(), continuous=None))
     return json.dumps(fields, default=_function, allow_nan=False, indent=1)
 
 

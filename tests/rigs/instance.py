@@ -4,7 +4,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import fmpy
 import numpy as np
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 class Instance:
     """An FMU behind FMPy; what it says through the logger is in `messages`."""
 
+    model_types: tuple[type, type] = (FMU2Slave, FMU3Slave)
+
     def __init__(self, folder: Path, instantiated: bool = True) -> None:
         description = fmpy.read_model_description(str(folder))
         self.fmi = 2 if description.fmiVersion.startswith("2") else 3
@@ -30,7 +32,7 @@ class Instance:
         self.booleans = {v.name for v in description.modelVariables if v.type == "Boolean"}
         self.output_names = [v.name for v in description.modelVariables if v.causality == "output"]
         self.messages: list[str] = []
-        self.fmu = (FMU2Slave if self.fmi == 2 else FMU3Slave)(
+        self.fmu = self.model_types[self.fmi - 2](
             guid=description.guid if self.fmi == 2 else description.instantiationToken,
             modelIdentifier=description.coSimulation.modelIdentifier,
             unzipDirectory=str(folder),
@@ -66,7 +68,7 @@ class Instance:
         """End initialisation."""
         self.fmu.exitInitializationMode()
 
-    def start(self, starts: Mapping[str, float] | None = None, time_s: float = 0.0) -> "Instance":
+    def start(self, starts: Mapping[str, float] | None = None, time_s: float = 0.0) -> Self:
         """Initialise."""
         self.enter(starts, time_s)
         self.leave()

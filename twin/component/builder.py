@@ -10,7 +10,16 @@ from collections.abc import Iterable, Sequence
 import casadi as ca
 
 from ..errors import ModelError
-from .component import Component, DelayLine, Sampling, Shortcut, State, Variable, check_range
+from .component import (
+    Component,
+    Continuous,
+    DelayLine,
+    Sampling,
+    Shortcut,
+    State,
+    Variable,
+    check_range,
+)
 
 
 class ComponentBuilder:
@@ -27,6 +36,8 @@ class ComponentBuilder:
         self._period: str | None = None
         self._noise: list[tuple[ca.SX, ca.SX]] = []
         self._delayed: list[tuple[DelayLine, ca.SX, ca.SX, ca.SX]] = []
+        self._crossings: list[tuple[tuple[str, str, str], ca.SX]] = []
+        self._rests: ca.SX | None = None
 
     def parameter(
         self,
@@ -153,6 +164,17 @@ class ComponentBuilder:
         """
         self._idle.append((condition, step, switches))
 
+    def crossing(self, name: str, unit: str, description: str, expression: ca.SX) -> None:
+        """Say that derivatives jump where an expression of states and parameters changes sign.
+
+        Solvers that choose their own steps look for the instant; it must not be 0 throughout.
+        """
+        self._crossings.append(((name, unit, description), ca.SX(expression)))
+
+    def rests_while(self, condition: ca.SX) -> None:
+        """Say, by an expression of parameters, when nothing feels what is done at instants."""
+        self._rests = condition
+
     def build(self) -> Component:
         """Turn the collected equations into a component."""
         if self._period is not None and not self._noise:
@@ -192,6 +214,7 @@ class ComponentBuilder:
                 step=_rk4(f"cheap_step_{i}", cheap, project),
                 outputs=ca.Function(f"cheap_outputs_{i}", [x, u, p], [ca.cse(cheap_y)]),
                 update=update,
+                derivatives=cheap,
             )
 
         return Component(
@@ -208,7 +231,20 @@ class ComponentBuilder:
             max_step_s=self._max_step_s,
             shortcuts=tuple(shortcut(i, *idle) for i, idle in enumerate(self._idle)),
             sampling=sampling,
+            continuous=Continuous(
+                states=tuple(i for i, name in enumerate(self._states) if name in self._rates),
+                project=project,
+                crossings=ca.Function("z", [x, u, p], [_column(z for _, z in self._crossings)]),
+                crossing_names=tuple(about for about, _ in self._crossings),
+                rests=ca.Function("rests", [p], [self._resting()]),
+            ),
         )
+
+    def _resting(self) -> ca.SX:
+        """Whether instants are not felt: never, where nobody has said when."""
+        if self._rests is not None:
+            return self._rests
+        return ca.SX(self._period is None)
 
     def _sampling(self, x: ca.SX, u: ca.SX, p: ca.SX) -> Sampling | None:
         if self._period is None:

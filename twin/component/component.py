@@ -29,7 +29,7 @@ from .along import mapped
 from .noise import normal
 
 Array = NDArray[np.float64]
-Causality = Literal["parameter", "input", "output"]
+Causality = Literal["parameter", "input", "output", "local"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Variable:
 
     Attributes:
         name: FMI name, dots for structure (`rotor_1.x`).
-        causality: Who sets it.
+        causality: Who sets it; local: of an FMU alone, for solvers.
         unit: SI unit; "1" for a pure number.
         description: One line.
         start: Value before anybody sets it; an output has none.
@@ -79,12 +79,14 @@ class Shortcut:
         outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
         update: `(x, u, p, w, d) -> x`, the same numbers as the full update then, h = 0; None: the
             component is not sampled.
+        derivatives: `(x, u, p) -> dx/dt`, the same numbers as the full ones then, h = 0.
     """
 
     holds: ca.Function = field(repr=False)
     step: ca.Function = field(repr=False)
     outputs: ca.Function = field(repr=False)
     update: ca.Function | None = field(repr=False)
+    derivatives: ca.Function = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +128,25 @@ class Sampling:
     update: ca.Function = field(repr=False)
 
 
+@dataclass(frozen=True, slots=True)
+class Continuous:
+    """What a solver outside needs that chooses its own steps, as in model exchange.
+
+    Attributes:
+        states: Places of the integrated states among all; the others are memory.
+        project: `x -> x`, onto the states that can be, such as a quaternion's unit length.
+        crossings: `(x, u, p) -> z`: where one of these changes sign, the derivatives may jump.
+        crossing_names: Name, unit and description of each.
+        rests: `p -> 0 or 1`: whether what happens at sample instants is felt by nothing.
+    """
+
+    states: tuple[int, ...]
+    project: ca.Function = field(repr=False)
+    crossings: ca.Function = field(repr=False)
+    crossing_names: tuple[tuple[str, str, str], ...] = field(repr=False)
+    rests: ca.Function = field(repr=False)
+
+
 @dataclass(frozen=True)
 class Component:
     """Equations and interface table, made by `component_builder.ComponentBuilder`.
@@ -138,6 +159,7 @@ class Component:
         sampling: What happens at sample instants; None: nothing does.
         shortcuts: Cheaper ways to the same numbers, tried in this order.
         max_step_s: Longest RK4 step; longer communication steps are divided into equal parts.
+        continuous: For solvers that choose their own steps; None: it has been left out.
 
     The CasADi functions take columns; a matrix with one column per sample is a batch.
     """
@@ -155,6 +177,7 @@ class Component:
     max_step_s: float
     shortcuts: tuple[Shortcut, ...] = ()
     sampling: Sampling | None = None
+    continuous: Continuous | None = None
 
     def __repr__(self) -> str:
         sizes = {

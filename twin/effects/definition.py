@@ -258,6 +258,15 @@ class Block:
         """A standard normal draw, new at each sample instant, 0 while off; for use in updates."""
         return self._m.noise(self.enabled)
 
+    def crossing(self, name: str, unit: str, description: str, expression: ca.SX) -> None:
+        """Say that derivatives jump where an expression changes sign; 1 while the effect is off."""
+        self._m.crossing(
+            f"{self._effect.name}.{name}",
+            unit,
+            f"{self._effect.name}: {description}",
+            ca.if_else(self.enabled, expression, 1.0),
+        )
+
     def delayed(self, name: str, signal: ca.SX, delay_s: ca.SX, samples: int) -> ca.SX:
         """What a signal was a while before each sample instant; for use in updates."""
         return self._m.delayed(f"{self._effect.name}.{name}", signal, delay_s, samples)
@@ -268,11 +277,13 @@ class Blocks:
 
     Attributes:
         switches: Symbols of the `<effect>.enabled` parameters so far.
+        sampled: Those of effects that act at sample instants.
     """
 
     def __init__(self, m: ComponentBuilder, vehicle: Vehicle, effects: Iterable[Effect]) -> None:
         self._m, self._vehicle, self._effects = m, vehicle, list(effects)
         self.switches: list[ca.SX] = []
+        self.sampled: list[ca.SX] = []
 
     def apply(self, stage: Stage) -> Stage:
         """The stage after all effects that change its class, each blended in by its switch."""
@@ -281,6 +292,8 @@ class Blocks:
                 continue
             block = Block(self._m, effect, self._vehicle)
             self.switches.append(block.enabled)
+            if effect.period is not None:
+                self.sampled.append(block.enabled)
             stage = _blend(block.enabled, effect.term(stage, block), stage)
         return stage
 

@@ -85,6 +85,7 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
     relative = [a - b for a, b in zip(v, motion.vel_n, strict=True)]
     stretch = sum((a * b for a, b in zip(along, relative, strict=True)), start=ca.SX(0))
     taut = distance > length
+    p.crossing("slack", "m", "what the rope hangs through, at 0 it pulls", length - distance)
     tension = ca.if_else(
         taut, ca.fmax(stiffness * (distance - length) + damping * stretch, 0.0), 0.0
     )

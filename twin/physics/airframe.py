@@ -91,6 +91,8 @@ def _equations(
     switches = [contact.enabled, *blocks.switches]
     m.idle_while(ca.logic_and(blocks.off(), contact.out_of_reach), contact.step, switches)
     blocks.idle()
+    if not restart:
+        m.rests_while(sum(blocks.sampled, start=ca.SX(0)) == 0)
 
     force_b, moment_b = (
         [a + b + c for a, b, c in zip(*parts, strict=True)]

@@ -97,10 +97,16 @@ def ground_contact(
     speed = [v + r * height for v, r in zip(vel_n, rates[2], strict=True)]
     force_n: list[ca.SX] = [ca.SX(0.0)] * 3
     moment_n: list[ca.SX] = [ca.SX(0.0)] * 3
-    for x, y, _ in vehicle.rotors.position_m.tolist():
+    for foot, (x, y, _) in enumerate(vehicle.rotors.position_m.tolist(), start=1):
         reach_n = [a * x + b * y + c for a, b, c in zip(columns[0], columns[1], below, strict=True)]
         v_n = [a * x + b * y + c for a, b, c in zip(rates[0], rates[1], speed, strict=True)]
         depth = pos_n[2] + reach_n[2] - z_ground
+        m.crossing(
+            f"ground.depth_{foot}",
+            "m",
+            f"Depth of foot {foot} in the ground, -1 without ground; where it is 0 the damper acts",
+            ca.if_else(enabled, depth, -1.0),
+        )
         push = stiffness * depth + damping * v_n[2]
         normal = ca.if_else(ca.logic_and(depth > 0, push > 0), enabled * push, 0.0)
         grip = friction * normal / ca.sqrt(v_n[0] ** 2 + v_n[1] ** 2 + SLIP_SPEED_M_S**2)

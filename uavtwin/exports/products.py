@@ -18,6 +18,8 @@ from twin.errors import TwinError
 from ..output import sha256
 from .parts import Twin
 
+EXCHANGED = ("airframe",)
+"""Components that a solver of the importer may integrate, beside co-simulation."""
 Exportable = Component | FmuModel | NetworkFile | Twin
 
 
@@ -114,7 +116,9 @@ def products_of(
         return [_compensator_product(what, versions, python_slave, starts)]
     if isinstance(what, Component):
         ready = what.with_starts(starts.of(what))
-        return [_slave(ready) if python_slave else _native(component_model(ready))]
+        if python_slave:
+            return [_slave(ready)]
+        return [_native(component_model(ready, exchange=ready.name in EXCHANGED))]
     if isinstance(what, FmuModel):
         return [_native(what.with_starts(starts.of(what)))]
     raise TwinError(
