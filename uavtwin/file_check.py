@@ -124,8 +124,13 @@ def _check_fmu(path: Path) -> CheckReport:
     report = inspect_fmu(path)
     uses = []
     runs_here = report.facts["platforms"] != "none"
-    if runs_here and not report.problems and "co-simulation" in report.facts["format"]:
-        uses.append(f"co-simulation on {report.facts['platforms']}: fmpy simulate {path.name}")
+    for kind, option in (
+        ("co-simulation", ""),
+        ("model exchange", " --interface-type ModelExchange"),
+    ):
+        if runs_here and not report.problems and kind in report.facts["format"]:
+            command = f"fmpy simulate {path.name}{option}"
+            uses.append(f"{kind} on {report.facts['platforms']}: {command}")
     return CheckReport(path.name, report.facts, report.problems, (), (), tuple(uses))
 
 

@@ -1,12 +1,13 @@
 """The page that an FMU carries: what it is, how it is run, its frames, its variables and effects.
 
 FMI 2.0.1 section 2.3 and FMI 3.0 section 2.5.1: `documentation/index.html` is where tools begin,
-`documentation/licenses/license.txt` is the licence.
+`documentation/licenses/license.txt` is the licence. `icon.png` is `icon.svg`, as a browser draws it.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from importlib import resources
 
 import jinja2
 
@@ -14,6 +15,7 @@ from twin.component import Variable
 from twin.effects import EFFECTS, Effect
 
 from ..model import FmuModel
+from ..terminals import terminals_and_icons
 from .project import project
 
 
@@ -55,6 +57,19 @@ def documentation(model: FmuModel, fmi: int) -> dict[str, bytes]:
     return {
         "documentation/index.html": page.encode(),
         "documentation/licenses/license.txt": project().text.encode(),
+        **_icon(model, fmi),
+    }
+
+
+def _icon(model: FmuModel, fmi: int) -> dict[str, bytes]:
+    """Where each version looks for it; with it, in FMI 3, the terminals."""
+    own = resources.files(__package__)
+    if fmi == 2:
+        return {"model.png": (own / "icon.png").read_bytes()}
+    return {
+        "terminalsAndIcons/icon.png": (own / "icon.png").read_bytes(),
+        "terminalsAndIcons/icon.svg": (own / "icon.svg").read_bytes(),
+        "terminalsAndIcons/terminalsAndIcons.xml": terminals_and_icons(model),
     }
 
 

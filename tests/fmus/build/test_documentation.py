@@ -1,18 +1,21 @@
 """What an FMU says about itself to people."""
 
 import re
+import struct
 import zipfile
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import pytest
 from fmpy import read_model_description
-from lxml import html
+from lxml import etree, html
 
-from fmus import build, component_model
+from fmus import build, component_model, fuse
 from fmus.documentation import documentation, project
 from twin.effects import EFFECTS, effects_of
 from twin.physics.airframe import airframe
+from twin.physics.sensors.imu import imu
 from twin.vehicle.file import load_vehicle
 
 COPTER = load_vehicle("copter_default")
@@ -45,6 +48,47 @@ def test_it_is_in_the_archive_with_licence_and_author(tmp_path: Path, fmi: int) 
     assert description.author == project().author
     assert description.license == "BSD-3-Clause"
     assert description.version == project().version
+
+
+XSD = Path(str(resources.files("fmpy"))) / "schema" / "fmi3" / "fmi3TerminalsAndIcons.xsd"
+
+
+def test_terminals_are_as_the_standard_says_and_fit_together() -> None:
+    """By the schema of FMI 3; what an airframe gives and an IMU takes have the same members."""
+    schema = etree.XMLSchema(file=XSD)
+    members: dict[str, dict[str, set[str]]] = {}
+    models = {
+        "airframe": component_model(airframe(COPTER)),
+        "imu": component_model(imu(COPTER)),
+        "fused": fuse("fused", "Both", {"a": airframe(COPTER), "s": imu(COPTER)}, []),
+    }
+    for name, model in models.items():
+        root = etree.fromstring(
+            documentation(model, 3)["terminalsAndIcons/terminalsAndIcons.xml"]
+        )
+        schema.assertValid(root)
+        ports = {v.name for v in model.variables if v.causality in ("input", "output")}
+        assert {m.get("variableName") for m in root.iter("TerminalMemberVariable")} <= ports
+        members[name] = {
+            "/".join(t.get("name", "") for t in [*terminal.iterancestors("Terminal"), terminal]): {
+                m.get("memberName", "") for m in terminal.findall("TerminalMemberVariable")
+            }
+            for terminal in root.iter("Terminal")
+        }
+    assert members["airframe"]["motor_commands"] == {f"cmd_{i}" for i in range(1, 5)}
+    assert members["imu"]["motion"] < members["airframe"]["motion"]
+    assert members["imu"]["sensors"] == {f"{s}_{a}" for s in ("acc", "gyro") for a in "xyz"}
+    assert members["fused"]["a/motion"] == members["airframe"]["motion"]
+    assert members["fused"]["s/sensors"] == members["imu"]["sensors"]
+
+
+@pytest.mark.parametrize(("fmi", "place"), [(2, "model.png"), (3, "terminalsAndIcons/icon.png")])
+def test_icon(fmi: int, place: str) -> None:
+    """A small picture in PNG, its edges equal, as the first chunk says."""
+    icon = documentation(component_model(imu(COPTER)), fmi)[place]
+    assert icon.startswith(b"\x89PNG\r\n") and len(icon) < 20_000
+    width, height = struct.unpack(">II", icon[16:24])
+    assert width == height >= 100
 
 
 def test_texts_of_others_are_text_there() -> None:
