@@ -9,7 +9,7 @@ from twin.component import Variable
 from .documentation.project import project
 from .exchange import ExchangeState
 from .model import FmuModel, check_interface
-from .units import base_exponents
+from .units import DISPLAY_UNITS, base_exponents, usual_size
 
 
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
@@ -64,8 +64,7 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         for name in sources:
             etree.SubElement(files, "File", name=name)
     _unit_definitions(root, model)
-    categories = etree.SubElement(root, "LogCategories")
-    etree.SubElement(categories, "Category", name="logStatusError", description="Errors")
+    _log_categories(root)
     _default_experiment(root, model)
     table = etree.SubElement(root, "ModelVariables")
     index = {v.name: i for i, v in enumerate(model.variables, start=1)}
@@ -117,8 +116,7 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         etree.SubElement(root, "ModelExchange", **common, needsCompletedIntegratorStep="false")
     etree.SubElement(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize="true")
     _unit_definitions(root, model)
-    categories = etree.SubElement(root, "LogCategories")
-    etree.SubElement(categories, "Category", name="logStatusError", description="Errors")
+    _log_categories(root)
     _default_experiment(root, model)
     table = etree.SubElement(root, "ModelVariables")
     etree.SubElement(
@@ -250,6 +248,9 @@ def _type_element(parent: etree._Element, tag: str, variable: Variable) -> etree
         element.set("min", repr(float(variable.minimum)))
     if variable.maximum is not None:
         element.set("max", repr(float(variable.maximum)))
+    if variable.unit in DISPLAY_UNITS:
+        element.set("displayUnit", DISPLAY_UNITS[variable.unit][0])
+    element.set("nominal", repr(usual_size(variable.unit, variable.start)))
     if not _computed(variable):
         element.set("start", repr(float(variable.start)))
     return element
@@ -260,9 +261,31 @@ def _unit_definitions(root: etree._Element, model: FmuModel) -> None:
     for name in sorted({v.unit for v in model.variables if not v.boolean} | {"s"}):
         unit = etree.SubElement(definitions, "Unit", name=name)
         etree.SubElement(unit, "BaseUnit", {k: str(e) for k, e in base_exponents(name).items()})
+        if name in DISPLAY_UNITS:
+            shown, factor = DISPLAY_UNITS[name]
+            etree.SubElement(unit, "DisplayUnit", name=shown, factor=repr(factor))
+
+
+STEP_S = 0.01
+"""Communication step for who asks for none: a tenth of the work of 1 ms, and the inner step stays
+what it is."""
+TOLERANCE = 1e-8
+"""Relative tolerance for who asks for none, in model exchange."""
+CATEGORIES = {
+    "logStatusError": "Errors",
+    "logEvents": "Begin and end, events, reset and restored states; only when asked for",
+}
+
+
+def _log_categories(root: etree._Element) -> None:
+    categories = etree.SubElement(root, "LogCategories")
+    for name, description in CATEGORIES.items():
+        etree.SubElement(categories, "Category", name=name, description=description)
 
 
 def _default_experiment(root: etree._Element, model: FmuModel) -> None:
-    etree.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(model.longest_step_s)
+    experiment = etree.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime="10", stepSize=repr(STEP_S)
     )
+    if model.exchange is not None:
+        experiment.set("tolerance", repr(TOLERANCE))

@@ -1,5 +1,6 @@
 """Units of FMU variables as exponents of the SI base units that FMI knows."""
 
+import math
 import re
 
 BASE_UNITS: dict[str, dict[str, int]] = {
@@ -42,6 +43,25 @@ BASE_UNITS: dict[str, dict[str, int]] = {
     "T": {"kg": 1, "s": -2, "A": -1},
     "T/A": {"kg": 1, "s": -2, "A": -2},
 }
+
+
+DISPLAY_UNITS: dict[str, tuple[str, float]] = {
+    "rad": ("deg", 180 / math.pi),
+    "rad/s": ("deg/s", 180 / math.pi),
+    "rad/s2": ("deg/s2", 180 / math.pi),
+    "T": ("uT", 1e6),
+    "Pa": ("hPa", 1e-2),
+}
+"""How people write some of them: name, and what one of ours is in it."""
+USUAL_SIZES = {"Pa": 1e5, "T": 1e-5, "V": 10.0, "m/s2": 10.0, "rad/s2": 10.0}
+"""Of a quantity without a start value of its own, where it is far from 1."""
+
+
+def usual_size(unit: str, start: float) -> float:
+    """Nominal value: the power of ten below the start value, or what is usual of the unit."""
+    if start == 0 or not math.isfinite(start):
+        return USUAL_SIZES.get(unit, 1.0)
+    return float(f"1e{math.floor(math.log10(abs(start)))}")
 
 
 _RATE = re.compile(r"(.+)/s([0-9]?)")

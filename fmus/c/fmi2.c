@@ -11,6 +11,7 @@ typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     double start_time;
+    int tells; /* of events, category logEvents; errors are always told */
     char name[1]; /* grows with the instance name */
 } Host;
 
@@ -18,8 +19,8 @@ static Host* host(fmi2Component c) { return ((Instance*)c)->host; }
 
 /* The logger takes a printf format. Many importers never expand it, so the text goes in as the
  * format itself, with its percent signs doubled. */
-static void log_error(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char* name,
-                      const char* message) {
+static void log_text(fmi2CallbackLogger logger, fmi2ComponentEnvironment environment, const char* name,
+                     fmi2Status as, const char* message) {
     char format[700];
     size_t n = 0;
     if (!logger) return;
@@ -28,14 +29,25 @@ static void log_error(fmi2CallbackLogger logger, fmi2ComponentEnvironment enviro
         format[n++] = *p;
     }
     format[n] = 0;
-    logger(environment, name, fmi2Error, "logStatusError", format);
+    logger(environment, name, as, as == fmi2OK ? "logEvents" : "logStatusError", format);
 }
 
 static fmi2Status status(fmi2Component c, int code) {
     if (code == 0) return fmi2OK;
     Host* h = host(c);
-    log_error(h->logger, h->environment, h->name, ((Instance*)c)->message);
+    log_text(h->logger, h->environment, h->name, fmi2Error, ((Instance*)c)->message);
     return fmi2Error;
+}
+
+/* The same, and what went well is told, with its time, to who asked for events. */
+static fmi2Status event(fmi2Component c, int code, const char* what) {
+    Host* h = host(c);
+    char text[120];
+    if (code == 0 && h->tells) {
+        snprintf(text, sizeof text, "%s at %.9g s", what, ((Instance*)c)->state->time);
+        log_text(h->logger, h->environment, h->name, fmi2OK, text);
+    }
+    return status(c, code);
 }
 
 static fmi2Status refuse(fmi2Component c, const char* what) {
@@ -77,7 +89,7 @@ const char* fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
                               fmi2String fmuResourceLocation, const fmi2CallbackFunctions* functions,
                               fmi2Boolean visible, fmi2Boolean loggingOn) {
-    (void)visible, (void)loggingOn;
+    (void)visible;
     fmi2CallbackLogger logger = functions ? functions->logger : NULL;
     fmi2ComponentEnvironment environment = functions ? functions->componentEnvironment : NULL;
     const char* name = instanceName ? instanceName : "";
@@ -94,10 +106,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     }
     if (!c) {
         free(h);
-        log_error(logger, environment, name, message);
+        log_text(logger, environment, name, fmi2Error, message);
         return NULL;
     }
     strcpy(h->name, name);
+    h->tells = loggingOn != fmi2False;
     h->logger = logger;
     h->environment = environment;
     c->host = h;
@@ -111,7 +124,11 @@ void fmi2FreeInstance(fmi2Component c) {
 }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories;
+    if (n == 0) host(c)->tells = on != fmi2False;
+    for (size_t i = 0; i < n; i++) {
+        if (strcmp(categories[i], "logEvents") == 0) host(c)->tells = on != fmi2False;
+        else if (strcmp(categories[i], "logStatusError") != 0) return refuse(c, "there is no such log category");
+    }
     return fmi2OK;
 }
 
@@ -125,12 +142,14 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     return status(c, core_enter_initialization(c, host(c)->start_time));
 }
-fmi2Status fmi2ExitInitializationMode(fmi2Component c) { return status(c, core_exit_initialization(c)); }
-fmi2Status fmi2Terminate(fmi2Component c) { return status(c, core_terminate(c)); }
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    return event(c, core_exit_initialization(c), "initialized");
+}
+fmi2Status fmi2Terminate(fmi2Component c) { return event(c, core_terminate(c), "terminated"); }
 fmi2Status fmi2Reset(fmi2Component c) {
     core_reset(c);
     host(c)->start_time = 0;
-    return fmi2OK;
+    return event(c, 0, "reset, now");
 }
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
@@ -172,7 +191,8 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate* state) {
     return fmi2OK;
 }
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) {
-    return state ? status(c, core_restore(c, state, core_saved_size(c))) : refuse(c, "no state was saved");
+    if (!state) return refuse(c, "no state was saved");
+    return event(c, core_restore(c, state, core_saved_size(c)), "restored a state, now");
 }
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate* state) {
     (void)c;
@@ -203,7 +223,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean no
     (void)noSetFMUStatePrior;
     return status(c, core_step(c, time, h));
 }
-fmi2Status fmi2EnterEventMode(fmi2Component c) { return status(c, core_enter_event(c)); }
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return event(c, core_enter_event(c), "event"); }
 fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) { return status(c, core_enter_time(c)); }
 fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo* info) {
     int moved;

@@ -10,6 +10,7 @@
 typedef struct {
     fmi3LogMessageCallback log;
     fmi3InstanceEnvironment environment;
+    int tells; /* of events, category logEvents; errors are always told */
 } Host;
 
 static fmi3Status status(fmi3Instance c, int code) {
@@ -17,6 +18,17 @@ static fmi3Status status(fmi3Instance c, int code) {
     Host* h = ((Instance*)c)->host;
     if (h->log) h->log(h->environment, fmi3Error, "logStatusError", ((Instance*)c)->message);
     return fmi3Error;
+}
+
+/* The same, and what went well is told, with its time, to who asked for events. */
+static fmi3Status event(fmi3Instance c, int code, const char* what) {
+    Host* h = ((Instance*)c)->host;
+    char text[120];
+    if (code == 0 && h->tells && h->log) {
+        snprintf(text, sizeof text, "%s at %.9g s", what, ((Instance*)c)->state->time);
+        h->log(h->environment, fmi3OK, "logEvents", text);
+    }
+    return status(c, code);
 }
 
 static fmi3Status refuse(fmi3Instance c, const char* what) {
@@ -27,7 +39,8 @@ static fmi3Status refuse(fmi3Instance c, const char* what) {
 const char* fmi3GetVersion(void) { return fmi3Version; }
 
 static fmi3Instance instantiate(const char* wrong, const char* token, const char* resources, int exchange,
-                                fmi3InstanceEnvironment environment, fmi3LogMessageCallback log) {
+                                fmi3Boolean tells, fmi3InstanceEnvironment environment,
+                                fmi3LogMessageCallback log) {
     char message[320] = "";
     Instance* c = NULL;
     Host* h = NULL;
@@ -44,6 +57,7 @@ static fmi3Instance instantiate(const char* wrong, const char* token, const char
         if (log) log(environment, fmi3Error, "logStatusError", message);
         return NULL;
     }
+    h->tells = tells;
     h->log = log;
     h->environment = environment;
     c->host = h;
@@ -56,19 +70,19 @@ fmi3Instance fmi3InstantiateCoSimulation(
     const fmi3ValueReference requiredIntermediateVariables[], size_t nRequiredIntermediateVariables,
     fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3IntermediateUpdateCallback intermediateUpdate) {
-    (void)instanceName, (void)visible, (void)loggingOn, (void)earlyReturnAllowed;
+    (void)instanceName, (void)visible, (void)earlyReturnAllowed;
     (void)requiredIntermediateVariables, (void)nRequiredIntermediateVariables, (void)intermediateUpdate;
     const char* wrong = eventModeUsed ? "event mode is not supported in co-simulation" : NULL;
-    return instantiate(wrong, instantiationToken, resourcePath, 0, environment, log);
+    return instantiate(wrong, instantiationToken, resourcePath, 0, loggingOn, environment, log);
 }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String instantiationToken,
                                           fmi3String resourcePath, fmi3Boolean visible,
                                           fmi3Boolean loggingOn, fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback log) {
-    (void)instanceName, (void)visible, (void)loggingOn;
+    (void)instanceName, (void)visible;
     const char* wrong = core_can_exchange() ? NULL : "only co-simulation is supported";
-    return instantiate(wrong, instantiationToken, resourcePath, 1, environment, log);
+    return instantiate(wrong, instantiationToken, resourcePath, 1, loggingOn, environment, log);
 }
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String a, fmi3String b, fmi3String c, fmi3Boolean d,
                                                fmi3Boolean e, fmi3InstanceEnvironment environment,
@@ -86,7 +100,12 @@ void fmi3FreeInstance(fmi3Instance c) {
 }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
-    (void)c, (void)on, (void)n, (void)categories;
+    Host* h = ((Instance*)c)->host;
+    if (n == 0) h->tells = on;
+    for (size_t i = 0; i < n; i++) {
+        if (strcmp(categories[i], "logEvents") == 0) h->tells = on;
+        else if (strcmp(categories[i], "logStatusError") != 0) return refuse(c, "there is no such log category");
+    }
     return fmi3OK;
 }
 
@@ -96,11 +115,13 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefi
     (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
     return status(c, core_enter_initialization(c, startTime));
 }
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c) { return status(c, core_exit_initialization(c)); }
-fmi3Status fmi3Terminate(fmi3Instance c) { return status(c, core_terminate(c)); }
+fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
+    return event(c, core_exit_initialization(c), "initialized");
+}
+fmi3Status fmi3Terminate(fmi3Instance c) { return event(c, core_terminate(c), "terminated"); }
 fmi3Status fmi3Reset(fmi3Instance c) {
     core_reset(c);
-    return fmi3OK;
+    return event(c, 0, "reset, now");
 }
 
 fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[],
@@ -174,7 +195,8 @@ fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState* state) {
     return fmi3OK;
 }
 fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state) {
-    return state ? status(c, core_restore(c, state, core_saved_size(c))) : refuse(c, "no state was saved");
+    if (!state) return refuse(c, "no state was saved");
+    return event(c, core_restore(c, state, core_saved_size(c)), "restored a state, now");
 }
 fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState* state) {
     (void)c;
@@ -213,7 +235,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boole
     return status(c, code);
 }
 
-fmi3Status fmi3EnterEventMode(fmi3Instance c) { return status(c, core_enter_event(c)); }
+fmi3Status fmi3EnterEventMode(fmi3Instance c) { return event(c, core_enter_event(c), "event"); }
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return status(c, core_enter_time(c)); }
 fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) {
     (void)c; /* everything is evaluated when it is asked for */

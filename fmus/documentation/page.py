@@ -1,7 +1,8 @@
 """The page that an FMU carries: what it is, how it is run, its frames, its variables and effects.
 
 FMI 2.0.1 section 2.3 and FMI 3.0 section 2.5.1: `documentation/index.html` is where tools begin,
-`documentation/licenses/license.txt` is the licence. `icon.png` is `icon.svg`, as a browser draws it.
+`documentation/licenses/license.txt` is the licence. `icon.png` is `icon.svg`, drawn by
+a browser.
 """
 
 from collections.abc import Iterator

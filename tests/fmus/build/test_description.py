@@ -104,6 +104,31 @@ def pint_text(unit: str) -> str:
     return re.sub(r"(?<=[a-zA-Z])(\d)", r"**\1", unit.replace(".", "*").replace("Ohm", "ohm"))
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_nominal_and_display_unit_of_everything_with_a_unit(fmu_file: FmuFile, fmi: int) -> None:
+    """Angles are shown in degrees, 180 of them to pi; a usual size is near the start value."""
+    description = fmpy.read_model_description(str(fmu_file("imu", fmi)))
+    shown = {
+        u.name: {d.name: float(d.factor) for d in u.displayUnits}
+        for u in description.unitDefinitions
+    }
+    assert shown["rad/s"] == {"deg/s": pytest.approx(180 / np.pi, rel=1e-15)}
+    real = [v for v in description.modelVariables if v.unit and v.name != "time"]
+    assert len(real) > 20
+    for v in real:
+        nominal = float(v.nominal)
+        assert nominal > 0, v.name
+        if v.start is not None and float(v.start):
+            assert nominal <= abs(float(v.start)) * (1 + 1e-9) < 10 * nominal * (1 + 1e-8), v.name
+        assert (v.displayUnit is not None) == bool(shown[v.unit]), v.name
+
+
+def test_the_default_step_keeps_the_times_round(fmu_file: FmuFile) -> None:
+    """FMPy takes it for the interval of its rows, and doubles it until there are 1000 at most."""
+    result = fmpy.simulate_fmu(str(fmu_file("battery", 2)), output=["vbat_v"])
+    np.testing.assert_allclose(result["time"], np.arange(1001) * 0.01, atol=1e-12)
+
+
 # -- dependencies ---------------------------------------------------------------------------
 
 PROBED = [

@@ -63,9 +63,7 @@ def test_terminals_are_as_the_standard_says_and_fit_together() -> None:
         "fused": fuse("fused", "Both", {"a": airframe(COPTER), "s": imu(COPTER)}, []),
     }
     for name, model in models.items():
-        root = etree.fromstring(
-            documentation(model, 3)["terminalsAndIcons/terminalsAndIcons.xml"]
-        )
+        root = etree.fromstring(documentation(model, 3)["terminalsAndIcons/terminalsAndIcons.xml"])
         schema.assertValid(root)
         ports = {v.name for v in model.variables if v.causality in ("input", "output")}
         assert {m.get("variableName") for m in root.iter("TerminalMemberVariable")} <= ports

@@ -131,3 +131,27 @@ def test_reset_forgets_everything(new: New, fmi: int) -> None:
     used.start({"mass": 2.0, "wind_x": 3.0, "initial.omega_x": 1.0}).run(20)
     used.fmu.reset()
     assert used.start().run(5).tobytes() == fresh.start().run(5).tobytes()
+
+
+def test_events_are_told_to_who_asks(new: New, fmi: int) -> None:
+    """Category logEvents: off by itself, on for as long as it is wanted."""
+    instance = new("battery", fmi)
+    instance.start()
+    assert instance.messages == []
+    instance.fmu.setDebugLogging(True, ["logEvents"])
+    saved = instance.fmu.getFMUState()
+    instance.step(0.0, 0.25)
+    instance.fmu.setFMUState(saved)
+    instance.fmu.freeFMUState(saved)
+    instance.fmu.reset()
+    instance.start(time_s=2.0)
+    instance.fmu.setDebugLogging(False, ["logEvents"])
+    instance.fmu.terminate()
+    assert instance.messages == [
+        "restored a state, now at 0 s",
+        "reset, now at 0 s",
+        "initialized at 2 s",
+    ]
+    with pytest.raises(FMICallException):
+        instance.fmu.setDebugLogging(True, ["logDreams"])
+    assert instance.messages[-1] == "there is no such log category"
