@@ -286,8 +286,8 @@ SAYS = {
     "swap_controller.py": r"lqr  0\.\d+ m rms(.|\n)*px4  0\.\d+ m rms",
     "replay_beside_twin.py": r"the twin is 0\.\d+ m off",
     "replay_through_corrected_twin.py": r"15 times(.|\n)*pos +0\.1\d+ +0\.0\d+ m(.|\n)*omega +0\.0",
-    "fly_in_ecos.py": r"100% of its mass: motor command 0\.\d+(.|\n)*110% .* command 0\.\d+",
-    "fly_in_libcosim.py": r"wind of 0 m/s: nose -?0\.0 (.|\n)*3 m/s: nose [4-6]\.\d degrees down",
+    "ecos_hover.py": r"100% of its mass: motor command 0\.\d+(.|\n)*110% .* command 0\.\d+",
+    "libcosim_hover.py": r"wind of 0 m/s: nose -?0\.0 (.|\n)*3 m/s: nose [4-6]\.\d degrees down",
     "integrate_outside.py": r"1e-05: \d\.\de-0\d m(.|\n)*1e-10: \d\.\de-(0[7-9]|1\d) m apart",
     "foreign_fmu.py": r"gust of 0 m/s: 0\.0\d+ m(.|\n)*gust of 8 m/s: 0\.[1-9]\d+ m",
 }

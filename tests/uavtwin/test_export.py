@@ -21,7 +21,9 @@ from cosim.master import Master
 from cosim.slave.interface import read_interface
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
+from twin.vehicle.file import load_vehicle
 from uavtwin.cli.export import Choice, export_components
+from uavtwin.exports.parts import component
 from uavtwin.exports.products import WrittenFile
 
 Array = NDArray[np.float64]
@@ -99,6 +101,18 @@ def test_every_variable_has_unit_and_description(
     with zipfile.ZipFile(path) as archive:
         assert any(n.startswith(PLATFORM[fmi]) for n in archive.namelist())
         assert any(n.startswith("sources/") for n in archive.namelist())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_no_input_is_ignored(name: str) -> None:
+    """By the sparsity of all that a component computes."""
+    c = component(name, load_vehicle("crazyflie"))
+    felt = [(c.outputs, 1), (c.derivatives, 1), (c.initial, 0)]
+    if c.sampling is not None:
+        felt += [(c.sampling.update, 1), (c.sampling.signals, 1)]
+    columns = {k for f, argument in felt for k in f.jac_sparsity(0, argument).get_triplet()[1]}
+    assert columns == set(range(len(c.inputs)))
 
 
 def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -1,25 +1,98 @@
 """Model exchange: the same motion by a solver outside, and what the standard asks for besides."""
 
+import ctypes
 import math
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import casadi as ca
 import fmpy
 import numpy as np
 import pytest
-from exchange_rig import Array, Exchanged, solved
 from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Model
+from fmpy.fmi3 import FMU3Model
 from fmpy.validation import validate_fmu
-from instance import Instance, unzip
+from instance import Array, Instance, unzip
 from lxml import etree
+from numpy.typing import NDArray
 
 from fmus import build, component_model, fuse
 from twin.component import Component, ComponentBuilder
 from twin.errors import FmuError
 from twin.physics.airframe import airframe
 from twin.vehicle.file import load_vehicle
+
+
+class Exchanged(Instance):
+    """An instance whose states somebody else integrates."""
+
+    model_types = (FMU2Model, FMU3Model)
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        description = fmpy.read_model_description(str(folder))
+        self.n_states = description.numberOfContinuousStates
+        self.moved = False
+        self.n_indicators = description.numberOfEventIndicators
+
+    def states(self) -> Array:
+        return self._vector(self.fmu.getContinuousStates, self.n_states)
+
+    def set_states(self, x: Array) -> None:
+        buffer = (ctypes.c_double * len(x))(*x)
+        self.fmu.setContinuousStates(buffer, len(x))
+
+    def rates(self) -> Array:
+        name = "getDerivatives" if self.fmi == 2 else "getContinuousStateDerivatives"
+        return self._vector(getattr(self.fmu, name), self.n_states)
+
+    def nominals(self) -> Array:
+        return self._vector(self.fmu.getNominalsOfContinuousStates, self.n_states)
+
+    def indicators(self) -> Array:
+        return self._vector(self.fmu.getEventIndicators, self.n_indicators)
+
+    def update(self) -> float:
+        """An event iteration: when the next event is, inf: never. `moved`: whether states have."""
+        fmu = self.fmu
+        again, end, nominals, moved, planned, next_s = (
+            fmu.newDiscreteStates() if self.fmi == 2 else fmu.updateDiscreteStates()
+        )
+        assert not (again or end or nominals)
+        self.moved = bool(moved)
+        return float(next_s) if planned else np.inf
+
+    def _vector(self, get: object, n: int) -> Array:
+        buffer = (ctypes.c_double * n)()
+        assert callable(get)
+        get(buffer, n)
+        return np.array(buffer)
+
+
+def solved(
+    path: Path,
+    stop_s: float,
+    outputs: list[str],
+    commands: NDArray[np.void],
+    starts: Mapping[str, float],
+    tolerance: float,
+) -> Array:
+    """By FMPy's CVode, a row each 10 ms, shape (n, outputs)."""
+    result = fmpy.simulate_fmu(
+        str(path),
+        fmi_type="ModelExchange",
+        stop_time=stop_s,
+        output_interval=0.01,
+        relative_tolerance=tolerance,
+        input=commands,
+        output=outputs,
+        start_values=dict(starts),
+        record_events=False,
+    )
+    return np.column_stack([np.asarray(result[n], dtype=np.float64).ravel() for n in outputs])
+
 
 New = Callable[[int], Exchanged]
 GRAVITY, HEIGHT_M, STIFFNESS = 9.81, 2.0, 4000.0

@@ -1,7 +1,7 @@
 """The twin in libcosim, the engine of the Open Simulation Platform: from its .ssp, no file of ours.
 
 It hovers, without wind and with one from the north. You will see how far its nose goes down:
-    python examples/fly_in_libcosim.py
+    python examples/libcosim_hover.py
 """
 
 import tempfile

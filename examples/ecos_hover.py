@@ -1,7 +1,7 @@
 """The twin in ecos, a co-simulation engine of others: from its .ssp, no file of ours.
 
 It hovers, as heavy as it is and a tenth heavier. You will see what its motors are asked for:
-    python examples/fly_in_ecos.py
+    python examples/ecos_hover.py
 """
 
 import tempfile
