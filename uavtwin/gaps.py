@@ -14,6 +14,7 @@ from .flights import opened_flights
 from .output import output_file
 from .report.gap import claim, write_gap_report
 from .report.hover import hover_sentence
+from .report.overview import Overview, overview
 from .series.table import TWIN, Column, Series, compared
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
@@ -32,9 +33,11 @@ class GapResult(Shown):
 
     Attributes:
         flights: Residuals, one per flight.
+        overviews: What each flight was, for the top of the page; none: not kept.
     """
 
     flights: tuple[FlightGap, ...]
+    overviews: tuple[Overview, ...] = ()
 
     @property
     def claim(self) -> str:
@@ -132,7 +135,7 @@ class GapResult(Shown):
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
         with output_file(Path(path)) as file:
-            write_gap_report(self.flights, file)
+            write_gap_report(self.flights, file, self.overviews)
         return Path(path)
 
     def sections(self) -> Iterable[str | TextTable]:
@@ -191,4 +194,4 @@ def gap(
             progress((i + done) / len(several))
 
         gaps.append(flight_gap(flight, model, horizon_s, share))
-    return GapResult(tuple(gaps))
+    return GapResult(tuple(gaps), tuple(overview(f) for f in several))

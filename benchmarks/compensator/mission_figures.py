@@ -9,10 +9,10 @@ from plotly.subplots import make_subplots
 
 from learning.data.channels import CHANNELS, GROUPS
 from learning.evaluation.metrics import rmse
-from uavtwin.report.learning_figures import styled, thin
 
 from .missions import MISSIONS, Flown
 from .palette import COLOURS, SHOWN, printed_units, unit_of
+from .style import styled, thin
 
 Array = NDArray[np.float64]
 POINTS = 700

@@ -17,11 +17,10 @@ from plotly.subplots import make_subplots
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
 from learning.evaluation.metrics import mse, rmse
-from uavtwin.report.figures import embedded
-from uavtwin.report.learning_figures import MAX_POINTS, styled, thin
-from uavtwin.report.page import render
+from uavtwin.report.page import plot, render
 
 from .palette import COLOURS, SHOWN, colours, printed_units, unit_of
+from .style import MAX_POINTS, styled, thin
 from .trainings import MODALITIES, rows_of, units
 
 Array = NDArray[np.float64]
@@ -68,10 +67,7 @@ Figures = Sequence[tuple[str, go.Figure]]
 
 def figures_page(figures: Figures) -> str:
     """One page that needs nothing else."""
-    drawn = [
-        {"id": f"f{i}", "title": title, "height": figure.layout.height, "json": embedded(figure)}
-        for i, (title, figure) in enumerate(figures)
-    ]
+    drawn = [(title, plot(f"f{i}", title, figure)) for i, (title, figure) in enumerate(figures)]
     return render("paper_figures.html.j2", {}, Path(__file__).parent, figures=drawn)
 
 

@@ -11,9 +11,8 @@ import plotly.graph_objects as go
 import psutil
 from plotly.subplots import make_subplots
 
-from uavtwin.report.learning_figures import styled, thin
-
 from .palette import COLOURS
+from .style import styled, thin
 
 SECONDS, RATE_HZ, EVERY_S = 12.0, 100.0, 0.2
 CLAIMED_MB = 2741

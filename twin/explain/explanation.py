@@ -84,6 +84,7 @@ class Explanation:
         settings: What decided all this.
         since: Flights of the calibration since which it is asked what has changed; None: it is
             asked what the model lacks.
+        recorded: All flights as they were read, stuck readings still in them.
     """
 
     verdict: Verdict
@@ -105,6 +106,7 @@ class Explanation:
     next_manoeuvre: Suggestion | None = None
     settings: SearchSettings = DEFAULT
     since: tuple[str, ...] | None = None
+    recorded: tuple[AnyFlight, ...] = ()
 
     __repr__ = short_repr
 
@@ -174,6 +176,7 @@ def explain(
         holdout=parts.away,
         settings=settings,
         since=asked,
+        recorded=(*read, *away),
     )
     if not parts.fit:
         return found

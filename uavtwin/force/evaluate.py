@@ -21,10 +21,10 @@ from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
 from ..flights import check_names
 from ..output import output_file
-from ..report.figures import embedded, pretty_unit
+from ..report.figures import pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import horizons_figure
-from ..report.page import render
+from ..report.page import plot, render
 from ..series.table import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.table import EXPLAINED as EXPLAINED_SIDE
 from ..shown import Shown, TextTable, counted
@@ -318,6 +318,6 @@ def write_force_report(found: ForceEvaluation, path: Path) -> None:
         quantities=QUANTITIES,
         rows=rows.to_dict("records"),
         hovers=[{"name": name, **_numbers(h)} for name, h in found.hovers.items()],
-        figure={"json": embedded(figure), "height": int(figure.layout.height)},
+        figure=plot("horizons", "How far twins are off after they were left alone", figure),
     )
     path.write_text(page, encoding="utf-8")

@@ -1,18 +1,32 @@
 """The page that `uavtwin explain` leaves: one sentence, the picture that convinces, the proof."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
-from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals, where_felt
+from twin.effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
+from twin.explain.estimates import (
+    beside_mean,
+    estimates_of,
+    listed_effects,
+    probability_of,
+    rivals,
+    where_felt,
+)
 from twin.explain.explanation import Explanation
+from twin.explain.model.flight import FlightModel
 
-from .explain_figures import before_after_figure, evidence_figure
-from .figures import embedded, pretty_unit
+from .explain_figures import (
+    agreement_figure,
+    before_after_figure,
+    evidence_figure,
+    loudest,
+)
+from .figures import pretty_unit
 from .gap import number, percent
-from .page import render
+from .page import Plot, plot, render
+from .panels import Spans, spans_of
+from .series import columns_of
+from .unsteady_figures import slow_force_over_time, unsteady_figure
 from .words import (
     by_prior,
     calibrated_rows,
@@ -29,7 +43,25 @@ from .words import (
 )
 
 MOST_AFFECTED = 2
-"""Channels that are drawn over time."""
+"""Channels of an effect that are drawn over time."""
+EVIDENCE_SERIES, TIME_SERIES = 20, 30
+"""Series of an effect, and of a held-out flight, about, that share the numbers of a page."""
+EVIDENCE = (
+    "Held-out flight {}. Blue: what the model as it stood leaves of the reading. Black, dashed: "
+    "what {} predicts of that. Orange: what is left with it. Where black lies on blue, the effect "
+    "is there; where orange lies on zero, nothing else is missing. Light bands hold all samples."
+)
+UNSTEADY: dict[type, str] = {
+    Lines: "Spectra of the readings of {}: black, with a peak where the effect lies; blue, the "
+    "noise that the vehicle file allows.",
+    NoiseFloor: "Spectra of the readings of {}: the flat part of the black curve is the noise. "
+    "Blue: what the vehicle file says; orange: with the effect.",
+    RandomForce: "Held-out flights, and {}: what is left of the accelerometer is slow, comes and "
+    "goes, and lies above the noise of the vehicle file (blue).",
+    Repeats: "Readings of {} around the instant from which one of them repeats itself to the last "
+    "bit.",
+}
+"""How to read the figure of an effect that changes no mean, by how it is seen."""
 
 
 def write_explain_report(found: Explanation, path: Path) -> None:
@@ -39,6 +71,9 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         found: What was found.
         path: HTML file to write; an existing one is replaced.
     """
+    told = listed_effects(found)
+    held = 0 if found.comparison is None else len(found.comparison.model.flights)
+    columns = columns_of(EVIDENCE_SERIES * len(told) + TIME_SERIES * held)
     page = render(
         "explain.html.j2",
         {
@@ -50,8 +85,8 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         claim=claim(found),
         found=found,
         shrinking=shrinking(found),
-        effects=[_effect(found, e) for e in listed_effects(found)],
-        before_after=_before_after(found),
+        effects=[_effect(found, e, columns) for e in told],
+        before_after=_before_after(found, columns),
         gaps=() if found.comparison is None else found.comparison.gaps,
         alike=[] if found.naming is None else found.naming.resemblances,
         calibrated=calibrated_rows(found),
@@ -61,14 +96,10 @@ def write_explain_report(found: Explanation, path: Path) -> None:
     path.write_text(page, encoding="utf-8")
 
 
-def _effect(found: Explanation, effect: str) -> dict[str, Any]:
+def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
     """One effect as the template reads it."""
     channels, phases = where_felt(found, effect)
-    acts = next((a for a in found.attributions if a.effect == effect), None)
-    figure: Mapping[str, Any] | None = None
-    if acts is not None and found.comparison is not None:
-        drawn = evidence_figure(acts, found.comparison.after)
-        figure = _figure(f"evidence-{effect}", drawn)
+    figures, how = _evidence(found, effect, columns)
     return {
         "name": title(effect),
         "meaning": meaning(effect),
@@ -87,7 +118,8 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
         "instead": instead(found, effect),
         "channels": channels,
         "phases": phases,
-        "figure": figure,
+        "figures": figures,
+        "how": how,
         "rivals": [
             {
                 "name": title(r["name"]),
@@ -100,23 +132,64 @@ def _effect(found: Explanation, effect: str) -> dict[str, Any]:
     }
 
 
-def _before_after(found: Explanation) -> list[dict[str, Any]]:
+def _evidence(found: Explanation, effect: str, columns: int) -> tuple[list[Plot], str]:
+    """Figures that convince of an effect, and how to read them; none where there is nothing."""
+    acts = next((a for a in found.attributions if a.effect == effect), None)
+    name = title(effect)
+    if acts is not None and found.comparison is not None:
+        after, held = found.comparison.after, found.comparison.model.flights
+        i = loudest(acts, after)
+        spans, time = _spans(held[i]), _time(i)
+        over_time = evidence_figure(acts, after, i, spans, time, columns)
+        plots = [plot(f"evidence-{effect}", f"Residuals over time: {name}", over_time)]
+        agreement = agreement_figure(acts, after, i)
+        if agreement is not None:
+            label = f"Residuals over what {name} predicts"
+            plots.append(plot(f"agreement-{effect}", label, agreement))
+        return plots, EVIDENCE.format(held[i].flight.name, name)
+    unsteady = beside_mean(found, effect)
+    if unsteady is None:
+        return [], ""
+    felt = [f for f in found.recorded if any(f.has(c) for c in unsteady.channels)]
+    if not felt:
+        return [], ""
+    residuals = [] if found.comparison is None else found.comparison.after[0]
+    vehicle = found.vehicle
+    figures = {
+        "over-time": slow_force_over_time(unsteady, residuals, columns),
+        "seen": unsteady_figure(unsteady, felt[-1], residuals, vehicle, columns),
+    }
+    if not isinstance(EFFECTS[effect].seen_as, RandomForce):
+        del figures["over-time"]
+    plots = [plot(f"{effect}-{k}", f"{name}, {k}", f) for k, f in figures.items() if f is not None]
+    return plots, UNSTEADY[type(EFFECTS[effect].seen_as)].format(felt[-1].name)
+
+
+def _spans(flight: FlightModel) -> Spans:
+    """Phases of a flight."""
+    return spans_of(flight.aligned.inputs.t_s, flight.aligned.phases)
+
+
+def _time(flight: int) -> str:
+    """Group of the figures of a held-out flight, whose time axes move together."""
+    return f"held-out-{flight}"
+
+
+def _before_after(found: Explanation, columns: int) -> list[Plot]:
     """Figures over time of the most affected channels."""
-    comparison = found.comparison
-    if comparison is None or not found.values:
+    compared = found.comparison
+    if compared is None or not found.values:
         return []
     names = list(dict.fromkeys(c for a in found.attributions for c in a.channels[:MOST_AFFECTED]))
-    flights = [f.flight.name for f in comparison.model.flights]
     figures = []
     for name in names[: 2 * MOST_AFFECTED]:
-        before, after = (
-            [next(c for c in flight if c.name == name) for flight in channels]
-            for channels in (comparison.before, comparison.after)
-        )
-        figures.append(_figure(f"time-{name}", before_after_figure(name, before, after, flights)))
+        for i, flight in enumerate(compared.model.flights):
+            before, after = (
+                next(c for c in channels[i] if c.name == name)
+                for channels in (compared.before, compared.after)
+            )
+            spans = _spans(flight)
+            figure = before_after_figure(before, after, spans, _time(i), columns)
+            label = f"{name} of {flight.flight.name}, before and after, over time"
+            figures.append(plot(f"time-{i}-{name}", label, figure))
     return figures
-
-
-def _figure(name: str, figure: Any) -> dict[str, Any]:
-    json: Markup = embedded(figure)
-    return {"id": name, "height": int(figure.layout.height), "json": json}

@@ -1,153 +1,195 @@
-"""Figures of the explain page: what convinces, and the held-out flights before and after."""
+"""Figures of the explain page: what convinces of an effect; flights before and after."""
 
 from collections.abc import Sequence
-from html import escape
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from twin.explain.attribution import Attribution
-from twin.residuals.channels import ChannelData
+from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
+from twin.residuals.spectra import spectrum
 
 from .figures import pretty_unit
+from .page import BLACK, BLUE, GREY, ORANGE, Figure
+from .panels import Axis, Panels, Spans
+from .series import TREND_HZ
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
-MAX_POINTS = 4000
-"""Samples of one trace above which the plot is thinned."""
-MOST_CHANNELS = 3
-_BLACK, _BLUE, _ORANGE, _GREY = "#000000", "#1f5fd0", "#e07b1a", "#8a8f98"
-_BEFORE, _AFTER = "model as it stood", "model with the effect"
+MOST_CHANNELS, MOST_FLIGHTS = 2, 2
+MOST_DOTS = 600
+"""Of a scatter; more lie on each other."""
+LONGEST_S = 20.0
+"""Of a flight that is shown at once; the strongest part of a longer one is looked at first."""
+HELD = 0.95
+"""Share of what an effect predicts that lies below the low-pass of its curves."""
+VARIES = 0.25
+"""Spread of what an effect predicts over its size, below which it is a constant: a scatter would be
+one dot."""
+BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what the effect predicts"
 
 
-def evidence_figure(acts: Attribution, with_all: Flights) -> go.Figure:
-    """Residual without and with an effect against what the effect predicts, on held-out flights.
+def evidence_figure(
+    acts: Attribution, with_all: Flights, flight: int, spans: Spans, time: str, columns: int
+) -> Figure:
+    """Residual without and with an effect over what the effect predicts, over time.
+
+    A constant effect is seen as one: a residual that stands off zero all along.
 
     Args:
         acts: Where the effect acts.
         with_all: Channels of each flight with every added effect.
+        flight: Which of them is shown.
+        spans: Phases of it.
+        time: Group of figures whose time axes move together.
+        columns: Columns of pixels that a series may take.
     """
     names = acts.channels[:MOST_CHANNELS]
-    figure = make_subplots(rows=1, cols=len(names), horizontal_spacing=0.09)
-    for column, name in enumerate(names, start=1):
-        without, complete = (_pooled(flights, name) for flights in (acts.without, with_all))
-        predicted = without - complete
-        unit = escape(pretty_unit(_of(with_all, name)[0].unit))
-        for residual, label, colour in ((without, _BEFORE, _BLUE), (complete, _AFTER, _ORANGE)):
-            figure.add_trace(
-                go.Scattergl(
-                    x=_thin(predicted),
-                    y=_thin(residual),
-                    name=label,
-                    mode="markers",
-                    marker={"size": 4, "color": colour, "opacity": 0.45},
-                    legendgroup=label,
-                    showlegend=column == 1,
-                    hovertemplate="%{y:.3g} where it predicts %{x:.3g}<extra></extra>",
-                ),
-                row=1,
-                col=column,
+    panels = Panels((230,) * len(names), time)
+    ends: list[tuple[float, float]] = []
+    for name in names:
+        without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
+        predicted = without.residual - complete.residual
+        t = _broken(without, without.t_s)
+        below_hz = _reaches_hz(without.t_s, predicted)
+        axes = panels.add(f"residual of {name}, {pretty_unit(without.unit)}")
+        for values, label, line in (
+            (without.residual, f"left by the {BEFORE}", {"color": BLUE, "width": 1.6}),
+            (complete.residual, f"left by the {AFTER}", {"color": ORANGE, "width": 1.6}),
+            (predicted, PREDICTED, {"color": BLACK, "width": 1.6, "dash": "dash"}),
+        ):
+            band = label != PREDICTED
+            shown = _broken(without, values)
+            panels.series(axes, t, shown, label, line, columns, band, below_hz)
+        ends.append(strongest(without.t_s, predicted))
+    panels.look(*ends[0], spans)
+    return panels.figure
+
+
+def agreement_figure(acts: Attribution, with_all: Flights, flight: int) -> Figure | None:
+    """Residual without and with an effect over what the effect predicts of it; None where that is a
+    constant.
+
+    Args:
+        acts: Where the effect acts.
+        with_all: Channels of each flight with every added effect.
+        flight: Which of them is shown.
+    """
+    names = acts.channels[:MOST_CHANNELS]
+    panels = Panels((218,) * len(names))
+    for i, name in enumerate(names):
+        without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
+        predicted = without.residual - complete.residual
+        if not varies(predicted):
+            return None
+        unit = pretty_unit(without.unit)
+        along: Axis = {"nticks": 5}
+        if i == len(names) - 1:
+            along["title"] = {"text": f"what the effect predicts, {unit}"}
+        axes = panels.add(f"residual of {name}, {unit}", along)
+        every = max(1, -(-len(predicted) // MOST_DOTS))
+        for values, label, colour in (
+            (without.residual, f"left by the {BEFORE}", BLUE),
+            (complete.residual, f"left by the {AFTER}", ORANGE),
+        ):
+            panels.line(
+                axes,
+                predicted[::every],
+                values[::every],
+                label,
+                {"color": colour},
+                mode="markers",
+                marker={"size": 4, "color": colour, "opacity": 0.5},
             )
         ends = np.array([predicted.min(), predicted.max()])
-        figure.add_trace(
-            go.Scatter(
-                x=ends,
-                y=ends,
-                mode="lines",
-                name="what the effect predicts",
-                line={"color": _BLACK, "width": 1},
-                showlegend=column == 1,
-            ),
-            row=1,
-            col=column,
-        )
-        title = f"{escape(name)} by {escape(acts.effect.replace('_', ' '))}, {unit}"
-        figure.update_xaxes(title_text=title, row=1, col=column)
-        figure.update_yaxes(title_text=f"residual, {unit}", row=1, col=column)
-    return _styled(figure, 380)
+        line = {"color": BLACK, "width": 1.2, "dash": "dash"}
+        panels.line(axes, ends, ends, "as much as it predicts", line)
+    return panels.figure
+
+
+def varies(predicted: Array) -> bool:
+    """Whether what an effect predicts is more than a constant."""
+    low, high = np.percentile(predicted, [2.5, 97.5])
+    return bool(high - low > VARIES * np.abs(predicted).max(initial=0.0))
+
+
+def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:
+    """The span of time to look at: all of it, or `LONGEST_S` where an effect predicts most."""
+    start, end = float(t_s[0]), float(t_s[-1])
+    if end - start <= 1.3 * LONGEST_S:
+        return start, end
+    power = np.concatenate([[0.0], np.cumsum((predicted - np.mean(predicted)) ** 2)])
+    behind = np.searchsorted(t_s, t_s + LONGEST_S)
+    first = int(np.argmax(power[behind] - power[:-1]))
+    first = int(np.searchsorted(t_s, min(float(t_s[first]), end - LONGEST_S)))
+    return float(t_s[first]), float(t_s[first]) + LONGEST_S
+
+
+def loudest(acts: Attribution, with_all: Flights) -> int:
+    """The flight in which an effect predicts most of its clearest channel."""
+    sizes = []
+    for a, b in zip(acts.without, with_all, strict=True):
+        one, two = (_of(f, acts.channels[0]) for f in (a, b))
+        sizes.append(float(np.mean((one.residual - two.residual) ** 2)))
+    return int(np.argmax(sizes))
+
+
+def _reaches_hz(t_s: Array, predicted: Array) -> float:
+    """Frequency below which most of what varies of a prediction lies; within what curves may be
+    cut at."""
+    s = spectrum(t_s, predicted)
+    total = np.cumsum(s.psd)
+    if not len(total) or total[-1] <= 0:
+        return TREND_HZ
+    reach = float(s.f_hz[int(np.searchsorted(total, HELD * total[-1]))])
+    return float(np.clip(1.5 * reach, TREND_HZ, min(BAND_HZ, 0.4 * CHANNEL_HZ)))
 
 
 def before_after_figure(
-    name: str, before: Sequence[ChannelData], after: Sequence[ChannelData], flights: Sequence[str]
-) -> go.Figure:
-    """Measured, both models and both residuals over time, one pair of rows per held-out flight.
+    before: ChannelData, after: ChannelData, spans: Spans, time: str, columns: int
+) -> Figure:
+    """Measured and both models, and both residuals, over time.
 
     Args:
-        name: Of the channel.
-        before: The channel of each flight with the model as it stood.
+        before: The channel of a held-out flight with the model as it stood.
         after: The same with the effects added.
-        flights: Their names.
+        spans: Phases of the flight.
+        time: Group of figures whose time axes move together.
+        columns: Columns of pixels that a series may take.
     """
-    rows = 2 * len(before)
-    figure = make_subplots(rows=rows, cols=1, vertical_spacing=min(0.07, 0.5 / rows))
-    for i, (old, new, flight) in enumerate(zip(before, after, flights, strict=True)):
-        t = _broken(old, old.t_s)
-        first = i == 0
-        top = (
-            (old.measured, "measured", _BLACK, "solid"),
-            (old.measured - old.residual, _BEFORE, _BLUE, "dash"),
-            (new.measured - new.residual, _AFTER, _ORANGE, "solid"),
-        )
-        bottom = (
-            (old.residual, f"residual, {_BEFORE}", _GREY, "solid"),
-            (new.residual, f"residual, {_AFTER}", _ORANGE, "solid"),
-        )
-        for row, traces in ((2 * i + 1, top), (2 * i + 2, bottom)):
-            for values, label, colour, dash in traces:
-                figure.add_trace(
-                    go.Scatter(
-                        x=_thin(t),
-                        y=_thin(_broken(old, values)),
-                        name=label,
-                        mode="lines",
-                        line={"color": colour, "width": 1.3, "dash": dash},
-                        legendgroup=label,
-                        showlegend=first,
-                        hovertemplate="%{y:.4g} at %{x:.2f} s<extra>" + label + "</extra>",
-                    ),
-                    row=row,
-                    col=1,
-                )
-        unit, label = escape(pretty_unit(old.unit)), escape(f"{name}, {flight}")
-        figure.update_yaxes(title_text=f"{label}, {unit}", row=2 * i + 1, col=1)
-        figure.update_yaxes(title_text=f"residual, {unit}", row=2 * i + 2, col=1)
-        figure.update_xaxes(matches=f"x{2 * i + 1}" if i else "x", row=2 * i + 2, col=1)
-    figure.update_xaxes(title_text="time, s", row=rows, col=1)
-    return _styled(figure, 80 + 165 * rows)
+    unit = pretty_unit(before.unit)
+    panels = Panels((190, 130), time)
+    t = _broken(before, before.t_s)
+    rows = (
+        (
+            before.name,
+            (before.measured, "measured", BLACK, "solid"),
+            (before.measured - before.residual, BEFORE, BLUE, "dash"),
+            (after.measured - after.residual, AFTER, ORANGE, "solid"),
+        ),
+        (
+            "residual",
+            (before.residual, f"residual, {BEFORE}", GREY, "solid"),
+            (after.residual, f"residual, {AFTER}", ORANGE, "solid"),
+        ),
+    )
+    for what, *traces in rows:
+        axes = panels.add(f"{what}, {unit}")
+        for values, label, colour, dash in traces:
+            line = {"color": colour, "width": 1.4, "dash": dash}
+            panels.series(axes, t, _broken(before, values), label, line, columns)
+    change = before.residual - after.residual
+    panels.look(*strongest(before.t_s, change), spans)
+    return panels.figure
 
 
-def _of(flights: Flights, name: str) -> list[ChannelData]:
-    return [c for flight in flights for c in flight if c.name == name]
-
-
-def _pooled(flights: Flights, name: str) -> Array:
-    return np.concatenate([c.residual for c in _of(flights, name)])
+def _of(channels: Sequence[ChannelData], name: str) -> ChannelData:
+    return next(c for c in channels if c.name == name)
 
 
 def _broken(channel: ChannelData, values: Array) -> Array:
     """Values with a NaN before every new piece of flight, so that no line bridges a gap."""
     starts = np.flatnonzero(np.diff(channel.piece)) + 1
+    if values is channel.t_s:  # a time between the pieces
+        return np.insert(values, starts, (values[starts - 1] + values[starts]) / 2)
     return np.insert(values, starts, np.nan)
-
-
-def _thin(values: Array) -> NDArray[np.float32]:
-    return values[:: max(1, -(-len(values) // MAX_POINTS))].astype(np.float32)
-
-
-def _styled(figure: go.Figure, height: int) -> go.Figure:
-    figure.update_layout(
-        template="plotly_white",
-        height=height,
-        margin={"l": 76, "r": 18, "t": 34, "b": 46},
-        font={"size": 12},
-        legend={
-            "orientation": "h",
-            "y": 1.0,
-            "yanchor": "bottom",
-            "x": 0,
-            "itemsizing": "constant",
-        },
-    )
-    return figure

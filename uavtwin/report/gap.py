@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from markupsafe import Markup
-
+from twin.logs.columns import POS
 from twin.physics.sensors.table import BODY, SENSORS, Sensor
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
@@ -26,9 +25,12 @@ from twin.residuals.gap import (
 )
 from twin.residuals.spectra import SLOW_HZ
 
-from .figures import Phases, channel_figure, embedded, pretty_unit
+from .figures import SERIES_OF_CHANNEL, channel_figures, pretty_unit
 from .hover import hover_sentence
-from .page import render
+from .overview import Overview, overview_plots
+from .page import Plot, plot, render
+from .panels import Spans
+from .series import COLUMNS, columns_of
 
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
@@ -75,16 +77,17 @@ _KINDS = (
 class _Figure:
     """What the template needs of one figure."""
 
-    id: str
     title: str
     axes: str
     mode: str
     note: str
-    height: int
-    json: Markup
+    time: Plot
+    spectra: Plot | None
 
 
-def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
+def write_gap_report(
+    gaps: Sequence[FlightGap], path: Path, overviews: Sequence[Overview] = ()
+) -> None:
     """Write the report of one or more flights against their twin.
 
     The same gaps give the same bytes: identifiers are counted, no time is written.
@@ -92,9 +95,11 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
     Args:
         gaps: One per flight.
         path: HTML file to write; an existing one is replaced.
+        overviews: What each flight was; none: pages begin with the gap.
     """
     pooled = summaries(gaps)
     places = rank(pooled)
+    series = SERIES_OF_CHANNEL * sum(len(c.t_s) > 2 * COLUMNS[0] for g in gaps for c in g.channels)
     horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
     page = render(
         "report.html.j2",
@@ -108,7 +113,10 @@ def write_gap_report(gaps: Sequence[FlightGap], path: Path) -> None:
         horizons=horizons,
         teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
         pooled=pooled if len(gaps) > 1 else {},
-        flights=[_flight(i, gap) for i, gap in enumerate(gaps)],
+        flights=[
+            _flight(i, gap, columns_of(series), overviews[i] if overviews else None)
+            for i, gap in enumerate(gaps)
+        ],
     )
     path.write_text(page, encoding="utf-8")
 
@@ -171,10 +179,16 @@ def _detail(places: Sequence[Ranked]) -> str:
     return text
 
 
-def _flight(index: int, gap: FlightGap) -> dict[str, Any]:
+def _flight(index: int, gap: FlightGap, columns: int, shown: Overview | None) -> dict[str, Any]:
     """Figures and tables of one flight, as the template reads them."""
     summed = [summarise(c) for c in gap.channels]
+    ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
+    track, logged = (
+        ([], None) if shown is None else overview_plots(f"flight{index}", shown, gap.phases, ends)
+    )
     return {
+        "track": track,
+        "logged": logged,
         "id": f"flight{index}",
         "name": gap.flight,
         "vehicle": gap.vehicle,
@@ -182,7 +196,7 @@ def _flight(index: int, gap: FlightGap) -> dict[str, Any]:
         "phases": gap.phases,
         "claim": claim(rank({s.name: s for s in summed})),
         "figures": [
-            _figure(f"flight{index}", kind, members, gap.phases)
+            _figure(f"flight{index}", kind, members, gap.phases, columns)
             for kind, members in _grouped(gap.channels)
         ],
         "rows": _rows(summed),
@@ -191,18 +205,21 @@ def _flight(index: int, gap: FlightGap) -> dict[str, Any]:
     }
 
 
-def _figure(flight: str, kind: _Kind, channels: Sequence[Channel], phases: Phases) -> _Figure:
-    """The figure of the channels of one kind and horizon."""
-    figure, note = channel_figure(channels, phases)
+def _figure(
+    flight: str, kind: _Kind, channels: Sequence[Channel], phases: Spans, columns: int
+) -> _Figure:
+    """The figures of the channels of one kind and horizon."""
+    over_time, spectra, note = channel_figures(channels, phases, flight, columns)
     horizon_s = channels[0].horizon_s
+    name = f"{flight}-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms"
+    label = f"{kind.title}, {_mode(horizon_s)}: measured, twin and residual"
     return _Figure(
-        id=f"{flight}-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms",
-        title=kind.title,
-        axes=kind.axes,
-        mode=_mode(horizon_s),
-        note=note,
-        height=figure["layout"]["height"],
-        json=embedded(figure),
+        kind.title,
+        kind.axes,
+        _mode(horizon_s),
+        note,
+        plot(name, f"{label} over time", over_time),
+        None if spectra is None else plot(f"{name}-spectra", f"{label}, spectra", spectra),
     )
 
 

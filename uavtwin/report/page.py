@@ -1,12 +1,103 @@
 """HTML pages that need nothing but themselves: style, figures and the library that draws them."""
 
+import json
+import re
+from base64 import b64encode
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jinja2
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+Figure = dict[str, Any]
+"""`data` and `layout` as plotly.js reads them."""
+
+HERE = Path(__file__).parent
+BLACK, BLUE, ORANGE, GREY = "#000000", "#1f5fd0", "#e07b1a", "#8a8f98"
+"""Measured, nominal twin, compensated twin, residual: the same four on every page."""
+DARK = {
+    BLACK: "#f2f4f7",
+    BLUE: "#6ea8ff",
+    ORANGE: "#ffa24d",
+    GREY: "#99a2ae",
+    "#c3c7cd": "#6d7580",
+    "#2f8f5b": "#54c98a",
+    "#8a4fbf": "#ba8df0",
+    "#b58900": "#dfb647",
+    "#c23b66": "#f27a9f",
+    "#3aa0a8": "#5ccad2",
+    "#5fb8c9": "#84d8e6",
+    "#6b7280": "#a3abb7",
+    "#d9622b": "#ff8f5c",
+}
+"""Colours of figures on a dark page, by the one on a light page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """What a template needs of one figure.
+
+    Attributes:
+        id: Of its element.
+        label: What it shows, for those who do not see it.
+        height: Pixels.
+        json: The figure, safe within a script element.
+        scene: Whether it is a track in space, no plot.
+    """
+
+    id: str
+    label: str
+    height: int
+    json: Markup
+    scene: bool = False
+
+
+def plot(name: str, label: str, figure: "Figure | go.Figure", scene: bool = False) -> Plot:
+    """A figure as a template draws it.
+
+    Args:
+        name: Identifier on the page; what could not be one is taken out.
+        label: What it shows, in words.
+        figure: With its height in the layout; a track in space has its own.
+        scene: Whether it is a track in space.
+    """
+    plain = _plain(figure)
+    layout = plain.get("layout", plain)
+    layout.pop("template", None)  # pages dress their figures themselves
+    identifier = re.sub(r"[^\w.@-]", "-", name)
+    return Plot(identifier, label, int(layout["height"]), embedded(plain), scene)
+
+
+def _plain(figure: "Figure | go.Figure") -> Figure:
+    """A figure of plotly's own objects as plain values."""
+    return figure if isinstance(figure, dict) else dict(json.loads(figure.to_json()))
+
+
+def embedded(value: Any) -> Markup:
+    """A value as JSON that may stand inside a script element."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    safe = text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+    return Markup(safe)
+
+
+@cache
+def _parts() -> dict[str, Markup]:
+    """What every page carries along."""
+    bundle = (HERE / "vendor" / "plotly-basic.min.js.gz").read_bytes()
+    licence = (HERE / "vendor" / "plotly-LICENSE.txt").read_text("utf-8")
+    return {
+        "style": Markup((HERE / "page.css").read_text("utf-8")),
+        "script": Markup((HERE / "page.js").read_text("utf-8")),
+        "licence": Markup(licence),
+        "plotlyjs": Markup(b64encode(bundle).decode("ascii")),
+        "dark": embedded(DARK),
+    }
 
 
 def render(
@@ -33,5 +124,16 @@ def render(
         lstrip_blocks=True,
     )
     environment.filters.update(filters)
-    page = environment.get_template(template).render(plotlyjs=Markup(get_plotlyjs()), **content)
+    page = _indexed(environment.get_template(template).render(**_parts(), **content))
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _indexed(page: str) -> str:
+    """The page with links to its headings on top, where there are some."""
+    heads = re.findall(r'<h2 id="([^"]+)">(.*?)</h2>', page)
+    if len(heads) < 2:
+        return page
+    links = "".join(f'<a href="#{name}">{text}</a>' for name, text in heads)
+    return page.replace(
+        "<!--index-->", f'<nav class="index" aria-label="On this page">{links}</nav>', 1
+    )

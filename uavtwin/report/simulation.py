@@ -1,4 +1,4 @@
-"""The page that `uavtwin simulate` leaves: every output over time, part by part."""
+"""The page that `uavtwin simulate` leaves: the flight, then every output over time."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -6,20 +6,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
+from numpy.typing import NDArray
 
 from cosim.recording import Recording
+from twin.flight.mission import PHASES
 
-from .figures import embedded
-from .page import render
+from .figures import pretty_unit
+from .page import BLACK, BLUE, Figure, Plot, plot, render
+from .panels import Panels, Spans, spans_of
+from .series import columns_of, thinned
+from .track import Track, track_plots
 
-MAX_POINTS = 4000
-"""Rows of one trace above which the plot, never the recording, is thinned."""
-_ROW_PX, _EDGE_PX = 170, 60
-_COLOURS = ("#1f5fd0", "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8", "#6b7280")
-_OVERLAYS = {"airframe.pos": "mission.setpoint_pos", "airframe.vel": "mission.setpoint_vel"}
-"""What is drawn dashed behind a quantity."""
+Array = NDArray[np.float64]
+_ROW_PX = 150
+_COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66", "#3aa0a8", "#6b7280")
+SETPOINT, FLOWN = "setpoint", "flown"
+_FOLLOWED = (
+    ("airframe.pos", "mission.setpoint_pos", "position", ("north", "east", "down")),
+    ("airframe.vel", "mission.setpoint_vel", "velocity", ("north", "east", "down")),
+)
+"""What is flown, what is wanted of it, both in words, and its axes."""
+PHASE = "mission.phase"
 
 
 def write_simulation_report(
@@ -40,18 +47,28 @@ def write_simulation_report(
         name: Of the scenario.
         path: HTML file to write; an existing one is replaced.
     """
-    every = -(-len(recording.time_s) // MAX_POINTS)
-    note = f"every {every} rows of the recording are drawn as one" if every > 1 else ""
+    shown = _Shown(recording, units)
     groups: dict[str, dict[str, list[str]]] = {}
     for column in recording.names:
         part, stem = _place(column)
         groups.setdefault(part, {}).setdefault(stem, []).append(column)
-    parts = []
-    for part, stems in groups.items():
-        figure = _figure(recording, part, stems, units, every)
-        height = _EDGE_PX + _ROW_PX * len(stems)
-        parts.append({"name": part, "json": embedded(figure), "height": height, "note": note})
-    page = render("flight.html.j2", {}, name=name, claim=claim, facts=dict(facts), parts=parts)
+    parts = [
+        {"name": part, "figure": shown.part(i, part, stems)}
+        for i, (part, stems) in enumerate(groups.items())
+    ]
+    columns = shown.columns
+    thin = 2 * columns < len(recording.time_s)
+    page = render(
+        "flight.html.j2",
+        {},
+        name=name,
+        claim=claim,
+        facts=dict(facts),
+        track=shown.track(),
+        followed=shown.followed(),
+        parts=parts,
+        note=f"drawn: least and largest value in each of {columns} spans of time" if thin else "",
+    )
     path.write_text(page, encoding="utf-8")
 
 
@@ -61,55 +78,85 @@ def _place(column: str) -> tuple[str, str]:
     return part, re.sub(r"_(?:[wxyz]|\d+)$", "", variable)
 
 
-def _figure(
-    recording: Recording,
-    part: str,
-    stems: Mapping[str, Sequence[str]],
-    units: Mapping[str, str],
-    every: int,
-) -> go.Figure:
-    figure = make_subplots(
-        rows=len(stems), cols=1, shared_xaxes=True, vertical_spacing=min(0.02, 0.2 / len(stems))
-    )
-    t = recording.time_s[::every]
-    prefix = "twin." if any(n.startswith("twin.") for n in recording.names) else ""
-    for row, (stem, columns) in enumerate(stems.items(), start=1):
-        wanted = _OVERLAYS.get(f"{part}.{stem}")
-        for i, column in enumerate(columns):
-            colour = _COLOURS[i % len(_COLOURS)]
-            label = column.removeprefix(prefix).partition(".")[2]
-            figure.add_scatter(
-                x=t,
-                y=_thin(recording[column], every),
-                name=label,
-                mode="lines",
-                line={"color": colour, "width": 1.3},
-                row=row,
-                col=1,
-            )
-            setpoint = None if wanted is None else f"{prefix}{wanted}{column[-2:]}"
-            if setpoint in recording.names:
-                figure.add_scatter(
-                    x=t,
-                    y=_thin(recording[setpoint], every),
-                    name=f"{label} setpoint",
-                    mode="lines",
-                    line={"color": colour, "width": 1, "dash": "dot"},
-                    row=row,
-                    col=1,
-                )
-        unit = units.get(columns[0], "")
-        title = stem if unit in ("", "1") else f"{stem}, {unit}"
-        figure.update_yaxes(title_text=title, title_font_size=12, row=row, col=1)
-    figure.update_xaxes(title_text="time, s", row=len(stems), col=1)
-    figure.update_layout(
-        template="plotly_white",
-        margin={"l": 70, "r": 20, "t": 20, "b": 40},
-        legend={"font": {"size": 11}},
-        font={"size": 12},
-    )
-    return figure
+class _Shown:
+    """A recording as figures."""
 
+    def __init__(self, recording: Recording, units: Mapping[str, str]) -> None:
+        self._recording, self._units = recording, units
+        self._t = np.asarray(recording.time_s, dtype=np.float64)
+        self._fused = any(n.startswith("twin.") for n in recording.names)
+        self._there = {n.removeprefix("twin."): n for n in recording.names}
+        self.columns = columns_of(len(recording.names) + 30)
+        self._spans = self._phases()
 
-def _thin(values: Any, every: int) -> list[float]:
-    return [float(f"{v:.6g}") for v in np.asarray(values)[::every]]
+    def _phases(self) -> Spans:
+        """Phases of the mission, where it has some."""
+        if PHASE not in self._there or len(self._t) < 2:
+            return ()
+        names = {code: name for name, code in PHASES.items()}
+        known = np.array([names.get(code, "") for code in np.rint(self[PHASE]).tolist()])
+        return spans_of(self._t, known)
+
+    def __getitem__(self, column: str) -> Array:
+        return np.asarray(self._recording[self._there[column]], dtype=np.float64)
+
+    def _vector(self, stem: str, letters: str = "xyz") -> Array | None:
+        """Columns of a vector, shape (n, k); None where the recording lacks one."""
+        names = [f"{stem}_{a}" for a in letters]
+        if not {*names} <= self._there.keys():
+            return None
+        return np.column_stack([self[n] for n in names])
+
+    def track(self) -> list[Plot]:
+        """The flight from above, from the side and in space; none where nothing flies."""
+        flown = self._vector("airframe.pos")
+        if flown is None or len(self._t) < 2:
+            return []
+        tracks = [Track(FLOWN, self._t, flown, BLACK)]
+        wanted = self._vector("mission.setpoint_pos")
+        if wanted is not None:
+            tracks.append(Track(SETPOINT, self._t, wanted, BLUE, "dash"))
+        q = self._vector("airframe.q", "wxyz")
+        return track_plots("flight", tracks, None if q is None else (self._t, q))
+
+    def followed(self) -> list[Plot]:
+        """Setpoint against flight."""
+        plots = []
+        for stem, wanted, words, axes in _FOLLOWED:
+            flown, setpoint = self._vector(stem), self._vector(wanted)
+            if flown is None or setpoint is None:
+                continue
+            unit = pretty_unit(self._units.get(self._there[f"{stem}_x"], "1"))
+            panels = Panels((_ROW_PX,) * 3, "flight")
+            for i, axis in enumerate(axes):
+                number = panels.add(f"{words} {axis}, {unit}")
+                for values, name, colour, dash in (
+                    (flown, FLOWN, BLACK, "solid"),
+                    (setpoint, SETPOINT, BLUE, "dash"),
+                ):
+                    x, y = thinned(self._t, values[:, i], self.columns)
+                    panels.line(number, x, y, name, {"color": colour, "width": 1.5, "dash": dash})
+            label = f"{words}: setpoint and flight over time"
+            plots.append(plot(f"followed-{words}", label, self._looked(panels)))
+        return plots
+
+    def part(self, index: int, part: str, stems: Mapping[str, Sequence[str]]) -> Plot:
+        """All outputs of a part, a panel per quantity."""
+        panels = Panels((_ROW_PX,) * len(stems), "flight")
+        for stem, columns in stems.items():
+            unit = self._units.get(columns[0], "")
+            axes = panels.add(stem if unit in ("", "1") else f"{stem}, {pretty_unit(unit)}")
+            for i, column in enumerate(columns):
+                label = column.removeprefix("twin." if self._fused else "").partition(".")[2]
+                x, y = thinned(self._t, np.asarray(self._recording[column]), self.columns)
+                if len(y) and np.ptp(y) == 0:
+                    x, y = x[[0, -1]], y[[0, -1]]  # a constant
+                line = {"color": _COLOURS[i % len(_COLOURS)], "width": 1.3}
+                panels.line(axes, x, y, label or column, line)
+        return plot(f"part-{index}", f"Outputs of {part} over time", self._looked(panels))
+
+    def _looked(self, panels: Panels) -> Figure:
+        """The figure over all time, with the phases of the mission."""
+        if len(self._t) > 1:
+            panels.look(float(self._t[0]), float(self._t[-1]), self._spans)
+        return panels.figure

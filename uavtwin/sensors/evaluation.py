@@ -24,10 +24,15 @@ from twin.vehicle.file import load_vehicle
 
 from ..flights import check_names
 from ..output import output_file
-from ..report.figures import embedded, pretty_unit
+from ..report.figures import pretty_unit
 from ..report.gap import number, percent
-from ..report.learning_figures import anomaly_figure, correction_figure
-from ..report.page import render
+from ..report.learning_figures import (
+    SERIES_OF_CORRECTION,
+    anomaly_figure,
+    correction_figure,
+)
+from ..report.page import Plot, plot, render
+from ..report.series import columns_of
 from ..series.table import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.table import MODEL as OF_MODEL
 from ..shown import Shown, TextTable, counted
@@ -333,7 +338,8 @@ def write_evaluation_report(found: Evaluation, path: Path) -> None:
 def _flight(found: Evaluation, i: int) -> dict[str, Any]:
     """One flight as the template reads it."""
     flight, corrected = found.flights[i], found.corrected[i]
-    figures = []
+    columns = columns_of(SERIES_OF_CORRECTION * len(CHANNELS) * len(found.flights))
+    figures: list[Plot] = []
     for c, channel in enumerate(CHANNELS):
         fresh = flight.fresh[:, c]
         if not fresh.any():
@@ -343,35 +349,30 @@ def _flight(found: Evaluation, i: int) -> dict[str, Any]:
         if found.explained is not None:
             lines["explained twin"] = found.explained[i].virtual[fresh, c]
         lines["corrected twin"] = virtual + corrected.correction[fresh, c]
-        figures.append(
-            _figure(
-                f"f{i}-{channel}",
-                correction_figure(
-                    channel, UNITS[c], flight.t_s[fresh], lines, corrected.spread[fresh, c]
-                ),
-            )
+        spread, time = corrected.spread[fresh, c], f"flight-{i}"
+        figure = correction_figure(
+            channel, UNITS[c], flight.t_s[fresh], lines, spread, time, columns
         )
+        label = f"{channel} of {flight.name}: measured, twins, and what is left, over time"
+        figures.append(plot(f"f{i}-{channel}", label, figure))
     return {
         "id": f"flight-{i}",
         "name": flight.name,
         "notes": flight.notes,
         "inside": float(np.mean(corrected.inside[_airborne(flight)])),
         "anomaly": _anomaly(flight, corrected),
-        "score": _score(f"f{i}-anomaly", flight, corrected),
+        "score": _score(i, flight, corrected, columns),
         "figures": figures,
     }
 
 
-def _score(name: str, flight: ResidualFlight, corrected: Corrected) -> dict[str, Any] | None:
+def _score(i: int, flight: ResidualFlight, corrected: Corrected, columns: int) -> Plot | None:
     """Figure of the anomaly score, None of a model that gives none."""
     if np.isnan(corrected.anomaly).any():
         return None
-    return _figure(name, anomaly_figure(flight.t_s, corrected.anomaly))
+    figure = anomaly_figure(flight.t_s, corrected.anomaly, f"flight-{i}", columns)
+    return plot(f"f{i}-anomaly", f"Anomaly score of {flight.name} over time", figure)
 
 
 def _airborne(flight: ResidualFlight) -> slice:
     return slice(flight.spans[0][0], flight.spans[-1][1])
-
-
-def _figure(name: str, figure: Any) -> dict[str, Any]:
-    return {"id": name, "height": int(figure.layout.height), "json": embedded(figure)}

@@ -28,10 +28,10 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 from ..output import output_file
-from ..report.figures import embedded, pretty_unit
+from ..report.figures import pretty_unit
 from ..report.gap import number
 from ..report.learning_figures import spectra_figure
-from ..report.page import render
+from ..report.page import Plot, plot, render
 from ..series.table import DRAWN as DRAWN_SIDE
 from ..series.table import TWIN, Column, Series, compared
 from ..shown import Shown, TextTable, counted
@@ -250,7 +250,7 @@ class GeneratedEvaluation(Shown):
         by = ["group", "unit", "model"]
         return whole.groupby(by, sort=False)[columns].mean().reset_index()
 
-    def _figures(self, i: int) -> list[dict[str, Any]]:
+    def _figures(self, i: int) -> list[Plot]:
         """Spectra of measured and drawn residuals of a flight, a figure per sensor."""
         flight, found = self.flights[i], []
         for group, columns in GROUPS.items():
@@ -258,7 +258,6 @@ class GeneratedEvaluation(Shown):
             if not known.any():
                 continue
             figure = spectra_figure(
-                f"{flight.name}, {group}",
                 CHANNELS[columns],
                 flight.t_s[known],
                 {
@@ -266,13 +265,8 @@ class GeneratedEvaluation(Shown):
                     "drawn": self.drawn[i][known, columns],
                 },
             )
-            found.append(
-                {
-                    "id": f"f{i}-{group}",
-                    "json": embedded(figure),
-                    "height": int(figure.layout.height),
-                }
-            )
+            label = f"Spectra of measured and drawn residuals of {flight.name}, {group}"
+            found.append(plot(f"f{i}-{group}", label, figure))
         return found
 
 

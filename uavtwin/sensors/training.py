@@ -24,10 +24,10 @@ from twin.logs import Flight
 
 from ..flights import check_names
 from ..output import check_folder
-from ..report.figures import embedded, pretty_unit
+from ..report.figures import pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import curve_figure
-from ..report.page import render
+from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle
 
 RESIDUALS, REPORT = "training.parquet", "report.html"
@@ -231,10 +231,10 @@ def _write_page(out: Path, residuals: Sequence[ResidualFlight]) -> None:
     (out / REPORT).write_text(page, encoding="utf-8")
 
 
-def _curve(out: Path, about: dict[str, Any]) -> dict[str, Any] | None:
+def _curve(out: Path, about: dict[str, Any]) -> Plot | None:
     """Figure of the learning curve, None of a model in closed form."""
     if not (out / CURVE).is_file():
         return None
     curve = json.loads((out / CURVE).read_text("utf-8"))
     figure = curve_figure(curve, about["metrics"]["best_epoch"])
-    return {"json": embedded(figure), "height": int(figure.layout.height)}
+    return plot("curve", "Parts of the loss over the epochs of the training", figure)

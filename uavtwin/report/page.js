@@ -1,0 +1,351 @@
+// Draws the figures of a page as they come into sight: JSON in, SVG out. Nothing is fetched.
+(function () {
+  "use strict";
+  var NARROW = 560;
+  var darkOf = JSON.parse(document.getElementById("dark-colours").textContent);
+  var prefersDark = window.matchMedia("(prefers-color-scheme: dark)");
+  var coarse = window.matchMedia("(pointer: coarse)").matches;
+  var printing = false;
+  var figures = new Map(); // element -> {given, drawn}
+  var ranges = {}; // what is looked at, by group of linked time axes
+
+  // ---- what a figure holds
+
+  function floats(packed) {
+    if (Array.isArray(packed)) return packed;
+    if (!packed || packed.dtype !== "f4") return packed;
+    var raw = atob(packed.bdata), bytes = new Uint8Array(raw.length);
+    for (var i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+    return Array.from(new Float32Array(bytes.buffer), function (v) { return v === v ? v : null; });
+  }
+
+  function given(div) {
+    var figure = figures.get(div);
+    if (!figure.given) {
+      figure.given = JSON.parse(figure.script.textContent);
+      (figure.given.data || []).forEach(function (trace) { trace.x = floats(trace.x); trace.y = floats(trace.y); });
+    }
+    return figure.given;
+  }
+
+  function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
+
+  function recoloured(value) {
+    if (typeof value === "string") return darkOf[value] || value;
+    if (Array.isArray(value)) return value.length > 60 ? value : value.map(recoloured);
+    if (value === null || typeof value !== "object") return value;
+    return Object.fromEntries(Object.entries(value).map(function (e) {
+      return [e[0], e[0] === "x" || e[0] === "y" ? e[1] : recoloured(e[1])];
+    }));
+  }
+
+  function isAxis(key) { return /^[xy]axis\d*$/.test(key); }
+
+  // ---- plots
+
+  function dressed(div) {
+    var f = given(div), dark = prefersDark.matches && !printing, narrow = div.clientWidth < NARROW;
+    var copy = { data: f.data.map(function (t) { return Object.assign({}, t); }), layout: JSON.parse(JSON.stringify(f.layout)) };
+    if (dark) copy = recoloured(copy);
+    var layout = copy.layout, ink = colour("--ink"), dim = colour("--dim"), grid = colour("--grid"), line = colour("--line");
+    layout.paper_bgcolor = layout.plot_bgcolor = "rgba(0,0,0,0)";
+    layout.font = { family: "system-ui, 'Segoe UI', sans-serif", size: narrow ? 10.5 : 12, color: ink };
+    layout.showlegend = false;
+    layout.autosize = true;
+    layout.hoverlabel = { align: "left" };
+    if (coarse) layout.dragmode = false;
+    layout.margin = Object.assign({ l: 78, r: 14, t: 20, b: 44 }, layout.margin);
+    if (narrow) { layout.margin.l = 58; layout.margin.r = 10; }
+    Object.keys(layout).filter(isAxis).forEach(function (key) {
+      var axis = layout[key];
+      Object.assign(axis, { showline: true, linecolor: line, gridcolor: grid, zerolinecolor: line, tickcolor: line, automargin: true });
+      if (axis.title) axis.title = Object.assign({ standoff: narrow ? 4 : 8 }, axis.title, { font: { size: narrow ? 10 : 11.5, color: ink } });
+      axis.tickfont = { color: dim, size: narrow ? 9.5 : 11 };
+      if (key[0] === "x" && narrow) axis.nticks = 5;
+    });
+    (layout.annotations || []).forEach(function (a) {
+      a.font = { size: narrow ? 9.5 : 11, color: dim };
+      if (!a.name) return; // the share of the axis that its span takes
+      a.visible = parseFloat(a.name) * (div.clientWidth - layout.margin.l - layout.margin.r) > 6.2 * a.text.length + 4;
+    });
+    var seen = ranges[(f.layout.meta || {}).time];
+    if (seen) Object.keys(layout).filter(function (k) { return /^xaxis/.test(k); }).forEach(function (k) {
+      layout[k].range = seen.slice(); layout[k].autorange = false;
+    });
+    var hidden = figures.get(div).hidden;
+    copy.data.forEach(function (t) { if (hidden.has(keyOf(t))) t.visible = false; });
+    return copy;
+  }
+
+  function keyOf(trace) { return trace.legendgroup || trace.name || ""; }
+
+  function draw(div) {
+    var figure = figures.get(div);
+    if (figure.scene) { if (!figure.drawn) scene(div, figure); figure.drawn = true; return; }
+    var f = dressed(div);
+    Plotly.react(div, f.data, f.layout, { responsive: true, displaylogo: false, displayModeBar: false });
+    if (figure.drawn) return;
+    figure.drawn = true;
+    keys(div, f);
+    var group = (f.layout.meta || {}).time;
+    if (!group) return;
+    div.on("plotly_relayout", function (event) {
+      var range = null, found = false;
+      Object.keys(event).forEach(function (k) {
+        if (/^xaxis\d*\.range\[0\]$/.test(k)) { range = [event[k], event[k.replace("[0]", "[1]")]]; found = true; }
+        else if (/^xaxis\d*\.range$/.test(k)) { range = event[k]; found = true; }
+        else if (/^xaxis\d*\.autorange$/.test(k) && !found) found = true;
+      });
+      if (!found || String(range) === String(ranges[group] || null)) return;
+      if (range) ranges[group] = range; else delete ranges[group];
+      figures.forEach(function (other, there) {
+        if (there === div || !other.drawn || other.scene || (given(there).layout.meta || {}).time !== group) return;
+        draw(there);
+      });
+    });
+  }
+
+  function look(div, range) { // at a span of time; null: at all of it
+    var group = (given(div).layout.meta || {}).time;
+    if (group && range) ranges[group] = range; else if (group) delete ranges[group];
+    figures.forEach(function (other, there) {
+      if (other.scene || !other.drawn) return;
+      if (there !== div && (!group || (given(there).layout.meta || {}).time !== group)) return;
+      if (range) draw(there);
+      else { // a new plot forgets what was zoomed
+        Plotly.purge(there); other.drawn = false;
+        there.parentNode.querySelectorAll(".keys").forEach(function (k) { k.replaceChildren(); });
+        draw(there);
+      }
+    });
+  }
+
+  // ---- keys and buttons of a figure
+
+  function button(text, title, action) {
+    var b = document.createElement("button");
+    b.type = "button"; b.textContent = text; b.title = title;
+    b.setAttribute("aria-label", title);
+    b.addEventListener("click", action);
+    return b;
+  }
+
+  function keys(div, f) {
+    var place = div.parentNode.querySelector(".keys"), figure = figures.get(div), seen = new Set();
+    place.replaceChildren();
+    f.data.forEach(function (trace) {
+      var key = keyOf(trace);
+      if (!trace.name || trace.showlegend === false || seen.has(key)) return;
+      seen.add(key);
+      var line = trace.line || {}, marker = trace.marker || {}, shade = trace.fillcolor && !line.width;
+      var b = button(trace.name, "show or hide " + trace.name, function () {
+        if (figure.hidden.has(key)) figure.hidden.delete(key); else figure.hidden.add(key);
+        b.setAttribute("aria-pressed", String(!figure.hidden.has(key)));
+        draw(div);
+      });
+      b.className = "key";
+      b.setAttribute("aria-pressed", String(!figure.hidden.has(key)));
+      var swatch = document.createElement("i");
+      var style = shade ? "block" : { dash: "dashed", dot: "dotted" }[line.dash] || "solid";
+      if (trace.mode === "markers") style = "round";
+      swatch.className = style;
+      swatch.dataset.colour = (shade ? trace.fillcolor : line.color || marker.color) || "#8a8f98";
+      swatch.style.color = swatch.dataset.colour;
+      b.prepend(swatch);
+      place.append(b);
+    });
+    tools(div, place);
+  }
+
+  function tools(div, place) {
+    var span = document.createElement("span"), label = div.getAttribute("aria-label");
+    span.className = "tools";
+    if (!figures.get(div).scene) {
+      span.append(button("reset", "reset the zoom of " + label, function () { look(div, null); }),
+                  button("PNG", "save as PNG: " + label, function () { image(div, "png"); }),
+                  button("SVG", "save as SVG: " + label, function () { image(div, "svg"); }));
+    }
+    span.append(button("CSV", "save the numbers as CSV: " + label, function () { save(div.id + ".csv", "text/csv", csv(div)); }));
+    place.append(span);
+  }
+
+  function image(div, format) {
+    var f = dressed(div);
+    Object.assign(f.layout, { showlegend: true, paper_bgcolor: colour("--card"), legend: { orientation: "h", y: 1.02, yanchor: "bottom" } });
+    f.layout.margin.t = 70;
+    Plotly.downloadImage(f, { format: format, filename: div.id, width: Math.max(div.clientWidth, 900), height: div.clientHeight + 50, scale: 2 });
+  }
+
+  function cell(text) {
+    text = String(text === null || text === undefined ? "" : text);
+    if (/^[=+\-@\t\r]/.test(text) && isNaN(Number(text))) text = "'" + text; // no formula of a spreadsheet
+    return /[",\n\r]/.test(text) ? '"' + text.replace(/"/g, '""') + '"' : text;
+  }
+
+  function csv(div) {
+    var figure = figures.get(div), f = given(div), rows = [["series", "panel", "x", "y"]];
+    if (figure.scene) {
+      rows = [["series", "x", "y", "z"]];
+      f.lines.forEach(function (l) {
+        l.points.forEach(function (p) { rows.push([l.name].concat(p)); });
+      });
+    } else {
+      f.data.forEach(function (t) {
+        var axis = f.layout["yaxis" + (t.yaxis || "y").slice(1)] || {};
+        for (var i = 0; i < (t.y || []).length; i++)
+          rows.push([t.name || "", (axis.title || {}).text || "", t.x[i], t.y[i]]);
+      });
+    }
+    return rows.map(function (r) { return r.map(cell).join(","); }).join("\r\n") + "\r\n";
+  }
+
+  function save(name, type, text) {
+    var a = document.createElement("a");
+    a.href = URL.createObjectURL(new Blob([text], { type: type }));
+    a.download = name;
+    a.click();
+    setTimeout(function () { URL.revokeObjectURL(a.href); }, 1000);
+  }
+
+  // ---- tracks in space: a projection without perspective, turned by dragging or by arrow keys
+
+  var SVG = "http://www.w3.org/2000/svg";
+
+  function scene(div, figure) {
+    var f = given(div), svg = document.createElementNS(SVG, "svg"), turn = f.turn || -0.6, tilt = f.tilt || 0.5;
+    div.append(svg);
+    var centre = [0, 1, 2].map(function (k) { return (f.low[k] + f.high[k]) / 2; });
+    var reach = Math.max(0.1, Math.hypot.apply(null, [0, 1, 2].map(function (k) { return f.high[k] - f.low[k]; })));
+
+    function paint() {
+      var w = div.clientWidth, h = div.clientHeight, scale = 0.86 * Math.min(w, h * 1.25) / reach;
+      var c = Math.cos(turn), s = Math.sin(turn), ct = Math.cos(tilt), st = Math.sin(tilt);
+      svg.setAttribute("viewBox", "0 0 " + w + " " + h);
+      function at(p) { // east, north, up
+        var x = p[0] - centre[0], y = p[1] - centre[1], z = p[2] - centre[2];
+        return [(w / 2 + scale * (c * x - s * y)).toFixed(1), (h / 2 - scale * (st * (s * x + c * y) + ct * z)).toFixed(1)];
+      }
+      function path(points, kind, colourName) {
+        var d = "", pen = "M";
+        points.forEach(function (p) {
+          if (p[0] === null) { pen = "M"; return; }
+          var q = at(p);
+          d += pen + q[0] + " " + q[1]; pen = "L";
+        });
+        var e = document.createElementNS(SVG, "path");
+        e.setAttribute("d", d); e.setAttribute("class", kind);
+        if (colourName) e.style.stroke = prefersDark.matches && !printing ? darkOf[colourName] || colourName : colourName;
+        svg.append(e);
+      }
+      function word(p, text) {
+        var q = at(p), e = document.createElementNS(SVG, "text");
+        e.setAttribute("x", Math.min(Math.max(q[0], 20), w - 20)); e.setAttribute("y", q[1]); e.textContent = text;
+        svg.append(e);
+      }
+      svg.replaceChildren();
+      var lo = f.low, hi = f.high, ground = [];
+      for (var i = 0; i <= 4; i++) {
+        var a = lo[0] + (hi[0] - lo[0]) * i / 4, b = lo[1] + (hi[1] - lo[1]) * i / 4;
+        ground.push([a, lo[1], lo[2]], [a, hi[1], lo[2]], [null], [lo[0], b, lo[2]], [hi[0], b, lo[2]], [null]);
+      }
+      path(ground, "ground");
+      path([[lo[0], lo[1], lo[2]], [lo[0], lo[1], hi[2]]], "post");
+      f.lines.forEach(function (l) {
+        path(l.points.map(function (p) { return p[0] === null ? p : [p[0], p[1], lo[2]]; }), "shadow", l.colour);
+      });
+      f.lines.forEach(function (l) { path(l.points, "track " + (l.dash || ""), l.colour); });
+      (f.bodies || []).forEach(function (b) { path(b, "body"); });
+      word([(lo[0] + hi[0]) / 2, hi[1] + 0.06 * reach, lo[2]], "north " + f.span[1]);
+      word([hi[0] + 0.06 * reach, (lo[1] + hi[1]) / 2, lo[2]], "east " + f.span[0]);
+      word([lo[0], lo[1], hi[2] + 0.05 * reach], "up " + f.span[2]);
+    }
+
+    paint();
+    figure.paint = paint;
+    div.addEventListener("pointerdown", function (e) { div.setPointerCapture(e.pointerId); div.dataset.turning = "1"; });
+    div.addEventListener("pointerup", function () { delete div.dataset.turning; });
+    div.addEventListener("pointermove", function (e) {
+      if (!div.dataset.turning) return;
+      turn += e.movementX / 150; tilt = Math.min(1.57, Math.max(0, tilt + e.movementY / 150));
+      paint();
+    });
+    div.addEventListener("keydown", function (e) {
+      var by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
+      if (!by) return;
+      e.preventDefault();
+      turn += by[0]; tilt = Math.min(1.57, Math.max(0, tilt + by[1]));
+      paint();
+    });
+    new ResizeObserver(paint).observe(div);
+    keys(div, { data: f.lines.map(function (l) {
+      return { name: l.name, line: { width: 2, dash: l.dash, color: prefersDark.matches ? darkOf[l.colour] || l.colour : l.colour } };
+    }) });
+    div.parentNode.querySelectorAll(".key").forEach(function (b) { b.disabled = true; });
+  }
+
+  // ---- the page
+
+  document.querySelectorAll("script[data-for]").forEach(function (script) {
+    var div = document.getElementById(script.dataset.for);
+    div.tabIndex = 0;
+    figures.set(div, { script: script, drawn: false, hidden: new Set(), scene: div.classList.contains("scene") });
+    if (figures.get(div).scene) return;
+    div.addEventListener("keydown", function (e) {
+      var axis = div._fullLayout && div._fullLayout.xaxis;
+      if (!axis || axis.type !== "linear") return;
+      var a = axis.range[0], b = axis.range[1], w = b - a;
+      var to = { ArrowLeft: [a - w / 5, b - w / 5], ArrowRight: [a + w / 5, b + w / 5], "+": [a + w / 5, b - w / 5],
+                 "-": [a - w / 3, b + w / 3], Home: null, Escape: null }[e.key];
+      if (to === undefined) return;
+      e.preventDefault();
+      if (to && !(given(div).layout.meta || {}).time) Plotly.relayout(div, { "xaxis.range": to }); else look(div, to);
+    });
+  });
+
+  function redraw() {
+    figures.forEach(function (figure, div) {
+      if (!figure.drawn) return;
+      if (figure.scene) { figure.paint(); } else draw(div);
+      var swatches = div.parentNode.querySelectorAll(".key i"), dark = prefersDark.matches && !printing;
+      var light = Object.fromEntries(Object.entries(darkOf).map(function (e) { return [e[1], e[0]]; }));
+      swatches.forEach(function (i) {
+        var c = i.dataset.colour;
+        i.style.color = dark ? darkOf[c] || c : light[c] || c;
+      });
+    });
+  }
+
+  function all() {
+    document.querySelectorAll("details").forEach(function (d) { d.open = true; });
+    figures.forEach(function (_, div) { draw(div); });
+  }
+
+  function begin() {
+    window.drawAll = all;
+    window.addEventListener("beforeprint", function () { printing = true; all(); redraw(); });
+    window.addEventListener("afterprint", function () { printing = false; redraw(); });
+    prefersDark.addEventListener("change", redraw);
+    var seen = new IntersectionObserver(function (entries) {
+      entries.forEach(function (e) { if (e.isIntersecting) { seen.unobserve(e.target); draw(e.target); } });
+    }, { rootMargin: "900px 0px" });
+    figures.forEach(function (_, div) { seen.observe(div); });
+    document.documentElement.dataset.ready = "yes";
+  }
+
+  function unpacked(id) {
+    var raw = atob(document.getElementById(id).textContent), bytes = new Uint8Array(raw.length);
+    for (var i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+    return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
+  }
+
+  if (!("DecompressionStream" in window)) {
+    document.body.classList.add("old");
+    return;
+  }
+  unpacked("plotly").then(function (source) {
+    var script = document.createElement("script");
+    script.textContent = source;
+    document.head.append(script);
+    begin();
+  });
+})();
