@@ -1,7 +1,6 @@
 """The gap report opens offline, says the claim first and is the same file every time."""
 
 import re
-from base64 import b64decode
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -9,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import plotly.graph_objects as go
 import pytest
-from numpy.typing import NDArray
 
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
+from uavtwin.report.drawing.series import unpacked
 from uavtwin.report.figures import channel_figures
 from uavtwin.report.gap import claim, describe, write_gap_report
 from uavtwin.report.words import headline
@@ -148,18 +147,14 @@ def test_dense_samples_are_a_slow_curve_over_a_band_that_holds_them_all() -> Non
     assert "bands: all samples" in note
     band, curve = figure["data"][:2]
     assert (band["fill"], band["name"]) == ("toself", "measured, all samples")
-    high, low = np.split(_unpacked(band["y"]), 2)
+    high, low = np.split(unpacked(band["y"]), 2)
     assert len(high) == len(low) <= 201
-    t = _unpacked(band["x"])[: len(high)]
+    t = unpacked(band["x"])[: len(high)]
     edges = np.searchsorted(channel.t_s, t[:-1] - 1e-4)
     parts = np.split(channel.measured, edges[1:])
     np.testing.assert_allclose(high[:-2], [p.max() for p in parts[:-1]], rtol=1e-5)
     np.testing.assert_allclose(low[::-1][:-2], [p.min() for p in parts[:-1]], rtol=1e-5)
-    assert len(_unpacked(curve["y"])) <= 402
-
-
-def _unpacked(values: dict[str, str]) -> NDArray[np.float64]:
-    return np.frombuffer(b64decode(values["bdata"]), dtype="<f4").astype(np.float64)
+    assert len(unpacked(curve["y"])) <= 402
 
 
 def test_figures_are_ones_that_plotly_knows() -> None:

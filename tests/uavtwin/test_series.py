@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from uavtwin.report.drawing.series import drawn, thinned
 from uavtwin.report.page import HERE
-from uavtwin.report.series import drawn, thinned
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 400), st.integers(1, 60))

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from twin.effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
+from twin.effects import EFFECTS, RandomForce
 from twin.explain.estimates import (
     beside_mean,
     estimates_of,
@@ -13,20 +13,13 @@ from twin.explain.estimates import (
     where_felt,
 )
 from twin.explain.explanation import Explanation
-from twin.explain.model.flight import FlightModel
 
-from .explain_figures import (
-    agreement_figure,
-    before_after_figure,
-    evidence_figure,
-    loudest,
-)
+from .drawing.series import columns_of
+from .evidence.plots import SERIES, phases_of, steady_evidence, time_group, unsteady_evidence
+from .evidence.steady import before_after_figure
 from .figures import pretty_unit
 from .gap import number, percent
 from .page import Plot, plot, render
-from .panels import Spans, spans_of
-from .series import columns_of
-from .unsteady_figures import slow_force_over_time, unsteady_figure
 from .words import (
     by_prior,
     calibrated_rows,
@@ -44,24 +37,8 @@ from .words import (
 
 MOST_AFFECTED = 2
 """Channels of an effect that are drawn over time."""
-EVIDENCE_SERIES, TIME_SERIES = 20, 30
-"""Series of an effect, and of a held-out flight, about, that share the numbers of a page."""
-EVIDENCE = (
-    "Held-out flight {}. Blue: what the model as it stood leaves of the reading. Black, dashed: "
-    "what {} predicts of that. Orange: what is left with it. Where black lies on blue, the effect "
-    "is there; where orange lies on zero, nothing else is missing. Light bands hold all samples."
-)
-UNSTEADY: dict[type, str] = {
-    Lines: "Spectra of the readings of {}: black, with a peak where the effect lies; blue, the "
-    "noise that the vehicle file allows.",
-    NoiseFloor: "Spectra of the readings of {}: the flat part of the black curve is the noise. "
-    "Blue: what the vehicle file says; orange: with the effect.",
-    RandomForce: "Held-out flights, and {}: what is left of the accelerometer is slow, comes and "
-    "goes, and lies above the noise of the vehicle file (blue).",
-    Repeats: "Readings of {} around the instant from which one of them repeats itself to the last "
-    "bit.",
-}
-"""How to read the figure of an effect that changes no mean, by how it is seen."""
+TIME_SERIES = 30
+"""Series of a held-out flight, about, that share the numbers of a page."""
 
 
 def write_explain_report(found: Explanation, path: Path) -> None:
@@ -73,7 +50,7 @@ def write_explain_report(found: Explanation, path: Path) -> None:
     """
     told = listed_effects(found)
     held = 0 if found.comparison is None else len(found.comparison.model.flights)
-    columns = columns_of(EVIDENCE_SERIES * len(told) + TIME_SERIES * held)
+    columns = columns_of(SERIES * len(told) + TIME_SERIES * held)
     page = render(
         "explain.html.j2",
         {
@@ -135,44 +112,17 @@ def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
 def _evidence(found: Explanation, effect: str, columns: int) -> tuple[list[Plot], str]:
     """Figures that convince of an effect, and how to read them; none where there is nothing."""
     acts = next((a for a in found.attributions if a.effect == effect), None)
-    name = title(effect)
-    if acts is not None and found.comparison is not None:
-        after, held = found.comparison.after, found.comparison.model.flights
-        i = loudest(acts, after)
-        spans, time = _spans(held[i]), _time(i)
-        over_time = evidence_figure(acts, after, i, spans, time, columns)
-        plots = [plot(f"evidence-{effect}", f"Residuals over time: {name}", over_time)]
-        agreement = agreement_figure(acts, after, i)
-        if agreement is not None:
-            label = f"Residuals over what {name} predicts"
-            plots.append(plot(f"agreement-{effect}", label, agreement))
-        return plots, EVIDENCE.format(held[i].flight.name, name)
+    compared = found.comparison
+    if acts is not None and compared is not None:
+        return steady_evidence(acts, compared.after, compared.model.flights, columns)
     unsteady = beside_mean(found, effect)
-    if unsteady is None:
+    felt = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
+    if unsteady is None or not felt:
         return [], ""
-    felt = [f for f in found.recorded if any(f.has(c) for c in unsteady.channels)]
-    if not felt:
-        return [], ""
-    residuals = [] if found.comparison is None else found.comparison.after[0]
-    vehicle = found.vehicle
-    figures = {
-        "over-time": slow_force_over_time(unsteady, residuals, columns),
-        "seen": unsteady_figure(unsteady, felt[-1], residuals, vehicle, columns),
-    }
-    if not isinstance(EFFECTS[effect].seen_as, RandomForce):
-        del figures["over-time"]
-    plots = [plot(f"{effect}-{k}", f"{name}, {k}", f) for k, f in figures.items() if f is not None]
-    return plots, UNSTEADY[type(EFFECTS[effect].seen_as)].format(felt[-1].name)
-
-
-def _spans(flight: FlightModel) -> Spans:
-    """Phases of a flight."""
-    return spans_of(flight.aligned.inputs.t_s, flight.aligned.phases)
-
-
-def _time(flight: int) -> str:
-    """Group of the figures of a held-out flight, whose time axes move together."""
-    return f"held-out-{flight}"
+    if compared is None or not isinstance(EFFECTS[effect].seen_as, RandomForce):
+        return unsteady_evidence(unsteady, felt[-1], (), found.vehicle, columns)
+    flight = compared.model.flights[0].flight
+    return unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, columns)
 
 
 def _before_after(found: Explanation, columns: int) -> list[Plot]:
@@ -188,8 +138,8 @@ def _before_after(found: Explanation, columns: int) -> list[Plot]:
                 next(c for c in channels[i] if c.name == name)
                 for channels in (compared.before, compared.after)
             )
-            spans = _spans(flight)
-            figure = before_after_figure(before, after, spans, _time(i), columns)
+            spans = phases_of(flight)
+            figure = before_after_figure(before, after, spans, time_group(i), columns)
             label = f"{name} of {flight.flight.name}, before and after, over time"
             figures.append(plot(f"time-{i}-{name}", label, figure))
     return figures

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from twin.residuals.gap import Channel
 from twin.residuals.spectra import Spectrum, spectrum
 
+from .drawing.panels import GAP_PX, Axis, Panels, Spans
+from .drawing.series import DENSE_HZ, TREND_HZ, thinned
 from .page import BLACK, BLUE, GREY, Figure
-from .panels import GAP_PX, Axis, Panels, Spans
-from .series import DENSE_HZ, TREND_HZ, thinned
 
 Array = NDArray[np.float64]
 

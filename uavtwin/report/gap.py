@@ -25,12 +25,12 @@ from twin.residuals.gap import (
 )
 from twin.residuals.spectra import SLOW_HZ
 
+from .drawing.panels import Spans
+from .drawing.series import COLUMNS, columns_of
 from .figures import SERIES_OF_CHANNEL, channel_figures, pretty_unit
 from .hover import hover_sentence
 from .overview import Overview, overview_plots
 from .page import Plot, plot, render
-from .panels import Spans
-from .series import COLUMNS, columns_of
 
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise

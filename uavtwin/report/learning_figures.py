@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from twin.residuals.spectra import spectrum
 
+from .drawing.panels import Panels
+from .drawing.series import thinned
 from .figures import SPECTRUM_COLUMNS, pretty_unit
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
-from .panels import Panels
-from .series import thinned
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -10,10 +10,10 @@ from twin.logs import AnyFlight
 from twin.logs.columns import POS, QUAT, motor_columns
 from twin.residuals.gap import Channel
 
+from .drawing.panels import Panels, Spans
+from .drawing.series import thinned
+from .drawing.track import Track, track_plots
 from .page import BLACK, BLUE, GREY, Plot, plot
-from .panels import Panels, Spans
-from .series import thinned
-from .track import Track, track_plots
 
 Array = NDArray[np.float64]
 HELD = 1200

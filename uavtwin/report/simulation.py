@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from cosim.recording import Recording
 from twin.flight.mission import PHASES
 
+from .drawing.panels import Panels, Spans, spans_of
+from .drawing.series import columns_of, thinned
+from .drawing.track import Track, track_plots
 from .figures import pretty_unit
 from .page import BLACK, BLUE, Figure, Plot, plot, render
-from .panels import Panels, Spans, spans_of
-from .series import columns_of, thinned
-from .track import Track, track_plots
 
 Array = NDArray[np.float64]
 _ROW_PX = 150

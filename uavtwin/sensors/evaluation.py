@@ -24,6 +24,7 @@ from twin.vehicle.file import load_vehicle
 
 from ..flights import check_names
 from ..output import output_file
+from ..report.drawing.series import columns_of
 from ..report.figures import pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import (
@@ -32,7 +33,6 @@ from ..report.learning_figures import (
     correction_figure,
 )
 from ..report.page import Plot, plot, render
-from ..report.series import columns_of
 from ..series.table import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.table import MODEL as OF_MODEL
 from ..shown import Shown, TextTable, counted

@@ -1,4 +1,4 @@
-"""Figures of the explain page: what convinces of an effect; flights before and after."""
+"""What convinces of an effect that changes a mean; flights before and after."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,10 @@ from twin.explain.attribution import Attribution
 from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
 from twin.residuals.spectra import spectrum
 
-from .figures import pretty_unit
-from .page import BLACK, BLUE, GREY, ORANGE, Figure
-from .panels import Axis, Panels, Spans
-from .series import TREND_HZ
+from ..drawing.panels import Axis, Panels, Spans
+from ..drawing.series import TREND_HZ
+from ..figures import pretty_unit
+from ..page import BLACK, BLUE, GREY, ORANGE, Figure
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -75,13 +75,13 @@ def agreement_figure(acts: Attribution, with_all: Flights, flight: int) -> Figur
         with_all: Channels of each flight with every added effect.
         flight: Which of them is shown.
     """
-    names = acts.channels[:MOST_CHANNELS]
+    names = [n for n in acts.channels[:MOST_CHANNELS] if _varies_on(acts, with_all, flight, n)]
+    if not names:
+        return None
     panels = Panels((218,) * len(names))
     for i, name in enumerate(names):
         without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
         predicted = without.residual - complete.residual
-        if not varies(predicted):
-            return None
         unit = pretty_unit(without.unit)
         along: Axis = {"nticks": 5}
         if i == len(names) - 1:
@@ -111,6 +111,11 @@ def varies(predicted: Array) -> bool:
     """Whether what an effect predicts is more than a constant."""
     low, high = np.percentile(predicted, [2.5, 97.5])
     return bool(high - low > VARIES * np.abs(predicted).max(initial=0.0))
+
+
+def _varies_on(acts: Attribution, with_all: Flights, flight: int, name: str) -> bool:
+    without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
+    return varies(without.residual - complete.residual)
 
 
 def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twin.frames import to_ned
 
-from .page import Figure, Plot, plot
+from ..page import Figure, Plot, plot
 from .panels import Panels
 from .series import packed
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .page import GREY, Figure
+from ..page import GREY, Figure
 from .series import TREND_HZ, Drawn, drawn, packed
 
 Array = NDArray[np.float64]

@@ -1,6 +1,7 @@
 """Series as a page holds them: no more points than a screen can show, four bytes each."""
 
-from base64 import b64encode
+from base64 import b64decode, b64encode
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -135,3 +136,8 @@ def packed(values: Array) -> dict[str, str]:
     """Numbers as plotly.js reads them in single precision, four bytes each."""
     raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
     return {"dtype": "f4", "bdata": b64encode(raw).decode("ascii")}
+
+
+def unpacked(values: Mapping[str, str]) -> Array:
+    """Numbers that `packed` wrote, shape (n,)."""
+    return np.frombuffer(b64decode(values["bdata"]), dtype="<f4").astype(np.float64)

@@ -13,10 +13,10 @@ from twin.residuals.channels import ChannelData
 from twin.residuals.spectra import spectrum
 from twin.vehicle import Vehicle
 
-from .figures import SPECTRUM_COLUMNS, pretty_unit
-from .page import BLACK, BLUE, GREY, ORANGE, Figure
-from .panels import Panels
-from .series import thinned
+from ..drawing.panels import Panels
+from ..drawing.series import thinned
+from ..figures import SPECTRUM_COLUMNS, pretty_unit
+from ..page import BLACK, BLUE, GREY, ORANGE, Figure
 
 Array = NDArray[np.float64]
 MOST_CHANNELS = 3

@@ -1,0 +1,1 @@
+"""The figures that convince of an effect."""
