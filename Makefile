@@ -15,10 +15,10 @@ $(STAMP): pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[test,cross,learn]'
 	touch $@
 
-cross-tools:  ## what runs FMUs of other platforms in the tests; without it these are skipped
+cross-tools:  ## what runs FMUs of other platforms and looks at pages in the tests; without it these are skipped
 	if [ "$$(id -u)" != 0 ]; then echo 'run as root: sudo make cross-tools' >&2; exit 1; fi
 	apt-get update -qq
-	apt-get install -y -qq --no-install-recommends qemu-user libc6-arm64-cross wine wine64
+	apt-get install -y -qq --no-install-recommends qemu-user libc6-arm64-cross wine wine64 chromium
 
 demo: setup  ## find the effect hidden in built-in flights and write out/demo/report.html
 	$(BIN)/uavtwin demo --out out/demo --force

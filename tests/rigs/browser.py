@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from places import needs
+from places import RIGS, needs
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = needs(BROWSER is not None, "no chromium: apt-get install chromium")
@@ -192,6 +192,27 @@ class Browser:
             address = str(about["request"]["url"])
             if not address.startswith(("file:", "data:", "blob:")):
                 self.requests.append(address)
+
+
+def faults(opened: Browser, page: Path, view: View, picture: Path | None = None) -> list[str]:
+    """What is wrong with a page as somebody sees it; all its figures are drawn.
+
+    Args:
+        opened: A browser.
+        page: HTML file.
+        view: Width and colours.
+        picture: PNG to write; None: none is kept.
+    """
+    opened.open(page, view)
+    found = [str(f) for f in opened.run(_MEASURE)]
+    if picture is not None:
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        opened.picture(picture, 6000)
+    found += [f"on the console: {c}" for c in opened.complaints]
+    return found + [f"asks for {r}" for r in opened.requests]
+
+
+_MEASURE = (RIGS / "measure_page.js").read_text("utf-8")
 
 
 @contextmanager

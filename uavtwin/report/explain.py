@@ -48,7 +48,7 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         found: What was found.
         path: HTML file to write; an existing one is replaced.
     """
-    told = listed_effects(found)
+    told = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
     held = 0 if found.comparison is None else len(found.comparison.model.flights)
     columns = columns_of(SERIES * len(told) + TIME_SERIES * held)
     page = render(

@@ -86,13 +86,16 @@ def _spectra(found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle) -> Fi
         sensor = next(s for s in SENSORS if name in s.columns)
         t, values = flight.signal([name])
         s = spectrum(t, values[:, 0])
-        axes = _density(panels, name, sensor.unit, last=i == len(names) - 1)
+        linear = isinstance(seen_as, Lines)
+        axes = _density(panels, name, sensor.unit, i == len(names) - 1, linear)
         keep = (s.f_hz > 0) & (s.psd > 0)
         if not keep.any():
             continue
-        f, psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), SPECTRUM_COLUMNS)
-        panels.line(axes, 10**f, 10**psd, "measured", {"color": BLACK, "width": 1.3})
-        ends = 10 ** f[[0, -1]]
+        scale = s.f_hz[keep] if linear else np.log10(s.f_hz[keep])
+        f, psd = thinned(scale, np.log10(s.psd[keep]), SPECTRUM_COLUMNS)
+        f = f if linear else 10**f
+        panels.line(axes, f, 10**psd, "measured", {"color": BLACK, "width": 1.3})
+        ends = f[[0, -1]]
         stated = sensor.noise(vehicle)
         noise = {"color": BLUE, "width": 1.8, "dash": "dash"}
         if stated > 0:
@@ -162,9 +165,9 @@ def slow_force_over_time(
     return panels.figure
 
 
-def _density(panels: Panels, name: str, unit: str, last: bool) -> str:
-    """A panel of a spectrum."""
-    along: dict[str, object] = {"type": "log", "dtick": 1}
+def _density(panels: Panels, name: str, unit: str, last: bool, linear: bool = False) -> str:
+    """A panel of a spectrum; lines of rotors are told apart on a linear axis."""
+    along: dict[str, object] = {} if linear else {"type": "log", "dtick": 1}
     if last:
         along["title"] = {"text": "frequency, Hz"}
     title = f"{name}: PSD, ({pretty_unit(unit)})²/Hz"

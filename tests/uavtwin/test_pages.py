@@ -1,0 +1,154 @@
+"""Pages as people see them: wide and narrow, light and dark, in a browser that is watched."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from browser import VIEWS, Browser, View, browser, faults, needs_browser
+from numpy.typing import NDArray
+
+from cosim.recording import Recording
+from twin.logs import Flight
+from twin.logs.columns import POS, QUAT
+from twin.residuals.gap import Channel, FlightGap
+from uavtwin.report.gap import write_gap_report
+from uavtwin.report.overview import overview
+from uavtwin.report.simulation import write_simulation_report
+
+pytestmark = needs_browser
+Array = NDArray[np.float64]
+LARGEST = 1_500_000
+"""Bytes of a page."""
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as one:
+        yield one
+
+
+def pictures(tmp_path: Path) -> Path:
+    """Where pictures are kept: in the folder of $UAVTWIN_PICTURES, else where pytest keeps them."""
+    return Path(os.environ.get("UAVTWIN_PICTURES", tmp_path))
+
+
+def recorded(seconds: float = 20.0) -> Flight:
+    """A flight in a circle, with everything that the top of a page shows."""
+    t = np.arange(0, seconds, 0.02)
+    table: dict[str, Array] = {"time": t}
+    circle = (2 * np.sin(0.5 * t), 2 * np.cos(0.5 * t), -1 - 0.05 * t)
+    table |= dict(zip(POS, circle, strict=True))
+    table |= dict(zip(QUAT, (np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)), strict=True))
+    table |= {f"cmd_{i}": 0.5 + 0.02 * i + 0.05 * np.sin(t + i) for i in range(1, 5)}
+    table |= {f"rotor_{i}": 500 + 10 * np.sin(t + i) for i in range(1, 5)}
+    return Flight("circle", pd.DataFrame(table | {"vbat_v": 16.4 - 0.02 * t, "ibat_a": 9 + 0 * t}))
+
+
+def gap_of(flight: Flight) -> FlightGap:
+    """Residuals of it: vibration, and a twin that drifts off."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0, 20, 0.01)
+    phase = np.where(t < 3, "takeoff", "hover").astype(np.str_)
+    every = slice(50, None, 50)
+    channels = []
+    for k, axis in enumerate("xyz"):
+        slow = np.sin(0.5 * t + k)
+        shaken = slow + 0.4 * rng.standard_normal(len(t))
+        channels.append(Channel(f"acc_{axis}", "m/s2", 0.0, t, shaken, 0.8 * slow, phase))
+        way = flight.table[f"pos_{axis}"].to_numpy()[: len(t) // 2].repeat(2)[every]
+        end = Channel(f"pos_{axis}", "m", 0.5, t[every], way, way + 0.1, phase[every])
+        channels.append(end)
+    spans = (("takeoff", 0.0, 3.0), ("hover", 3.0, 19.0), ("land", 19.0, 20.0))
+    return FlightGap("circle", "made_up", tuple(channels), spans, ("beware",), {"rate": "100 Hz"})
+
+
+@pytest.fixture(scope="module")
+def gap_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("gap") / "gap.html"
+    flight = recorded()
+    gap = gap_of(flight)
+    write_gap_report([gap, replace(gap, flight="again")], path, [overview(flight)] * 2)
+    return path
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_gap_page_is_fine_to_look_at(
+    opened: Browser, gap_page: Path, view: View, tmp_path: Path
+) -> None:
+    assert faults(opened, gap_page, view, pictures(tmp_path) / f"gap_{view}.png") == []
+    assert gap_page.stat().st_size < LARGEST
+
+
+@pytest.mark.parametrize("view", [VIEWS[0], VIEWS[3]], ids=str)
+def test_page_of_a_simulation_is_fine_to_look_at(
+    opened: Browser, view: View, tmp_path: Path
+) -> None:
+    flight = recorded()
+    names = {f"airframe.{n}": flight.table[n].to_numpy() for n in (*POS, *QUAT)}
+    names |= {f"mission.setpoint_{n}": names[f"airframe.{n}"] + 0.1 for n in POS}
+    names |= {f"airframe.vel_{a}": np.gradient(names[f"airframe.pos_{a}"]) for a in "xyz"}
+    names |= {f"mission.setpoint_vel_{a}": names[f"airframe.vel_{a}"] * 0.9 for a in "xyz"}
+    names["mission.phase"] = np.where(flight.time_s < 5, 1.0, 2.0)
+    names |= {f"controller.cmd_{i}": flight.table[f"cmd_{i}"].to_numpy() for i in range(1, 5)}
+    run = Recording(tuple(names), flight.time_s, np.column_stack(list(names.values())))
+    page = tmp_path / "simulation.html"
+    units = {n: "m" for n in names if "pos" in n}
+    write_simulation_report(run, units, "flown well", {"wind": "5,0,0"}, "circle", page)
+    assert faults(opened, page, view, pictures(tmp_path) / f"simulation_{view}.png") == []
+    assert page.stat().st_size < LARGEST
+
+
+def test_zoom_keys_and_numbers_of_a_page(opened: Browser, gap_page: Path) -> None:
+    """Zooming one plot over time moves those of its flight and no other; a key hides its curve; the
+    CSV holds what is drawn; a formula of a spreadsheet stays text."""
+    opened.open(gap_page, VIEWS[0])
+    result = opened.run(
+        """
+(async () => {
+  while (!window.drawAll) await new Promise(r => setTimeout(r, 20));
+  window.drawAll();
+  const at = id => document.getElementById(id)._fullLayout.xaxis.range.map(v => +v.toFixed(3));
+  await Plotly.relayout("flight0-acc-0ms", { "xaxis.range": [4, 6] });
+  await new Promise(r => setTimeout(r, 50));
+  const moved = [at("flight0-acc-0ms"), at("flight0-pos-500ms"), at("flight0-logged")];
+  const other = at("flight1-acc-0ms");
+  const div = document.getElementById("flight0-pos-500ms");
+  const key = [...div.parentNode.querySelectorAll(".key")].find(b => b.textContent === "measured");
+  key.click();
+  await new Promise(r => setTimeout(r, 50));
+  const hidden = div._fullData.filter(t => t.name === "measured").map(t => t.visible);
+  let text = "";
+  window.URL.createObjectURL = blob => { text = blob.text(); return "data:,"; };
+  HTMLAnchorElement.prototype.click = () => {};
+  const csv = [...div.parentNode.querySelectorAll("button")].find(b => b.textContent === "CSV");
+  csv.click();
+  return { moved, other, hidden, csv: (await text).split("\\r\\n").slice(0, 2) };
+})()
+"""
+    )
+    assert result["moved"] == [[4, 6]] * 3
+    assert result["other"] != [4, 6]
+    assert result["hidden"] == [False] * 3
+    assert result["csv"][0] == "series,panel,x,y"
+    name, panel, x, y = result["csv"][1].split(",")[0:1] + result["csv"][1].rsplit(",", 3)[1:]
+    assert (name, float(x)) == ("measured", 0.5)
+    assert opened.complaints == []
+    assert panel
+    assert np.isfinite(float(y))
+
+
+def test_the_test_of_pages_sees_what_is_wrong(opened: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "bad.html"
+    page.write_text(
+        '<!DOCTYPE html><main><h1 style="width:3000px">wide</h1><h2 style="margin-top:-30px">on it'
+        "</h2></main><script>window.drawAll = () => {}; console.error('no')</script>"
+        '<img src="https://example.invalid/a.png">',
+        "utf-8",
+    )
+    found = "\n".join(faults(opened, page, VIEWS[1]))
+    for fault in ("px wide", "lies on", "on the console", "asks for https://example.invalid"):
+        assert fault in found
