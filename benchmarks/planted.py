@@ -142,9 +142,13 @@ class Shown:
     with_it: Sequence[Sequence[ChannelData]]
 
 
-def shown(effect: str) -> Shown:
-    """An effect that changes a mean, at the numbers that were planted."""
-    model = model_of_library(flown(effect))
+def shown(effect: str, model: Model) -> Shown:
+    """An effect that changes a mean, at the numbers that were planted.
+
+    Args:
+        effect: Identifier.
+        model: Its flight against the vehicle, of `model_of_library(flown(effect))`.
+    """
     values: Mapping[str, float] = {f"{effect}.{k}": v for k, v in planted_numbers(effect).items()}
     with_it = model.channels([], values)
     return Shown(attribute_effect(effect, model, values, with_it), model, with_it)

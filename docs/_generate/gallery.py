@@ -7,19 +7,16 @@ our own airframe with the effect, what does not by the plant of the benchmark.
 """
 
 import argparse
-import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
-
-from benchmarks.planted import shown, unsteady
+from benchmarks.planted import flown, model_of_library, shown, unsteady
 from twin.effects import EFFECTS
 from twin.explain.model.model import has_mean
-from uavtwin.report.drawing.series import columns_of, unpacked
+from uavtwin.report.drawing.degenerate import degenerate
+from uavtwin.report.drawing.series import columns_of
 from uavtwin.report.evidence.plots import SERIES, steady_evidence, unsteady_evidence
 from uavtwin.report.page import Plot, render
 
@@ -54,7 +51,7 @@ def entry(effect: str) -> Entry:
     """
     columns = columns_of(SERIES * ON_A_PAGE)
     if has_mean(EFFECTS[effect]):
-        found = shown(effect)
+        found = shown(effect, model_of_library(flown(effect)))
         plots, how = steady_evidence(found.acts, found.with_it, found.model.flights, columns)
     else:
         seen = unsteady(effect)
@@ -63,31 +60,6 @@ def entry(effect: str) -> Entry:
         )
     faults = [f"{p.id}: {fault}" for p in plots for fault in degenerate(p)]
     return Entry(effect, EFFECTS[effect].meaning, plots, how, faults if plots else ["no figure"])
-
-
-def degenerate(figure: Plot) -> Iterator[str]:
-    """What is wrong with a figure: no curve, a single point, no extent, panels that overlap.
-
-    Args:
-        figure: As a page holds it.
-    """
-    content = json.loads(figure.json)
-    data, layout = content["data"], content["layout"]
-    if not data:
-        yield "no curve"
-    for trace in data:
-        x, y = (unpacked(trace[k]) for k in "xy")
-        known = np.isfinite(x) & np.isfinite(y)
-        if known.sum() < 2:
-            yield f"{trace.get('name')}: {known.sum()} points"
-        elif np.ptp(x[known]) <= 0 and np.ptp(y[known]) <= 0:
-            yield f"{trace.get('name')}: one dot"
-    domains = sorted(v["domain"] for k, v in layout.items() if k.startswith("yaxis"))
-    if any(high > low for (_, high), (low, _) in pairwise(domains)):
-        yield "panels overlap"
-    titles = [v["title"]["text"] for k, v in layout.items() if k.startswith("yaxis")]
-    if not all(titles):
-        yield "an axis without a title"
 
 
 def write_page(entries: Sequence[Entry], number: int, pages: int, out: Path) -> Path:

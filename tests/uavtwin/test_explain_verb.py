@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fmpy import read_model_description
+from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 from twin.errors import TwinError
 from twin.explain.design.designer import Suggestion
@@ -252,6 +253,16 @@ def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
     assert places == sorted(places)
     assert "Does the new model fly?" in page
     assert "src=" not in page.split("<body>")[1].split("<script>")[0]
+
+
+@needs_browser
+def test_the_page_is_fine_to_look_at(named: Run, tmp_path: Path) -> None:
+    page = named.out / "report.html"
+    assert page.stat().st_size < 1.5e6
+    with browser(tmp_path) as opened:
+        for view in (VIEWS[0], VIEWS[3]):
+            picture = pictures(tmp_path) / f"explain_{view}.png"
+            assert faults(opened, page, view, picture) == [], view
 
 
 def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from .evidence.plots import SERIES, phases_of, steady_evidence, time_group, unst
 from .evidence.steady import before_after_figure
 from .figures import pretty_unit
 from .gap import number, percent
+from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
 from .words import (
     by_prior,
@@ -63,6 +64,7 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         found=found,
         shrinking=shrinking(found),
         effects=[_effect(found, e, columns) for e in told],
+        flight=_flight(found),
         before_after=_before_after(found, columns),
         gaps=() if found.comparison is None else found.comparison.gaps,
         alike=[] if found.naming is None else found.naming.resemblances,
@@ -109,6 +111,16 @@ def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
     }
 
 
+def _flight(found: Explanation) -> dict[str, Any]:
+    """The last recorded flight, held out where one was: its track, motors and battery."""
+    if not found.recorded:
+        return {"name": "", "track": [], "logged": None}
+    flight = found.recorded[-1]
+    phases = flight_spans(flight)
+    track, logged = overview_plots("flight", overview(flight), phases)
+    return {"name": flight.name, "track": track, "logged": logged}
+
+
 def _evidence(found: Explanation, effect: str, columns: int) -> tuple[list[Plot], str]:
     """Figures that convince of an effect, and how to read them; none where there is nothing."""
     acts = next((a for a in found.attributions if a.effect == effect), None)
@@ -141,5 +153,5 @@ def _before_after(found: Explanation, columns: int) -> list[Plot]:
             spans = phases_of(flight)
             figure = before_after_figure(before, after, spans, time_group(i), columns)
             label = f"{name} of {flight.flight.name}, before and after, over time"
-            figures.append(plot(f"time-{i}-{name}", label, figure))
+            figures.append(plot(f"time-{name}-{i}", label, figure))
     return figures

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,19 @@ def overview(flight: AnyFlight) -> Overview:
         if flight.has(name)
     ]
     return Overview(_vector(flight, POS), _vector(flight, QUAT), tuple(motors), tuple(battery))
+
+
+def flight_spans(flight: AnyFlight) -> Spans:
+    """Phases of a flight, as its table has them."""
+    codes, names = flight.phase_codes
+    changes = np.flatnonzero(codes[1:] != codes[:-1]) + 1
+    rows = np.concatenate([[0], changes, [len(codes) - 1]]) if len(codes) else np.empty(0, int)
+    t = flight.time_s
+    return [
+        (str(names[codes[a]]), float(t[a]), float(t[b]))
+        for a, b in pairwise(rows.tolist())
+        if str(names[codes[a]])
+    ]
 
 
 def _line(flight: AnyFlight, column: str) -> tuple[Array, Array]:

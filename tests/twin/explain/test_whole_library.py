@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 from search_rigs.hypotheses import fit_set
 from search_rigs.hypotheses import problem_of as problem_about
 
-from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers
+from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers, shown
 from twin.effects import EFFECTS, Shift
 from twin.explain.inference.beliefs import effect_of
 from twin.explain.inference.fit import worth_a_name
 from twin.explain.inference.refit import Problem
 from twin.explain.inference.selection import days_of
-from twin.explain.model.model import candidates
+from twin.explain.model.model import Model, candidates
 from twin.explain.model.numbers import columns_of
 from twin.logs import Flight
+from uavtwin.report.drawing.degenerate import degenerate
+from uavtwin.report.evidence.plots import steady_evidence
 
 Array = NDArray[np.float64]
 TRIED = 3
@@ -55,6 +57,14 @@ def test_the_flight_shows_every_effect_that_changes_a_mean() -> None:
     assert others == {"NoiseFloor", "Lines", "RandomForce", "Repeats"}  # see test_unsteady
 
 
+def check_picture(effect: str, model: Model) -> None:
+    """The figure of the explain page shows something: curves with an extent, no dot."""
+    found = shown(effect, model)
+    plots, how = steady_evidence(found.acts, found.with_it, model.flights, 200)
+    assert plots and effect.replace("_", " ") in how
+    assert [fault for p in plots for fault in degenerate(p)] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", [e.name for e in candidates([blank()]) if e.name not in DAILY])
 def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None:
@@ -67,6 +77,7 @@ def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None
     fits = {e: fit_set(problem, [e]) for e in {*rivals[:TRIED], effect}}
     named = [e for e, f in fits.items() if e in worth_a_name(f)]
     best = max(named, key=lambda e: fits[e].gain, default=None)
+    check_picture(effect, problem.model)
     gains = {e: round(f.gain, 1) for e, f in sorted(fits.items(), key=lambda f: -f[1].gain)}
     assert fits[effect].gain > LEAST, f"{effect} explains nothing of itself: {gains}"
     assert best == effect, gains
@@ -81,6 +92,7 @@ def test_a_constant_of_the_day_is_told_of_its_flight(effect: str) -> None:
     known = {f"{effect}.{p.name}": p for p in EFFECTS[effect].parameters}
     planted = {n for n, p in known.items() if numbers[p.name] != p.neutral}
     assert planted & {*told}, told
+    check_picture(effect, problem.model)
     for name in planted & {*told}:
         value, sd = told[name]
         assert value == pytest.approx(numbers[name.partition(".")[2]], abs=4 * sd), name

@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 import torch
 import yaml
+from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 from learning.data.channels import GROUPS
 from learning.data.flights import residual_flight
@@ -131,6 +132,7 @@ def test_evaluation_scores_the_model_beside_baselines(
     assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
     assert "explained twin" in page and "corrected twin" in page
+    assert len(page) < 1.5e6
     (result,) = yaml.safe_load((model / "README.md").read_text("utf-8").split("---\n")[1])[
         "model-index"
     ][0]["results"]
@@ -151,6 +153,17 @@ def test_evaluation_scores_the_model_beside_baselines(
         assert np.sqrt(np.mean(told**2)) == pytest.approx(row["rmse"], rel=1e-9)
         no_model = np.sqrt(np.mean(series[f"residual.{channel}"].dropna() ** 2))
         assert no_model == pytest.approx(left[channel, "none"]["rmse"], rel=1e-9)
+
+
+@needs_browser
+@pytest.mark.slow
+def test_pages_are_fine_to_look_at(model: Path, logs: dict[str, Path], tmp_path: Path) -> None:
+    _run("evaluate", model, logs["three"], "--out", tmp_path / "e")
+    with browser(tmp_path) as opened:
+        for name, folder in (("training", model), ("evaluation", tmp_path / "e")):
+            for view in (VIEWS[0], VIEWS[3]):
+                picture = pictures(tmp_path) / f"{name}_{view}.png"
+                assert faults(opened, folder / "report.html", view, picture) == [], (name, view)
 
 
 @pytest.mark.slow

@@ -1,6 +1,5 @@
 """Pages as people see them: wide and narrow, light and dark, in a browser that is watched."""
 
-import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -8,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from browser import VIEWS, Browser, View, browser, faults, needs_browser
 from numpy.typing import NDArray
+from page_rigs.browser import VIEWS, Browser, View, browser, faults, needs_browser, pictures
 
 from cosim.recording import Recording
 from twin.logs import Flight
@@ -29,11 +28,6 @@ LARGEST = 1_500_000
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with browser(tmp_path_factory.mktemp("browser")) as one:
         yield one
-
-
-def pictures(tmp_path: Path) -> Path:
-    """Where pictures are kept: in the folder of $UAVTWIN_PICTURES, else where pytest keeps them."""
-    return Path(os.environ.get("UAVTWIN_PICTURES", tmp_path))
 
 
 def recorded(seconds: float = 20.0) -> Flight:

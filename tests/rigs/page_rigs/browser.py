@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from places import RIGS, needs
+from places import needs
 
 BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 needs_browser = needs(BROWSER is not None, "no chromium: apt-get install chromium")
@@ -194,6 +194,11 @@ class Browser:
                 self.requests.append(address)
 
 
+def pictures(folder: Path) -> Path:
+    """Where pictures are kept: in the folder of $UAVTWIN_PICTURES, else where the test says."""
+    return Path(os.environ.get("UAVTWIN_PICTURES", folder))
+
+
 def faults(opened: Browser, page: Path, view: View, picture: Path | None = None) -> list[str]:
     """What is wrong with a page as somebody sees it; all its figures are drawn.
 
@@ -212,7 +217,7 @@ def faults(opened: Browser, page: Path, view: View, picture: Path | None = None)
     return found + [f"asks for {r}" for r in opened.requests]
 
 
-_MEASURE = (RIGS / "measure_page.js").read_text("utf-8")
+_MEASURE = (Path(__file__).with_name("measure_page.js")).read_text("utf-8")
 
 
 @contextmanager
