@@ -23,7 +23,7 @@ LINES = 14
 """Of an output that are shown."""
 PICTURES = {
     "gap": ("main > .card.scroll", (1000, 345)),
-    "explained": (".card:has(#time-acc_z)", (880, 470)),
+    "explained": (".card:has(#time-acc_z-0)", (880, 470)),
     "wind": (".card:has(#figure-environment)", (880, 495)),
 }
 """Folder of a report, which part of it is shown, and its width and height, pixels."""
