@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from twin.effects import EFFECTS, Equation
+from twin.effects import EFFECTS, Equation, Repeats
 from twin.errors import TwinError
 from twin.explain.attribution import Attribution, attribute_effect
 from twin.explain.design.manoeuvres import Manoeuvre, plan
@@ -161,7 +161,7 @@ class Unsteady:
     Attributes:
         found: The effect.
         flight: As recorded.
-        residuals: Its channels against the vehicle.
+        residuals: Its channels against the vehicle; none of a reading that stands still.
         vehicle: Without it.
     """
 
@@ -179,9 +179,12 @@ def unsteady(effect: str) -> Unsteady:
     name, table = list(made.flights.items())[-1]
     flight = Flight(name, table)
     stuck = stuck_channels(flight)
-    model = model_of([without_stuck(flight, stuck)], vehicle, candidates([flight]))
-    found = [*find_stuck(stuck), *find_stochastic(model, {})]
+    found = find_stuck(stuck)
+    residuals: Sequence[ChannelData] = ()
+    if not isinstance(EFFECTS[effect].seen_as, Repeats):
+        model = model_of([without_stuck(flight, stuck)], vehicle, candidates([flight]))
+        found, residuals = find_stochastic(model, {}), model.channels([])[0]
     own = next((u for u in found if u.effect == effect), None)
     if own is None:
         raise TwinError(f"{effect}: planted and not found in {name}.")
-    return Unsteady(own, flight, model.channels([])[0], vehicle)
+    return Unsteady(own, flight, residuals, vehicle)

@@ -246,8 +246,8 @@ def test_the_page_says_it_first_and_shows_it(named: Run) -> None:
         'id="evidence',
         "why they lost",
         'id="time-acc_',
-        "The gap on held-out flights",
-        "Where model and flights",
+        '<h2 id="gap">',
+        '<h2 id="where">',
     )
     places = [page.index(words) for words in order]
     assert places == sorted(places)
