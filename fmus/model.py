@@ -38,6 +38,7 @@ class Part:
         max_step_s: Longest internal step.
         glue: File of `fmus/c` that makes a model of tables and kernels.
         kernels: C source in front of it.
+        apart: Whether the kernels are a file of their own, which includes the glue as well.
         defines: Macros that the glue needs.
         shortcuts: How many cheaper kernels the glue tries; None where it knows of none.
         sampling: What happens at sample instants.
@@ -55,6 +56,7 @@ class Part:
     max_step_s: float
     glue: str
     kernels: str = ""
+    apart: bool = False
     defines: Mapping[str, Constant] = field(default_factory=dict)
     shortcuts: int | None = None
     sampling: Sampling | None = None
@@ -213,6 +215,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         max_step_s=component.max_step_s,
         glue="casadi.h",
         kernels=_kernel_source(kernels),
+        apart=True,
         defines=_workspace(kernels),
         shortcuts=len(component.shortcuts),
         sampling=component.sampling,
@@ -241,7 +244,10 @@ def _kernels(component: Component, exchange: bool) -> list[ca.Function]:
 
 
 def _kernel_source(functions: list[ca.Function]) -> str:
-    """C source of the kernels, all of it static: several parts are linked into one library."""
+    """C source of the kernels, all of it static: several parts are linked into one library.
+
+    It holds no name and no number of a vehicle, so that one compilation serves many.
+    """
     generator = ca.CodeGenerator(
         "kernel", {"with_header": False, "casadi_int": "int", "with_export": False}
     )

@@ -1,9 +1,10 @@
-"""The generated C of an FMU: a file per part with its tables, and `system.c`, which joins them.
+"""The generated C of an FMU: a file per part with its tables, one with its kernels where these are
+compiled on their own, and `system.c`, which joins the parts.
 
 Names and numbers of a model come from files; they get into C through `literals` and `names` alone.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from twin.component import Sampling, Variable
 
@@ -21,36 +22,74 @@ def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
     """
     return {
         **{f"part_{part.name}.c": _part(part) for part in model.parts},
+        **{f"kernels_{part.name}.c": _kernels(part) for part in model.parts if part.apart},
         "system.c": _system(model, token),
     }
 
 
-def _part(part: Part) -> str:
-    """Tables, kernels, and the code around them; static apart from the model itself."""
+def _kernels(part: Part) -> str:
+    """Kernels compiled on their own: they know how many variables there are, and no name."""
+    defines = {"KERNELS": "", **_shared(part)}
+    if part.shortcuts is not None:
+        defines["SHORTCUTS(TRY)"] = " ".join(f"TRY({i})" for i in range(part.shortcuts))
+    return "\n".join(
+        [
+            "#include <math.h>\n",
+            '#include "core.h"\n',
+            *_defined(defines),
+            part.kernels,
+            _glue(part),
+        ]
+    )
+
+
+def _shared(part: Part) -> dict[str, object]:
+    """Macros that kernels and tables of a part have in common."""
     parameters, inputs = len(part.of("parameter")), len(part.of("input"))
-    check_identifier("part of an FMU", part.name)
-    check_identifier(f"{part.name}: glue", part.glue.removesuffix(".h"))
-    defines = {
-        "MODEL": f"model_{part.name}",
-        "N_VARIABLES": len(part.variables) + 1,
+    shared: dict[str, object] = {
+        "PART": check_identifier("part of an FMU", part.name),
         "FIRST_INPUT": 1 + parameters,
         "FIRST_OUTPUT": 1 + parameters + inputs,
-        "N_STATES": len(part.state_names),
-        "MAX_STEP": c_number(part.max_step_s),
-        "FOLDER": c_string(part.folder),
         **{
             check_identifier(f"{part.name}: macro", k): _constant(v)
             for k, v in part.defines.items()
         },
     }
-    if part.shortcuts is not None:
-        defines["SHORTCUTS(TRY)"] = " ".join(f"TRY({i})" for i in range(part.shortcuts))
+    if part.sampling is not None:
+        shared["SAMPLED"] = ""
+        shared["N_NOISE"] = c_number(part.sampling.channels)
+        shared["N_LINES"] = len(part.sampling.lines)
+    if part.exchange is not None:
+        shared["EXCHANGED"] = ""
+    return shared
+
+
+def _defined(defines: Mapping[str, object]) -> list[str]:
+    return [f"#define {name} {value}".rstrip() for name, value in defines.items()]
+
+
+def _glue(part: Part) -> str:
+    check_identifier(f"{part.name}: glue", part.glue.removesuffix(".h"))
+    return f'#include "{part.glue}"\n'
+
+
+def _part(part: Part) -> str:
+    """Tables, kernels unless they are apart, and the code around them; static but for the model."""
+    shared = _shared(part)
+    defines = {
+        "MODEL": f"model_{part.name}",
+        "N_VARIABLES": len(part.variables) + 1,
+        "N_STATES": len(part.state_names),
+        "MAX_STEP": c_number(part.max_step_s),
+        "FOLDER": c_string(part.folder),
+        **shared,
+    }
     states = "".join(f"{c_string(name)}, " for name in part.state_names)
     return "\n".join(
         [
             "#include <math.h>\n",
             '#include "core.h"\n',
-            *(f"#define {name} {value}" for name, value in defines.items()),
+            *_defined(defines),
             "",
             _table(
                 "static const Variable variables[]",
@@ -62,8 +101,8 @@ def _part(part: Part) -> str:
             f"static const char* const state_names[] = {{{states}0}};\n",
             *([] if part.sampling is None else [_sampling(part, part.sampling)]),
             *([] if part.exchange is None else [_exchange(part, part.exchange)]),
-            part.kernels,
-            f'#include "{part.glue}"\n',
+            *([] if part.apart else [part.kernels]),
+            _glue(part),
         ]
     )
 
@@ -86,14 +125,12 @@ def _sampling(part: Part, sampling: Sampling) -> str:
     defines = {
         "SAMPLE_PERIOD": reference[sampling.period],
         "SEED": 0 if sampling.seed is None else reference[sampling.seed],
-        "N_NOISE": c_number(sampling.channels),
         "STREAM": f"{c_number(sampling.stream)}u",
-        "N_LINES": len(sampling.lines),
     }
     lines = [f"{{{c_string(line.name)}, {c_number(line.samples)}}}" for line in sampling.lines]
     return "\n".join(
         [
-            *(f"#define {name} {value}" for name, value in defines.items()),
+            *_defined(defines),
             "",
             _table("static const Line lines[]", lines or ["{0, 0}"]),
         ]

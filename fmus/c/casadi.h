@@ -1,8 +1,33 @@
-/* A CasADi component as a model: the code around its kernels.
+/* A CasADi component as a model, in two files: kernels_NAME.c has the kernels and, from here, the
+ * code around them; part_NAME.c has the tables and, from here, what joins them to that code. Kernels
+ * know no name and no number of a vehicle, so they are compiled once for many.
  *
- * Included at the end of part_NAME.c, which holds the tables and the kernels. A kernel reads its
- * arguments while it writes its results, so the two never share a buffer.
+ * Included at the end of both. A kernel reads its arguments while it writes its results, so the two
+ * never share a buffer.
  */
+#define JOINED(FUNCTION, NAME) FUNCTION##_of_##NAME
+#define EXPANDED(FUNCTION, NAME) JOINED(FUNCTION, NAME)
+#define NAMED(FUNCTION) EXPANDED(FUNCTION, PART)
+
+void NAMED(initial)(const Part* p, double* x);
+void NAMED(step)(const Part* p, double h, double* x_next);
+void NAMED(outputs)(Part* p);
+void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change);
+#ifdef EXCHANGED
+int NAMED(rests)(const Part* p);
+#endif
+#ifdef SAMPLED
+void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next);
+#if N_NOISE > 0
+void NAMED(sizes)(const Part* p, double* sizes);
+#endif
+#if N_LINES > 0
+void NAMED(signals)(const Part* p, double* now);
+void NAMED(delays)(const Part* p, double* seconds);
+#endif
+#endif
+
+#ifdef KERNELS
 #define PARAMETERS (p->v + 1)
 #define INPUTS (p->v + FIRST_INPUT)
 #define OUTPUTS (p->v + FIRST_OUTPUT)
@@ -17,11 +42,11 @@
         KERNEL(arg, res, iw, w, 0);                       \
     } while (0)
 
-static void model_initial(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
+void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
 
 /* SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each. Calls by
  * name: through a table of kernels a step takes 8 % longer. */
-static void model_step(const Part* p, double h, double* x_next) {
+void NAMED(step)(const Part* p, double h, double* x_next) {
 #define TRY(I)                                                      \
     CALL(holds_##I, &holds, p->x, PARAMETERS, &h);                  \
     if (holds) {                                                    \
@@ -35,7 +60,7 @@ static void model_step(const Part* p, double h, double* x_next) {
     CALL(step, x_next, p->x, INPUTS, PARAMETERS, &h);
 }
 
-static void model_outputs(Part* p) {
+void NAMED(outputs)(Part* p) {
 #define TRY(I)                                                      \
     CALL(holds_##I, &holds, p->x, PARAMETERS, &now);                \
     if (holds) {                                                    \
@@ -50,27 +75,27 @@ static void model_outputs(Part* p) {
     CALL(outputs, OUTPUTS, p->x, INPUTS, PARAMETERS);
 }
 
-static void model_tangent(const Part* p, int starting, const double* noise, double* change) {
+void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change) {
     const double *d_p = change + 1, *d_u = change + FIRST_INPUT;
     double* d_y = change + FIRST_OUTPUT;
     if (starting) CALL(initial_tangent, d_y, INPUTS, PARAMETERS, d_u, d_p, noise);
-#ifdef N_CONTINUOUS
+#ifdef EXCHANGED
     else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p, p->next);
 #else
     else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p);
 #endif
 }
 
-#ifdef N_CONTINUOUS
-static int model_rests(const Part* p) {
+#ifdef EXCHANGED
+int NAMED(rests)(const Part* p) {
     double yes;
     CALL(rests, &yes, PARAMETERS);
     return yes != 0;
 }
 #endif
 
-#ifdef SAMPLE_PERIOD
-static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
+#ifdef SAMPLED
+void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next) {
 #define TRY(I)                                                                         \
     CALL(holds_##I, &holds, p->x, PARAMETERS, &now);                                   \
     if (holds) {                                                                       \
@@ -85,28 +110,31 @@ static void model_update(const Part* p, const double* noise, const double* delay
     CALL(update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);
 }
 #if N_NOISE > 0
-static void model_sizes(const Part* p, double* sizes) { CALL(noise_sizes, sizes, PARAMETERS); }
-#else
-#define model_sizes NULL
+void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, PARAMETERS); }
 #endif
 #if N_LINES > 0
-static void model_signals(const Part* p, double* now) { CALL(signals, now, p->x, INPUTS, PARAMETERS); }
-static void model_delays(const Part* p, double* seconds) { CALL(delays, seconds, PARAMETERS); }
-#else
-#define model_signals NULL
-#define model_delays NULL
+void NAMED(signals)(const Part* p, double* now) { CALL(signals, now, p->x, INPUTS, PARAMETERS); }
+void NAMED(delays)(const Part* p, double* seconds) { CALL(delays, seconds, PARAMETERS); }
 #endif
+#endif
+
+#else
+#ifdef SAMPLED
 static const Sampling sampling = {
     .period = SAMPLE_PERIOD,
     .seed = SEED,
     .n_noise = N_NOISE,
-    .sizes = model_sizes,
+#if N_NOISE > 0
+    .sizes = NAMED(sizes),
+#endif
     .stream = STREAM,
     .n_lines = N_LINES,
     .lines = lines,
-    .signals = model_signals,
-    .delays = model_delays,
-    .update = model_update,
+#if N_LINES > 0
+    .signals = NAMED(signals),
+    .delays = NAMED(delays),
+#endif
+    .update = NAMED(update),
 };
 #define SAMPLING &sampling
 #else
@@ -122,15 +150,16 @@ const Model MODEL = {
     .state_names = state_names,
     .max_step = MAX_STEP,
     .sampling = SAMPLING,
-    .initial = model_initial,
-    .step = model_step,
-    .outputs = model_outputs,
-    .tangent = model_tangent,
-#ifdef N_CONTINUOUS
+    .initial = NAMED(initial),
+    .step = NAMED(step),
+    .outputs = NAMED(outputs),
+    .tangent = NAMED(tangent),
+#ifdef EXCHANGED
     .n_continuous = N_CONTINUOUS,
     .continuous = continuous,
     .n_crossings = N_CROSSINGS,
     .crossings = crossings,
-    .rests = model_rests,
+    .rests = NAMED(rests),
 #endif
 };
+#endif

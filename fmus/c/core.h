@@ -2,7 +2,8 @@
  *
  * An FMU is a `System` of one or more parts, joined output to input and stepped together. A part is
  * a constant `Model` - tables and functions, nothing that changes - in a source file of its own
- * (part_NAME.c), all else in that file being static; system.c names the parts and joins them.
+ * (part_NAME.c, and kernels_NAME.c where its kernels are apart); system.c names the parts and joins
+ * them.
  *
  * What changes lies in one flat block of memory per instance, the `State`: saving it, restoring it
  * and writing it to a byte string are memcpy, exact to the bit. A `Part` holds the addresses of its

@@ -113,9 +113,9 @@ int main(int argc, char** argv) {
         must(enter() == 0 && F(ExitInitializationMode)(c) == 0, "initialization");
         if (inputs) must(get(input_vr, inputs, middle) == 0, "get the inputs");
         for (int k = 0; k < steps; k++) {
-            for (unsigned i = 0; i < inputs; i++) { /* around the start value, or between 0.5 and 0.6 */
+            for (unsigned i = 0; i < inputs; i++) { /* around the start value, or next to nothing */
                 u = ((unsigned)k * 7919u + i * 1009u) % 4096u / 40960.0;
-                u = middle[i] != 0 ? middle[i] * (0.95 + u) : 0.5 + u;
+                u = middle[i] != 0 ? middle[i] * (0.95 + u) : (0.5 + u) / 1e5;
                 must(set(&input_vr[i], 1, &u) == 0, "set an input");
             }
             must(step(k * 1e-3) == 0 && get(vr, count, y) == 0, "step");

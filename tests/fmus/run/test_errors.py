@@ -85,7 +85,7 @@ def test_fixed_parameter_after_initialisation(new: New, fmi: int) -> None:
 def test_output_cannot_be_set(new: New, fmi: int) -> None:
     instance = new("airframe-copter_default", fmi).start()
     message = refused(instance, lambda: instance.set({"pos_x": 1.0}))
-    assert message == "pos_x is an output and cannot be set"
+    assert message == "pos_x is computed and cannot be set"
 
 
 def test_unknown_value_reference(new: New, fmi: int) -> None:
