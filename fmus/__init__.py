@@ -1,10 +1,17 @@
-"""FMUs: from components and recorded flights to archives that any FMI tool runs."""
+"""FMUs: from components and recorded flights to archives that any FMI tool runs.
 
-from .builder import build
-from .compensator import compensator_model
-from .fuse import fuse
-from .model import FmuModel, component_model
-from .replay import replay_model
+Names are loaded when they are used: who only runs FMUs needs neither CasADi nor pandas.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .builder import build
+    from .compensator import compensator_model
+    from .fusing import fuse
+    from .model import FmuModel, component_model
+    from .replay import replay_model
 
 __all__ = [
     "FmuModel",
@@ -14,3 +21,22 @@ __all__ = [
     "fuse",
     "replay_model",
 ]
+
+_HOME = {
+    "FmuModel": "model",
+    "build": "builder",
+    "compensator_model": "compensator",
+    "component_model": "model",
+    "fuse": "fusing",
+    "replay_model": "replay",
+}
+"""Module of each name; none is called as a name is, since importing it would take its place."""
+
+if not TYPE_CHECKING:  # so that a type checker refuses a name that is not above
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOME:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = getattr(import_module(f".{_HOME[name]}", __name__), name)
+        globals()[name] = found
+        return found
