@@ -31,7 +31,7 @@ from .calls import Library, Step, Transfer
 from .interface import SCALARS, Port, read_interface
 
 Array = NDArray[np.float64]
-_WARNING, _DISCARD, _FATAL, _PENDING = 1, 2, 4, 5
+_OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5
 _LAST_SUCCESSFUL_TIME = 2
 _LONGEST = 1000
 """Characters of what an FMU says that are passed on."""
@@ -102,10 +102,11 @@ class Slave:
 
     def _log2(self, env: Any, instance: bytes, status: int, category: bytes, text: bytes) -> None:
         # A printf format, whose arguments ctypes cannot see.
-        self._messages.append((text or b"").decode(errors="replace").replace("%%", "%"))
+        self._log3(env, status, category, (text or b"").replace(b"%%", b"%"))
 
     def _log3(self, env: Any, status: int, category: bytes, text: bytes) -> None:
-        self._messages.append((text or b"").decode(errors="replace"))
+        if status != _OK or category != b"logEvents":  # what went well is no reason of an error
+            self._messages.append((text or b"").decode(errors="replace"))
 
     def initialize(
         self,

@@ -140,7 +140,7 @@ def test_figures_show_what_each_system_said(tables: Path) -> None:
     (histograms, *_) = error_distributions(Said.of(flights, said)).data
     assert histograms.name == "tenth"
     page = figures_page(comparison(flights, said))
-    assert page.count('<script type="application/json"') == 5
+    assert page.count("data-for=") == 5
     assert "Figure 8" in page and "src=" not in page.split("<script>", 1)[0]
 
 

@@ -221,7 +221,7 @@ def test_a_stop_time_is_passed_on(lag: Callable[[int], Path], fmi: int) -> None:
 
 
 def test_nominal_values_and_abilities(lag: Callable[[int], Path]) -> None:
-    changes = {r'(name="y"[^>]*>\s*<Real)': r'\1 nominal="-250"'}
+    changes = {r'(name="y"[^>]*>\s*<Real[^>]*?) nominal="[^"]*"': r'\1 nominal="-250"'}
     interface = read_interface(altered(lag(2), "nominal.fmu", changes))
     assert interface.ports["y"].nominal == 250.0
     assert interface.ports["u"].nominal == 1.0
