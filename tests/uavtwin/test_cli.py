@@ -125,7 +125,7 @@ def test_an_interrupted_gap_writes_nothing(
     table: Path,
     tmp_path: Path,
 ) -> None:
-    def interrupt(_: object, path: Path) -> None:
+    def interrupt(_: object, path: Path, *__: object) -> None:
         """Half a report, then Ctrl-C."""
         path.write_text("<html>")
         raise KeyboardInterrupt

@@ -420,7 +420,7 @@ def test_flights_come_in_the_order_that_people_count(folder: Path, tmp_path: Pat
 def test_a_failed_report_leaves_the_old_one(
     gap: ut.GapResult, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def fail(_: object, path: Path) -> None:
+    def fail(_: object, path: Path, *__: object) -> None:
         path.write_text("half")
         raise KeyboardInterrupt
 

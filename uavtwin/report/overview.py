@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twin.logs import AnyFlight
 from twin.logs.columns import POS, QUAT, motor_columns
+from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
 from .drawing.panels import Panels, Spans
@@ -41,6 +42,8 @@ class Overview:
     attitude: tuple[Array, Array] | None
     motors: tuple[tuple[str, tuple[tuple[Array, Array], ...]], ...]
     battery: tuple[tuple[str, Array, Array], ...]
+
+    __repr__ = short_repr
 
 
 def overview(flight: AnyFlight) -> Overview:

@@ -301,7 +301,8 @@ def test_the_same_seed_gives_the_same_bytes(
 ) -> None:
     _train(logs, tmp_path / "again")
     for path in sorted(model.iterdir()):
-        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+        if path.name != "README.md":  # which evaluations have completed meanwhile
+            assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 @pytest.mark.parametrize(

@@ -156,7 +156,7 @@ def slow_force_over_time(
     names = [c for c in residuals if c.name in found.channels]
     if not names:
         return None
-    panels = Panels((170,) * len(names), "gust")
+    panels = Panels((170,) * len(names), "unsteady")
     for channel in names:
         axes = panels.add(f"residual of {channel.name}, {pretty_unit(channel.unit)}")
         line = {"color": GREY, "width": 1.4}
