@@ -113,6 +113,11 @@ class Bench:
         if self.verbs[name].empty:
             (self.work / name).mkdir()
 
+    def _clear(self, name: str) -> None:
+        """Take away what a verb has finished, since it writes over no results; leave the rest."""
+        if tree(self.work / name).keys() == self.whole[name].keys():
+            self.fresh(name)
+
     def same(self, name: str, threads: int) -> bool:
         """Whether it gives the same files again."""
         self.fresh(name)
@@ -121,8 +126,7 @@ class Bench:
 
     def kill(self, name: str, moment: float, without_cache: bool) -> bool:
         """Kill it at a share of its duration; whether a new folder is whole or not there."""
-        if tree(self.work / name).keys() == self.whole[name].keys():
-            self.fresh(name)
+        self._clear(name)
         if without_cache:
             shutil.rmtree(self.cache, ignore_errors=True)
         run = self.begin(name)
@@ -136,8 +140,7 @@ class Bench:
 
     def again(self, name: str) -> bool:
         """Whether the same command works after kills, to the same files."""
-        if tree(self.work / name).keys() == self.whole[name].keys():
-            self.fresh(name)
+        self._clear(name)
         self.finish(name, self.begin(name, threads=2))
         return tree(self.work / name) == self.whole[name]
 
