@@ -1,5 +1,5 @@
-"""Write results/paper.md, paper_weights.md and paper_less_data.md: the paper's tables; and
-WORK/figures.html: its figures.
+"""Write results/paper.md, paper_weights.md, paper_less_data.md and paper_published.md: the paper's
+tables; and WORK/figures.html: its figures.
 
     python docs/_generate/paper.py --data ../shared/data --work out/paper
 
@@ -49,6 +49,7 @@ PAGES = {
     "paper": ("table2", "needed", "samples", "ablations"),
     "paper_weights": ("weights",),
     "paper_less_data": ("table2",),
+    "paper_published": ("published",),
 }
 """Names of the pages, of their templates and of the tables that each shows."""
 
@@ -69,7 +70,6 @@ def main() -> None:
     parser.add_argument("--seeds-table3", type=int, default=3, help="of Table III")
     parser.add_argument("--seeds-table5", type=int, default=3, help="of Table V")
     parser.add_argument("--seeds-paper", type=int, help="of the paper's preset in Table V")
-    parser.add_argument("--published", action="store_true", help="the published code in Table II")
     given = parser.parse_args()
     if "paper" not in (given.page or PAGES):  # whose figures need more than scores
         unpack_scores(SCORES, given.work)
@@ -89,10 +89,11 @@ def _write(page: str, given: argparse.Namespace) -> None:
     fifth += [] if given.seeds_paper is None else [f"--seeds-paper={given.seeds_paper}"]
     shares = ("--share=1",) if page == "paper" else ("--share=0.5", "--share=0.25")
     asked = {
-        "table2": [seeds, *shares, *["--published"] * given.published],
+        "table2": [seeds, *shares],
         "needed": [f"--epochs={NEEDED_EPOCHS}"],
         "samples": [f"--seeds={given.seeds_table3}"],
         "weights": fifth,
+        "published": [],
         "ablations": [f"--epochs={EPOCHS}"],
     }
     text = {}
@@ -129,17 +130,19 @@ def _write(page: str, given: argparse.Namespace) -> None:
 
 def _told(page: str, given: argparse.Namespace) -> list[str]:
     """Options that decide what a page holds, as they are written."""
+    if page == "paper_published":
+        return []
     if page == "paper_weights":
         own = [] if given.seeds_paper is None else [f"--seeds-paper={given.seeds_paper}"]
         return [f"--seeds-table5={given.seeds_table5}", *own]
     third = [f"--seeds-table3={given.seeds_table3}"] if page == "paper" else []
-    return [f"--seeds={given.seeds}", *third, *["--published"] * given.published]
+    return [f"--seeds={given.seeds}", *third]
 
 
 def _figures(tables: Path, work: Path, jobs: int) -> Figures:
     """All of the paper's that are drawn, of trainings that are done but for the missions'."""
     flights = paper_flights(tables)
-    options = paper.Options(None, seeds=1, published=False, shares=(1.0,))
+    options = paper.Options(None, seeds=1, shares=(1.0,))
     runs = {r.name: r for r in paper.table2(options) if r.protocol == "reconstruct"}
     said = paper.corrections(list(runs.values()), work)
     compared = {n: s for n, s in said.items() if n in (*OURS, *paper.COMPARED)}
