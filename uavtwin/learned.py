@@ -160,23 +160,22 @@ def train(
     return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
 
 
-def complete_model_card(
+def write_measured_card(
     model: Path,
     found: "Evaluation | ForceEvaluation | GeneratedEvaluation",
     flights: Sequence[Flight],
-    elsewhere: Path,
-) -> Path:
-    """Put what was measured on the card of a model.
+    folder: Path,
+) -> str:
+    """Write the card of a model with what was measured; returns its name.
 
     Args:
-        model: Folder of the model.
+        model: Folder of the model, which stays as it is.
         found: What `evaluate` returned.
         flights: That it was measured on.
-        elsewhere: Folder for the card where that beside the model was edited by somebody, or cannot
-            be replaced.
+        folder: To write it into.
 
-    Returns:
-        The card.
+    Raises:
+        TwinError: The head of the model's own card cannot be read.
     """
     from learning.force.model import is_force
 
@@ -185,10 +184,10 @@ def complete_model_card(
     else:
         from .sensors.training import training_claim as claim
     from .model_card.measured import Measured
-    from .model_card.write import complete_card
+    from .model_card.write import write_completed_card
 
     measured = Measured(found.json(), {f.name: f.fingerprint for f in flights})
-    return complete_card(model, claim(model), measured, elsewhere)
+    return write_completed_card(model, claim(model), measured, folder)
 
 
 def _check_kind(out: Path, file: str, what: str) -> None:

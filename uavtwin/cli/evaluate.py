@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild
-from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
+from .printing import STDOUT, print_damage, print_json, print_sections, progress
 
 
 def evaluate(
@@ -38,7 +38,7 @@ def evaluate(
     from learning.force.model import FILE, NETWORK_FILE
 
     from ..flights import read_alike
-    from ..learned import check_extra_learn, complete_model_card
+    from ..learned import check_extra_learn, write_measured_card
     from ..learned import evaluate as evaluate_folder
     from ..output import check_folder, results_folder, write_json, write_run
     from ..series.files import chosen_forms, write_all_series
@@ -69,21 +69,13 @@ def evaluate(
         write_json(folder / "evaluation.json", found.json())
         found.report(folder / "report.html")
         write_all_series(found.series(), folder, forms)
-        card = complete_model_card(model, found, read, folder)
+        card = write_measured_card(model, found, read, folder)
         write_run(folder, "evaluate", options, inputs)
     if as_json:
         print_json(found.json())
     else:
         print_sections(found.sections())
-        STDOUT.print(f"written: {out / 'report.html'}, evaluation.json, series/, run.json")
-        if card.parent == model:
-            STDOUT.print(f"completed: {card}", markup=False)
-    if card.parent != model:
-        STDERR.print(
-            f"{model / card.name}: was edited, or cannot be replaced; the card with these figures "
-            f"is {out / card.name}.",
-            style="yellow",
-            markup=False,
-        )
+        written = f"{out / 'report.html'}, evaluation.json, {card}, series/, run.json"
+        STDOUT.print(f"written: {written}", markup=False)
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)

@@ -4,11 +4,13 @@ Nothing stands in it that the folder or an evaluation does not record: `model.js
 and the content of `evaluation.json`.
 """
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import jinja2
+import yaml
 
 from .license import UNSAID
 from .markdown import plain, table
@@ -22,7 +24,6 @@ from .recorded import (
     training_table,
     validation_table,
 )
-from .yaml_head import yaml_head
 
 FILE = "README.md"
 _USES = {
@@ -69,7 +70,7 @@ def card_text(
     )
     environment.filters["plain"] = plain
     text = environment.get_template("card.md.j2").render(
-        **{"head": yaml_head(head), "title": _title(about), "claim": claim, "about": about},
+        **{"head": _yaml(head), "title": _title(about), "claim": claim, "about": about},
         **{"force": about["protocol"] == "force", "use": _USES[about["protocol"]]},
         **{"license": license, "unsaid": license == UNSAID, "table": table},
         onnx=(folder / "model.onnx").is_file(),
@@ -84,6 +85,12 @@ def card_text(
         limits=limits(about, result),
     )
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _yaml(content: Mapping[str, Any]) -> str:
+    """The head of a card, its marks included."""
+    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=math.inf)
+    return f"---\n{text}---"
 
 
 def _title(about: Mapping[str, Any]) -> str:

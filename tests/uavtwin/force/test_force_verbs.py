@@ -106,7 +106,7 @@ def test_the_exported_twin_is_less_far_off_on_a_flight_it_has_not_seen(
     for side, twin in (("", "physics"), ("_explained", EXPLAINED), ("_corrected", SHIPPED)):
         off = series[[f"residual{side}.velocity_{a}" for a in "xyz"]]
         assert np.sqrt((off**2).mean().sum()) == pytest.approx(rows[twin]["velocity"], rel=1e-9)
-    head = yaml.safe_load((model / "README.md").read_text("utf-8").split("---\n")[1])
+    head = yaml.safe_load((out / "README.md").read_text("utf-8").split("---\n")[1])
     metrics = {m["name"]: m["value"] for m in head["model-index"][0]["results"][0]["metrics"]}
     assert metrics["velocity after 0.5 s, m/s"] == rows[SHIPPED]["velocity"]
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 import stat
 from dataclasses import replace
 from pathlib import Path
@@ -108,7 +107,6 @@ def test_training_leaves_a_model_with_its_page(model: Path) -> None:
 def test_evaluation_scores_the_model_beside_baselines(
     model: Path, logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = Path(shutil.copytree(model, tmp_path / "model"))  # its card will be completed
     explained = tmp_path / "explained.toml"
     explained.write_text((model / "vehicle.toml").read_text("utf-8"), "utf-8")
     _run(
@@ -133,7 +131,7 @@ def test_evaluation_scores_the_model_beside_baselines(
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
     assert "explained twin" in page and "corrected twin" in page
     assert len(page) < 1.5e6
-    (result,) = yaml.safe_load((model / "README.md").read_text("utf-8").split("---\n")[1])[
+    (result,) = yaml.safe_load((tmp_path / "e" / "README.md").read_text("utf-8").split("---\n")[1])[
         "model-index"
     ][0]["results"]
     own = [g for g in printed["groups"] if g["model"] == "model"]
@@ -301,8 +299,7 @@ def test_the_same_seed_gives_the_same_bytes(
 ) -> None:
     _train(logs, tmp_path / "again")
     for path in sorted(model.iterdir()):
-        if path.name != "README.md":  # which evaluations have completed meanwhile
-            assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
+        assert (tmp_path / "again" / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,22 @@
-"""Model cards: a head that YAML reads, numbers of the JSON beside, edits kept."""
+"""Model cards: a head that YAML reads, numbers of the JSON beside."""
 
 import json
-import math
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from twin.errors import TwinError
 from uavtwin.model_card.card import FILE, card_text
-from uavtwin.model_card.license import check_license
+from uavtwin.model_card.license import UNSAID, check_license, written_license
 from uavtwin.model_card.markdown import table
 from uavtwin.model_card.measured import Measured
-from uavtwin.model_card.write import complete_card, write_card
-from uavtwin.model_card.yaml_head import yaml_head
+from uavtwin.model_card.write import write_card, write_completed_card
 
 CLAIM = "track, 2 samples (40 ms) ahead: something was learned."
-FLIGHT = {"name": "one|two\n# three", "sha256": "a1", "log_sha256": "b2", "samples": 9}
+FLIGHT = {"name": "one|two\n---\n# three", "sha256": "a1", "log_sha256": "b2", "samples": 9}
 ABOUT: dict[str, Any] = {
     **{"family": "svq", "protocol": "track", "horizon": 2, "rate_hz": 50.0, "n_commands": 4},
     **{"channels": ["acc_x", "acc_y", "mag_x"], "units": ["m/s^2", "m/s^2", "T"]},
@@ -67,8 +64,8 @@ def folder(tmp_path: Path) -> Path:
 
 
 def head(text: str) -> dict[str, Any]:
-    _, yaml_text, _ = text.split("---\n", 2)
-    content = yaml.safe_load(yaml_text)
+    match = re.match(r"---\n(.*?)\n---\n", text, re.DOTALL)
+    content = yaml.safe_load(match[1]) if match else None
     assert isinstance(content, dict)
     return content
 
@@ -84,31 +81,6 @@ def cells(text: str, first: str) -> list[list[str]]:
     return rows
 
 
-SCALARS = st.one_of(
-    st.text(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.booleans()
-)
-KEYS = st.from_regex(r"[a-z][a-z_-]{0,8}", fullmatch=True).filter(
-    lambda k: k not in ("on", "off", "yes", "no", "true", "false", "null", "n", "y")
-)
-NESTED = st.recursive(
-    SCALARS,
-    lambda inner: (
-        st.dictionaries(KEYS, inner, max_size=3)
-        | st.lists(SCALARS | st.dictionaries(KEYS, inner, min_size=1, max_size=3), max_size=3)
-    ),
-    max_leaves=8,
-)
-
-
-@settings(max_examples=25)
-@given(st.dictionaries(KEYS, NESTED, max_size=4))
-def test_yaml_reads_what_was_meant(content: dict[str, Any]) -> None:
-    text = yaml_head(content)
-    assert text.startswith("---") and text.endswith("---")
-    read = yaml.safe_load(text.removeprefix("---").removesuffix("---")) or {}
-    assert read == content
-
-
 def test_the_card_of_a_training_tells_what_is_recorded(folder: Path) -> None:
     assert write_card(folder, CLAIM, "cc-by-4.0") == FILE
     text = (folder / FILE).read_text("utf-8")
@@ -121,7 +93,7 @@ def test_the_card_of_a_training_tells_what_is_recorded(folder: Path) -> None:
     assert flight["residuals_sha256"] == "a1" and flight["seconds"] == 5.82
     assert "model-index" not in content
     assert CLAIM in text and "Not measured yet" in text
-    assert cells(text, "flight")[2] == ["one\\|two # three", "9", "5.82", "b2"]
+    assert cells(text, "flight")[2] == ["one\\|two --- # three", "9", "5.82", "b2"]
     assert cells(text, "input")[2:] == [["gyro_x", "1.00e\u221205", "0.25"]]
     assert cells(text, "channel")[2:] == [["acc_x", "0.5", "0.25"], ["acc_y", "0.5", "0.5"]]
     limits = text.split("## Limits")[1]
@@ -132,8 +104,10 @@ def test_the_card_of_a_training_tells_what_is_recorded(folder: Path) -> None:
 
 def test_evaluation_completes_it_with_the_numbers_of_its_json(folder: Path, tmp_path: Path) -> None:
     write_card(folder, CLAIM, "cc-by-4.0")
-    assert complete_card(folder, CLAIM, MEASURED, tmp_path) == folder / FILE
-    text = (folder / FILE).read_text("utf-8")
+    before = (folder / FILE).read_bytes()
+    assert write_completed_card(folder, CLAIM, MEASURED, tmp_path) == FILE
+    assert (folder / FILE).read_bytes() == before
+    text = (tmp_path / FILE).read_text("utf-8")
     content = head(text)
     assert content["license"] == "cc-by-4.0"  # kept
     (index,) = content["model-index"]
@@ -148,19 +122,30 @@ def test_evaluation_completes_it_with_the_numbers_of_its_json(folder: Path, tmp_
     limits = text.split("## Limits")[1]
     assert "mag: mean leaves 1.00e\u221207, it 1.10e\u221207 T" in limits
     assert "acc:" not in limits and "Nothing is known yet" not in limits
-    complete_card(folder, CLAIM, MEASURED, tmp_path)  # again: our own card is replaced
-    assert (folder / FILE).read_text("utf-8") == text
 
 
-def test_a_card_that_was_edited_stays(folder: Path, tmp_path: Path) -> None:
-    write_card(folder, CLAIM)
-    edited = (folder / FILE).read_text("utf-8").replace("## Limits", "## Limits, by us")
-    (folder / FILE).write_text(edited, "utf-8")
-    out = tmp_path / "evaluation"
-    out.mkdir()
-    assert complete_card(folder, CLAIM, MEASURED, out) == out / FILE
-    assert (folder / FILE).read_text("utf-8") == edited
-    assert "model-index" in head((out / FILE).read_text("utf-8"))
+@pytest.mark.parametrize(
+    ("text", "license"),
+    [
+        ("# No head\n", UNSAID),
+        ("---\ntags: [a]\n---\n# T\n", UNSAID),
+        ("---\nlicense: mit\n---\n", "mit"),
+        ("---\nlicense: [1, 2]\n---\n", None),
+        ("---\nlicense: 'x y'\n---\n", None),
+        ("---\n{{{: :\n---\n", None),
+        ("---\n" + "[" * 20_000 + "\n---\n", None),
+    ],
+)
+def test_the_licence_is_read_off_a_card_that_anybody_may_have_edited(
+    text: str, license: str | None, tmp_path: Path
+) -> None:
+    (tmp_path / FILE).write_text(text, "utf-8")
+    if license is None:
+        with pytest.raises(TwinError, match=r"README.md: its head cannot be read"):
+            written_license(tmp_path / FILE)
+    else:
+        assert written_license(tmp_path / FILE) == license
+    assert written_license(tmp_path / "none.md") == UNSAID
 
 
 def test_a_learned_force_has_one_too(tmp_path: Path) -> None:
@@ -206,7 +191,3 @@ def test_no_text_leaves_its_cell() -> None:
     text = table(["a", "b"], [["x|y\nz", "<b>[l](u)`c`"]])
     assert text.splitlines()[2] == "| x\\|y z | \\<b\\>\\[l\\](u)\\`c\\` |"
     assert len(text.splitlines()) == 3
-
-
-def test_what_is_not_defined_is_null() -> None:
-    assert yaml.safe_load(yaml_head({"a": math.nan}).strip("-")) == {"a": None}
