@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .force.evaluate import ForceEvaluation
     from .sensors.evaluation import Evaluation
     from .sensors.generated import GeneratedEvaluation
+    from .vehicles import Vehicle as OwnVehicle
 
 Progress = Callable[[float], None]
 
@@ -126,15 +127,13 @@ def train(
     check_license(license)
     if protocol == "force":
         with extra_learn():
-            from .force.train import check_force_options, force_claim, train_force
-        from .model_card.write import write_card
+            from .force.train import check_force_options
 
         check_force_options(model, preset, horizon, rate_hz, epochs, device)
         _check_kind(out, "model.json", "a compensator of the sensors")
         with results_folder(out, force) as place:
-            made = train_force(several, twin, seed or 0, place, progress)
-            made.append(write_card(place, force_claim(place), license))
-        return TrainResult(out, tuple(made), force_claim(out), seed or 0, {"protocol": protocol})
+            made = _train_force(several, twin, place, seed or 0, license, progress)
+        return replace(made, folder=out)
     with extra_learn():
         from .model_card.write import write_card
         from .sensors import training
@@ -158,6 +157,24 @@ def train(
         "device": plan.device,
     }
     return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
+
+
+def _train_force(
+    flights: Sequence[Flight],
+    vehicle: "OwnVehicle",
+    folder: Path,
+    seed: int,
+    license: str,
+    progress: Progress,
+) -> TrainResult:
+    """Force and moment inside the equations, as `train` has it."""
+    from .force.train import force_claim, train_force
+    from .model_card.write import write_card
+
+    made = train_force(flights, vehicle, seed, folder, progress)
+    claim = force_claim(folder)
+    made.append(write_card(folder, claim, license))
+    return TrainResult(folder, tuple(made), claim, seed, {"protocol": "force"})
 
 
 def write_measured_card(
