@@ -58,6 +58,7 @@ VERBS: Mapping[str, Verb] = {
         resumes=True,
     ),
     "explain": Verb(("explain", "one.parquet", "two.parquet", *_ON), codes=(0, 1)),
+    "evaluate": Verb(("evaluate", "compensator", "two.parquet")),
 }
 
 
@@ -195,6 +196,8 @@ def main() -> int:
         parser.error(f"{given.work} is there already; give a new folder")
     given.work.mkdir(parents=True)
     write_flights(given.work)
+    model = ("train", "one.parquet", *_ON, "--epochs", "2", "--out", "compensator")
+    subprocess.run([*PROGRAM, *model], cwd=given.work, check=True, capture_output=True)
     bench, good = Bench(given.work.resolve(), VERBS), True
     for name in VERBS:
         same = 1 + sum(bench.same(name, threads=1 + k % 2) for k in range(1, given.runs))

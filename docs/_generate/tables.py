@@ -70,7 +70,7 @@ def log_formats() -> str:
     lines = [
         (
             f.name,
-            ", ".join(f"`{s}`" for s in f.suffixes),
+            ", ".join(f"`{s}`" for s in f.suffixes) or "none",
             str(f.signature),
             ", ".join(f.packages),
             f.holds,

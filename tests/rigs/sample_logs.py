@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from dataflash_rig import dataflash
+from log_rigs.crazyflie_rig import usd_log
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
@@ -193,7 +194,17 @@ FLOWN_PARAMS = {
 """Parameters of a quadrotor in X on the first four outputs."""
 
 
+@cache
+def _crazyflie(version: int) -> bytes:
+    still = np.zeros(len(T_S))
+    fixed: dict[str, tuple[str, ArrayLike]] = {"t": ("d", T_S), "acc.z": ("f", still + 1.0)}
+    fixed |= {name: ("f", still) for name in ("acc.x", "acc.y", "gyro.x", "gyro.y", "gyro.z")}
+    return usd_log({"fixedFrequency": fixed}, version)
+
+
 SAMPLES: dict[str, Callable[[], bytes]] = {
+    "Crazyflie uSD log, version 1": lambda: _crazyflie(1),
+    "Crazyflie uSD log, version 2": lambda: _crazyflie(2),
     "PX4 ULog": _ulog,
     "ArduPilot DataFlash": _dataflash,
     "ArduPilot DataFlash, text": lambda: _dataflash(text=True),

@@ -1,5 +1,6 @@
 """Time stamps put in order: which samples of a series can stay."""
 
+import math
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,6 +13,11 @@ _FEW = 0.02
 _PAUSE_S = 0.2
 _PAUSE_INTERVALS = 2.2
 _LATEST = 0.5
+
+
+def filter_delay_us(cutoff_hz: float) -> int:
+    """Delay of a second-order Butterworth low-pass for what is slow, sqrt(2) / (2 pi f), us."""
+    return round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
 
 
 class Timed:

@@ -139,7 +139,7 @@ class LogFormat:
     holds: str
 
     def __str__(self) -> str:
-        return f"{self.name} ({', '.join(self.suffixes)})"
+        return f"{self.name} ({', '.join(self.suffixes)})" if self.suffixes else self.name
 
     def load(self) -> Reader:
         """The reader, imported.
@@ -183,6 +183,17 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="ardupilot.dataflash:read_dataflash",
         packages=(),
         holds="the same",
+    ),
+    *(
+        LogFormat(
+            name=f"Crazyflie uSD log, version {version}",
+            suffixes=(),
+            signature=Magic(bytes([0xBC, version, 0])),
+            reader="crazyflie.usd:read_usd_log",
+            packages=(),
+            holds="of acc, gyro, mag, baro, stateEstimate, motor, rpm and pm what config.txt names",
+        )
+        for version in (1, 2)
     ),
     LogFormat(
         name="flight table, Parquet",

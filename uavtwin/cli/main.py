@@ -50,6 +50,9 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit(Exit.FINE)
 
 
+_BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
+another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
     *(check, convert, gap, calibrate, explain, demo, export, simulate),
     *(train, evaluate, generate, bench, version),
@@ -79,6 +82,7 @@ def _options(
 
 def main() -> None:
     """Entry point: an error becomes one line and an exit code, 2 where the user can mend it."""
+    os.environ.update(dict.fromkeys(_BLAS_THREADS, "1"))
     try:
         with _temporary_files():
             app(_spread(sys.argv[1:]))

@@ -87,7 +87,8 @@ def test_unknown_bytes_name_all_known_formats(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no known flight log") as error:
         read_flight(tmp_path / "x")
     assert known_formats() in str(error.value)
-    assert all(f.name in str(error.value) and f.suffixes[0] in str(error.value) for f in FORMATS)
+    for each in FORMATS:
+        assert each.name in str(error.value) and all(s in str(error.value) for s in each.suffixes)
 
 
 def test_bytes_that_two_formats_claim_are_refused() -> None:

@@ -1,13 +1,13 @@
 """Signals of a DataFlash log put into the flight table, in SI: inertial sensors, compass,
 barometer, battery. ArduPilot's axes are those of the table: FRD, NED."""
 
-import math
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..assemble import Rows, add_signal
+from ..clock import filter_delay_us
 from ..columns import ACC, GYRO, MAG
 from ..flight import Array
 from .estimator import Primary
@@ -89,14 +89,13 @@ def _rates(log: ArduPilotLog, rows: Rows) -> dict[str, str]:
 def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
     """Delay of the low-pass that a sensor went through before it was logged, us.
 
-    That of a second-order Butterworth for what is slow, sqrt(2) / (2 pi f).
     Source: ArduPilot, LowPassFilter2p, as AP_InertialSensor applies it.
     """
     name = _FILTERS[where]
     cutoff_hz = log.params.get(name, 0.0)
     if cutoff_hz < _LEAST_HZ:
         return 0
-    delay_us = round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
+    delay_us = filter_delay_us(cutoff_hz)
     log.note(
         "info",
         where,

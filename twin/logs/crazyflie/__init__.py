@@ -1,0 +1,1 @@
+"""Crazyflie uSD-card logs -> Flight; Bitcraze's units, axes and names stand here alone."""
