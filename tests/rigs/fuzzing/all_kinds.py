@@ -8,6 +8,7 @@ from .engine import Kind
 KINDS = {
     "ulog": "ulog",
     "dataflash": "dataflash",
+    "crazyflie": "crazyflie",
     "parquet": "tables:PARQUET",
     "csv": "tables:CSV",
     "vehicle": "vehicles",

@@ -2,14 +2,13 @@
 damage is told; a second decoder reads the same."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from log_rigs.crazyflie_rig import decoded, usd_log
+from log_rigs.crazyflie_rig import decoded, flown_kinds, usd_log
 from numpy.typing import ArrayLike
 from places import DATA, needs
 from sample_logs import flown_table
@@ -20,44 +19,8 @@ from twin.logs import Flight, read_flight
 from twin.logs.clock import filter_delay_us
 from twin.logs.crazyflie.file import read_content
 
-Kinds = dict[str, dict[str, tuple[str, ArrayLike]]]
 RECORDED = DATA / "crazyflie_motor_delay" / "log10.parquet"
 DELAY_S = {"acc": 1e-6 * filter_delay_us(30.0), "gyro": 1e-6 * filter_delay_us(80.0)}
-
-
-def _own_axes(values: Any) -> Any:
-    """FRD or NED -> forward, left, up."""
-    return np.asarray(values) * (1.0, -1.0, -1.0)
-
-
-def _flown(small: bool = False, angles: bool = False) -> Kinds:
-    """The flight of `flown_table` as a Crazyflie logs it; `small`: of its compressed group."""
-    table = flown_table()
-    t = table["time"].to_numpy()
-    names = {"acc": 1.0 / 9.80665, "gyro": 180.0 / np.pi}
-    fixed: dict[str, tuple[str, ArrayLike]] = {"t": ("d", t)}
-    for group, factor in names.items():
-        own = factor * _own_axes(table[[f"{group}_{a}" for a in "xyz"]])
-        fixed |= {f"{group}.{a}": ("f", own[:, k]) for k, a in enumerate("xyz")}
-    pos, vel = (_own_axes(table[[f"{s}_{a}" for a in "xyz"]]) for s in ("pos", "vel"))
-    slow: dict[str, tuple[str, ArrayLike]] = {"t": ("d", t)}
-    group, letter, factor = ("stateEstimateZ", "h", 1e3) if small else ("stateEstimate", "f", 1.0)
-    slow |= {f"{group}.{a}": (letter, factor * pos[:, k]) for k, a in enumerate("xyz")}
-    slow |= {f"{group}.v{a}": (letter, factor * vel[:, k]) for k, a in enumerate("xyz")}
-    if angles:
-        roll, pitch = 0.1 * np.sin(1.3 * t), 0.12 * np.sin(0.9 * t)
-        told = {"roll": roll, "pitch": pitch, "yaw": -0.4 * np.sin(0.4 * t)}
-        slow |= {f"stabilizer.{k}": ("f", np.rad2deg(v)) for k, v in told.items()}
-    else:
-        w, x, y, z = table[["q_w", "q_x", "q_y", "q_z"]].to_numpy().T
-        told = {"qx": x, "qy": -y, "qz": -z, "qw": w}
-        slow |= {f"stateEstimate.{k}": ("f", v) for k, v in told.items()}
-    slow |= {f"motor.m{i}": ("H", 65535.0 * table[f"cmd_{i}"].to_numpy()) for i in range(1, 5)}
-    slow |= {f"rpm.m{i}": ("H", np.full(len(t), 15000 + i)) for i in range(1, 5)}
-    slow |= {"baro.pressure": ("f", 0.01 * table["baro_pa"].to_numpy())}
-    slow |= {"pm.vbatMV": ("H", np.full(len(t), 3900))}
-    slow |= {"supervisor.info": ("H", np.where((t > 2.0) & (t < 28.0), 0b10010, 0b10))}
-    return {"fixedFrequency": fixed, "estimate": slow}
 
 
 def _read(tmp_path: Path, blob: bytes) -> Flight:
@@ -71,7 +34,10 @@ def _read(tmp_path: Path, blob: bytes) -> Flight:
 def test_a_flight_comes_back_in_si_ned_and_frd(
     version: int, small: bool, angles: bool, tmp_path: Path
 ) -> None:
-    flight, meant = _read(tmp_path, usd_log(_flown(small, angles), version)), flown_table()
+    flight, meant = (
+        _read(tmp_path, usd_log(flown_kinds(flown_table(), small, angles), version)),
+        flown_table(),
+    )
     for group, within in (("acc", 1e-5), ("gyro", 1e-5), ("pos", 6e-4), ("vel", 6e-4)):
         columns = [f"{group}_{a}" for a in "xyz"]
         t, values = flight.signal(columns)
@@ -106,7 +72,7 @@ def test_the_attitude_says_where_the_nose_points(tmp_path: Path) -> None:
 
 
 def test_a_second_decoder_reads_the_same(tmp_path: Path) -> None:
-    blob = usd_log(_flown())
+    blob = usd_log(flown_kinds(flown_table()))
     meant = decoded(blob)
     for events in read_content(tmp_path / "log00", blob).events:
         other = meant[events.kind.name]
@@ -116,10 +82,10 @@ def test_a_second_decoder_reads_the_same(tmp_path: Path) -> None:
 
 
 def test_what_was_cut_is_told(tmp_path: Path) -> None:
-    whole = usd_log(_flown())
+    whole = usd_log(flown_kinds(flown_table()))
     found = {f.message for f in _read(tmp_path, whole[: len(whole) // 2]).findings}
     assert any("of which nothing can be made: the log was cut or damaged" in m for m in found)
-    unsealed = _read(tmp_path, usd_log(_flown(), sealed=False)).findings
+    unsealed = _read(tmp_path, usd_log(flown_kinds(flown_table()), sealed=False)).findings
     assert any("its checksum is not that of its content" in f.message for f in unsealed)
     turned = bytearray(whole)
     turned[len(whole) // 2] ^= 0x10
