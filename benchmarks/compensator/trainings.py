@@ -134,10 +134,12 @@ def unpack_scores(scores: Path, out: Path) -> None:
 
 
 def pack_scores(out: Path, scores: Path) -> None:
-    """Add the scores of all trainings of a folder to one file, a line each, by key."""
+    """Add the scores of all trainings of a folder to one file, a line each, by key; those of other
+    sources of `learning` are left out."""
     lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
     found = {one.pop("key"): one for one in map(json.loads, lines)}
     found |= {p.stem: json.loads(p.read_text("utf-8")) for p in (out / "runs").glob("*.json")}
+    found = {k: one for k, one in found.items() if k.endswith(keyed({**one["run"], "name": ""}))}
     lines = [json.dumps({"key": k, **found[k]}, sort_keys=True) for k in sorted(found)]
     scores.write_text("".join(f"{line}\n" for line in lines), "utf-8")
 

@@ -1,6 +1,7 @@
 """The paper's tables: scores by hand, a finished training is not done again, every row is there."""
 
 import ast
+from dataclasses import asdict
 from pathlib import Path
 
 import jinja2
@@ -257,8 +258,11 @@ def test_scores_go_from_one_machine_to_another(tmp_path: Path) -> None:
     run = Run("mean of the phase", preset_named("mean")[1], model="trivial")
     here, there, file = tmp_path / "here", tmp_path / "there", tmp_path / "scores.jsonl"
     (here / "runs").mkdir(parents=True)
-    write_json(here / "runs" / f"{run.key()}.json", {"run": {"name": "any"}, "seconds": 3.5})
+    told = {**asdict(run), "name": "any"}
+    write_json(here / "runs" / f"{run.key()}.json", {"run": told, "seconds": 3.5})
+    write_json(here / "runs" / f"{run.key()[:-1]}x.json", {"run": told, "seconds": 9.9})  # older
     pack_scores(here, file)
+    assert len(file.read_text("utf-8").splitlines()) == 1
     unpack_scores(file, there)
     (found,) = run_all(tmp_path / "no data", there, [run])
     assert found["seconds"] == 3.5 and found["run"]["name"] == "mean of the phase"
