@@ -10,7 +10,14 @@ from twin.representation import short_repr
 
 from .slave.interface import Interface
 
-_WIDTH = {"Boolean": 0, "Enumeration": 1, "Integer": 1, "Real": 2}
+_TAKES = {
+    "Real": ("Real", "Integer", "Boolean", "Enumeration"),
+    "Integer": ("Integer", "Boolean", "Enumeration"),
+    "Boolean": ("Boolean",),
+    "Enumeration": ("Enumeration",),
+}
+"""Kind of an input -> kinds of outputs whose values it takes as they are, an enumeration's by their
+codes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +107,20 @@ class System:
             raise FmuError(
                 f"{c.source} [{source.unit}] -> {c.target} [{target.unit}]: units differ."
             )
-        if _WIDTH[str(source.kind)] > _WIDTH[str(target.kind)]:
+        if str(source.kind) not in _TAKES[str(target.kind)]:
             raise FmuError(
                 f"{c.source} ({source.type}) -> {c.target} ({target.type}): values would be "
-                f"rounded. Put a converting FMU between them."
+                f"rounded or mean something else. Put a converting FMU between them."
             )
+        if target.kind == "Enumeration" and source.items and target.items:
+            strange = [
+                f"{code} {item}" for item, code in source.items if (item, code) not in target.items
+            ]
+            if strange:
+                raise FmuError(
+                    f"{c.source} -> {c.target}: {', '.join(strange)} is no value of the "
+                    f"enumeration there. Put a converting FMU between them."
+                )
 
 
 def connect(source: str, target: str, names: Iterable[str]) -> tuple[Connection, ...]:

@@ -1,15 +1,31 @@
 """`modelDescription.xml` of FMI 2.0 and FMI 3.0 from one interface table."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 
 from lxml import etree
 
-from twin.component import Variable
+from twin.component import Enumeration, Variable
 
 from .documentation.project import project
 from .exchange import ExchangeState
 from .model import FmuModel, check_interface
 from .units import DISPLAY_UNITS, base_exponents, usual_size
+
+_TYPES = {
+    2: {
+        "real": "Real",
+        "integer": "Integer",
+        "boolean": "Boolean",
+        "enumeration": "Enumeration",
+    },
+    3: {
+        "real": "Float64",
+        "integer": "Int32",
+        "boolean": "Boolean",
+        "enumeration": "Enumeration",
+    },
+}
+"""By FMI version: names of the kinds of variables."""
 
 
 def model_description(model: FmuModel, fmi: int, token: str, sources: Sequence[str]) -> bytes:
@@ -64,6 +80,7 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         for name in sources:
             etree.SubElement(files, "File", name=name)
     _unit_definitions(root, model)
+    _type_definitions(root, model, fmi=2)
     _log_categories(root)
     _default_experiment(root, model)
     table = etree.SubElement(root, "ModelVariables")
@@ -77,11 +94,11 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
             valueReference=str(reference),
             description=variable.description,
             causality=variable.causality,
-            variability=_variability(variable),
+            variability=_variability(variable, model.held),
         )
         if _computed(variable):
             scalar.set("initial", "calculated")
-        element = _type_element(scalar, "Boolean" if variable.boolean else "Real", variable)
+        element = _type_element(scalar, _TYPES[2], variable)
         _of_exchange(element, variable.name, states, index)
     structure = etree.SubElement(root, "ModelStructure")
     for group, names, dependencies in _unknowns(model):
@@ -116,6 +133,7 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         etree.SubElement(root, "ModelExchange", **common, needsCompletedIntegratorStep="false")
     etree.SubElement(root, "CoSimulation", **common, canHandleVariableCommunicationStepSize="true")
     _unit_definitions(root, model)
+    _type_definitions(root, model, fmi=3)
     _log_categories(root)
     _default_experiment(root, model)
     table = etree.SubElement(root, "ModelVariables")
@@ -132,13 +150,13 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
     reference_of = {v.name: i for i, v in enumerate(model.variables, start=1)}
     states = states_of(model)
     for reference, variable in enumerate(model.variables, start=1):
-        element = _type_element(table, "Boolean" if variable.boolean else "Float64", variable)
+        element = _type_element(table, _TYPES[3], variable)
         attributes = {
             "name": variable.name,
             "valueReference": str(reference),
             "description": variable.description,
             "causality": variable.causality,
-            "variability": _variability(variable),
+            "variability": _variability(variable, model.held),
         }
         if _computed(variable):
             attributes["initial"] = "calculated"
@@ -230,40 +248,60 @@ def _unknowns(
         yield "EventIndicators", list(exchange.crossings), now
 
 
-def _variability(variable: Variable) -> str:
+def _variability(variable: Variable, held: Set[str]) -> str:
     if variable.causality == "parameter":
         return "fixed" if variable.fixed else "tunable"
-    return "discrete" if variable.boolean else "continuous"
+    return "continuous" if variable.real and variable.name not in held else "discrete"
 
 
-def _type_element(parent: etree._Element, tag: str, variable: Variable) -> etree._Element:
+def _type_element(
+    parent: etree._Element, types: Mapping[str, str], variable: Variable
+) -> etree._Element:
     """Type element with unit, range and start value."""
-    element = etree.SubElement(parent, tag)
-    if variable.boolean:
-        if not _computed(variable):
-            element.set("start", "true" if variable.start else "false")
-        return element
-    element.set("unit", variable.unit)
-    if variable.minimum is not None:
-        element.set("min", repr(float(variable.minimum)))
-    if variable.maximum is not None:
-        element.set("max", repr(float(variable.maximum)))
-    if variable.unit in DISPLAY_UNITS:
-        element.set("displayUnit", DISPLAY_UNITS[variable.unit][0])
-    element.set("nominal", repr(usual_size(variable.unit, variable.start)))
+    element = etree.SubElement(parent, types[variable.kind_name])
+    number: Callable[[float], str] = repr if variable.real else lambda v: str(int(v))
+    if variable.real:
+        element.set("unit", variable.unit)
+    if isinstance(variable.kind, Enumeration):
+        element.set("declaredType", variable.kind.name)
+    elif not variable.boolean:
+        if variable.minimum is not None:
+            element.set("min", number(float(variable.minimum)))
+        if variable.maximum is not None:
+            element.set("max", number(float(variable.maximum)))
+    if variable.real:
+        if variable.unit in DISPLAY_UNITS:
+            element.set("displayUnit", DISPLAY_UNITS[variable.unit][0])
+        element.set("nominal", repr(usual_size(variable.unit, variable.start)))
     if not _computed(variable):
-        element.set("start", repr(float(variable.start)))
+        text = variable.start_text if variable.boolean else number(float(variable.start))
+        element.set("start", text)
     return element
 
 
 def _unit_definitions(root: etree._Element, model: FmuModel) -> None:
     definitions = etree.SubElement(root, "UnitDefinitions")
-    for name in sorted({v.unit for v in model.variables if not v.boolean} | {"s"}):
+    for name in sorted({v.unit for v in model.variables if v.real} | {"s"}):
         unit = etree.SubElement(definitions, "Unit", name=name)
         etree.SubElement(unit, "BaseUnit", {k: str(e) for k, e in base_exponents(name).items()})
         if name in DISPLAY_UNITS:
             shown, factor = DISPLAY_UNITS[name]
             etree.SubElement(unit, "DisplayUnit", name=shown, factor=repr(factor))
+
+
+def _type_definitions(root: etree._Element, model: FmuModel, fmi: int) -> None:
+    """Enumerations, with the codes that the rest of the twin has for them."""
+    if not model.enumerations:
+        return
+    definitions = etree.SubElement(root, "TypeDefinitions")
+    for kind in model.enumerations:
+        if fmi == 2:
+            simple = etree.SubElement(definitions, "SimpleType", name=kind.name)
+            listed = etree.SubElement(simple, "Enumeration")
+        else:
+            listed = etree.SubElement(definitions, "EnumerationType", name=kind.name)
+        for code, item in enumerate(kind.items):
+            etree.SubElement(listed, "Item", name=item, value=str(code))
 
 
 STEP_S = 0.01

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from graphlib import CycleError, TopologicalSorter
 
-from twin.component import Component, Sampling, unknown_name
+from twin.component import Component, Enumeration, Sampling, Variable, unknown_name
 from twin.errors import FmuError
 
 from .model import FmuModel, Part, component_model
@@ -76,6 +76,7 @@ def _renamed(owner: str, name: str, of: FmuModel | Component) -> Part:
         sampling=None if part.sampling is None else _renamed_sampling(name, part.sampling),
         folder=f"{name}/",
         may_lack=frozenset(f"{name}.{v}" for v in part.may_lack),
+        held=frozenset(f"{name}.{v}" for v in part.held),
     )
 
 
@@ -106,9 +107,21 @@ def _check_connections(
             )
         if a.unit != b.unit:
             raise FmuError(f"{owner}: {source} [{a.unit}] -> {target} [{b.unit}]: units differ.")
+        if not _same_kind(a, b):
+            raise FmuError(
+                f"{owner}: {source} ({a.kind_name}) -> {target} ({b.kind_name}): kinds differ."
+            )
         if target in seen:
             raise FmuError(f"{owner}: {target} has two sources; an input takes one.")
         seen.add(target)
+
+
+def _same_kind(source: Variable, target: Variable) -> bool:
+    """Whether a value means the same at both ends; an enumeration may have further items there."""
+    a, b = source.kind, target.kind
+    if isinstance(a, Enumeration) and isinstance(b, Enumeration):
+        return a.items == b.items[: len(a.items)]
+    return a == b
 
 
 def _check_noise(owner: str, parts: Iterable[Part]) -> None:

@@ -7,12 +7,20 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 import numpy as np
 
-from twin.component import Causality, Component, Sampling, Variable, check_range, unknown_name
+from twin.component import (
+    Causality,
+    Component,
+    Enumeration,
+    Sampling,
+    Variable,
+    check_range,
+    unknown_name,
+)
 from twin.errors import FmuError, ModelError
 from twin.representation import short_repr
 
 from .exchange import Exchange, exchanged
-from .names import check_identifier, check_text, check_variable
+from .names import check_identifier, check_name, check_text, check_variable
 
 Constant = int | tuple[int, ...] | tuple[float, ...]
 """Value of a macro: a number, or the numbers of an array."""
@@ -45,6 +53,7 @@ class Part:
         resources: Files it reads.
         folder: Where they lie in the resources folder, "" or ending in a slash.
         may_lack: Inputs and outputs that may be no number (NaN); any other stops the simulation.
+        held: Real outputs that change at instants alone and stand still between them.
         exchange: What a solver outside sees, for model exchange; None: co-simulation alone.
     """
 
@@ -63,6 +72,7 @@ class Part:
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
     may_lack: frozenset[str] = frozenset()
+    held: frozenset[str] = frozenset()
     exchange: Exchange | None = None
 
     __repr__ = short_repr
@@ -134,6 +144,17 @@ class FmuModel:
         return replace(self, parts=tuple(map(changed, self.parts)))
 
     @property
+    def held(self) -> frozenset[str]:
+        """Real outputs that change at instants alone and stand still between them."""
+        return frozenset().union(*(part.held for part in self.parts))
+
+    @property
+    def enumerations(self) -> tuple[Enumeration, ...]:
+        """Types of its variables that have named values, each once."""
+        kinds = (v.kind for v in self.variables)
+        return tuple(dict.fromkeys(k for k in kinds if isinstance(k, Enumeration)))
+
+    @property
     def dependencies(self) -> dict[str, tuple[str, ...]]:
         """Inputs on which each output directly depends; connected ones are held over a step."""
         connected = {target for _, target in self.connections}
@@ -190,6 +211,19 @@ def check_interface(model: FmuModel) -> None:
         if v.name in names:
             raise FmuError(f"{model.name}: {v.name} is there twice; name each variable once.")
         names.add(v.name)
+    _check_enumerations(model)
+
+
+def _check_enumerations(model: FmuModel) -> None:
+    """Names and items; what one name stands for is the same in all parts."""
+    types: set[str] = set()
+    for kind in model.enumerations:
+        check_name(f"{model.name}: enumeration", kind.name)
+        for item in kind.items:
+            check_name(f"{model.name}: item of {kind.name}", item)
+        if kind.name in types:
+            raise FmuError(f"{model.name}: two parts mean different values by {kind.name}.")
+        types.add(kind.name)
 
 
 def component_model(component: Component, exchange: bool = False) -> FmuModel:
@@ -219,6 +253,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         defines=_workspace(kernels),
         shortcuts=len(component.shortcuts),
         sampling=component.sampling,
+        held=_held(component),
         exchange=offered,
     )
     return FmuModel(component.name, component.description, (part,))
@@ -321,6 +356,17 @@ def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
         y: tuple(u for u, hit in zip(component.input_names, row, strict=True) if hit)
         for y, row in zip(component.output_names, pattern, strict=True)
     }
+
+
+def _held(component: Component) -> frozenset[str]:
+    """Real outputs of memory alone, by the sparsity of the equations."""
+    if component.sampling is None or component.continuous is None:
+        return frozenset()
+    on_states = _pattern(component.outputs, 0, len(component.states))
+    flowing = on_states[:, list(component.continuous.states)].any(axis=1)
+    fed = _pattern(component.outputs, 1, len(component.inputs)).any(axis=1)
+    held = np.asarray(on_states.any(axis=1) & ~flowing & ~fed)
+    return frozenset(v.name for i, v in enumerate(component.output_variables) if held[i] and v.real)
 
 
 def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:

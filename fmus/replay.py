@@ -52,7 +52,7 @@ def replay_model(
     )
     outputs = tuple(Variable(name, "output", *_unit_and_meaning(name)) for name in columns)
     validity = tuple(
-        Variable(f"valid.{name}", "output", "1", f"Whether {name} is valid now", boolean=True)
+        Variable(f"valid.{name}", "output", "1", f"Whether {name} is valid now", kind="boolean")
         for name in columns
     )
     nothing = {v.name: () for v in outputs + validity}
@@ -66,6 +66,7 @@ def replay_model(
         glue="replay.h",
         defines={"N_SIGNALS": len(columns)},
         resources={"record.bin": record},
+        held=frozenset(columns).difference(linear),
     )
     return FmuModel("replay", f"Recorded flight {flight.name}", (part,))
 

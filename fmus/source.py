@@ -6,7 +6,7 @@ Names and numbers of a model come from files; they get into C through `literals`
 
 from collections.abc import Iterable, Mapping
 
-from twin.component import Sampling, Variable
+from twin.component import Enumeration, Sampling, Variable
 
 from .exchange import Exchange
 from .literals import c_list, c_number, c_string
@@ -94,7 +94,7 @@ def _part(part: Part) -> str:
             _table(
                 "static const Variable variables[]",
                 [
-                    '{"time", OUTPUT, 0, -HUGE_VAL, HUGE_VAL, 0}',
+                    '{"time", OUTPUT, REAL, 0, -HUGE_VAL, HUGE_VAL, 0}',
                     *(_variable(v, v.name in part.may_lack) for v in part.variables),
                 ],
             ),
@@ -115,9 +115,13 @@ def _variable(v: Variable, may_lack: bool) -> str:
     """One line of the interface table."""
     name = c_string(check_variable("variable of an FMU", v.name))
     causality = "FIXED_PARAMETER" if v.fixed else check_identifier(v.name, v.causality.upper())
-    low = "-HUGE_VAL" if v.minimum is None else c_number(float(v.minimum))
-    high = "HUGE_VAL" if v.maximum is None else c_number(float(v.maximum))
-    return f"{{{name}, {causality}, {c_number(float(v.start))}, {low}, {high}, {may_lack:d}}}"
+    minimum, maximum = v.minimum, v.maximum
+    if isinstance(v.kind, Enumeration):
+        minimum, maximum = 0, len(v.kind.items) - 1
+    low = "-HUGE_VAL" if minimum is None else c_number(float(minimum))
+    high = "HUGE_VAL" if maximum is None else c_number(float(maximum))
+    row = (name, causality, v.kind_name.upper(), c_number(float(v.start)), low, high, int(may_lack))
+    return f"{{{', '.join(map(str, row))}}}"
 
 
 def _sampling(part: Part, sampling: Sampling) -> str:

@@ -108,6 +108,32 @@ class Interface:
             )
         return port
 
+    def value(self, port: Port, value: float) -> float | int | bool:
+        """A start value as its variable takes it.
+
+        Raises:
+            FmuError: It would have to be rounded, or is no item of an enumeration.
+        """
+        if port.kind == "Real":
+            return float(value)
+        allowed = "whole numbers"
+        known = {code: name for name, code in port.items}
+        fits = np.isfinite(value) and value == int(value)
+        if port.kind == "Boolean":
+            fits, allowed = value in (0, 1), "0 and 1"
+        elif port.kind == "Enumeration" and known:
+            fits, allowed = value in known, ", ".join(f"{c} {known[c]}" for c in sorted(known))
+        elif fits:
+            limits = np.iinfo(np.dtype(SCALARS[self.fmi][port.type][1]))
+            low, high = int(limits.min), int(limits.max)
+            fits, allowed = low <= value <= high, f"whole numbers from {low} to {high}"
+        if not fits:
+            raise FmuError(
+                f"{self.path.name}: {port.name} = {value:.15g} is no {port.kind} value; {allowed} "
+                f"can be set."
+            )
+        return bool(value) if port.kind == "Boolean" else int(value)
+
     def names(self, *causalities: str) -> list[str]:
         """Scalars of these causalities, in the FMU's order; arrays and texts are left out."""
         return [p.name for p in self.ports.values() if p.causality in causalities and p.kind]

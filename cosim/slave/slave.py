@@ -220,9 +220,9 @@ class Slave:
                     f"{self.path.name}: {name} is an {port.causality}; only parameters and inputs "
                     f"have start values to set."
                 )
-            suffix, dtype = SCALARS[self.interface.fmi][port.type]
-            cast = float if np.issubdtype(dtype, np.floating) else int
-            getattr(self._fmu, f"set{suffix}")([port.reference], [cast(value)])
+            suffix, _ = SCALARS[self.interface.fmi][port.type]
+            given = self.interface.value(port, value)
+            getattr(self._fmu, f"set{suffix}")([port.reference], [given])
 
     # -- saved states ---------------------------------------------------------------------
 

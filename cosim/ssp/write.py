@@ -94,17 +94,10 @@ def _parameter_set(interface: Interface, starts: Mapping[str, float]) -> bytes:
 
 
 def _value(interface: Interface, port: Port, value: float) -> str:
-    if port.kind == "Real":
-        return repr(value)
-    if port.kind == "Boolean" and value in (0, 1):
-        return "true" if value else "false"
+    given = interface.value(port, value)
     if port.kind == "Enumeration":
-        for name, number in port.items:
-            if number == value:
-                return name
-    if port.kind == "Integer" and value == int(value):
-        return str(int(value))
-    raise FmuError(f"{interface.path.name}: {port.name} = {value:g} is no {port.kind} value.")
+        return {code: name for name, code in port.items}.get(int(given), str(given))
+    return str(given).lower() if port.kind == "Boolean" else repr(given)
 
 
 # -- structure ------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 from typer.main import get_command
 
 from learning.model.registry import FAMILIES
-from twin.component import Component, Variable
+from twin.component import Component, Enumeration, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.effects.priors import (
     CHANGES,
@@ -181,18 +181,19 @@ def _component(name: str, component: Component) -> str:
 
 def _group(pattern: str, group: list[Variable]) -> Sequence[str]:
     """One line for a variable, or for those that differ in a number."""
-    first, meaning = group[0], group[0].description
+    first, meaning = group[0], group[0].meaning
     if len(group) > 1:
         pattern = pattern.format(i=f"{{1..{len(group)}}}")
         meaning = re.sub(r"(rotor|motor|waypoint) 1\b", r"\1 i", meaning, flags=re.IGNORECASE)
     starts = list(dict.fromkeys(_start(v) for v in group))
-    return f"`{pattern}`", first.causality, first.unit, ", ".join(starts), meaning
+    unit = first.unit if first.real else first.kind_name
+    return f"`{pattern}`", first.causality, unit, ", ".join(starts), meaning
 
 
 def _start(v: Variable) -> str:
     if v.causality == "output":
         return "-"
-    return ("true" if v.start else "false") if v.boolean else f"{v.start:.4g}"
+    return f"{v.start:.4g}" if v.real else v.start_text
 
 
 # -- effects --------------------------------------------------------------------------------
@@ -230,7 +231,10 @@ def _number(effect: str, parameter: EffectParameter, model: Vehicle, note: str) 
     mark = "\\*" if parameter.scale is not None else ""
     ends = "\\*" if parameter.scale is not None or parameter.floor is not None else ""
     low, high = p.bounds
-    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{ends}", p.description
+    meaning = p.description
+    if isinstance(p.kind, Enumeration):
+        meaning += f": {p.kind.legend}"
+    return name, p.unit, f"{p.start:.3g}{mark}", f"{low:.3g} to {high:.3g}{ends}", meaning
 
 
 # -- priors ---------------------------------------------------------------------------------

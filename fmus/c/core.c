@@ -263,23 +263,39 @@ static int step_all(Instance* c, double time, double h) {
 
 /* ---- variables ---- */
 
-int core_get(Instance* c, unsigned vr, double* value) {
+static int check_kind(Instance* c, const Variable* k, int kinds) {
+    if (k->kind & kinds) return 0;
+    const char* name = k->kind == REAL      ? "a real number"
+                       : k->kind == INTEGER ? "an integer"
+                       : k->kind == BOOLEAN ? "a truth value"
+                                            : "an enumeration";
+    snprintf(c->message, sizeof c->message, "%s is %s: get and set it by the functions of that type", k->name,
+             name);
+    return -1;
+}
+
+int core_get(Instance* c, unsigned vr, int kinds, double* value) {
     if (vr >= fmu.n_ports) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
     const Port at = fmu.ports[vr];
+    const Variable* k = &fmu.models[at.part]->variables[at.variable];
+    if (check_kind(c, k, kinds)) return -1;
     if (vr == 0) {
         *value = c->state->time;
         return 0;
     }
     if (at.variable >= fmu.models[at.part]->first_output && refresh(c)) return -1;
     *value = c->parts[at.part].v[at.variable];
+    if (k->kind != REAL && !(fabs(*value) <= INT32_MAX))
+        return fail(c, "%s = %g at time %g s does not fit into 32 bits", k->name, *value, c->state->time);
     return 0;
 }
 
-int core_set(Instance* c, unsigned vr, double value) {
+int core_set(Instance* c, unsigned vr, int kinds, double value) {
     if (vr == 0 || vr >= fmu.n_ports)
         return fail(c, "%sno settable variable has value reference %.0f", "", vr, 0);
     const Port at = fmu.ports[vr];
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
+    if (check_kind(c, k, kinds)) return -1;
     if (k->causality >= OUTPUT) return fail(c, "%s is computed and cannot be set", k->name, 0, 0);
     if (k->causality == FIXED_PARAMETER && c->state->mode >= STEPPING)
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);

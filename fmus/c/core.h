@@ -21,10 +21,11 @@
 
 /* ---- what a part is: constant data ---- */
 enum { PARAMETER, FIXED_PARAMETER, INPUT, OUTPUT, LOCAL }; /* from OUTPUT on: computed */
+enum { REAL = 1, INTEGER = 2, BOOLEAN = 4, ENUMERATION = 8 }; /* what all hold as numbers */
 
 typedef struct {
     const char* name;
-    int causality;
+    int causality, kind;
     double start, minimum, maximum;
     int may_lack; /* may be NaN */
 } Variable;
@@ -143,8 +144,8 @@ typedef struct {
 Instance* core_new(const char* resources, int exchange, char* message, size_t size);
 void core_free(Instance* c);
 void core_reset(Instance* c);
-int core_get(Instance* c, unsigned vr, double* value);
-int core_set(Instance* c, unsigned vr, double value);
+int core_get(Instance* c, unsigned vr, int kinds, double* value); /* of one of these kinds */
+int core_set(Instance* c, unsigned vr, int kinds, double value);
 int core_enter_initialization(Instance* c, double start_time);
 int core_exit_initialization(Instance* c);
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],

@@ -152,36 +152,33 @@ fmi2Status fmi2Reset(fmi2Component c) {
     return event(c, 0, "reset, now");
 }
 
-fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
-    for (size_t i = 0; i < n; i++)
-        if (core_get(c, vr[i], &value[i])) return status(c, -1);
-    return fmi2OK;
-}
-fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
-    for (size_t i = 0; i < n; i++)
-        if (core_set(c, vr[i], value[i])) return status(c, -1);
-    return fmi2OK;
-}
-fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[]) {
-    double v;
-    for (size_t i = 0; i < n; i++) {
-        if (core_get(c, vr[i], &v)) return status(c, -1);
-        value[i] = v != 0 ? fmi2True : fmi2False;
+/* Get and set functions of one type, for variables of some kinds. */
+#define VARIABLES(TYPE, KINDS)                                                                              \
+    fmi2Status fmi2Get##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##TYPE value[]) { \
+        double v;                                                                                           \
+        for (size_t i = 0; i < n; i++) {                                                                    \
+            if (core_get(c, vr[i], KINDS, &v)) return status(c, -1);                                        \
+            value[i] = (fmi2##TYPE)v;                                                                       \
+        }                                                                                                   \
+        return fmi2OK;                                                                                      \
+    }                                                                                                       \
+    fmi2Status fmi2Set##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t n,                      \
+                             const fmi2##TYPE value[]) {                                                    \
+        for (size_t i = 0; i < n; i++) {                                                                    \
+            const double v = (KINDS) == BOOLEAN ? value[i] != 0 : (double)value[i];                         \
+            if (core_set(c, vr[i], KINDS, v)) return status(c, -1);                                         \
+        }                                                                                                   \
+        return fmi2OK;                                                                                      \
     }
-    return fmi2OK;
-}
-fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[]) {
-    for (size_t i = 0; i < n; i++)
-        if (core_set(c, vr[i], value[i] ? 1 : 0)) return status(c, -1);
-    return fmi2OK;
-}
+VARIABLES(Real, REAL)
+VARIABLES(Integer, INTEGER | ENUMERATION)
+VARIABLES(Boolean, BOOLEAN)
+
 #define NO_VARIABLES(NAME, TYPE)                                                                       \
     fmi2Status NAME(fmi2Component c, const fmi2ValueReference vr[], size_t n, TYPE value[]) {          \
         (void)vr, (void)value;                                                                         \
         return n == 0 ? fmi2OK : refuse(c, #NAME ": the FMU has no variable of this type");            \
     }
-NO_VARIABLES(fmi2GetInteger, fmi2Integer)
-NO_VARIABLES(fmi2SetInteger, const fmi2Integer)
 NO_VARIABLES(fmi2GetString, fmi2String)
 NO_VARIABLES(fmi2SetString, const fmi2String)
 

@@ -124,37 +124,29 @@ fmi3Status fmi3Reset(fmi3Instance c) {
     return event(c, 0, "reset, now");
 }
 
-fmi3Status fmi3GetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Float64 value[],
-                          size_t nValues) {
-    if (n != nValues) return refuse(c, "fmi3GetFloat64: every variable is a scalar");
-    for (size_t i = 0; i < n; i++)
-        if (core_get(c, vr[i], &value[i])) return status(c, -1);
-    return fmi3OK;
-}
-fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Float64 value[],
-                          size_t nValues) {
-    if (n != nValues) return refuse(c, "fmi3SetFloat64: every variable is a scalar");
-    for (size_t i = 0; i < n; i++)
-        if (core_set(c, vr[i], value[i])) return status(c, -1);
-    return fmi3OK;
-}
-fmi3Status fmi3GetBoolean(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3Boolean value[],
-                          size_t nValues) {
-    double v;
-    if (n != nValues) return refuse(c, "fmi3GetBoolean: every variable is a scalar");
-    for (size_t i = 0; i < n; i++) {
-        if (core_get(c, vr[i], &v)) return status(c, -1);
-        value[i] = v != 0;
+/* Get and set functions of one type, for variables of one kind. */
+#define VARIABLES(TYPE, KIND)                                                                            \
+    fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3##TYPE value[], \
+                             size_t m) {                                                                 \
+        double v;                                                                                        \
+        if (n != m) return refuse(c, "fmi3Get" #TYPE ": every variable is a scalar");                    \
+        for (size_t i = 0; i < n; i++) {                                                                 \
+            if (core_get(c, vr[i], KIND, &v)) return status(c, -1);                                      \
+            value[i] = (fmi3##TYPE)v;                                                                    \
+        }                                                                                                \
+        return fmi3OK;                                                                                   \
+    }                                                                                                    \
+    fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n,                    \
+                             const fmi3##TYPE value[], size_t m) {                                       \
+        if (n != m) return refuse(c, "fmi3Set" #TYPE ": every variable is a scalar");                    \
+        for (size_t i = 0; i < n; i++)                                                                   \
+            if (core_set(c, vr[i], KIND, (double)value[i])) return status(c, -1);                        \
+        return fmi3OK;                                                                                   \
     }
-    return fmi3OK;
-}
-fmi3Status fmi3SetBoolean(fmi3Instance c, const fmi3ValueReference vr[], size_t n, const fmi3Boolean value[],
-                          size_t nValues) {
-    if (n != nValues) return refuse(c, "fmi3SetBoolean: every variable is a scalar");
-    for (size_t i = 0; i < n; i++)
-        if (core_set(c, vr[i], value[i] ? 1 : 0)) return status(c, -1);
-    return fmi3OK;
-}
+VARIABLES(Float64, REAL)
+VARIABLES(Int32, INTEGER)
+VARIABLES(Boolean, BOOLEAN)
+VARIABLES(Int64, ENUMERATION)
 
 #define NO_VARIABLES(TYPE)                                                                              \
     fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3##TYPE v[],   \
@@ -172,9 +164,7 @@ NO_VARIABLES(Int8)
 NO_VARIABLES(UInt8)
 NO_VARIABLES(Int16)
 NO_VARIABLES(UInt16)
-NO_VARIABLES(Int32)
 NO_VARIABLES(UInt32)
-NO_VARIABLES(Int64)
 NO_VARIABLES(UInt64)
 NO_VARIABLES(String)
 

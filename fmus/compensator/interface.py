@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from twin.component import Variable
+from twin.component import Enumeration, Variable
 from twin.physics.residual_force import INPUTS, SEEN
 
 from ..model import Constant, FmuModel, Part
@@ -73,6 +73,11 @@ def interface_model(
         kernels=kernels,
         defines=defines,
         may_lack=_may_lack(variables),
+        held=frozenset(
+            v.name
+            for v in variables
+            if v.causality == "output" and v.real and not v.name.startswith("corrected.")
+        ),
     )
     name = f" of {network.vehicle}" if network.vehicle else ""
     sees = {"free": "sees no measurement", "reconstruct": "sees the present measurement"}.get(
@@ -83,20 +88,21 @@ def interface_model(
 
 
 def _inputs(network: NetworkFile) -> list[Variable]:
-    codes = ", ".join(f"{code} {name}" for name, code in network.phases.items())
+    phases = Enumeration(
+        "TrainedPhase", tuple(sorted(network.phases, key=network.phases.__getitem__))
+    )
     channels = list(zip(network.channels, network.units, strict=True))
-    unknown = max(network.phases.values())
     table = [Variable(c, "input", u, f"What the twin reads, {c}") for c, u in channels]
     for i, c in enumerate(network.commands, start=1):
         table.append(Variable(c, "input", *_drive(c, i)))
-    table.append(Variable("phase", "input", "1", f"Phase of the flight: {codes}", 0.0, 0, unknown))
+    table.append(Variable("phase", "input", "1", "Phase of the flight", kind=phases))
     if network.sees_measurements:
         table += [
             Variable(f"measured.{c}", "input", u, f"What the aircraft measured, {c}")
             for c, u in channels
         ]
         table += [
-            Variable(f"valid.{g}", "input", "1", f"Whether measured.{g}_* is new", boolean=True)
+            Variable(f"valid.{g}", "input", "1", f"Whether measured.{g}_* is new", kind="boolean")
             for g in network.groups
         ]
     return table
@@ -127,8 +133,8 @@ def _outputs(network: NetworkFile) -> list[Variable]:
     )
     inside = "Whether the flight is within the training's envelope; outside the correction fades"
     left_out = "Samples so far that were left out, as an input was no number"
-    table.append(Variable("inside", "output", "1", inside, boolean=True))
-    return [*table, Variable("left_out", "output", "1", left_out)]
+    table.append(Variable("inside", "output", "1", inside, kind="boolean"))
+    return [*table, Variable("left_out", "output", "1", left_out, kind="integer")]
 
 
 def _may_lack(variables: Iterable[Variable]) -> frozenset[str]:
@@ -136,5 +142,5 @@ def _may_lack(variables: Iterable[Variable]) -> frozenset[str]:
     return frozenset(
         v.name
         for v in variables
-        if (v.causality == "input" and not v.boolean) or v.name.startswith("corrected.")
+        if (v.causality == "input" and v.real) or v.name.startswith("corrected.")
     )

@@ -133,7 +133,7 @@ def _network() -> Network:
     options.intra_op_num_threads = 1
     return Network(
         name=fields["name"],
-        variables=tuple(Variable(**row) for row in fields["variables"]),
+        variables=tuple(Variable.from_row(row) for row in fields["variables"]),
         states=tuple(State(name, "1", "") for name in fields["states"]),
         state_size=fields["state_size"],
         n_commands=fields["n_commands"],

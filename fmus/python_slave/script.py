@@ -40,7 +40,7 @@ def read_component(text: str) -> Component:
         lines = tuple(DelayLine(**line) for line in sampling["lines"])
         fields["sampling"] = Sampling(**sampling | {"lines": lines})
     for table in ("parameters", "inputs", "output_variables"):
-        fields[table] = tuple(Variable(**row) for row in fields[table])
+        fields[table] = tuple(Variable.from_row(row) for row in fields[table])
     fields["states"] = tuple(State(**row) for row in fields["states"])
     return Component(**fields)
 
@@ -136,20 +136,38 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
 
     def get_real(self, vrs: list[int]) -> list[float]:
         """Values by value reference; outputs as present inputs and parameters have them."""
+        return self._get(vrs, "real")
+
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Integers and codes of enumerations by value reference."""
+        return [int(value) for value in self._get(vrs, "integer", "enumeration")]
+
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """Truth values by value reference."""
+        return [value != 0 for value in self._get(vrs, "boolean")]
+
+    def _get(self, vrs: list[int], *kinds: str) -> list[float]:
         for vr in vrs:
-            self._variable(vr)
+            self._variable(vr, kinds)
         if self._stale and any(vr > self._first_output for vr in vrs):
             self._put_out()
         return [float(self._v[vr - 1]) for vr in vrs]
 
-    def get_boolean(self, vrs: list[int]) -> list[bool]:
-        """Truth values by value reference."""
-        return [value != 0 for value in self.get_real(vrs)]
-
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Set parameters and inputs by value reference."""
+        self._set(vrs, values, "real")
+
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Set integers and codes of enumerations by value reference."""
+        self._set(vrs, [float(value) for value in values], "integer", "enumeration")
+
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """Set truth values by value reference."""
+        self._set(vrs, [float(value) for value in values], "boolean")
+
+    def _set(self, vrs: list[int], values: list[float], *kinds: str) -> None:
         for vr, value in zip(vrs, values, strict=True):
-            variable = self._variable(vr)
+            variable = self._variable(vr, kinds)
             if variable.causality == "output":
                 self._refuse(f"{variable.name} is an output and cannot be set")
             if variable.fixed and self._mode >= _STEPPING:
@@ -161,14 +179,14 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
             self._v[vr - 1] = value
         self._stale = True
 
-    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        """Set truth values by value reference."""
-        self.set_real(vrs, [float(value) for value in values])
-
-    def _variable(self, vr: int) -> Variable:
+    def _variable(self, vr: int, kinds: tuple[str, ...]) -> Variable:
         if vr not in self.vars:
             self._refuse(f"no variable has value reference {vr}")
         variable: Variable = self.vars[vr]
+        if variable.kind_name not in kinds:
+            self._refuse(
+                f"{variable.name} is of kind {variable.kind_name}, not {' or '.join(kinds)}"
+            )
         return variable
 
     def _begin(self) -> Run:

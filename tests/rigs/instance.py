@@ -29,7 +29,7 @@ class Instance:
         description = fmpy.read_model_description(str(folder))
         self.fmi = 2 if description.fmiVersion.startswith("2") else 3
         self.reference = {v.name: v.valueReference for v in description.modelVariables}
-        self.booleans = {v.name for v in description.modelVariables if v.type == "Boolean"}
+        self.types = {v.name: v.type for v in description.modelVariables}
         self.output_names = [v.name for v in description.modelVariables if v.causality == "output"]
         self.messages: list[str] = []
         self.fmu = self.model_types[self.fmi - 2](
@@ -76,7 +76,7 @@ class Instance:
 
     def set(self, values: Mapping[str, float]) -> None:
         for name, value in values.items():
-            cast = bool if name in self.booleans else float
+            cast = {"Boolean": bool, "Real": float, "Float64": float}.get(self.types[name], int)
             self._call("set", name)([self.reference[name]], [cast(value)])
 
     def get(self, name: str) -> float:
@@ -100,8 +100,10 @@ class Instance:
         self.fmu.freeInstance()
 
     def _call(self, verb: str, name: str) -> Any:
-        real = "Real" if self.fmi == 2 else "Float64"
-        return getattr(self.fmu, verb + ("Boolean" if name in self.booleans else real))
+        kind = self.types[name]
+        if kind == "Enumeration":
+            kind = "Integer" if self.fmi == 2 else "Int64"
+        return getattr(self.fmu, verb + kind)
 
 
 def unzip(path: Path, folder: Path) -> Path:

@@ -2,10 +2,13 @@
 
 from .builder import ComponentBuilder
 from .component import (
+    LARGEST_INTEGER,
     Causality,
     Component,
     Continuous,
     DelayLine,
+    Enumeration,
+    Kind,
     Run,
     Sampling,
     Shortcut,
@@ -17,11 +20,14 @@ from .component import (
 )
 
 __all__ = [
+    "LARGEST_INTEGER",
     "Causality",
     "Component",
     "ComponentBuilder",
     "Continuous",
     "DelayLine",
+    "Enumeration",
+    "Kind",
     "Run",
     "Sampling",
     "Shortcut",

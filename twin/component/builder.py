@@ -11,9 +11,11 @@ import casadi as ca
 
 from ..errors import ModelError
 from .component import (
+    LARGEST_INTEGER,
     Component,
     Continuous,
     DelayLine,
+    Kind,
     Sampling,
     Shortcut,
     State,
@@ -49,25 +51,39 @@ class ComponentBuilder:
         minimum: float | None = None,
         maximum: float | None = None,
         fixed: bool = False,
-        boolean: bool = False,
+        kind: Kind = "real",
     ) -> ca.SX:
         """Declare a parameter and return its symbol."""
         variable = Variable(
-            name, "parameter", unit, description, start, minimum, maximum, fixed, boolean
+            name, "parameter", unit, description, start, minimum, maximum, fixed, kind
         )
         check_range(self._name, variable, start)
         return self._declare(variable, ca.SX.sym(name))
 
     def input(
-        self, name: str, unit: str, description: str, start: float = 0.0, *, boolean: bool = False
+        self,
+        name: str,
+        unit: str,
+        description: str,
+        start: float = 0.0,
+        *,
+        kind: Kind = "real",
     ) -> ca.SX:
         """Declare an input and return its symbol."""
-        variable = Variable(name, "input", unit, description, start, boolean=boolean)
+        variable = Variable(name, "input", unit, description, start, kind=kind)
         return self._declare(variable, ca.SX.sym(name))
 
-    def output(self, name: str, unit: str, description: str, expression: ca.SX | float) -> None:
+    def output(
+        self,
+        name: str,
+        unit: str,
+        description: str,
+        expression: ca.SX | float,
+        *,
+        kind: Kind = "real",
+    ) -> None:
         """Declare an output and its equation."""
-        self._declare(Variable(name, "output", unit, description), ca.SX(expression))
+        self._declare(Variable(name, "output", unit, description, kind=kind), ca.SX(expression))
 
     def state(self, name: str, unit: str, description: str, initial: ca.SX | float) -> ca.SX:
         """Declare a state with its initial value: of inputs, parameters, states with their own."""
@@ -99,10 +115,11 @@ class ComponentBuilder:
             "seed",
             0.0,
             "1",
-            "Seed of the noise, an integer",
+            "Seed of the noise",
             minimum=0,
-            maximum=2.0**53,
+            maximum=LARGEST_INTEGER,
             fixed=True,
+            kind="integer",
         )
         return period
 

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -30,6 +30,30 @@ from .noise import normal
 
 Array = NDArray[np.float64]
 Causality = Literal["parameter", "input", "output", "local"]
+
+
+@dataclass(frozen=True, slots=True)
+class Enumeration:
+    """Values that have names.
+
+    Attributes:
+        name: Of the type.
+        items: Name of each value; the values are 0, 1, ...
+    """
+
+    name: str
+    items: tuple[str, ...]
+
+    @property
+    def legend(self) -> str:
+        """Codes and what they mean, as text."""
+        return ", ".join(f"{code} {item}" for code, item in enumerate(self.items))
+
+
+Kind = Literal["real", "integer", "boolean"] | Enumeration
+"""What the values of a variable are; all are calculated with as numbers."""
+LARGEST_INTEGER = 2**31 - 1
+"""Of what FMI tools hold in 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +69,7 @@ class Variable:
         minimum: Smallest allowed value, itself allowed.
         maximum: Largest allowed value, itself allowed.
         fixed: A parameter that counts only until initialisation ends.
-        boolean: A truth value, held as 0 or 1.
+        kind: What its values are; a truth value is held as 0 or 1, an enumeration by its code.
     """
 
     name: str
@@ -56,7 +80,46 @@ class Variable:
     minimum: float | None = None
     maximum: float | None = None
     fixed: bool = False
-    boolean: bool = False
+    kind: Kind = "real"
+
+    @property
+    def boolean(self) -> bool:
+        """Whether it is a truth value."""
+        return self.kind == "boolean"
+
+    @property
+    def real(self) -> bool:
+        """Whether it may have any value within its range."""
+        return self.kind == "real"
+
+    @property
+    def kind_name(self) -> str:
+        """The kind as a word."""
+        return "enumeration" if isinstance(self.kind, Enumeration) else self.kind
+
+    @property
+    def meaning(self) -> str:
+        """The description, of an enumeration with its codes."""
+        if isinstance(self.kind, Enumeration):
+            return f"{self.description}: {self.kind.legend}"
+        return self.description
+
+    @property
+    def start_text(self) -> str:
+        """Its start value as people write it."""
+        if isinstance(self.kind, Enumeration):
+            return self.kind.items[int(self.start)]
+        if self.boolean:
+            return "true" if self.start else "false"
+        return f"{self.start:g}"
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> "Variable":
+        """One that `dataclasses.asdict` took apart, perhaps by way of JSON."""
+        kind = row["kind"]
+        if isinstance(kind, Mapping):
+            kind = Enumeration(kind["name"], tuple(kind["items"]))
+        return cls(**{**row, "kind": kind})
 
 
 @dataclass(frozen=True, slots=True)
@@ -386,10 +449,16 @@ def unknown_name(owner: str, kind: str, name: str, known: Iterable[str]) -> str:
 
 
 def check_range(owner: str, variable: Variable, value: float) -> None:
-    """Raise `ModelError` if the value is not finite or outside the variable's range."""
+    """Raise `ModelError` if the value is not finite, outside the range or not of the kind."""
     low, high = variable.minimum, variable.maximum
     if not np.isfinite(value):
         raise ModelError(f"{owner}: {variable.name} = {value} must be a finite number.")
+    if not variable.real and value != int(value):
+        raise ModelError(f"{owner}: {variable.name} = {value:g} must be a whole number.")
+    if isinstance(variable.kind, Enumeration) and not 0 <= value < len(variable.kind.items):
+        raise ModelError(
+            f"{owner}: {variable.name} = {value:g} is none of its values: {variable.kind.legend}."
+        )
     if (low is not None and value < low) or (high is not None and value > high):
         span = f"[{'-inf' if low is None else low:}, {'inf' if high is None else high}]"
         raise ModelError(

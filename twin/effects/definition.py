@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import casadi as ca
 
-from ..component import ComponentBuilder
+from ..component import ComponentBuilder, Kind
 from ..vehicle import Vehicle
 from .seen import Equation, Observer, Seen
 
@@ -42,6 +42,7 @@ class EffectParameter:
         per_rotor: Whether every rotor has one: `name_1`, `name_2`, ...
         trifle: Smallest change worth a name, in the unit of `bounds`; None: `TRIFLE` of that range.
         floor: Smallest value that a vehicle allows, absolute, where that is below the bounds.
+        kind: What its values are.
         ends: Whether it may well be at a bound, as a share may be none or all: that is no hint that
             another effect is meant.
     """
@@ -57,6 +58,7 @@ class EffectParameter:
     trifle: float | None = None
     floor: Callable[[Vehicle], float] | None = None
     ends: bool = False
+    kind: Kind = "real"
 
     @property
     def smallest(self) -> float:
@@ -204,7 +206,7 @@ class Block:
             float(settings is not None),
             "1",
             f"Whether this acts: {effect.meaning}",
-            boolean=True,
+            kind="boolean",
             minimum=0,
             maximum=1,
         )
@@ -217,6 +219,7 @@ class Block:
                     (settings or {}).get(name, sized.start),
                     parameter.unit,
                     f"{effect.name}: {parameter.description}",
+                    kind=parameter.kind,
                 )
                 for name in parameter.names(vehicle)
             ]

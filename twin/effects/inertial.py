@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from ..component import Enumeration
 from ..component.portable import cosine, sine
 from ..frames import to_body
 from ..vehicle import Vehicle
@@ -229,7 +230,12 @@ STUCK_SENSOR = Effect(
     Freezing,
     (
         EffectParameter(
-            "channel", "1", "which, 1 to 6: " + ", ".join(IMU_CHANNELS) + "; 0 none", 3.0, (0, 6)
+            "channel",
+            "1",
+            "which",
+            3.0,
+            (0, len(IMU_CHANNELS)),
+            kind=Enumeration("ImuChannel", ("none", *IMU_CHANNELS)),
         ),
         EffectParameter("time_s", "s", "since when, from the start", 5.0, (0, 3600), neutral=None),
     ),

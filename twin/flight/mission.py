@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..component import Component, ComponentBuilder
+from ..component import Component, ComponentBuilder, Enumeration
 from ..component.portable import cosine, sine
 from ..errors import ModelError
 from ..frames import AXES
@@ -28,7 +28,7 @@ from ..vehicle import Vehicle
 from .minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
 
 PHASES = {"ground": 0, "takeoff": 1, "hover": 2, "forward": 3, "tour": 4, "land": 5}
-"""Codes of the output `phase`."""
+"""Codes of the output `phase`, in their order."""
 SMALL_ARM_M = 0.06
 """Vehicles with shorter arms fly everything at half the size and speed."""
 WAYPOINTS = (
@@ -102,9 +102,9 @@ def mission(vehicle: Vehicle, name: str) -> Component:
             ca.jacobian(speed[i], clock),
         )
     m.output("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east", where[3])
-    m.output("armed", "1", "Whether the motors may turn, 0 or 1", armed)
-    codes = ", ".join(f"{code} {phase}" for phase, code in PHASES.items())
-    m.output("phase", "1", f"Phase of the flight: {codes}", phase)
+    m.output("armed", "1", "Whether the motors may turn", armed, kind="boolean")
+    kind = Enumeration("FlightPhase", tuple(PHASES))
+    m.output("phase", "1", "Phase of the flight", phase, kind=kind)
     return m.build()
 
 

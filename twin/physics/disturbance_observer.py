@@ -34,7 +34,7 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> list[ca.SX]:
     Source: Luenberger's observer with an integrating disturbance; Chen, Yang, Guo & Li, IEEE
     Trans. Industrial Electronics 63, 2016, sec. II.
     """
-    now = m.input("restart", "1", "Whether the motion is the given one", boolean=True) > 0.5
+    now = m.input("restart", "1", "Whether the motion is the given one", kind="boolean") > 0.5
     given = {
         name: m.input(f"restart.{name}", unit, f"Given {meaning}", START.get(name, 0.0))
         for name, unit, meaning in MOTION
@@ -51,7 +51,7 @@ def followed(m: ComponentBuilder, motion: Motion, period: ca.SX) -> list[ca.SX]:
         0.0,
         "1",
         "Whether what the equations lack while the motion is given acts afterwards",
-        boolean=True,
+        kind="boolean",
         minimum=0,
         maximum=1,
     )

@@ -57,7 +57,13 @@ def ground_contact(
 ) -> Contact:
     """Declare the parameters of the ground, whose plane is at `z_ground` NED, m."""
     enabled = m.parameter(
-        "ground.enabled", 1.0, "1", "Whether there is a ground", boolean=True, minimum=0, maximum=1
+        "ground.enabled",
+        1.0,
+        "1",
+        "Whether there is a ground",
+        kind="boolean",
+        minimum=0,
+        maximum=1,
     )
     count = vehicle.rotors.count
     omega0 = 2 * np.pi * CONTACT_HZ

@@ -250,7 +250,7 @@ def residual_force(vehicle: Vehicle, law: ForceLaw, network: bool = False) -> Co
     down = m.input("pos_z", "m", "Position, NED down", -100.0)
     ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
     enabled = m.parameter(
-        "enabled", 1.0, "1", "Whether the law acts", boolean=True, minimum=0, maximum=1
+        "enabled", 1.0, "1", "Whether the law acts", kind="boolean", minimum=0, maximum=1
     )
     air_b = to_body(q_nb, [v - w for v, w in zip(vel_n, wind_n, strict=True)])
     x = motion_inputs(vehicle, air_b, omega_b, spin, voltage, ground - down)

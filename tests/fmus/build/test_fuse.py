@@ -245,7 +245,7 @@ def knowns() -> list[str]:
         v.name
         for v in model("fused").variables
         if v.causality != "output"
-        and not v.boolean
+        and v.real
         and not v.name.endswith((".seed", ".sample_period"))
         and (v.minimum is None or v.start > v.minimum)
         and (v.maximum is None or v.start < v.maximum)

@@ -116,10 +116,15 @@ def new(folder_of: Callable[[str, int], Path]) -> Iterator[Callable[[str, int], 
 
 
 def outputs(instance: Instance) -> Array:
-    """All outputs in one call."""
-    references = [instance.reference[n] for n in instance.output_names]
-    get = instance.fmu.getReal if instance.fmi == 2 else instance.fmu.getFloat64
-    return np.array(get(references))
+    """All outputs, those of one type in one call."""
+    types = [instance.types[n] for n in instance.output_names]
+    values = np.empty(len(types))
+    for kind in set(types):
+        chosen = [i for i, t in enumerate(types) if t == kind]
+        integers = "Integer" if instance.fmi == 2 else "Int64"
+        get = getattr(instance.fmu, "get" + (integers if kind == "Enumeration" else kind))
+        values[chosen] = get([instance.reference[instance.output_names[i]] for i in chosen])
+    return values
 
 
 # -- fused = parts --------------------------------------------------------------------------
@@ -241,7 +246,7 @@ def knowns(name: str) -> list[Variable]:
     return [
         v
         for v in variables(name)
-        if v.causality in ("input", "parameter") and not v.boolean and not v.fixed
+        if v.causality in ("input", "parameter") and v.real and not v.fixed
     ]
 
 

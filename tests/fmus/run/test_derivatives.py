@@ -18,7 +18,7 @@ TOLERANCE = 1e-6
 def knowns(kind: str) -> list[Variable]:
     """Inputs and real parameters that may be set while stepping."""
     c = component(kind)
-    return [v for v in c.inputs + c.parameters if not v.boolean and not v.fixed]
+    return [v for v in c.inputs + c.parameters if v.real and not v.fixed]
 
 
 def scatter(kind: str, rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:

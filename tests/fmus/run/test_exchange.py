@@ -103,7 +103,7 @@ def ball() -> Component:
     """Falls on a spring and dashpot; what it is pushed with comes late, its heat has a state."""
     m = ComponentBuilder("ball", "Ball over a floor")
     push = m.input("push", "N", "Force upwards")
-    late = m.parameter("late.enabled", 0.0, "1", "Whether the push is late", boolean=True)
+    late = m.parameter("late.enabled", 0.0, "1", "Whether the push is late", kind="boolean")
     drop = m.parameter("damping", 10.0, "N.s/m", "Of the floor")
     m.sampled(PERIOD_S, "Time between two looks at the push")
     z = m.state("z", "m", "Height", HEIGHT_M)

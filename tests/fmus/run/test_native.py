@@ -83,7 +83,7 @@ def test_c_host_prints_the_bits_of_fmpy(
     result = host(compile_host(bin_folder, fmi), fmu_folder(kind, fmi), fmi, kind)
     assert result.returncode == 0, result.stderr
     instance = new(kind, fmi).start({CHANGED: VALUE} if kind != "replay" else None)
-    reals = [n not in instance.booleans for n in instance.output_names]
+    reals = [instance.types[n] != "Boolean" for n in instance.output_names]
     expected = instance.run(1000)[:, reals]
     got = np.array([float(x) for x in result.stdout.split()]).reshape(1000, -1)
     assert got.tobytes() == np.ascontiguousarray(expected).tobytes()

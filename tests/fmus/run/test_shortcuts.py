@@ -14,7 +14,7 @@ from twin.component import ComponentBuilder
 def test_the_first_that_holds_is_taken(tmp_path: Path, fmi: int) -> None:
     """The switched equations are not idle at all, so that the outputs tell which were left out."""
     m = ComponentBuilder("steps", "Rates that shortcuts leave out")
-    a, b = (m.parameter(n, 1.0, "1", "Switch", boolean=True) for n in ("a", "b"))
+    a, b = (m.parameter(n, 1.0, "1", "Switch", kind="boolean") for n in ("a", "b"))
     x = m.state("x", "1", "What grows", m.parameter("initial.x", 0.0, "1", "Start", fixed=True))
     m.derivative("x", 1 + 10 * a + 100 * b)
     m.output("x", "1", "What grows", x)

@@ -23,7 +23,7 @@ def disturb(instance: Instance, kind: str, seed: int) -> None:
         return
     rng = np.random.default_rng(seed)
     instance.set({v.name: v.start + rng.standard_normal() for v in component(kind).inputs})
-    tunable = next(v for v in component(kind).parameters if not v.fixed and not v.boolean)
+    tunable = next(v for v in component(kind).parameters if not v.fixed and v.real)
     instance.set({tunable.name: tunable.start * rng.uniform(0.9, 1.1)})
 
 

@@ -220,7 +220,7 @@ def test_what_is_wrong_is_in_the_log(folder: Callable[[str], Path]) -> None:
     refused("vbat_v is an output and cannot be set", instance.set, {"vbat_v": 1.0})
     refused("no variable has value reference 0", fmu.getReal, [0])
     refused("no variable has value reference 999", fmu.setReal, [999], [1.0])
-    refused("not of type Integer", fmu.getInteger, [reference["vbat_v"]])
+    refused("vbat_v is of kind real, not integer", fmu.getInteger, [reference["vbat_v"]])
     refused("doStep before initialization", instance.step, 0.0)
     instance.start()
     refused("initial.charge is fixed once initialization", instance.set, {"initial.charge": 0.5})

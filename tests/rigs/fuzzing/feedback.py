@@ -6,7 +6,7 @@ from twin.component import Component, ComponentBuilder
 def motor() -> Component:
     """A lag."""
     m = ComponentBuilder("motor", "A lag")
-    on = m.parameter("on", 1.0, "1", "Whether it turns", boolean=True)
+    on = m.parameter("on", 1.0, "1", "Whether it turns", kind="boolean")
     u = m.input("u", "V", "Voltage")
     x = m.state("speed", "rad/s", "Speed", m.parameter("initial.speed", 0.0, "rad/s", "Start"))
     m.derivative("speed", on * (u - x))

@@ -159,7 +159,7 @@ def test_projection_follows_each_step() -> None:
 def test_shortcuts_leave_out_what_their_switches_turn_on() -> None:
     """The first leaves out both pulls, the second one of them; with both on neither is exact."""
     m = ComponentBuilder("c", "")
-    near, far = (m.parameter(n, 1.0, "1", "", boolean=True) for n in ("near", "far"))
+    near, far = (m.parameter(n, 1.0, "1", "", kind="boolean") for n in ("near", "far"))
     x = m.state("x", "1", "", 0.0)
     m.derivative("x", -near * x + far * x**2)
     m.output("pull", "1", "", 3 * near + 5 * far)

@@ -60,7 +60,7 @@ def declare_signals(m: ComponentBuilder) -> Signals:
         vel_sp=vector("setpoint_vel", "m/s", "Velocity setpoint, NED", _NED),
         acc_sp=vector("setpoint_acc", "m/s2", "Acceleration setpoint, NED", _NED),
         yaw_sp=m.input("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east"),
-        armed=m.input("armed", "1", "Whether the motors may turn, 0 or 1") > 0.5,
+        armed=m.input("armed", "1", "Whether the motors may turn", kind="boolean") > 0.5,
     )
 
 
