@@ -58,10 +58,13 @@ def build(model: FmuModel, path: Path, fmi: int = 2, platforms: Iterable[str] = 
         The path.
 
     Raises:
-        FmuError: Unknown FMI version or platform, no compiler, or the compiler failed.
+        FmuError: Unknown FMI version or platform, arrays in FMI 2, no compiler, or the compiler
+            failed.
     """
     if fmi not in _HEADERS:
         raise FmuError(f"{model.name}: FMI {fmi} is not supported; choose 2 or 3.")
+    if model.arrays and fmi != 3:
+        raise FmuError(f"{model.name}: arrays are of FMI 3; FMI {fmi} has scalars alone.")
     chosen = select_platforms(platforms)
     sources = _sources(model, fmi)
     token = _token(model, fmi, sources)

@@ -6,6 +6,7 @@ from lxml import etree
 
 from twin.component import Enumeration, Variable
 
+from .arrays import Entry
 from .documentation.project import project
 from .exchange import ExchangeState
 from .model import FmuModel, check_interface
@@ -99,7 +100,7 @@ def _fmi2(model: FmuModel, token: str, sources: Sequence[str]) -> etree._Element
         if _computed(variable):
             scalar.set("initial", "calculated")
         element = _type_element(scalar, _TYPES[2], variable)
-        _of_exchange(element, variable.name, states, index)
+        _of_exchange(element, Entry(variable.name, (variable,)), states, index)
     structure = etree.SubElement(root, "ModelStructure")
     for group, names, dependencies in _unknowns(model):
         if not names and group == "Derivatives":
@@ -147,14 +148,16 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
         variability="continuous",
         unit="s",
     )
-    reference_of = {v.name: i for i, v in enumerate(model.variables, start=1)}
+    entries = model.entries
+    reference_of = {v.name: i for i, e in enumerate(entries, start=1) for v in e.members}
     states = states_of(model)
-    for reference, variable in enumerate(model.variables, start=1):
+    for reference, entry in enumerate(entries, start=1):
+        variable = entry.first
         element = _type_element(table, _TYPES[3], variable)
         attributes = {
-            "name": variable.name,
+            "name": entry.name,
             "valueReference": str(reference),
-            "description": variable.description,
+            "description": entry.description,
             "causality": variable.causality,
             "variability": _variability(variable, model.held),
         }
@@ -162,7 +165,9 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
             attributes["initial"] = "calculated"
         for key, value in attributes.items():
             element.set(key, value)
-        _of_exchange(element, variable.name, states, reference_of)
+        _of_exchange(element, entry, states, reference_of)
+        if entry.is_array:
+            _array(element, entry)
     structure = etree.SubElement(root, "ModelStructure")
     tags = {
         "Outputs": "Output",
@@ -172,15 +177,27 @@ def _fmi3(model: FmuModel, token: str) -> etree._Element:
     }
     for group, names, dependencies in _unknowns(model, indicators=True):
         tag = tags[group]
+        together: dict[int, set[int]] = {}
         for name in names:
-            on = sorted(reference_of[k] for k in dependencies[name])
+            on = {reference_of[k] for k in dependencies[name]}
+            together.setdefault(reference_of[name], set()).update(on)
+        for reference, known in together.items():
             etree.SubElement(
                 structure,
                 tag,
-                valueReference=str(reference_of[name]),
-                dependencies=" ".join(map(str, on)),
+                valueReference=str(reference),
+                dependencies=" ".join(map(str, sorted(known))),
             )
     return root
+
+
+def _array(element: etree._Element, entry: Entry) -> None:
+    """Size of an array, and the start value and usual size of all that it holds."""
+    if not _computed(entry.first):
+        element.set("start", " ".join(repr(float(v.start)) for v in entry.members))
+        sizes = (usual_size(v.unit, v.start) for v in entry.members)
+        element.set("nominal", repr(max(sizes)))
+    etree.SubElement(element, "Dimension", start=str(len(entry.members)))
 
 
 def _made_by() -> dict[str, str]:
@@ -207,19 +224,21 @@ def states_of(model: FmuModel) -> dict[str, ExchangeState]:
 
 def _of_exchange(
     element: etree._Element,
-    name: str,
+    entry: Entry,
     states: Mapping[str, ExchangeState],
     number: Mapping[str, int],
 ) -> None:
     """Attributes of a state or a derivative; of other variables none."""
-    if name not in states:
+    if entry.first.name not in states:
         return
-    state = states[name]
-    if name == state.derivative:
-        element.set("derivative", str(number[state.name]))
+    own = [states[v.name] for v in entry.members]
+    if entry.first.name == own[0].derivative:
+        here = [number[state.name] for state in own]
+        assert [*number.values()].count(here[0]) == here.count(here[0]) == len(here), entry.name
+        element.set("derivative", str(here[0]))
         return
-    element.set("nominal", repr(state.nominal))
-    if state.jumps:
+    element.set("nominal", repr(max(state.nominal for state in own)))
+    if any(state.jumps for state in own):
         element.set("reinit", "true")
 
 

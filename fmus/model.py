@@ -19,6 +19,7 @@ from twin.component import (
 from twin.errors import FmuError, ModelError
 from twin.representation import short_repr
 
+from .arrays import Entry, arrays, scalars
 from .exchange import Exchange, exchanged
 from .names import check_identifier, check_name, check_text, check_variable
 
@@ -94,6 +95,7 @@ class FmuModel:
         connections: (output, input), by name.
         order: Indices of parts in an order in which all outputs become right at initialisation.
         step_s: Longest step between two exchanges of values; None for a part alone.
+        arrays: Whether scalars that belong together are arrays, in FMI 3.
     """
 
     name: str
@@ -102,8 +104,23 @@ class FmuModel:
     connections: tuple[tuple[str, str], ...] = ()
     order: tuple[int, ...] = (0,)
     step_s: float | None = None
+    arrays: bool = False
 
     __repr__ = short_repr
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """Its variables as an importer sees them, in the order of their value references from 1."""
+        if not self.arrays:
+            return scalars(self.variables)
+        part_of = {v.name: i for i, part in enumerate(self.parts) for v in part.variables}
+        states = {s.name for s in self.exchange.states} if self.exchange else set()
+        lacking = frozenset[str]().union(*(part.may_lack for part in self.parts))
+
+        def alike(v: Variable) -> object:
+            return part_of[v.name], v.name in self.held, v.name in lacking, v.name in states
+
+        return arrays(self.variables, alike)
 
     @property
     def variables(self) -> tuple[Variable, ...]:

@@ -161,12 +161,19 @@ def _exchange(part: Part, exchange: Exchange) -> str:
 def _system(model: FmuModel, token: str) -> str:
     """The parts, the variables of the FMU and the connections."""
     place = {
-        v.name: f"{{{i}, {reference}}}"
+        v.name: (i, reference)
         for i, part in enumerate(model.parts)
         for reference, v in enumerate(part.variables, start=1)
     }
-    ports = [place[v.name] for v in model.variables]
-    connections = [f"{{{place[a]}, {place[b]}}}" for a, b in model.connections]
+    ports = [
+        f"{{{i}, {reference}, {len(entry.members)}}}"
+        for entry in model.entries
+        for i, reference in [place[entry.first.name]]
+    ]
+    connections = [
+        f"{{{', '.join(f'{{{i}, {reference}, 1}}' for i, reference in (place[a], place[b]))}}}"
+        for a, b in model.connections
+    ]
     names = [f"model_{part.name}" for part in model.parts]
     return "\n".join(
         [
@@ -174,8 +181,8 @@ def _system(model: FmuModel, token: str) -> str:
             '#include "core.h"\n',
             f"extern const Model {', '.join(names)};\n",
             _table("static const Model* const models[]", (f"&{name}" for name in names)),
-            _table("static const Port ports[]", ["{0, 0}", *ports]),
-            _table("static const Connection connections[]", connections or ["{{0, 0}, {0, 0}}"]),
+            _table("static const Port ports[]", ["{0, 0, 1}", *ports]),
+            _table("static const Connection connections[]", connections or ["{{0}}"]),
             _table("static const unsigned visits[]", map(str, model.order)),
             "const System fmu = {",
             f"    .token = {c_string(token)},",

@@ -5,7 +5,7 @@ are terminals of one name, whose members a tool joins by theirs.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from lxml import etree
@@ -31,6 +31,7 @@ class Bus:
     members: str
 
 
+_SIGNALS = ("input", "output")
 _XYZ = "_[xyz]"
 BUSES = (
     Bus("motor_commands", "What the controller asks of each motor", r"cmd_\d+"),
@@ -61,7 +62,7 @@ def terminals_and_icons(model: FmuModel) -> bytes:
     etree.SubElement(graphics, "CoordinateSystem", square, suggestedScalingFactorTo_mm=scale)
     etree.SubElement(graphics, "Icon", square)
     terminals = etree.Element("Terminals")
-    names = [v.name for v in model.variables if v.causality in ("input", "output")]
+    names = {e.first.name: e.name for e in model.entries if e.first.causality in _SIGNALS}
     if len(model.parts) == 1:
         terminals.extend(_terminals(names, ""))
     else:
@@ -75,11 +76,16 @@ def terminals_and_icons(model: FmuModel) -> bytes:
     return text
 
 
-def _terminals(names: list[str], prefix: str) -> Iterator[etree._Element]:
-    """One per bus that has members among the names with the prefix."""
-    own = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+def _terminals(names: Mapping[str, str], prefix: str) -> Iterator[etree._Element]:
+    """One per bus that has members among the names with the prefix.
+
+    Args:
+        names: Of what each variable is, or begins with where it is an array, to its own.
+        prefix: Of the part.
+    """
+    own = {first.removeprefix(prefix): n for first, n in names.items() if first.startswith(prefix)}
     for bus in BUSES:
-        members = [name for name in own if re.fullmatch(bus.members, name)]
+        members = [name for first, name in own.items() if re.fullmatch(bus.members, first)]
         if not members:
             continue
         terminal = _terminal(None, bus.name, bus.description)
@@ -87,8 +93,8 @@ def _terminals(names: list[str], prefix: str) -> Iterator[etree._Element]:
             etree.SubElement(
                 terminal,
                 "TerminalMemberVariable",
-                variableName=prefix + member,
-                memberName=member,
+                variableName=member,
+                memberName=member.removeprefix(prefix),
                 variableKind="signal",
             )
         yield terminal

@@ -274,9 +274,16 @@ static int check_kind(Instance* c, const Variable* k, int kinds) {
     return -1;
 }
 
-int core_get(Instance* c, unsigned vr, int kinds, double* value) {
+size_t core_size(const unsigned vr[], size_t n) {
+    size_t size = 0;
+    for (size_t i = 0; i < n; i++) size += vr[i] < fmu.n_ports ? fmu.ports[vr[i]].count : 1;
+    return size;
+}
+
+int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value) {
     if (vr >= fmu.n_ports) return fail(c, "%sno variable has value reference %.0f", "", vr, 0);
-    const Port at = fmu.ports[vr];
+    Port at = fmu.ports[vr];
+    at.variable += (unsigned)i;
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
     if (check_kind(c, k, kinds)) return -1;
     if (vr == 0) {
@@ -290,10 +297,11 @@ int core_get(Instance* c, unsigned vr, int kinds, double* value) {
     return 0;
 }
 
-int core_set(Instance* c, unsigned vr, int kinds, double value) {
+int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
     if (vr == 0 || vr >= fmu.n_ports)
         return fail(c, "%sno settable variable has value reference %.0f", "", vr, 0);
-    const Port at = fmu.ports[vr];
+    Port at = fmu.ports[vr];
+    at.variable += (unsigned)i;
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
     if (check_kind(c, k, kinds)) return -1;
     if (k->causality >= OUTPUT) return fail(c, "%s is computed and cannot be set", k->name, 0, 0);
@@ -323,13 +331,15 @@ int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, con
     FOR_EACH_PART(p) memset(p->change, 0, p->model->n_variables * sizeof(double));
     if (c->exchange) memset(c->parts[0].next, 0, c->parts[0].model->n_states * sizeof(double));
     for (size_t i = 0; i < n_known; i++) {
-        const Port at = fmu.ports[known[i] < fmu.n_ports ? known[i] : 0];
-        if (c->exchange && c->state->mode >= STEPPING && seed_state(&c->parts[0], at.variable, seed[i]))
-            continue;
-        if (at.variable == 0 || at.variable >= fmu.models[at.part]->first_output)
-            return fail(c, "%sdirectional derivative: value reference %.0f is no input or parameter", "",
-                        known[i], 0);
-        c->parts[at.part].change[at.variable] += seed[i];
+        Port at = fmu.ports[known[i] < fmu.n_ports ? known[i] : 0];
+        for (const unsigned end = at.variable + at.count; at.variable < end; at.variable++, seed++) {
+            if (c->exchange && c->state->mode >= STEPPING && seed_state(&c->parts[0], at.variable, *seed))
+                continue;
+            if (at.variable == 0 || at.variable >= fmu.models[at.part]->first_output)
+                return fail(c, "%sdirectional derivative: value reference %.0f is no input or parameter", "",
+                            known[i], 0);
+            c->parts[at.part].change[at.variable] += *seed;
+        }
     }
     for (size_t i = 0; i < n_unknown; i++) {
         const Port at = fmu.ports[unknown[i] < fmu.n_ports ? unknown[i] : 0];
@@ -343,7 +353,7 @@ int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, con
     }
     for (size_t i = 0; i < n_unknown; i++) {
         const Port at = fmu.ports[unknown[i]];
-        result[i] = c->parts[at.part].change[at.variable];
+        for (unsigned k = 0; k < at.count; k++) *result++ = c->parts[at.part].change[at.variable + k];
     }
     return 0;
 }

@@ -88,6 +88,7 @@ typedef struct {
 /* ---- how parts make a system: constant data, in system.c ---- */
 typedef struct {
     unsigned part, variable; /* variable: value reference within the part */
+    unsigned count;          /* of scalars from there on: 1, or the size of an array */
 } Port;
 
 typedef struct {
@@ -144,8 +145,10 @@ typedef struct {
 Instance* core_new(const char* resources, int exchange, char* message, size_t size);
 void core_free(Instance* c);
 void core_reset(Instance* c);
-int core_get(Instance* c, unsigned vr, int kinds, double* value); /* of one of these kinds */
-int core_set(Instance* c, unsigned vr, int kinds, double value);
+size_t core_size(const unsigned vr[], size_t n); /* values of these variables together */
+/* Element i of a variable, 0 of a scalar, of one of these kinds. */
+int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value);
+int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value);
 int core_enter_initialization(Instance* c, double start_time);
 int core_exit_initialization(Instance* c);
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],

@@ -157,7 +157,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
     fmi2Status fmi2Get##TYPE(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2##TYPE value[]) { \
         double v;                                                                                           \
         for (size_t i = 0; i < n; i++) {                                                                    \
-            if (core_get(c, vr[i], KINDS, &v)) return status(c, -1);                                        \
+            if (core_get(c, vr[i], 0, KINDS, &v)) return status(c, -1);                                        \
             value[i] = (fmi2##TYPE)v;                                                                       \
         }                                                                                                   \
         return fmi2OK;                                                                                      \
@@ -166,7 +166,7 @@ fmi2Status fmi2Reset(fmi2Component c) {
                              const fmi2##TYPE value[]) {                                                    \
         for (size_t i = 0; i < n; i++) {                                                                    \
             const double v = (KINDS) == BOOLEAN ? value[i] != 0 : (double)value[i];                         \
-            if (core_set(c, vr[i], KINDS, v)) return status(c, -1);                                         \
+            if (core_set(c, vr[i], 0, KINDS, v)) return status(c, -1);                                         \
         }                                                                                                   \
         return fmi2OK;                                                                                      \
     }

@@ -124,25 +124,28 @@ fmi3Status fmi3Reset(fmi3Instance c) {
     return event(c, 0, "reset, now");
 }
 
-/* Get and set functions of one type, for variables of one kind. */
+/* Get and set functions of one type, for variables of one kind, arrays element by element. */
 #define VARIABLES(TYPE, KIND)                                                                            \
     fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n, fmi3##TYPE value[], \
                              size_t m) {                                                                 \
         double v;                                                                                        \
-        if (n != m) return refuse(c, "fmi3Get" #TYPE ": every variable is a scalar");                    \
-        for (size_t i = 0; i < n; i++) {                                                                 \
-            if (core_get(c, vr[i], KIND, &v)) return status(c, -1);                                      \
-            value[i] = (fmi3##TYPE)v;                                                                    \
-        }                                                                                                \
+        if (core_size(vr, n) != m) return refuse(c, "fmi3Get" #TYPE ": " WRONG_SIZE);                    \
+        for (; n > 0; n--, vr++)                                                                         \
+            for (size_t i = 0, size = core_size(vr, 1); i < size; i++) {                                 \
+                if (core_get(c, *vr, i, KIND, &v)) return status(c, -1);                                 \
+                *value++ = (fmi3##TYPE)v;                                                                \
+            }                                                                                            \
         return fmi3OK;                                                                                   \
     }                                                                                                    \
     fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference vr[], size_t n,                    \
                              const fmi3##TYPE value[], size_t m) {                                       \
-        if (n != m) return refuse(c, "fmi3Set" #TYPE ": every variable is a scalar");                    \
-        for (size_t i = 0; i < n; i++)                                                                   \
-            if (core_set(c, vr[i], KIND, (double)value[i])) return status(c, -1);                        \
+        if (core_size(vr, n) != m) return refuse(c, "fmi3Set" #TYPE ": " WRONG_SIZE);                    \
+        for (; n > 0; n--, vr++)                                                                         \
+            for (size_t i = 0, size = core_size(vr, 1); i < size; i++)                                   \
+                if (core_set(c, *vr, i, KIND, (double)*value++)) return status(c, -1);                   \
         return fmi3OK;                                                                                   \
     }
+#define WRONG_SIZE "the number of values is not that of the variables"
 VARIABLES(Float64, REAL)
 VARIABLES(Int32, INTEGER)
 VARIABLES(Boolean, BOOLEAN)
@@ -284,8 +287,8 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
                                         const fmi3ValueReference known[], size_t nKnown,
                                         const fmi3Float64 seed[], size_t nSeed, fmi3Float64 result[],
                                         size_t nResult) {
-    if (nSeed != nKnown || nResult != nUnknown)
-        return refuse(c, "fmi3GetDirectionalDerivative: every variable is a scalar");
+    if (nSeed != core_size(known, nKnown) || nResult != core_size(unknown, nUnknown))
+        return refuse(c, "fmi3GetDirectionalDerivative: " WRONG_SIZE);
     return status(c, core_derivative(c, unknown, nUnknown, known, nKnown, seed, result));
 }
 
