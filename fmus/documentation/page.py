@@ -16,8 +16,8 @@ from twin.component import Variable
 from twin.effects import EFFECTS, Effect
 
 from ..model import FmuModel
-from ..terminals import terminals_and_icons
 from .project import project
+from .terminals import terminals_and_icons
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +54,7 @@ def documentation(model: FmuModel, fmi: int) -> dict[str, bytes]:
         locals=[v for v in model.variables if v.causality == "local"],
         parameters=[v for v in parameters if v.name not in of_effects],
         effects=effects,
+        arrays=[entry for entry in model.entries if entry.is_array],
     )
     return {
         "documentation/index.html": page.encode(),

@@ -91,6 +91,13 @@ def export(
         bool,
         typer.Option("--python-slave", help="For prototypes: FMUs run by Python and pythonfmu."),
     ] = False,
+    arrays: Annotated[
+        bool,
+        typer.Option(
+            "--arrays",
+            help="With --fmi 3: pos_x, pos_y, pos_z as one variable pos, and so on; no .ssp.",
+        ),
+    ] = False,
     platform: Platforms = "linux64",
     start: Starts = None,
     out: Out = Path("fmus_out"),
@@ -119,6 +126,7 @@ def export(
         position,
         int8,
         python_slave,
+        arrays,
     )
     plan = export_components(components, choice)
     files = (INT8_FILE if int8 else FILE, FORCE_FILE, NETWORK_FILE)
@@ -152,6 +160,7 @@ class Choice:
         position: Kind of position sensor.
         int8: Whether the compensator's weights have 8 bits.
         python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
+        arrays: Whether what belongs together is one array.
     """
 
     vehicle: str = "copter_default"
@@ -167,6 +176,7 @@ class Choice:
     position: str = "gnss"
     int8: bool = False
     python_slave: bool = False
+    arrays: bool = False
 
     def told(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
@@ -200,7 +210,7 @@ def export_components(
     parts = [_part(name, choice, vehicle, learned) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
-    return export_parts(parts, versions, platforms, starts, choice.python_slave)
+    return export_parts(parts, versions, platforms, starts, choice.python_slave, choice.arrays)
 
 
 def default_vehicle(model: Path | None) -> str:

@@ -61,11 +61,13 @@ class Product:
         file: Its name.
         write: `(path, FMI version, platforms)`: write it.
         note: What the user should know of it, or "".
+        model: Of a native FMU; None: it is something else.
     """
 
     file: str
     write: Callable[[Path, int, Sequence[str]], object]
     note: str = ""
+    model: FmuModel | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +97,11 @@ class WrittenFile:
 
 
 def products_of(
-    what: Exportable, starts: Starts, versions: Sequence[int], python_slave: bool = False
+    what: Exportable,
+    starts: Starts,
+    versions: Sequence[int],
+    python_slave: bool = False,
+    arrays: bool = False,
 ) -> list[Product]:
     """Files of one thing to be exported; the whole twin has two, fused and as `.ssp`.
 
@@ -104,10 +110,16 @@ def products_of(
         starts: Start values, of which it takes its own.
         versions: FMI versions that are wanted.
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
+        arrays: Whether variables that belong together are arrays; no `.ssp` then.
 
     Raises:
         TwinError: It cannot be written so.
     """
+    if arrays:
+        if list(versions) != [3] or python_slave:
+            raise TwinError("arrays are of FMI 3 and native FMUs; ask for that version alone.")
+        scalar = products_of(what, starts, versions)
+        return [_with_arrays(p.model, p.note) for p in scalar if p.model is not None]
     if python_slave and (list(versions) != [2] or not isinstance(what, Component | NetworkFile)):
         raise TwinError("a Python slave speaks FMI 2 and is one component; leave the rest native.")
     if isinstance(what, Twin):
@@ -128,7 +140,14 @@ def products_of(
 
 
 def _native(model: FmuModel) -> Product:
-    return Product(f"{model.name}.fmu", lambda path, fmi, on: build(model, path, fmi, on))
+    def write(path: Path, fmi: int, platforms: Sequence[str]) -> Path:
+        return build(model, path, fmi, platforms)
+
+    return Product(f"{model.name}.fmu", write, model=model)
+
+
+def _with_arrays(model: FmuModel, note: str) -> Product:
+    return replace(_native(replace(model, arrays=True)), note=note)
 
 
 def _slave(component: Component) -> Product:

@@ -58,6 +58,7 @@ def export(
     platforms: str | Iterable[str] = "linux64",
     starts: Mapping[str, float] | None = None,
     python_slave: bool = False,
+    arrays: bool = False,
     progress: Progress = lambda _: None,
 ) -> ExportResult:
     """Write an FMU, or the whole twin as an `.ssp`.
@@ -70,6 +71,8 @@ def export(
         platforms: That it runs on, see `fmus.platforms`.
         starts: Start values baked in, by name of the parameter or input; in a twin "part.name".
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
+        arrays: Whether what belongs together is one array, `pos` for `pos_x` to `pos_z`: FMI 3, and
+            no `.ssp`.
         progress: Called with the share done, 0..1.
 
     Returns:
@@ -80,7 +83,8 @@ def export(
     """
     path, known = Path(path), Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
-    products = {Path(p.file).suffix: p for p in products_of(what, known, versions, python_slave)}
+    made = products_of(what, known, versions, python_slave, arrays)
+    products = {Path(p.file).suffix: p for p in made}
     known.check()
     if path.suffix not in products:
         raise TwinError(f"{path}: this is written as {' or '.join(products)}; name such a file.")
@@ -96,6 +100,7 @@ def export_parts(
     platforms: str | Iterable[str] = "linux64",
     starts: Mapping[str, float] | None = None,
     python_slave: bool = False,
+    arrays: bool = False,
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
     """Check everything, then return the function that writes several into one folder.
 
@@ -105,13 +110,16 @@ def export_parts(
         platforms: As for `export`.
         starts: As for `export`; each part takes those that it has.
         python_slave: As for `export`.
+        arrays: As for `export`.
 
     Raises:
         TwinError: As `export`.
     """
     known = Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
-    products = [p for part in parts for p in products_of(part, known, versions, python_slave)]
+    products = [
+        p for part in parts for p in products_of(part, known, versions, python_slave, arrays)
+    ]
     known.check()
     return lambda out, progress: write_products(products, versions, on, out, progress)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from lxml import etree
 
-from .model import FmuModel
+from ..model import FmuModel
 
 ICON_MM = 20
 """Edge of the icon on a drawing, mm."""
