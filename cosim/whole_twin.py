@@ -74,7 +74,8 @@ def _wires(
     if COMPENSATOR not in parts:
         return assembly.connections
     own = f"{COMPENSATOR}."
-    more = [w for w in connected_by_name(parts) if any(end.startswith(own) for end in w)]
+    named = [w for w in connected_by_name(parts) if any(end.startswith(own) for end in w)]
+    more = [(_by_number(parts, output), target) for output, target in named]
     fed = {target for _, target in more}
     shown = ((key, name) for key, part in assembly.parts.items() for name in part.output_names)
     more += [
@@ -85,3 +86,10 @@ def _wires(
         and (target := own + name.removeprefix(TOLD)) not in fed
     ]
     return (*assembly.connections, *more)
+
+
+def _by_number(parts: Mapping[str, Component | FmuModel], output: str) -> str:
+    """The code of an enumeration in its place: libcosim and ecos know numbers alone."""
+    part, _, name = output.partition(".")
+    code = f"{name}_code"
+    return f"{part}.{code}" if code in parts[part].output_names else output

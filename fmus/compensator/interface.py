@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from twin.component import Enumeration, Variable
+from twin.component import Variable
 from twin.physics.residual_force import INPUTS, SEEN
 
 from ..model import Constant, FmuModel, Part
@@ -88,14 +88,12 @@ def interface_model(
 
 
 def _inputs(network: NetworkFile) -> list[Variable]:
-    phases = Enumeration(
-        "TrainedPhase", tuple(sorted(network.phases, key=network.phases.__getitem__))
-    )
+    phases = ", ".join(f"{code} {name}" for name, code in network.phases.items())
     channels = list(zip(network.channels, network.units, strict=True))
     table = [Variable(c, "input", u, f"What the twin reads, {c}") for c, u in channels]
     for i, c in enumerate(network.commands, start=1):
         table.append(Variable(c, "input", *_drive(c, i)))
-    table.append(Variable("phase", "input", "1", "Phase of the flight", kind=phases))
+    table.append(Variable("phase", "input", "1", f"Phase of the flight: {phases}", kind="integer"))
     if network.sees_measurements:
         table += [
             Variable(f"measured.{c}", "input", u, f"What the aircraft measured, {c}")

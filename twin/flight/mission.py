@@ -105,6 +105,7 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     m.output("armed", "1", "Whether the motors may turn", armed, kind="boolean")
     kind = Enumeration("FlightPhase", tuple(PHASES))
     m.output("phase", "1", "Phase of the flight", phase, kind=kind)
+    m.output("phase_code", "1", "Its code, for tools without enumerations", phase, kind="integer")
     return m.build()
 
 
