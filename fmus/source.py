@@ -4,6 +4,7 @@ compiled on their own, and `system.c`, which joins the parts.
 Names and numbers of a model come from files; they get into C through `literals` and `names` alone.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 
 from twin.component import Enumeration, Sampling, Variable
@@ -12,6 +13,9 @@ from .exchange import Exchange
 from .literals import c_list, c_number, c_string
 from .model import Constant, FmuModel, Part
 from .names import check_identifier, check_variable
+
+_NUMBER = re.compile(r"(?<==)-?\d\.\d{16}e[+-]\d+(?=;)")
+"""A number as CasADi writes it into a kernel; small integers it writes without an exponent."""
 
 
 def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
@@ -28,8 +32,10 @@ def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
 
 
 def _kernels(part: Part) -> str:
-    """Kernels compiled on their own: they know how many variables there are, and no name."""
+    """Kernels compiled on their own: they know how many variables there are, no name, no number."""
     defines = {"KERNELS": "", **_shared(part)}
+    array, places = _numbers(part), iter(range(len(_NUMBER.findall(part.kernels))))
+    kernels = _NUMBER.sub(lambda _: f"{array}[{next(places)}]", part.kernels)
     if part.shortcuts is not None:
         defines["SHORTCUTS(TRY)"] = " ".join(f"TRY({i})" for i in range(part.shortcuts))
     return "\n".join(
@@ -37,10 +43,17 @@ def _kernels(part: Part) -> str:
             "#include <math.h>\n",
             '#include "core.h"\n',
             *_defined(defines),
-            part.kernels,
+            f"extern const double {array}[];\n" * (kernels != part.kernels),
+            kernels,
             _glue(part),
         ]
     )
+
+
+def _numbers(part: Part) -> str:
+    """Name of the array in `part_NAME.c` of the numbers of its kernels, one by one: two that
+    are equal in one model need not be in another, which has the same kernels."""
+    return f"numbers_of_{check_identifier('part of an FMU', part.name)}"
 
 
 def _shared(part: Part) -> dict[str, object]:
@@ -101,7 +114,9 @@ def _part(part: Part) -> str:
             f"static const char* const state_names[] = {{{states}0}};\n",
             *([] if part.sampling is None else [_sampling(part, part.sampling)]),
             *([] if part.exchange is None else [_exchange(part, part.exchange)]),
-            *([] if part.apart else [part.kernels]),
+            _table(f"const double {_numbers(part)}[]", _NUMBER.findall(part.kernels) or ["0"])
+            if part.apart
+            else part.kernels,
             _glue(part),
         ]
     )

@@ -14,6 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from cosim.whole_twin import fused_model
 from fmus import build
+from fmus.model import component_model
+from fmus.source import generated_sources
 from twin.component import Run
 from twin.errors import ModelError
 from twin.flight.assembly import driven_twin
@@ -198,6 +200,14 @@ def test_its_arrays_make_it_again() -> None:
     assert all(np.array_equal(a, law().arrays()[k]) for k, a in again.arrays().items())
     with pytest.raises(ModelError, match="has"):
         ForceLaw.of({"linear": law().linear})
+
+
+def test_laws_of_other_numbers_have_the_kernels_of_one_compilation() -> None:
+    one, other = (
+        generated_sources(component_model(residual_force(VEHICLE, law(2, seed))), "token")
+        for seed in (0, 1)
+    )
+    assert [name for name in one if one[name] != other[name]] == ["part_residual_force.c"]
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from twin.logs import write_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
+from uavtwin.force import open_loop
 from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over_explained
 
 COPTER = load_vehicle("copter_default")
@@ -36,6 +37,14 @@ PLACES = {
 
 def _run(*arguments: object) -> None:
     main.app([str(a) for a in arguments], standalone_mode=False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _left_alone_each_second() -> Iterator[None]:
+    """A quarter of the starts: nothing here hangs on how many there are."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(open_loop, "EVERY_S", 1.0)
+        yield
 
 
 @pytest.fixture(scope="module")
