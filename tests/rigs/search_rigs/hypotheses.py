@@ -22,10 +22,21 @@ def against(flight: Flight, vehicle: Vehicle, *effects: str) -> Problem:
     return problem_of(model_of([flight], vehicle, known))
 
 
-def state_of(problem: Problem, effects: Sequence[str]) -> State:
-    """A set of effects at its best, from the model as it stands or from what is expected."""
+def nothing_of(problem: Problem) -> State:
+    """No effect at all, at its best: where every set begins, and what its gain is over."""
+    return problem.start((), 1.0)
+
+
+def state_of(problem: Problem, effects: Sequence[str], nothing: State | None = None) -> State:
+    """A set of effects at its best, from the model as it stands or from what is expected.
+
+    Args:
+        problem: Flights.
+        effects: Identifiers.
+        nothing: `nothing_of`, where several sets of a problem are asked for.
+    """
     causes = [c for c in problem.beliefs.causes if effect_of(c) in effects]
-    nothing = problem.start((), 1.0)
+    nothing = nothing or nothing_of(problem)
     starts = (
         problem.start(causes, 1.0),
         problem.settle(causes, 1.0, problem.rest, nothing.best.x),
@@ -33,8 +44,9 @@ def state_of(problem: Problem, effects: Sequence[str]) -> State:
     return max(starts, key=lambda s: s.evidence)
 
 
-def fit_set(problem: Problem, effects: Sequence[str]) -> Fit:
+def fit_set(problem: Problem, effects: Sequence[str], nothing: State | None = None) -> Fit:
     """The same with its numbers, and what it gains over nothing."""
-    state = state_of(problem, effects)
-    gain = state.evidence - problem.start((), 1.0).evidence
+    nothing = nothing or nothing_of(problem)
+    state = state_of(problem, effects, nothing)
+    gain = state.evidence - nothing.evidence
     return fit_of(problem, state.effects, state.best.x, state.best.deviations(), gain)

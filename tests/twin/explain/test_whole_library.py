@@ -12,7 +12,7 @@ and no single flight.
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from search_rigs.hypotheses import fit_set
+from search_rigs.hypotheses import fit_set, nothing_of
 from search_rigs.hypotheses import problem_of as problem_about
 
 from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers, shown
@@ -74,7 +74,8 @@ def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None
     assert any(np.any(c.slopes) for c in rows), f"{effect}: slope 0"
     of_clocks = isinstance(EFFECTS[effect].seen_as, Shift) and EFFECTS[effect].of_vehicle
     rivals = [e for e in likely(problem) if EFFECTS[e].of_vehicle or not of_clocks]
-    fits = {e: fit_set(problem, [e]) for e in {*rivals[:TRIED], effect}}
+    nothing = nothing_of(problem)
+    fits = {e: fit_set(problem, [e], nothing) for e in {*rivals[:TRIED], effect}}
     named = [e for e, f in fits.items() if e in worth_a_name(f)]
     best = max(named, key=lambda e: fits[e].gain, default=None)
     check_picture(effect, problem.model)

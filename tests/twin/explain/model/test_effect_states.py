@@ -6,7 +6,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from search_rigs.hypotheses import against, fit_set
+from search_rigs.hypotheses import against, fit_set, nothing_of
 
 from twin.effects import EFFECTS, Block, Effect, EffectParameter
 from twin.effects.sensor_stages import ImuReading
@@ -97,10 +97,11 @@ def planted(effect: Effect) -> Vehicle:
 def test_a_new_effect_with_a_state_is_the_best_explanation(added: Effect) -> None:
     flight = flown(planted(added))
     problem = against(flight, COPTER)
-    found = fit_set(problem, [added.name])
+    nothing = nothing_of(problem)
+    found = fit_set(problem, [added.name], nothing)
     rivals = ("thrust_scale", "mass_offset", "accel_scale", "gyro_bias", "gyro_scale", "cog_offset")
     for rival in rivals:
-        assert found.gain > fit_set(problem, [rival]).gain + 5, rival
+        assert found.gain > fit_set(problem, [rival], nothing).gain + 5, rival
     size = added.parameters[0]
     value = found.values[f"{added.name}.{size.name}"]
     assert value == pytest.approx(size.start, rel=0.25)
