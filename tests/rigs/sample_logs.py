@@ -3,7 +3,7 @@ content, so that tests need no recorded flight."""
 
 import io
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -37,6 +37,8 @@ def ulog(
     params: Mapping[str, float] | None = None,
     start_us: int = 1_000_000,
     release: tuple[int, int, int] = (1, 14, 0),
+    defaults: Mapping[str, tuple[int, float]] | None = None,
+    said: Sequence[tuple[float, str, str]] = (),
 ) -> bytes:
     """Bytes of a ULog.
 
@@ -46,17 +48,17 @@ def ulog(
         params: Parameters; int or float decides the type.
         start_us: Time of the start of the log, us.
         release: Firmware version.
+        defaults: Of parameters: bit 0 for the firmware's, bit 1 for the airframe's, and the value.
+        said: Logged messages: time in s after the start, level as a digit, text.
     """
     out = [b"ULog\x01\x12\x35\x01" + struct.pack("<Q", start_us)]
     out.append(ulog_message(b"B", bytes(40)))
     key = b"uint32_t ver_sw_release"
     number = release[0] << 24 | release[1] << 16 | release[2] << 8 | 255
     out.append(ulog_message(b"I", bytes([len(key)]) + key + struct.pack("<I", number)))
-    for name, value in (params or {}).items():
-        kind = "int32_t" if isinstance(value, int) else "float"
-        key = f"{kind} {name}".encode()
-        code = "<i" if isinstance(value, int) else "<f"
-        out.append(ulog_message(b"P", bytes([len(key)]) + key + struct.pack(code, value)))
+    out += [ulog_message(b"P", _parameter(*item)) for item in (params or {}).items()]
+    for name, (bits, value) in (defaults or {}).items():
+        out.append(ulog_message(b"Q", bytes([bits]) + _parameter(name, value)))
     rows: list[tuple[int, bytes]] = []
     added = []
     for index, (name, fields) in enumerate(topics.items()):
@@ -73,8 +75,20 @@ def ulog(
         for k, stamp in enumerate(stamps):
             data = b"".join(c[k].tobytes() for c in columns)
             rows.append((int(stamp), ulog_message(b"D", struct.pack("<H", index) + data)))
+    for t_s, level, text in said:
+        stamp = round(t_s * 1e6) + start_us
+        rows.append(
+            (stamp, ulog_message(b"L", struct.pack("<BQ", ord(level), stamp) + text.encode()))
+        )
     rows.sort(key=lambda r: r[0])
     return b"".join([*out, *added, *(r[1] for r in rows)])
+
+
+def _parameter(name: str, value: float) -> bytes:
+    """Type, name and value of a parameter."""
+    kind, code = ("int32_t", "<i") if isinstance(value, int) else ("float", "<f")
+    key = f"{kind} {name}".encode()
+    return bytes([len(key)]) + key + struct.pack(code, value)
 
 
 MOVING_S = 0.004 + 0.004 * np.arange(2000)

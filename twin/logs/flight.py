@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import LogError
 from ..representation import short_repr
 from .airframe import Airframe
+from .autopilot import Autopilot
 from .columns import Columns
 
 Array = NDArray[np.float64]
@@ -70,6 +71,8 @@ class Flight:
         source: File it came from.
         site: Indoors or outdoors, and how that is known; None: not known.
         airframe: What the log says of the aircraft itself; None: nothing.
+        autopilot: What the autopilot says of the flight: modes, failsafes, setpoints; None:
+            nothing.
     """
 
     name: str
@@ -79,6 +82,7 @@ class Flight:
     source: Path | None = None
     site: Site | None = None
     airframe: Airframe | None = None
+    autopilot: Autopilot | None = None
 
     __repr__ = short_repr
 

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, VEL
-from .flight import Array
+
+Array = NDArray[np.float64]
 
 LIMITS = {
     "acc": 2e3,

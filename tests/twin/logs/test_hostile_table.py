@@ -24,6 +24,14 @@ LAYOUT = {
     "sd": 0.1,
     "source": "",
 }
+MODE = {"name": "Hold", "start_s": 0}
+FILTER = {"sensor": "gyro", "kind": "notch", "frequency_hz": 80.0, "source": ""}
+SETPOINT = {
+    "columns": ["pos_x", "pos_y", "pos_z"],
+    "t_s": [0.0, 1.0],
+    "values": [[0.0, None, 1.0]] * 2,
+}
+LONG = {"t_s": [float(k) for k in range(10_001)], "values": [[0.0] * 3] * 10_001}
 
 
 def parquet(table: pa.Table) -> bytes:
@@ -80,15 +88,39 @@ def test_thousands_of_unknown_columns(tmp_path: Path) -> None:
         json.dumps({"airframe": {"layout": LAYOUT | {"position": [[1.0, 0.0]]}}}),
         json.dumps({"airframe": {"layout": LAYOUT | {"direction": [0.5]}}}),
         json.dumps({"airframe": {"layout": LAYOUT | {"direction": "none"}}}),
+        json.dumps({"autopilot": {"modes": [{"name": "Hold", "start_s": "soon"}]}}),
+        json.dumps({"autopilot": {"modes": [MODE | {"start_s": 2}, MODE | {"start_s": 1}]}}),
+        json.dumps({"autopilot": {"modes": [MODE | {"name": "x" * 301}]}}),
+        json.dumps({"autopilot": {"modes": [MODE] * 1001}}),
+        json.dumps({"autopilot": {"failsafes": [MODE | {"end_s": -1}]}}),
+        json.dumps({"autopilot": {"messages": [{"t_s": 0, "level": "loud", "text": ""}]}}),
+        json.dumps({"autopilot": {"messages": [{"t_s": 0, "level": "", "text": ""}] * 2001}}),
+        json.dumps({"autopilot": {"filters": [FILTER | {"frequency_hz": 0.0}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | {"columns": ["acc_x"]}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT, SETPOINT]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | {"t_s": [0.0, 0.0]}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | {"t_s": [0.0, None]}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | {"values": [[0, 0, 0], [0, 0]]}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | {"every": 0}]}}),
+        json.dumps({"autopilot": {"setpoints": [SETPOINT | LONG]}}),
     ],
-    ids=str,
+    ids=lambda noted: str(noted)[:60],
 )
 def test_what_a_writer_noted_is_checked(tmp_path: Path, noted: Any) -> None:
     table = pa.Table.from_pandas(flight_table()).replace_schema_metadata({b"uavtwin": noted})
     flight = read(tmp_path, parquet(table))
     (found,) = [f.message for f in flight.findings if f.where == "file"]
     assert found.startswith("what the writer noted cannot be read")
-    assert flight.airframe is None and flight.site is None
+    assert flight.airframe is None and flight.site is None and flight.autopilot is None
+
+
+def test_what_is_refused_of_the_autopilot_is_nearly_right(tmp_path: Path) -> None:
+    noted = {"autopilot": {"modes": [MODE], "filters": [FILTER], "setpoints": [SETPOINT]}}
+    table = pa.Table.from_pandas(flight_table())
+    table = table.replace_schema_metadata({b"uavtwin": json.dumps(noted).encode()})
+    told = read(tmp_path, parquet(table)).autopilot
+    assert told is not None and len(told.modes) == len(told.filters) == len(told.setpoints) == 1
+    assert np.isnan(told.setpoints[0].values[0]).tolist() == [False, True, False]
 
 
 @pytest.mark.parametrize("digits", [5, 5000])

@@ -11,7 +11,8 @@ Span = tuple[int, int]
 """Begin and end, us."""
 
 _PAUSE_US = 60_000_000
-_ARMED, _AUTO_ARMED, _DISARMED = 10, 15, 11
+ARMED, DISARMED, _AUTO_ARMED = 10, 11, 15
+"""EV by number."""
 _STILL_ON_US = 500_000
 _SHOWN = 8
 
@@ -44,12 +45,12 @@ def _by_events(log: ArduPilotLog) -> list[Span]:
     begin: int | None = None
     seen = False
     for t, kind in zip(events.t_us.tolist(), events.raw("Id").tolist(), strict=True):
-        if kind in (_ARMED, _AUTO_ARMED) and begin is None:
+        if kind in (ARMED, _AUTO_ARMED) and begin is None:
             begin = t
-        elif kind == _DISARMED and (begin is not None or not seen):
+        elif kind == DISARMED and (begin is not None or not seen):
             spans.append((ends[0] if begin is None else begin, t))
             begin = None
-        seen = seen or kind in (_ARMED, _AUTO_ARMED, _DISARMED)
+        seen = seen or kind in (ARMED, _AUTO_ARMED, DISARMED)
     return [*spans, (begin, ends[1])] if begin is not None else spans
 
 

@@ -12,6 +12,7 @@ from ..formats import ReadOptions
 from ..phases import label_phases
 from .airframe import from_ardupilot_airframe
 from .arming import use_the_flight
+from .autopilot import from_ardupilot_autopilot
 from .estimator import primary
 from .geometry import NO_MULTIROTOR, frame_name, geometry
 from .identity import OTHERS, board, firmware
@@ -75,7 +76,8 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         facts["place"] = str(where)
     facts |= rows.coverage(t_us)
     site, frame = from_ardupilot_site(log), from_ardupilot_airframe(log)
-    return Flight(path.stem, table, tuple(log.findings), facts, path, site, frame)
+    autopilot = from_ardupilot_autopilot(log, float(table["time"].iloc[-1]))
+    return Flight(path.stem, table, tuple(log.findings), facts, path, site, frame, autopilot)
 
 
 def _facts(log: ArduPilotLog) -> dict[str, str]:

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..phases import Span, ground_spans, motion_spans
 from .estimator import Primary
+from .identity import OTHERS, firmware
 from .log import ArduPilotLog
 
 MODES = {
@@ -66,10 +67,21 @@ def modes(log: ArduPilotLog) -> str:
     in_time = np.flatnonzero(topic.t_s <= (log.length_us or np.inf) * 1e-6)
     before = np.flatnonzero(topic.t_s[in_time] <= 0.0)
     for k in in_time[max(len(before) - 1, 0) :]:
-        number = int(numbers[k]) if np.isfinite(numbers[k]) else -1
-        told.append(f"{MODES.get(number, f'mode {number}')} from {max(topic.t_s[k], 0.0):.1f} s")
+        told.append(f"{mode_name(log, numbers[k])} from {max(topic.t_s[k], 0.0):.1f} s")
     more = f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
     return ", ".join(told[:_SHOWN]) + more
+
+
+def mode_name(log: ArduPilotLog, number: float) -> str:
+    """Name of a flight mode; its number alone where the firmware is none of a copter."""
+    known = {} if OTHERS.match(firmware(log)) else MODES
+    whole = int(number) if np.isfinite(number) else -1
+    return known.get(whole, f"mode {whole}")
+
+
+def subsystem(number: float) -> str:
+    """Name of a subsystem of ERR."""
+    return SUBSYSTEMS.get(int(number), f"subsystem {number:.0f}")
 
 
 def note_failures(log: ArduPilotLog) -> None:
@@ -79,8 +91,8 @@ def note_failures(log: ArduPilotLog) -> None:
         codes = errors.raw("ECode")
         for t, system, code in zip(errors.t_s, errors.raw("Subsys"), codes, strict=True):
             if np.isfinite((system, code)).all() and code:
-                name = SUBSYSTEMS.get(int(system), f"subsystem {system:.0f}")
-                log.note("warning", "log", f"error of {name}, code {code:.0f}, at {t:.2f} s")
+                message = f"error of {subsystem(system)}, code {code:.0f}, at {t:.2f} s"
+                log.note("warning", "log", message)
     if lost := _grown(log, "DSF", None, "Dp"):
         message = "messages that could not be logged; use a faster card or log less"
         log.note("warning", "log", message, lost)

@@ -180,20 +180,22 @@ def _imu_position(log: Px4Log) -> Told[tuple[float, float, float]] | None:
     return Told((x, y, z), "EKF2_IMU_POS_X, _Y, _Z of the log") if x or y or z else None
 
 
+FILTERS = {
+    "IMU_GYRO_CUTOFF": "gyroscope",
+    "IMU_DGYRO_CUTOFF": "angular acceleration",
+    "IMU_ACCEL_CUTOFF": "accelerometer",
+    "IMU_GYRO_NF_FREQ": "notch",
+    "IMU_GYRO_NF0_FRQ": "notch",
+    "IMU_GYRO_NF1_FRQ": "notch",
+}
+"""Parameters that hold the frequency of a filter, Hz, and what it filters."""
+
+
 def _filters(log: Px4Log) -> str:
     """Of the controllers: the logged samples are taken before them."""
     p = log.params
     said = [
-        f"{what} {p[name]:g} Hz ({name})"
-        for name, what in (
-            ("IMU_GYRO_CUTOFF", "gyroscope"),
-            ("IMU_DGYRO_CUTOFF", "angular acceleration"),
-            ("IMU_ACCEL_CUTOFF", "accelerometer"),
-            ("IMU_GYRO_NF_FREQ", "notch"),
-            ("IMU_GYRO_NF0_FRQ", "notch"),
-            ("IMU_GYRO_NF1_FRQ", "notch"),
-        )
-        if p.get(name, 0.0) > 0
+        f"{what} {p[name]:g} Hz ({name})" for name, what in FILTERS.items() if p.get(name, 0.0) > 0
     ]
     return ", ".join(said)
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pyulog import ULog
 
 from ...errors import LogError
+from ..autopilot import MOST_MESSAGES, MOST_PARAMETERS, Level, Message, as_text
 from ..clock import Timed, advancing, missing_ends, pauses, told_dropped
 from ..flight import Array, Finding, Noted
 from .definitions import check_definitions, messages
@@ -19,7 +20,17 @@ from .order import data_places, out_of_place
 
 _MESSAGES = b"BFIMPQADLCSOR"
 _EVENTS = ("vehicle_command",)  # several may carry the same time
-_ON_CHANGE = ("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected", *_EVENTS)
+_ASIDE = ("vehicle_local_position_setpoint", "vehicle_status")
+"""Of no signal: no sample is judged by them."""
+_ON_CHANGE = (
+    *("actuator_armed", "estimator_sensor_bias", "vehicle_land_detected"),
+    *(*_EVENTS, *_ASIDE),
+)
+_LEVELS: dict[int, Level] = {
+    **{ord("0"): "emergency", ord("1"): "alert", ord("2"): "critical", ord("3"): "error"},
+    **{ord("4"): "warning", ord("5"): "notice", ord("6"): "info", ord("7"): "debug"},
+}
+"""Of logged messages, as the ULog format has them."""
 _LONGEST_US = 365 * 86_400 * 1_000_000
 _LATEST_US = 1_000_000
 _FAR_US = 10_000_000
@@ -52,6 +63,7 @@ TOPICS = (
     "vehicle_mocap_odometry",
     "vehicle_rates_setpoint",
     "vehicle_visual_odometry",
+    *_ASIDE,
 )
 
 NEEDED = ("sensor_combined", "vehicle_attitude", "vehicle_local_position", "actuator_outputs")
@@ -105,6 +117,8 @@ class Px4Log(Noted):
         params: Parameters with the changes made during the flight applied.
         changed: Parameters changed after the start of the log.
         info: What the log says about firmware and hardware.
+        defaults: Of parameters, those that the log has: PX4 leaves out those that are kept.
+        messages: Texts that the autopilot logged, in order of time.
         findings: Grows while the log is read.
         span_us: When two topics of a steady rate have begun, and have ended, us since the start.
     """
@@ -114,6 +128,8 @@ class Px4Log(Noted):
     params: dict[str, float]
     changed: frozenset[str]
     info: dict[str, str]
+    defaults: dict[str, float] = field(default_factory=dict)
+    messages: tuple[Message, ...] = ()
     findings: list[Finding] = field(default_factory=list)
     span_us: tuple[int, int] = (0, 0)
     _raw: dict[tuple[str, int], Mapping[str, NDArray[Any]]] = field(default_factory=dict)
@@ -144,6 +160,13 @@ class Px4Log(Noted):
             self.note("warning", name, f"has no field {', '.join(lacks)}; the topic is not used")
             return None
         return topic
+
+    def aside(self, name: str, *needs: str) -> Topic | None:
+        """The same of a topic that no signal comes from, and nothing told of it."""
+        told = list(self.findings)
+        topic = self._topics.get((name, 0)) or self._ordered(name, 0)
+        self.findings[:] = told
+        return topic if topic is not None and topic.has(*needs) else None
 
     def _ordered(self, name: str, instance: int) -> Topic | None:
         raw = self._raw.get((name, instance))
@@ -266,14 +289,16 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
         for d in log.data_list
         if len(d.data.get("timestamp", ())) > 0
     }
-    if not raw:
+    if not {name for name, _ in raw} - {*_ASIDE}:
         raise LogError(
             f"{path.name}: ULog of {len(blob)} bytes without any sample of "
             f"{', '.join(NEEDED)} or the like. The log was cut inside its header, or "
             "logging never started: copy the log again, or set SDLOG_MODE and fly again."
         )
     start = int(log.start_timestamp)
-    first = int(np.median([float(values["timestamp"][0]) for values in raw.values()]))
+    first = int(
+        np.median([float(d["timestamp"][0]) for (name, _), d in raw.items() if name not in _ASIDE])
+    )
     absurd = abs(first - start) > _LONGEST_US
     params = {k: float(v) for k, v in log.initial_parameters.items() if _finite(v)}
     changes = [c for c in log.changed_parameters if _finite(c[2])]
@@ -284,6 +309,8 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
         params,
         frozenset(c[1] for c in changes if c[0] > start),
         {k: str(v) for k, v in log.msg_info_dict.items()},
+        _defaults(log),
+        _messages(log, first if absurd else start),
         _raw=raw,
     )
     if absurd:
@@ -299,6 +326,23 @@ def open_px4(path: Path, blob: bytes) -> Px4Log:
     )
     opened.span_us = _span_us(opened)
     return opened
+
+
+def _defaults(log: ULog) -> dict[str, float]:
+    """Defaults of the airframe that is set up, else of the firmware."""
+    told = {**log.get_default_parameters(0), **log.get_default_parameters(1)}
+    return {k: float(v) for k, v in list(told.items())[:MOST_PARAMETERS] if _finite(v)}
+
+
+def _messages(log: ULog, start_us: int) -> tuple[Message, ...]:
+    """Texts logged within a year of the start; the first of them where there are very many."""
+    tagged = [m for several in log.logged_messages_tagged.values() for m in several]
+    found = []
+    for each in [*log.logged_messages, *tagged]:
+        t_us = int(each.timestamp) - start_us
+        if abs(t_us) < _LONGEST_US and (text := as_text(each.message)):
+            found.append(Message(t_us * 1e-6, _LEVELS.get(each.log_level, ""), text))
+    return tuple(sorted(found, key=lambda m: m.t_s)[:MOST_MESSAGES])
 
 
 def _span_us(opened: Px4Log) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
 from .airframe import from_px4_airframe
+from .autopilot import from_px4_autopilot
 from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
@@ -71,7 +72,9 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= rows.coverage(t_us)
     airframe = from_px4_airframe(log, filtered=not log.instances("sensor_combined"))
-    return Flight(path.stem, table, tuple(log.findings), facts, path, from_px4_site(log), airframe)
+    autopilot = from_px4_autopilot(log, float(table["time"].iloc[-1]))
+    site = from_px4_site(log)
+    return Flight(path.stem, table, tuple(log.findings), facts, path, site, airframe, autopilot)
 
 
 def from_px4_gauss(field: Array) -> Array:

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from ..airframe import Airframe
+from ..autopilot import Autopilot, check_autopilot
 from ..flight import Finding, Flight, Site
 
 _KEY = b"uavtwin"
@@ -22,11 +23,12 @@ class Notes:
     findings: tuple[Finding, ...] = ()
     site: Site | None = None
     airframe: Airframe | None = None
+    autopilot: Autopilot | None = None
 
     @classmethod
     def of(cls, flight: Flight) -> "Notes":
         """Those of a flight."""
-        return cls(flight.facts, flight.findings, flight.site, flight.airframe)
+        return cls(flight.facts, flight.findings, flight.site, flight.airframe, flight.autopilot)
 
     def metadata(self) -> dict[bytes, bytes]:
         """As metadata of a Parquet file."""
@@ -58,6 +60,8 @@ def _check(notes: Notes) -> None:
     Raises:
         ValueError: It is such.
     """
+    if notes.autopilot is not None:
+        check_autopilot(notes.autopilot)
     layout = None if notes.airframe is None else notes.airframe.layout
     if any(f.count < 1 for f in notes.findings):
         raise ValueError("a finding is counted less than once")

@@ -58,7 +58,7 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """
     raw, notes, found = _parquet(path, blob)
     flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
-    return replace(flight, site=notes.site, airframe=notes.airframe)
+    return replace(flight, site=notes.site, airframe=notes.airframe, autopilot=notes.autopilot)
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -109,6 +109,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
         notes.airframe,
         time_s,
         frozenset([*there, "phase"]),
+        notes.autopilot,
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...errors import LogError
 from ...representation import short_repr
 from ..airframe import Airframe
+from ..autopilot import Autopilot
 from ..columns import Columns, over
 from ..flight import Array, Finding, Flight, Site, finite_rows, missing_signal
 
@@ -160,6 +161,7 @@ class StoredFlight:
         airframe: What the log says of the aircraft itself; None: nothing.
         time_s: Times of the rows, s, strictly increasing, shape (n,).
         known: Columns with a finite sample.
+        autopilot: What the autopilot says of the flight; None: nothing.
     """
 
     name: str
@@ -172,6 +174,7 @@ class StoredFlight:
     airframe: Airframe | None
     time_s: Array
     known: frozenset[str] = field(default=frozenset())
+    autopilot: Autopilot | None = None
 
     __repr__ = short_repr
 
@@ -238,6 +241,7 @@ class StoredFlight:
             self.source,
             self.site,
             self.airframe,
+            self.autopilot,
         )
 
     def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:

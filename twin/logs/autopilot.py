@@ -1,0 +1,285 @@
+"""What the autopilot itself says of a flight: its modes, what it was asked for, what it reported.
+
+Every reader of an autopilot's logs fills it; a flight table in Parquet keeps it.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..representation import short_repr
+from .columns import GYRO, POS, QUAT, VEL
+from .limits import SIGNALS, beyond
+
+Array = NDArray[np.float64]
+Sensor = Literal["gyro", "acc"]
+FilterKind = Literal["low-pass", "notch", "tracking notch"]
+Level = Literal["emergency", "alert", "critical", "error", "warning", "notice", "info", "debug", ""]
+"""Of a message, as syslog has them; "": the log does not tell."""
+LEVELS: tuple[Level, ...] = get_args(Level)
+
+SETPOINTS: tuple[tuple[str, ...], ...] = (POS, VEL, QUAT, GYRO)
+"""Columns of the flight table of which a setpoint can be kept."""
+MOST_EVENTS = 1000
+"""Modes, failsafes and times armed that are kept, of each."""
+MOST_MESSAGES = 2000
+MOST_PARAMETERS = 5000
+MOST_SAMPLES = 10_000
+"""Of a setpoint: more than any screen shows; some megabytes of a flight table at most."""
+LONGEST = 300
+"""Characters of a text that are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A flight mode; it lasts until the next one begins.
+
+    Attributes:
+        name: As the autopilot's users call it.
+        start_s: Begin, s from the start of the record.
+    """
+
+    name: str
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Something that lasted: armed motors, a failsafe.
+
+    Attributes:
+        name: What.
+        start_s: Begin, s from the start of the record.
+        end_s: End, that of the record where nothing ended it.
+    """
+
+    name: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A text that the autopilot logged.
+
+    Attributes:
+        t_s: When, s from the start of the record; negative before it.
+        level: How grave it is.
+        text: As logged.
+    """
+
+    t_s: float
+    level: Level
+    text: str
+
+    @property
+    def grave(self) -> bool:
+        """Whether it is a warning or worse."""
+        return self.level in LEVELS[:5]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter that differs from its default.
+
+    Attributes:
+        name: Of the autopilot.
+        value: As it is at the end of the log, in the autopilot's unit.
+        default: What it is as delivered: of the airframe that is set up where that has one of its
+            own, else of the firmware.
+    """
+
+    name: str
+    value: float
+    default: float
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """A filter on board.
+
+    Attributes:
+        sensor: Of which readings.
+        kind: What it does; a tracking notch follows the rotors from its frequency upwards.
+        frequency_hz: Cut-off of a low-pass, centre of a notch.
+        source: The parameter that tells it.
+    """
+
+    sensor: Sensor
+    kind: FilterKind
+    frequency_hz: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setpoint:
+    """What the controllers were asked for, in the units and frames of the flight table.
+
+    Attributes:
+        columns: Columns of the flight table that should follow it, one of `SETPOINTS`.
+        t_s: Times, s from the start of the record, strictly increasing, shape (n,).
+        values: NED, FRD, SI, quaternions body to NED, shape (n, len(columns)); NaN where the
+            autopilot leaves a number free.
+        every: One in so many of the logged samples is kept.
+    """
+
+    columns: tuple[str, ...]
+    t_s: Array
+    values: Array
+    every: int = 1
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Autopilot:
+    """What an autopilot says of its flight; empty where its log does not tell.
+
+    Attributes:
+        modes: Flight modes in order.
+        armed: When the motors were armed.
+        failsafes: When a failsafe was active.
+        messages: In order of time.
+        setpoints: At most one of each of `SETPOINTS`.
+        parameters: Those that differ from their default, by name.
+        defaults_told: Whether the log holds defaults; without them no parameter is listed.
+        filters: On board, by frequency; the logged signals need not have gone through them.
+    """
+
+    modes: tuple[Mode, ...] = ()
+    armed: tuple[Stretch, ...] = ()
+    failsafes: tuple[Stretch, ...] = ()
+    messages: tuple[Message, ...] = ()
+    setpoints: tuple[Setpoint, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    defaults_told: bool = False
+    filters: tuple[Filter, ...] = ()
+
+    __repr__ = short_repr
+
+    def setpoint(self, columns: Sequence[str]) -> Setpoint | None:
+        """The setpoint of these columns; None where the log has none."""
+        return next((s for s in self.setpoints if s.columns == tuple(columns)), None)
+
+
+def as_text(raw: object) -> str:
+    """A text of a log as it is kept: in one line, without half characters, not endless."""
+    text = " ".join(str(raw).encode("utf-8", "replace").decode("utf-8").split())
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+
+
+def modes_of(t_s: Array, names: Sequence[str], end_s: float) -> tuple[Mode, ...]:
+    """Flight modes of a record from what was logged of them.
+
+    Args:
+        t_s: When a mode was told, s, ascending, shape (n,); what holds at 0 may be older.
+        names: Mode at each of these times.
+        end_s: End of the record.
+    """
+    found: list[Mode] = []
+    for t, name in zip(np.maximum(t_s, 0.0).tolist(), names, strict=True):
+        if t > end_s or (found and found[-1].name == name):
+            continue
+        if found and found[-1].start_s == t:
+            found.pop()
+        if not found or found[-1].name != name:
+            found.append(Mode(name, t))
+    return tuple(found[:MOST_EVENTS])
+
+
+def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> tuple[Stretch, ...]:
+    """When something was on, from samples of it; each holds until the next.
+
+    Args:
+        t_s: Times, s, ascending, shape (n,).
+        on: Shape (n,).
+        name: What it is.
+        end_s: End of the record, until when the last one holds.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
+    times = np.append(t_s, end_s)
+    found = [(max(float(times[a]), 0.0), min(float(times[b]), end_s)) for a, b in _pairs(edges)]
+    return tuple(Stretch(name, a, b) for a, b in found if b > a)[:MOST_EVENTS]
+
+
+def _pairs(edges: NDArray[np.intp]) -> Iterable[list[int]]:
+    return list(edges.reshape(-1, 2).tolist())
+
+
+def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint | None:
+    """A setpoint as it is kept; None where none of its samples tells anything.
+
+    Args:
+        columns: One of `SETPOINTS`.
+        t_s: Times, s, strictly increasing, shape (n,).
+        values: Shape (n, len(columns)); infinite or beyond what flies (`limits`): not asked for.
+    """
+    signal = next((s for s, names in SIGNALS.items() if names == columns), "")
+    with np.errstate(invalid="ignore"):
+        absurd = ~np.isfinite(values) | beyond(signal, values)[:, None]
+    values = np.where(absurd, np.nan, values)
+    told = np.isfinite(values).any(axis=1) & (t_s >= 0.0)
+    if not told.any():
+        return None
+    first, end = np.flatnonzero(told)[[0, -1]] + (0, 1)
+    every = max(1, -(-int(end - first) // MOST_SAMPLES))
+    kept = slice(int(first), int(end), every)
+    return Setpoint(columns, t_s[kept], values[kept], every)
+
+
+def differing(values: dict[str, float], defaults: dict[str, float]) -> tuple[Parameter, ...]:
+    """Parameters that differ from their default, by name; those without one are left out."""
+    found = [
+        Parameter(name[:LONGEST], values[name], default)
+        for name, default in sorted(defaults.items())
+        if name in values and values[name] != default
+    ]
+    return tuple(found[:MOST_PARAMETERS])
+
+
+def check_autopilot(told: Autopilot) -> None:
+    """Refuse what has the right types and no meaning, or more of it than any reader keeps.
+
+    Raises:
+        ValueError: It is such.
+    """
+    for what, several, most in (
+        ("modes", told.modes, MOST_EVENTS),
+        ("times armed", told.armed, MOST_EVENTS),
+        ("failsafes", told.failsafes, MOST_EVENTS),
+        ("messages", told.messages, MOST_MESSAGES),
+        ("parameters", told.parameters, MOST_PARAMETERS),
+        ("filters", told.filters, MOST_EVENTS),
+        ("setpoints", told.setpoints, len(SETPOINTS)),
+    ):
+        if len(several) > most:
+            raise ValueError(f"{len(several)} {what} of the autopilot")
+    stretches = (*told.armed, *told.failsafes)
+    texts = [m.name for m in told.modes] + [s.name for s in stretches]
+    texts += [m.text for m in told.messages] + [p.name for p in told.parameters]
+    texts += [f.source for f in told.filters]
+    if any(len(text) > LONGEST for text in texts):
+        raise ValueError("an endless text of the autopilot")
+    starts = [m.start_s for m in told.modes]
+    if starts != sorted(starts) or any(s.end_s < s.start_s for s in stretches):
+        raise ValueError("modes or failsafes of the autopilot that run backward")
+    if any(not f.frequency_hz > 0.0 for f in told.filters):
+        raise ValueError("a filter of the autopilot without a frequency")
+    for each in told.setpoints:
+        _check_setpoint(each)
+    if len({s.columns for s in told.setpoints}) < len(told.setpoints):
+        raise ValueError("two setpoints of one signal")
+
+
+def _check_setpoint(told: Setpoint) -> None:
+    if told.columns not in SETPOINTS:
+        raise ValueError("a setpoint of no signal that is known")
+    if told.t_s.ndim != 1 or not 0 < len(told.t_s) <= MOST_SAMPLES or told.every < 1:
+        raise ValueError("a setpoint without samples, or with too many")
+    if told.values.shape != (len(told.t_s), len(told.columns)):
+        raise ValueError("a setpoint whose numbers do not fit its times")
+    if not np.isfinite(told.t_s).all() or not (np.diff(told.t_s) > 0.0).all():
+        raise ValueError("a setpoint whose time does not increase")
