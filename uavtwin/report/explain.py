@@ -14,7 +14,10 @@ from twin.explain.estimates import (
 )
 from twin.explain.explanation import Explanation
 
+from .autopilot import SERIES as SERIES_ASKED
+from .autopilot import told_content
 from .drawing.series import columns_of
+from .drawing.strip import Strip, strip
 from .evidence.plots import SERIES, phases_of, steady_evidence, time_group, unsteady_evidence
 from .evidence.steady import before_after_figure
 from .figures import pretty_unit
@@ -51,7 +54,7 @@ def write_explain_report(found: Explanation, path: Path) -> None:
     """
     told = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
     held = 0 if found.comparison is None else len(found.comparison.model.flights)
-    columns = columns_of(SERIES * len(told) + TIME_SERIES * held)
+    columns = columns_of(SERIES * len(told) + TIME_SERIES * held + SERIES_ASKED)
     page = render(
         "explain.html.j2",
         {
@@ -64,7 +67,8 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         found=found,
         shrinking=shrinking(found),
         effects=[_effect(found, e, columns) for e in told],
-        flight=_flight(found),
+        flight=_flight(found, columns),
+        strips=_strips(found),
         before_after=_before_after(found, columns),
         gaps=() if found.comparison is None else found.comparison.gaps,
         alike=[] if found.naming is None else found.naming.resemblances,
@@ -111,14 +115,26 @@ def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
     }
 
 
-def _flight(found: Explanation) -> dict[str, Any]:
+def _flight(found: Explanation, columns: int) -> dict[str, Any]:
     """The last recorded flight, held out where one was: its track, motors and battery."""
     if not found.recorded:
-        return {"name": "", "track": [], "logged": None}
+        return {"name": "", "track": [], "logged": None, "told": None}
     flight = found.recorded[-1]
     phases = flight_spans(flight)
-    track, logged = overview_plots("flight", overview(flight), phases)
-    return {"name": flight.name, "track": track, "logged": logged}
+    shown = overview(flight)
+    track, logged = overview_plots("flight", shown, phases)
+    told = told_content("flight", shown.told, phases, columns)
+    return {"name": flight.name, "track": track, "logged": logged, "told": told}
+
+
+def _strips(found: Explanation) -> list[Strip]:
+    """Modes and events of the held-out flights, whose time axes carry residuals."""
+    flights = () if found.comparison is None else found.comparison.model.flights
+    strips = [
+        strip(time_group(i), f.flight.autopilot, float(f.flight.time_s[-1]))
+        for i, f in enumerate(flights)
+    ]
+    return [s for s in strips if s is not None]
 
 
 def _evidence(found: Explanation, effect: str, columns: int) -> tuple[list[Plot], str]:

@@ -25,6 +25,8 @@ from twin.residuals.gap import (
 )
 from twin.residuals.spectra import SLOW_HZ
 
+from .autopilot import SERIES as SERIES_ASKED
+from .autopilot import told_content
 from .drawing.panels import Spans
 from .drawing.series import COLUMNS, columns_of
 from .figures import SERIES_OF_CHANNEL, channel_figures, pretty_unit
@@ -32,6 +34,8 @@ from .hover import hover_sentence
 from .overview import Overview, overview_plots
 from .page import Plot, plot, render
 
+FLIGHTS_IN_FULL = 5
+"""Of more flights on a page, fewer messages and parameters of each are listed."""
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
 of the built-in flights alone it reaches 0.08."""
@@ -100,6 +104,7 @@ def write_gap_report(
     pooled = summaries(gaps)
     places = rank(pooled)
     series = SERIES_OF_CHANNEL * sum(len(c.t_s) > 2 * COLUMNS[0] for g in gaps for c in g.channels)
+    series += SERIES_ASKED * sum(bool(o.told.followed) for o in overviews)
     horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
     page = render(
         "report.html.j2",
@@ -114,7 +119,13 @@ def write_gap_report(
         teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
         pooled=pooled if len(gaps) > 1 else {},
         flights=[
-            _flight(i, gap, columns_of(series), overviews[i] if overviews else None)
+            _flight(
+                i,
+                gap,
+                columns_of(series),
+                overviews[i] if overviews else None,
+                min(1.0, FLIGHTS_IN_FULL / len(gaps)),
+            )
             for i, gap in enumerate(gaps)
         ],
     )
@@ -179,7 +190,9 @@ def _detail(places: Sequence[Ranked]) -> str:
     return text
 
 
-def _flight(index: int, gap: FlightGap, columns: int, shown: Overview | None) -> dict[str, Any]:
+def _flight(
+    index: int, gap: FlightGap, columns: int, shown: Overview | None, share: float
+) -> dict[str, Any]:
     """Figures and tables of one flight, as the template reads them."""
     summed = [summarise(c) for c in gap.channels]
     ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
@@ -189,6 +202,9 @@ def _flight(index: int, gap: FlightGap, columns: int, shown: Overview | None) ->
     return {
         "track": track,
         "logged": logged,
+        "told": None
+        if shown is None
+        else told_content(f"flight{index}", shown.told, gap.phases, columns, share),
         "id": f"flight{index}",
         "name": gap.flight,
         "vehicle": gap.vehicle,

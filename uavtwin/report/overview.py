@@ -12,6 +12,7 @@ from twin.logs.columns import POS, QUAT, motor_columns
 from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
+from .autopilot import Told, told_of
 from .drawing.panels import Panels, Spans
 from .drawing.series import thinned
 from .drawing.track import Track, track_plots
@@ -36,12 +37,14 @@ class Overview:
         attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None.
         motors: Panels of one line per motor: title, then times and values of each.
         battery: Panels of one line: title, times, values.
+        told: What its autopilot says.
     """
 
     position: tuple[Array, Array] | None
     attitude: tuple[Array, Array] | None
     motors: tuple[tuple[str, tuple[tuple[Array, Array], ...]], ...]
     battery: tuple[tuple[str, Array, Array], ...]
+    told: Told
 
     __repr__ = short_repr
 
@@ -63,7 +66,13 @@ def overview(flight: AnyFlight) -> Overview:
         for name, words in (("vbat_v", "battery, V"), ("ibat_a", "current, A"))
         if flight.has(name)
     ]
-    return Overview(_vector(flight, POS), _vector(flight, QUAT), tuple(motors), tuple(battery))
+    return Overview(
+        _vector(flight, POS),
+        _vector(flight, QUAT),
+        tuple(motors),
+        tuple(battery),
+        told_of(flight),
+    )
 
 
 def flight_spans(flight: AnyFlight) -> Spans:

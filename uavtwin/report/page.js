@@ -8,6 +8,10 @@
   var printing = false;
   var figures = new Map(); // element -> {given, drawn}
   var ranges = {}; // what is looked at, by group of linked time axes
+  var strips = {}; // what an autopilot said, by the same group
+  document.querySelectorAll("script[data-strip]").forEach(function (script) {
+    strips[script.dataset.strip] = JSON.parse(script.textContent);
+  });
 
   // ---- what a figure holds
 
@@ -72,9 +76,80 @@
     if (seen) Object.keys(layout).filter(function (k) { return /^xaxis/.test(k); }).forEach(function (k) {
       layout[k].range = seen.slice(); layout[k].autorange = false;
     });
+    var strip = strips[(f.layout.meta || {}).time], power = (f.layout.meta || {}).spectrogram;
+    if (strip) stripped(copy, strip, dark, div.clientWidth - layout.margin.l - layout.margin.r);
+    if (power) layout.images = [{ source: painted(power, dark), xref: "x", yref: "y", x: power.start, y: power.top,
+      sizex: power.end - power.start, sizey: power.top, sizing: "stretch", layer: "below" }];
     var hidden = figures.get(div).hidden;
     copy.data.forEach(function (t) { if (hidden.has(keyOf(t))) t.visible = false; });
     return copy;
+  }
+
+  // ---- modes, failsafes and messages over a figure: a strip of its own above the panels
+
+  var MARKS = { // symbol, colour on a light page, on a dark one
+    armed: ["triangle-right", "#2f8f5b", "#54c98a"], disarmed: ["square", "#2f8f5b", "#54c98a"],
+    grave: ["diamond", "#c23b66", "#f27a9f"], said: ["circle", "#6b7280", "#a3abb7"]
+  };
+
+  function stripped(copy, strip, dark, width) {
+    var layout = copy.layout, top = layout.margin.t, below = layout.height - top - layout.margin.b;
+    var full = below + strip.height, low = 1 - (strip.height - 5) / full, shapes = layout.shapes = layout.shapes || [];
+    var along = (layout.xaxis.range || [0, 1]).map(Number), red = MARKS.grave[dark ? 2 : 1], names = [];
+    layout.height += strip.height;
+    Object.keys(layout).filter(function (k) { return /^yaxis\d*$/.test(k); }).forEach(function (k) {
+      layout[k].domain = layout[k].domain.map(function (d) { return d * below / full; });
+    });
+    layout.yaxis99 = { anchor: "x", domain: [low, 1], range: [0, 1], fixedrange: true, visible: false };
+    strip.modes.forEach(function (m) {
+      if (names.indexOf(m[0]) < 0) names.push(m[0]);
+      shapes.push({ type: "rect", xref: "x", yref: "paper", x0: m[1], x1: m[2], y0: low, y1: 1, layer: "below",
+        fillcolor: names.indexOf(m[0]) % 2 ? "#7f8fb0" : "#8fa6c9", opacity: 0.35, line: { width: 1, color: dark ? "#14171b" : "#ffffff" } });
+      var text = m[0], share = (Math.min(m[2], along[1]) - Math.max(m[1], along[0])) / (along[1] - along[0]);
+      (layout.annotations = layout.annotations || []).push({ text: text, xref: "x", yref: "paper", y: (low + 1) / 2, showarrow: false, yanchor: "middle",
+        x: (Math.min(m[2], along[1]) + Math.max(m[1], along[0])) / 2, font: { size: 10, color: colour("--ink") },
+        visible: share * width > 6.2 * text.length + 4 });
+    });
+    strip.failsafes.forEach(function (s) {
+      shapes.push({ type: "rect", xref: "x", yref: "paper", x0: s[1], x1: s[2], y0: 0, y1: 1, layer: "below",
+        fillcolor: red, opacity: 0.14, line: { width: 0 } });
+    });
+    var lines = strip.marks.filter(function (m) { return m[1] !== "said"; });
+    if (lines.length <= 12) lines.forEach(function (m) { // more would hide the curves
+      shapes.push({ type: "line", xref: "x", yref: "paper", x0: m[0], x1: m[0], y0: 0, y1: low, layer: "below",
+        line: { width: 1, dash: "dot", color: MARKS[m[1]][dark ? 2 : 1] } });
+    });
+    var all = strip.marks.concat(strip.failsafes.map(function (s) { return [s[1], "grave", s[0]]; }));
+    copy.data.push({ type: "scatter", mode: "markers", xaxis: "x", yaxis: "y99", showlegend: false, cliponaxis: false,
+      x: all.map(function (m) { return m[0]; }), y: all.map(function () { return 0.12; }),
+      text: all.map(function (m) { return m[2]; }), hovertemplate: "%{text} at %{x:.2f} s<extra></extra>",
+      marker: { size: 6, symbol: all.map(function (m) { return MARKS[m[1]][0]; }),
+        color: all.map(function (m) { return MARKS[m[1]][dark ? 2 : 1]; }) } });
+  }
+
+  // ---- spectrograms: a byte a cell, 0 where nothing is known
+
+  var POWER = [[255, 255, 255], [199, 221, 244], [110, 163, 222], [39, 98, 184], [9, 32, 88]];
+  var POWER_DARK = [[24, 28, 34], [27, 52, 92], [40, 98, 176], [116, 170, 230], [232, 243, 255]];
+
+  function cells(power) {
+    var raw = atob(power.cells), found = new Uint8Array(raw.length);
+    for (var i = 0; i < raw.length; i++) found[i] = raw.charCodeAt(i);
+    return found;
+  }
+
+  function painted(power, dark) {
+    var canvas = document.createElement("canvas"), given = cells(power), steps = dark ? POWER_DARK : POWER;
+    canvas.width = power.columns; canvas.height = power.rows;
+    var pen = canvas.getContext("2d"), picture = pen.createImageData(power.columns, power.rows);
+    for (var row = 0; row < power.rows; row++) for (var column = 0; column < power.columns; column++) {
+      var value = given[row * power.columns + column], at = 4 * ((power.rows - 1 - row) * power.columns + column);
+      var share = Math.max(0, value - 1) / 254 * (steps.length - 1), k = Math.min(Math.floor(share), steps.length - 2);
+      for (var c = 0; c < 3; c++) picture.data[at + c] = steps[k][c] + (share - k) * (steps[k + 1][c] - steps[k][c]);
+      picture.data[at + 3] = value ? 255 : 0;
+    }
+    pen.putImageData(picture, 0, 0);
+    return canvas.toDataURL("image/png");
   }
 
   function keyOf(trace) { return trace.legendgroup || trace.name || ""; }
@@ -195,6 +270,15 @@
         for (var i = 0; i < (t.y || []).length; i++)
           rows.push([t.name || "", (axis.title || {}).text || "", t.x[i], t.y[i]]);
       });
+      var power = (f.layout.meta || {}).spectrogram;
+      if (power) {
+        rows[0].push("dB");
+        cells(power).forEach(function (v, i) {
+          var row = Math.floor(i / power.columns), column = i % power.columns;
+          if (v) rows.push(["power", "", power.start + (column + 0.5) / power.columns * (power.end - power.start),
+            (row + 0.5) / power.rows * power.top, power.low + (v - 1) / 254 * (power.high - power.low)]);
+        });
+      }
     }
     return rows.map(function (r) { return r.map(cell).join(","); }).join("\r\n") + "\r\n";
   }
@@ -288,6 +372,8 @@
   document.querySelectorAll("script[data-for]").forEach(function (script) {
     var div = document.getElementById(script.dataset.for);
     div.tabIndex = 0;
+    var strip = strips[script.dataset.time];
+    if (strip) div.style.height = parseFloat(div.style.height) + strip.height + "px";
     figures.set(div, { script: script, drawn: false, hidden: new Set(), scene: div.classList.contains("scene") });
     if (figures.get(div).scene) return;
     div.addEventListener("keydown", function (e) {

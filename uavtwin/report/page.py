@@ -49,6 +49,7 @@ class Plot:
         height: Pixels.
         json: The figure, safe within a script element.
         scene: Whether it is a track in space, no plot.
+        time: Group of figures whose time axes move together, "" where time is not along it.
     """
 
     id: str
@@ -56,6 +57,7 @@ class Plot:
     height: int
     json: Markup
     scene: bool = False
+    time: str = ""
 
 
 def plot(name: str, label: str, figure: "Figure | go.Figure", scene: bool = False) -> Plot:
@@ -71,7 +73,8 @@ def plot(name: str, label: str, figure: "Figure | go.Figure", scene: bool = Fals
     layout = plain.get("layout", plain)
     layout.pop("template", None)  # pages dress their figures themselves
     identifier = re.sub(r"[^\w.@-]", "-", name)
-    return Plot(identifier, label, int(layout["height"]), embedded(plain), scene)
+    time = str(layout.get("meta", {}).get("time", ""))
+    return Plot(identifier, label, int(layout["height"]), embedded(plain), scene, time)
 
 
 def _plain(figure: "Figure | go.Figure") -> Figure:

@@ -12,7 +12,17 @@ from page_rigs.browser import VIEWS, Browser, View, browser, faults, needs_brows
 
 from cosim.recording import Recording
 from twin.logs import Flight
-from twin.logs.columns import POS, QUAT
+from twin.logs.autopilot import (
+    LEVELS,
+    Autopilot,
+    Filter,
+    Message,
+    Mode,
+    Parameter,
+    Setpoint,
+    Stretch,
+)
+from twin.logs.columns import GYRO, POS, QUAT, VEL
 from twin.residuals.gap import Channel, FlightGap
 from uavtwin.report.gap import write_gap_report
 from uavtwin.report.overview import overview
@@ -20,6 +30,7 @@ from uavtwin.report.simulation import write_simulation_report
 
 pytestmark = needs_browser
 Array = NDArray[np.float64]
+HOSTILE = "</script><img src=https://example.invalid/x onerror=alert(1)><b>&'\""
 LARGEST = 1_500_000
 """Bytes of a page."""
 
@@ -39,7 +50,35 @@ def recorded(seconds: float = 20.0) -> Flight:
     table |= dict(zip(QUAT, (np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)), strict=True))
     table |= {f"cmd_{i}": 0.5 + 0.02 * i + 0.05 * np.sin(t + i) for i in range(1, 5)}
     table |= {f"rotor_{i}": 500 + 10 * np.sin(t + i) for i in range(1, 5)}
-    return Flight("circle", pd.DataFrame(table | {"vbat_v": 16.4 - 0.02 * t, "ibat_a": 9 + 0 * t}))
+    shaken = np.sin(2 * np.pi * (12 + 0.3 * t) * t)
+    table |= {name: k + 0.2 * shaken for k, name in enumerate(GYRO)}
+    table |= {"vbat_v": 16.4 - 0.02 * t, "ibat_a": 9 + 0 * t}
+    return Flight("circle", pd.DataFrame(table), autopilot=_said(t))
+
+
+def _said(t: Array) -> Autopilot:
+    """Much of everything, some of it made to break a page."""
+    texts = (HOSTILE, "EKF yaw aligned", "a very long text " * 17)
+    messages = [Message(0.4 * k, LEVELS[k % 9], texts[k % 3]) for k in range(-2, 60)]
+    turn = np.column_stack([np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)])
+    return Autopilot(
+        tuple(Mode(name, 2.0 * k) for k, name in enumerate(("Hold", HOSTILE, "Land", "x" * 90))),
+        (Stretch("armed", 0.5, 19.0),),
+        (Stretch("battery failsafe", 12.0, 20.0), Stretch(HOSTILE, 1.0, 1.01)),
+        tuple(messages),
+        (
+            Setpoint(POS, t[::5], np.where(np.arange(3) == 1, np.nan, np.sin(t[::5, None]))),
+            Setpoint(VEL, t[::5], np.cos(t[::5, None] + np.arange(3))),
+            Setpoint(QUAT, t[::5], turn[::5]),
+            Setpoint(GYRO, t[::5], 0.1 * turn[::5, :3]),
+        ),
+        tuple(Parameter(f"NAME_{k}_{HOSTILE[:9]}", k / 7, -1e-9 * k) for k in range(400)),
+        True,
+        tuple(
+            Filter("gyro", "tracking notch", 8.0 * k, f"INS_HNTCH_FREQ{HOSTILE[:9]}")
+            for k in range(1, 7)
+        ),
+    )
 
 
 def gap_of(flight: Flight) -> FlightGap:
@@ -120,12 +159,21 @@ def test_zoom_keys_and_numbers_of_a_page(opened: Browser, gap_page: Path) -> Non
   HTMLAnchorElement.prototype.click = () => {};
   const csv = [...div.parentNode.querySelectorAll("button")].find(b => b.textContent === "CSV");
   csv.click();
-  return { moved, other, hidden, csv: (await text).split("\\r\\n").slice(0, 2) };
+  const strip = ["flight0-acc-0ms", "flight0-spectrogram"].map(id => {
+    const d = document.getElementById(id);
+    const t = d._fullData.filter(t => t.yaxis === "y99");
+    const images = d.querySelectorAll("image").length, domain = d._fullLayout.yaxis.domain;
+    return [t.length, t[0].x.length, domain[1] < 1, images];
+  });
+  return { moved, other, hidden, strip, csv: (await text).split("\\r\\n").slice(0, 2) };
 })()
 """
     )
     assert result["moved"] == [[4, 6]] * 3
     assert result["other"] != [4, 6]
+    (traces, marks, below, images), (_, _, _, pictures_there) = result["strip"]
+    assert (traces, below, images, pictures_there) == (1, True, 0, 1)
+    assert marks > 40, "armed, disarmed, two failsafes, messages of the flight"
     assert result["hidden"] == [False] * 3
     assert result["csv"][0] == "series,panel,x,y"
     name, panel, x, y = result["csv"][1].split(",")[0:1] + result["csv"][1].rsplit(",", 3)[1:]
