@@ -152,8 +152,8 @@ def told_content(
     return {
         "strip": words,
         "followed": [_followed_plot(name, f, phases, columns) for f in told.followed],
-        "vibration": None if told.vibration is None else _vibration_plot(name, told, phases),
-        "vibration_note": _vibration_note(told),
+        "spectrogram": None if told.vibration is None else _vibration_plot(name, told, phases),
+        "spectrogram_note": _vibration_note(told),
         "modes": _modes(said, told.end_s),
         "armed": said.armed[:MOST_MESSAGES],
         "failsafes": said.failsafes[:MOST_MESSAGES],

@@ -122,7 +122,7 @@ def _flight(found: Explanation, columns: int) -> dict[str, Any]:
     flight = found.recorded[-1]
     phases = flight_spans(flight)
     shown = overview(flight)
-    track, logged = overview_plots("flight", shown, phases)
+    track, logged = overview_plots("flight", shown, phases, columns=columns)
     told = told_content("flight", shown.told, phases, columns)
     return {"name": flight.name, "track": track, "logged": logged, "told": told}
 

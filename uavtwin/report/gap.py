@@ -197,7 +197,9 @@ def _flight(
     summed = [summarise(c) for c in gap.channels]
     ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
     track, logged = (
-        ([], None) if shown is None else overview_plots(f"flight{index}", shown, gap.phases, ends)
+        ([], None)
+        if shown is None
+        else overview_plots(f"flight{index}", shown, gap.phases, ends, columns)
     )
     return {
         "track": track,

@@ -103,7 +103,11 @@ def _vector(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | 
 
 
 def overview_plots(
-    name: str, shown: Overview, phases: Spans, ends: Sequence[Channel] = ()
+    name: str,
+    shown: Overview,
+    phases: Spans,
+    ends: Sequence[Channel] = (),
+    columns: int = HELD // 2,
 ) -> tuple[list[Plot], Plot | None]:
     """The tracks, and motors and battery over time.
 
@@ -113,6 +117,7 @@ def overview_plots(
         phases: Drawn as coloured background.
         ends: Channels north, east and down of the position of a twin that restarts from the
             measured state again and again, at the end of each stretch.
+        columns: Columns of pixels that a series over time may take.
 
     Returns:
         The pictures of the track, and the figure over time; none and None where nothing is logged.
@@ -124,7 +129,7 @@ def overview_plots(
         if len(ends) == 3 and len(ends[0].t_s):
             tracks.append(_restarted(t, position, ends))
     pictures = track_plots(name, tracks, shown.attitude) if tracks else []
-    return pictures, _over_time(name, shown, phases)
+    return pictures, _over_time(name, shown, phases, columns)
 
 
 def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
@@ -139,7 +144,7 @@ def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
     return Track(label, np.repeat(ends[0].t_s, 3), strokes, BLUE)
 
 
-def _over_time(name: str, shown: Overview, phases: Spans) -> Plot | None:
+def _over_time(name: str, shown: Overview, phases: Spans, columns: int) -> Plot | None:
     """Motors and battery."""
     count = len(shown.motors) + len(shown.battery)
     if count == 0:
@@ -150,11 +155,13 @@ def _over_time(name: str, shown: Overview, phases: Spans) -> Plot | None:
         axes = panels.add(words)
         for i, (t, values) in enumerate(lines):
             line = {"color": _MOTORS[i], "width": 1.2}
-            panels.line(axes, t, values, f"motor {i + 1}", line, legendgroup=f"motor {i + 1}")
+            label = f"motor {i + 1}"
+            panels.line(axes, *thinned(t, values, columns), label, line, legendgroup=label)
             times.append(t)
     for words, t, values in shown.battery:
         axes = panels.add(words)
-        panels.line(axes, t, values, words.partition(",")[0], {"color": GREY, "width": 1.4})
+        label, line = words.partition(",")[0], {"color": GREY, "width": 1.4}
+        panels.line(axes, *thinned(t, values, columns), label, line)
         times.append(t)
     panels.look(min(float(t[0]) for t in times), max(float(t[-1]) for t in times), phases)
     label = "Motor commands, rotor speeds and battery over time, as logged"

@@ -146,7 +146,7 @@ def test_texts_of_a_log_stay_texts(tmp_path: Path) -> None:
     assert len(shown["parameters"]) == MOST_PARAMETERS
     assert f"{700 - MOST_PARAMETERS} more in the log" in text
     assert "0.1</td><td>1e+09<" in text
-    figure = json.loads(shown["vibration"].json)
+    figure = json.loads(shown["spectrogram"].json)
     names = [trace["name"] for trace in figure["data"]]
     assert names == ["rotor 1", "rotor 2", f"notch 30 Hz ({HOSTILE})"]
 
