@@ -88,12 +88,13 @@ def interface_model(
 
 
 def _inputs(network: NetworkFile) -> list[Variable]:
-    phases = ", ".join(f"{code} {name}" for name, code in network.phases.items())
+    codes = ", ".join(f"{code} {name}" for name, code in network.phases.items())
+    phases, unknown = f"Phase of the flight: {codes}", max(network.phases.values())
     channels = list(zip(network.channels, network.units, strict=True))
     table = [Variable(c, "input", u, f"What the twin reads, {c}") for c, u in channels]
     for i, c in enumerate(network.commands, start=1):
         table.append(Variable(c, "input", *_drive(c, i)))
-    table.append(Variable("phase", "input", "1", f"Phase of the flight: {phases}", kind="integer"))
+    table.append(Variable("phase", "input", "1", phases, 0.0, 0, unknown, kind="integer"))
     if network.sees_measurements:
         table += [
             Variable(f"measured.{c}", "input", u, f"What the aircraft measured, {c}")
