@@ -197,7 +197,9 @@ def _system(model: FmuModel, token: str) -> str:
             f"extern const Model {', '.join(names)};\n",
             _table("static const Model* const models[]", (f"&{name}" for name in names)),
             _table("static const Port ports[]", ["{0, 0, 1}", *ports]),
-            _table("static const Connection connections[]", connections or ["{{0, 0, 1}, {0, 0, 1}}"]),
+            _table(
+                "static const Connection connections[]", connections or ["{{0, 0, 1}, {0, 0, 1}}"]
+            ),
             _table("static const unsigned visits[]", map(str, model.order)),
             "const System fmu = {",
             f"    .token = {c_string(token)},",

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 from twin.errors import TwinError
 from twin.logs import Flight
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
     from .vehicles import Vehicle as OwnVehicle
 
 Progress = Callable[[float], None]
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -77,6 +80,20 @@ class TrainResult(Shown):
         return f"{type(self).__name__}: {self.folder.name}, {counted(self.files, 'file')}"
 
 
+def _in_one_thread(verb: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The same function, with one thread of torch and BLAS: of several, sums end in other bits."""
+
+    @wraps(verb)
+    def call(*args: _P.args, **named: _P.kwargs) -> _R:
+        with extra_learn():
+            from learning.threads import one_thread
+        with one_thread():
+            return verb(*args, **named)
+
+    return call
+
+
+@_in_one_thread
 def train(
     flights: Flight | Sequence[Flight],
     vehicle: Vehicle,
@@ -213,6 +230,7 @@ def _check_kind(out: Path, file: str, what: str) -> None:
         raise TwinError(f"{out}: holds {what} ({file}). Choose another folder.")
 
 
+@_in_one_thread
 def evaluate(
     model: TrainResult | str | Path,
     flights: Flight | Sequence[Flight],
