@@ -123,3 +123,11 @@ def from_euler(
             cr * cp * sy - sr * sp * cy,
         ]
     )
+
+
+def to_euler(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Roll, pitch and yaw of unit quaternions body to NED, rad, as of `from_euler`; of (4, n) shape
+    (3, n)."""
+    r = rotation_matrix(list(q))
+    pitch = np.arcsin(np.clip(-np.asarray(r[2][0]), -1.0, 1.0))
+    return np.array([np.arctan2(r[2][1], r[2][2]), pitch, np.arctan2(r[1][0], r[0][0])])

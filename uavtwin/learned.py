@@ -84,13 +84,13 @@ def _in_one_thread(verb: Callable[_P, _R]) -> Callable[_P, _R]:
     """The same function, with one thread of torch and BLAS: of several, sums end in other bits."""
 
     @wraps(verb)
-    def call(*args: _P.args, **named: _P.kwargs) -> _R:
+    def _inside(*args: _P.args, **named: _P.kwargs) -> _R:
         with extra_learn():
             from learning.threads import one_thread
         with one_thread():
             return verb(*args, **named)
 
-    return call
+    return _inside
 
 
 @_in_one_thread

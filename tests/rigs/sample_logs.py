@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from dataflash_rig import dataflash
 from log_rigs.crazyflie_rig import usd_log
+from log_rigs.dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body

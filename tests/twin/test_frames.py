@@ -16,6 +16,7 @@ from twin.frames import (
     rotation_matrix,
     rotation_vector,
     to_body,
+    to_euler,
     to_ned,
 )
 
@@ -65,6 +66,10 @@ def test_from_euler_is_yaw_then_pitch_then_roll(roll: float, pitch: float, yaw: 
     expected = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     q = from_euler(roll, pitch, yaw)
     np.testing.assert_allclose(rotation_matrix(list(q)), expected, atol=1e-14)
+    turns = np.column_stack([q, from_euler(0.1, 0.2, 0.3)])
+    np.testing.assert_allclose(to_euler(turns)[:, 1], [0.1, 0.2, 0.3], atol=1e-12)
+    again = Rotation.from_euler("ZYX", to_euler(turns)[::-1, 0]).as_matrix()
+    np.testing.assert_allclose(again, expected, atol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 from cli_rig import run
-from dataflash_rig import dataflash
+from log_rigs.dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from twin.logs import read_flight

@@ -1,13 +1,15 @@
 """Signals with their own clocks put together into one flight table."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ..errors import LogError
 from .clock import longest_stretch
-from .columns import in_order
+from .columns import MOTION, in_order
 from .flight import Array, Noted
 from .limits import beyond, told
 
@@ -67,6 +69,34 @@ class Rows:
                 group = names[0].rsplit("_", 1)[0] if len(names) > 1 else names[0]
                 facts[f"rate {group}"] = f"{(len(t) - 1) / ((t[-1] - t[0]) * 1e-6):.1f} Hz"
         return facts
+
+
+def lay_out(
+    log: Noted, path: Path, rows: Rows, advice: str, doubt: str = ""
+) -> tuple[pd.DataFrame, NDArray[np.int64]]:
+    """The table of all signals that were added, and the times of its rows, us; no `phase` yet.
+
+    Args:
+        log: Takes a finding on rows that are left out.
+        path: File, for messages.
+        rows: Signals.
+        advice: What to do where nothing of the motion is there, a sentence.
+        doubt: What may be the cause where rows are left out, begun by a colon.
+
+    Raises:
+        LogError: Nothing of the motion is there.
+    """
+    t_us, outside = rows.times_us()
+    if outside:
+        message = "rows dropped outside the longest stretch without a pause of a minute"
+        log.note("error", "time", message + doubt, outside)
+    table = rows.table(t_us)
+    if not any(c in table for c in MOTION):
+        raise LogError(
+            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, position "
+            f"or velocity within {len(t_us)} rows. {advice}"
+        )
+    return table, t_us
 
 
 def add_signal(

@@ -3,7 +3,7 @@
 Every reader of an autopilot's logs fills it; a flight table in Parquet keeps it.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -160,6 +160,11 @@ class Autopilot:
 
     __repr__ = short_repr
 
+    def mode_stretches(self, end_s: float) -> tuple[Stretch, ...]:
+        """When each mode was on, in a record that ends then, s."""
+        ends = [*(m.start_s for m in self.modes[1:]), end_s]
+        return tuple(Stretch(m.name, m.start_s, e) for m, e in zip(self.modes, ends, strict=False))
+
     def setpoint(self, columns: Sequence[str]) -> Setpoint | None:
         """The setpoint of these columns; None where the log has none."""
         return next((s for s in self.setpoints if s.columns == tuple(columns)), None)
@@ -201,12 +206,9 @@ def stretches_of(t_s: Array, on: NDArray[np.bool_], name: str, end_s: float) -> 
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], on.astype(np.int8), [0]])))
     times = np.append(t_s, end_s)
-    found = [(max(float(times[a]), 0.0), min(float(times[b]), end_s)) for a, b in _pairs(edges)]
+    pairs = edges.reshape(-1, 2).tolist()
+    found = [(max(float(times[a]), 0.0), min(float(times[b]), end_s)) for a, b in pairs]
     return tuple(Stretch(name, a, b) for a, b in found if b > a)[:MOST_EVENTS]
-
-
-def _pairs(edges: NDArray[np.intp]) -> Iterable[list[int]]:
-    return list(edges.reshape(-1, 2).tolist())
 
 
 def setpoint_of(columns: tuple[str, ...], t_s: Array, values: Array) -> Setpoint | None:

@@ -27,6 +27,8 @@ from .printing import STDOUT, print_damage, print_explanation, print_json, progr
 if TYPE_CHECKING:
     from twin.logs import AnyFlight
 
+    from ..explanation import ExplainResult
+
 
 def explain(
     flights: Annotated[list[Path], typer.Argument(help="Logs or flight tables, to fit on.")],
@@ -105,14 +107,18 @@ def explain(
         if write_all_series(found.series(), folder, forms):
             written.append("series/")
         write_run(folder, "explain", options, inputs, seed)
+    _print(found, [str(out / written[0]), *written[1:], "run.json"], as_json)
+    if print_damage([*fit, *away]) or found.verdict != "nothing":
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def _print(found: "ExplainResult", written: Sequence[str], as_json: bool) -> None:
+    """What was found, and where it is."""
     if as_json:
         print_json(found.json())
-    else:
-        print_explanation(found)
-        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
-    damaged = print_damage([*fit, *away])
-    if damaged or found.verdict != "nothing":
-        raise typer.Exit(Exit.FINDINGS)
+        return
+    print_explanation(found)
+    STDOUT.print(f"written: {', '.join(written)}")
 
 
 def _read(

@@ -105,10 +105,6 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Build components as native FMUs, FMI 2 and 3, and list what was written."""
-    from fmus.compensator import FILE, INT8_FILE
-    from learning.force.model import FILE as FORCE_FILE
-    from learning.force.model import NETWORK_FILE
-
     from ..output import check_folder, results_folder, write_run
 
     check_folder(out, force)
@@ -129,13 +125,9 @@ def export(
         arrays,
     )
     plan = export_components(components, choice)
-    files = (INT8_FILE if int8 else FILE, FORCE_FILE, NETWORK_FILE)
-    trained = [] if model is None else [model / n for n in files]
-    given = (Path(choice.vehicle), flight, *trained)
-    inputs = [p for p in given if p is not None and p.is_file()]
     with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
-        write_run(folder, "export", {"components": components, **choice.told()}, inputs)
+        write_run(folder, "export", {"components": components, **choice.told()}, choice.inputs())
     if as_json:
         print_json([row.as_json() for row in written])
     else:
@@ -183,6 +175,17 @@ class Choice:
         read = {f.name: getattr(self, f.name) for f in fields(self)}
         told = {k: v for k, v in read.items() if k not in ("flight", "model")}
         return {**told, "vehicle": Path(self.vehicle).name}
+
+    def inputs(self) -> list[Path]:
+        """Files that are read."""
+        from fmus.compensator import FILE, INT8_FILE
+        from learning.force.model import FILE as FORCE_FILE
+        from learning.force.model import NETWORK_FILE
+
+        files = (INT8_FILE if self.int8 else FILE, FORCE_FILE, NETWORK_FILE)
+        trained = [] if self.model is None else [self.model / n for n in files]
+        given = (Path(self.vehicle), self.flight, *trained)
+        return [p for p in given if p is not None and p.is_file()]
 
 
 def export_components(

@@ -105,15 +105,15 @@ def train(
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
     write_run(out, "train", options, inputs, trained.seed)
-    if as_json:
-        print_json(trained.json())
-    else:
-        _print(trained, out)
+    _print(trained, out, as_json)
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
 
 
-def _print(trained: "TrainResult", out: Path) -> None:
+def _print(trained: "TrainResult", out: Path, as_json: bool) -> None:
     """What was made, and where it is."""
+    if as_json:
+        print_json(trained.json())
+        return
     STDOUT.print(trained.claim, style="bold", markup=False)
     STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")

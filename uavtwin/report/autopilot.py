@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.frames import rotation_matrix
+from twin.frames import to_euler
 from twin.logs import AnyFlight
 from twin.logs.autopilot import Autopilot, Message, Parameter
 from twin.logs.columns import GYRO, POS, QUAT, VEL, motor_columns
@@ -109,9 +109,9 @@ def _followed(
     t, flown = flight.signal(columns)
     wanted = asked.values
     if columns == QUAT:
-        flown = np.unwrap(_euler(flown), axis=0)
+        flown = np.unwrap(to_euler(flown.T).T, axis=0)
         near = np.column_stack([np.interp(asked.t_s, t, angle) for angle in flown.T])
-        wanted = near + _wrapped(_euler(wanted) - near)
+        wanted = near + _wrapped(to_euler(wanted.T).T - near)
         flown, wanted = np.degrees(flown), np.degrees(wanted)
     axes = []
     for k, name in enumerate(names):
@@ -121,13 +121,6 @@ def _followed(
         pair = thinned(t, slow, _HELD), thinned(asked.t_s, wanted[:, k], _HELD)
         axes.append((name, *pair))
     return Followed(words, unit, tuple(axes)) if axes else None
-
-
-def _euler(q: Array) -> Array:
-    """Roll, pitch and yaw of quaternions body to NED, rad, shape (n, 3)."""
-    r = rotation_matrix(list(q.T))
-    pitch = np.arcsin(np.clip(-np.asarray(r[2][0]), -1.0, 1.0))
-    return np.column_stack([np.arctan2(r[2][1], r[2][2]), pitch, np.arctan2(r[1][0], r[0][0])])
 
 
 def _wrapped(angle: Array) -> Array:
@@ -154,7 +147,7 @@ def told_content(
         "followed": [_followed_plot(name, f, phases, columns) for f in told.followed],
         "spectrogram": None if told.vibration is None else _vibration_plot(name, told, phases),
         "spectrogram_note": _vibration_note(told),
-        "modes": _modes(said, told.end_s),
+        "modes": said.mode_stretches(told.end_s)[:MOST_MESSAGES],
         "armed": said.armed[:MOST_MESSAGES],
         "failsafes": said.failsafes[:MOST_MESSAGES],
         "messages": _first(said.messages, round(share * MOST_MESSAGES)),
@@ -173,13 +166,6 @@ def _first(messages: Sequence[Message], most: int) -> list[Message]:
 def _listed(parameters: Sequence[Parameter], most: int) -> list[tuple[str, str, str]]:
     """Name, value and default as printed."""
     return [(p.name, f"{p.value:.7g}", f"{p.default:.7g}") for p in parameters[:most]]
-
-
-def _modes(said: Autopilot, end_s: float) -> list[tuple[str, float, float]]:
-    """Name, begin and end."""
-    ends = [*(m.start_s for m in said.modes[1:]), end_s]
-    found = [(m.name, m.start_s, end) for m, end in zip(said.modes, ends, strict=False)]
-    return found[:MOST_MESSAGES]
 
 
 def _followed_plot(name: str, shown: Followed, phases: Spans, columns: int) -> Plot:

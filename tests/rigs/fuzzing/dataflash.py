@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dataflash_rig import MARK, dataflash
+from log_rigs.dataflash_rig import MARK, dataflash
 from numpy.typing import NDArray
 from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from cli_rig import run
-from dataflash_rig import dataflash
+from log_rigs.dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages
 from series_rigs.mcap_rig import Read, read_mcap
 

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from ...errors import LogError
-from ..assemble import Rows
-from ..columns import MOTION, motor_columns
+from ..assemble import Rows, lay_out
+from ..columns import motor_columns
 from ..flight import Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
@@ -54,17 +53,8 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         add(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
         facts |= commands.facts
     note_failures(log)
-    t_us, absurd = rows.times_us()
-    if absurd:
-        message = "rows dropped outside the longest stretch without a pause of a minute"
-        log.note("error", "time", message, absurd)
-    table = rows.table(t_us)
-    if not any(c in table for c in MOTION):
-        raise LogError(
-            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, position "
-            f"or velocity within {len(t_us)} rows. Log the default messages (LOG_BITMASK) and fly "
-            "again."
-        )
+    advice = "Log the default messages (LOG_BITMASK) and fly again."
+    table, t_us = lay_out(log, path, rows, advice)
     phase = label_phases(table["time"].to_numpy(), from_ardupilot_phases(log, used))
     table["phase"] = pd.Series(phase, dtype=object)
     rotors = geometry(*frame_numbers(log.params))

@@ -11,7 +11,7 @@ import struct
 import zlib
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -85,8 +85,6 @@ class Content:
     events: tuple[Events, ...]
     lost: int
     whole: bool
-    names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Variables of every kind, by its name."""
 
 
 def read_content(path: Path, blob: bytes) -> Content:
@@ -120,8 +118,7 @@ def read_content(path: Path, blob: bytes) -> Content:
         rows = content[here[:, None] + np.arange(size)].reshape(-1).view(kind.layout)
         stamps = np.minimum(rows[TIME], np.uint64(_NEVER_US // unit_us)).astype(np.int64)
         found.append(Events(kind, stamps * unit_us, rows))
-    names = {k.name: k.variables for k in kinds.values()}
-    return Content(version, tuple(found), end - reached, whole, names)
+    return Content(version, tuple(found), end - reached, whole)
 
 
 def _head(blob: bytes) -> tuple[int, dict[int, Kind], int]:

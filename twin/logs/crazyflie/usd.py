@@ -17,9 +17,9 @@ from ...errors import LogError
 from ...frames import from_euler
 from ...vehicle.layouts import frame
 from ..airframe import Airframe, Told
-from ..assemble import Rows, add_signal
+from ..assemble import Rows, add_signal, lay_out
 from ..clock import advancing, filter_delay_us, told_dropped
-from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
+from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight, Noted
 from ..formats import ReadOptions
 from ..phases import Span, ground_spans, label_phases, motion_spans
@@ -154,18 +154,12 @@ def read_usd_log(path: Path, blob: bytes, options: ReadOptions) -> Flight:
             facts[f"{signal.where} from"] = ", ".join(signal.variables)
     if "cmd" not in used:
         log.note("warning", "cmd", "no motor.m1 to m4 in the log. Add them to config.txt")
-    t_us, outside = rows.times_us()
-    if outside:
-        message = "rows dropped outside the longest stretch without a pause of a minute"
-        log.note("error", "time", message, outside)
-    table = rows.table(t_us)
-    if not any(c in table for c in MOTION):
-        named = sorted(n for names in content.names.values() for n in names)
-        raise LogError(
-            f"{path.name}: no acceleration, body rates, attitude, position or velocity in the log; "
-            f"it holds {', '.join(named[:8]) or 'no variable'}. Log acc, gyro, stateEstimate and "
-            "motor (config.txt of the card)."
-        )
+    named = sorted(n for e in content.events for n in e.kind.variables)
+    advice = (
+        f"It holds {', '.join(named[:8]) or 'no variable'}. Log acc, gyro, stateEstimate and motor "
+        "(config.txt of the card)."
+    )
+    table, t_us = lay_out(log, path, rows, advice)
     phase = label_phases(table["time"].to_numpy(), _phases(log, table))
     table["phase"] = pd.Series(phase, dtype=object)
     aircraft = Airframe(

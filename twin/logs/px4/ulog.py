@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ...errors import LogError
-from ..assemble import Rows, add_signal
-from ..columns import ACC, GYRO, MAG, MOTION, POS, QUAT, VEL, motor_columns
+from ..assemble import Rows, add_signal, lay_out
+from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
@@ -54,20 +53,8 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
         n = commands.cmd.shape[1]
         add_signal(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
         facts |= commands.facts
-    t_us, absurd = rows.times_us()
-    if absurd:
-        message = (
-            "rows dropped outside the longest stretch without a pause of a minute: was the clock "
-            "set in flight?"
-        )
-        log.note("error", "time", message, absurd)
-    table = rows.table(t_us)
-    if not any(c in table for c in MOTION):
-        raise LogError(
-            f"{path.name}: the log holds no sample of acceleration, body rates, attitude, "
-            f"position or velocity within {len(t_us)} rows. Log the default topics "
-            "(SDLOG_PROFILE bit 0) and fly again."
-        )
+    advice = "Log the default topics (SDLOG_PROFILE bit 0) and fly again."
+    table, t_us = lay_out(log, path, rows, advice, ": was the clock set in flight?")
     phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= rows.coverage(t_us)

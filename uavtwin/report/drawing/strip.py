@@ -45,9 +45,10 @@ def strip(group: str, told: Autopilot | None, end_s: float) -> Strip | None:
     """
     if told is None or not end_s > 0.0:
         return None
-    ends = [*(m.start_s for m in told.modes[1:]), end_s]
-    modes = [[escape(m.name), m.start_s, end] for m, end in zip(told.modes, ends, strict=False)]
-    failsafes = [[escape(s.name), s.start_s, s.end_s] for s in told.failsafes]
+    modes, failsafes = (
+        [[escape(s.name), s.start_s, s.end_s] for s in several]
+        for several in (told.mode_stretches(end_s), told.failsafes)
+    )
     marks: list[list[object]] = []
     for each in told.armed:
         marks.append([each.start_s, "armed", "armed"])

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_rig import KINDS, Kind, dataflash
+from log_rigs.dataflash_rig import KINDS, Kind, dataflash
 from places import DATA, needs, needs_package
 from sample_logs import FLOWN_PARAMS, flown_messages
 

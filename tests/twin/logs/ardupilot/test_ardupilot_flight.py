@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from dataflash_rig import KINDS, Kind, dataflash
+from log_rigs.dataflash_rig import KINDS, Kind, dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.errors import LogError

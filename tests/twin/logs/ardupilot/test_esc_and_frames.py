@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_rig import dataflash
+from log_rigs.dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.logs import Flight, read_flight

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dataflash_rig import KINDS, MARK, dataflash, message
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from log_rigs.dataflash_rig import KINDS, MARK, dataflash, message
 from numpy.typing import ArrayLike
 from places import needs_package
 from sample_logs import FLOWN_PARAMS, flown_messages
