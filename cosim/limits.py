@@ -12,8 +12,8 @@ class Limits:
 
     Attributes:
         call_s: Time that one call into an FMU may take, loading and ending included.
-        whole_s: Time that loading, initialising and running may take together; a run by the
-            clock may take as long as the clock does besides.
+        whole_s: Time that loading may take, and that initialising and running may take together;
+            a run by the clock may take as long as the clock does besides.
         memory_gib: Memory that the process may ask for.
     """
 

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from .gaps import GapResult, gap
     from .learned import evaluate, generate, train
     from .run import Run, simulate
+    from .sweeps.result import SweepResult
+    from .sweeps.sweep import sweep
     from .vehicle_draft import DraftResult, draft_vehicle
     from .vehicles import Vehicle, convert_vehicle, load_vehicle, vehicle
 
@@ -46,6 +48,7 @@ __all__ = [
     "Run",
     "SearchSettings",
     "Site",
+    "SweepResult",
     "Twin",
     "TwinError",
     "Vehicle",
@@ -70,6 +73,7 @@ __all__ = [
     "read_flights",
     "replay",
     "simulate",
+    "sweep",
     "train",
     "twin",
     "vehicle",
@@ -87,6 +91,7 @@ _HOME = {
     "Run": "uavtwin.run",
     "SearchSettings": "twin.explain.settings",
     "Site": "twin.logs",
+    "SweepResult": "uavtwin.sweeps.result",
     "Twin": "uavtwin.exports.parts",
     "TwinError": "twin.errors",
     "Vehicle": "uavtwin.vehicles",
@@ -109,6 +114,7 @@ _HOME = {
     "read_flights": "uavtwin.flights",
     "replay": "uavtwin.exports.parts",
     "simulate": "uavtwin.run",
+    "sweep": "uavtwin.sweeps.sweep",
     "train": "uavtwin.learned",
     "twin": "uavtwin.exports.parts",
     "vehicle": "uavtwin.vehicles",

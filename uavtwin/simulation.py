@@ -18,7 +18,7 @@ from fmus import build
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
-from twin.flight.assembly import Assembly, flying_twin
+from twin.flight.assembly import Assembly, flying_twin, wind_starts
 from twin.flight.mission import mission_names
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
@@ -95,7 +95,7 @@ def scenario_system(
         raise TwinError(f"{scenario.target}: neither an .ssp file nor a scenario: {known}.")
     vehicle = scenario.vehicle or load_vehicle(DEFAULT_VEHICLE)
     twin = flying_twin(vehicle, str(scenario.target), scenario.controller)
-    starts = _changes(twin, _shaped(twin, scenario))
+    starts = _changes(twin, twin.with_starts(shaping_starts(twin, scenario)))
     if not scenario.fused:
         return replace(system_of(twin, folder, progress=progress), starts=starts)
     model = fused_model(twin, vehicle.name)
@@ -116,8 +116,13 @@ def _check_bare(scenario: Scenario) -> None:
         )
 
 
-def _shaped(twin: Assembly, scenario: Scenario) -> Assembly:
-    """The twin with wind, seed, effects and start values of a scenario."""
+def shaping_starts(twin: Assembly, scenario: Scenario) -> dict[str, float]:
+    """Start values, "part.variable" -> value, by which a scenario shapes its twin: wind, gusts,
+    seed, effects, and those that it names itself.
+
+    Raises:
+        TwinError: An unknown effect, or one that no aircraft has.
+    """
     switches = {}
     for name in scenario.effects:
         if name not in EFFECTS:
@@ -128,8 +133,12 @@ def _shaped(twin: Assembly, scenario: Scenario) -> Assembly:
         switches[f"{block}.enabled"] = 1.0
         if isinstance(scenario.effects, Mapping):
             switches |= {f"{block}.{k}": x for k, x in scenario.effects[name].items()}
-    twin = twin.with_wind(scenario.wind_m_s, scenario.gusts).with_seed(scenario.seed)
-    return twin.with_starts({**switches, **scenario.starts})
+    return {
+        **wind_starts(scenario.wind_m_s, scenario.gusts),
+        **twin.seed_starts(scenario.seed),
+        **switches,
+        **scenario.starts,
+    }
 
 
 def _changes(before: Assembly, after: Assembly) -> dict[str, float]:
@@ -140,6 +149,66 @@ def _changes(before: Assembly, after: Assembly) -> dict[str, float]:
         for old, new in zip(part.variables, after.parts[name].variables, strict=True)
         if new.start != old.start
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """When a run begins and ends, and its steps.
+
+    Attributes:
+        begin_s: Of the first communication point.
+        end_s: Of the last one.
+        step_s: Communication step.
+        every: Steps between two rows of the recording.
+    """
+
+    begin_s: float
+    end_s: float
+    step_s: float
+    every: int
+
+    @property
+    def rows(self) -> float:
+        """Of the recording, but for the first."""
+        return (self.end_s - self.begin_s) / (self.step_s * self.every)
+
+
+def times_of(
+    system: System,
+    stop_s: float | None = None,
+    step_s: float | None = None,
+    interval_s: float | None = None,
+) -> Times:
+    """Times of a run, see `run_scenario`.
+
+    Raises:
+        TwinError: No stop time is known, a time is not positive, the interval is not a whole
+            number of steps, or there would be too many steps.
+    """
+    step = step_s if step_s is not None else system.step_s or STEP_S
+    stop = system.stop_time_s if stop_s is None else stop_s
+    begin = system.start_time_s
+    if stop is None:
+        raise TwinError("no stop time: the system names none, give one in seconds.")
+    for what, value in (("step", step), ("interval", interval_s or step)):
+        if not (np.isfinite(value) and value > 0):
+            raise TwinError(f"{what} {value:g}: needs a positive number of seconds, e.g. 0.01.")
+    every = max(1, round((_INTERVAL_S if interval_s is None else interval_s) / step))
+    if interval_s is not None and abs(every * step - interval_s) > 1e-9:
+        raise TwinError(f"interval {interval_s:g}: not a whole number of steps of {step:g} s.")
+    last = begin + every * step * np.floor((stop - begin) / (every * step) + 1e-9)
+    if not last > begin:
+        raise TwinError(
+            f"stop {stop:g}: not even one interval of {every * step:g} s after the start at "
+            f"{begin:g} s."
+        )
+    steps = (last - begin) / step
+    if steps > MAX_STEPS:
+        raise TwinError(
+            f"stop {stop:g} s in steps of {step:g} s: {steps:.3g} steps, at most {MAX_STEPS:g} are "
+            f"taken. Give an earlier stop or a longer step."
+        )
+    return Times(begin, float(last), step, every)
 
 
 def run_scenario(
@@ -170,39 +239,18 @@ def run_scenario(
         RunError: An FMU failed while the system ran; holds the recording.
         Interrupted: Ctrl-C while it ran; holds the recording.
     """
-    step = step_s if step_s is not None else system.step_s or STEP_S
-    stop = system.stop_time_s if stop_s is None else stop_s
-    begin = system.start_time_s
-    if stop is None:
-        raise TwinError("no stop time: the system names none, give one in seconds.")
-    for what, value in (("step", step), ("interval", interval_s or step)):
-        if not (np.isfinite(value) and value > 0):
-            raise TwinError(f"{what} {value:g}: needs a positive number of seconds, e.g. 0.01.")
-    every = max(1, round((_INTERVAL_S if interval_s is None else interval_s) / step))
-    if interval_s is not None and abs(every * step - interval_s) > 1e-9:
-        raise TwinError(f"interval {interval_s:g}: not a whole number of steps of {step:g} s.")
-    last = begin + every * step * np.floor((stop - begin) / (every * step) + 1e-9)
-    if not last > begin:
-        raise TwinError(
-            f"stop {stop:g}: not even one interval of {every * step:g} s after the start at "
-            f"{begin:g} s."
-        )
-    steps = (last - begin) / step
-    if steps > MAX_STEPS:
-        raise TwinError(
-            f"stop {stop:g} s in steps of {step:g} s: {steps:.3g} steps, at most {MAX_STEPS:g} are "
-            f"taken. Give an earlier stop or a longer step."
-        )
+    times = times_of(system, stop_s, step_s, interval_s)
+    begin, last, step, every = times.begin_s, times.end_s, times.step_s, times.every
     with WorkerMaster(system, limits=limits) if system.foreign else Master(system) as master:
-        if steps / every * len(master.record_names) > MAX_VALUES:
+        if times.rows * len(master.record_names) > MAX_VALUES:
             raise TwinError(
-                f"stop {stop:g} s with a row every {every * step:g} s: {steps / every:.3g} rows of "
+                f"stop {last:g} s with a row every {every * step:g} s: {times.rows:.3g} rows of "
                 f"{len(master.record_names)} outputs, at most {MAX_VALUES} values are held. Give "
                 f"an earlier stop or a longer interval."
             )
         master.initialize(begin)
         return master.run(
-            float(last),
+            last,
             step,
             algorithm,
             every,

@@ -64,6 +64,7 @@ class WorkerMaster:
         Raises:
             FmuError: As there, or an FMU ended the worker.
         """
+        self._process.begin()
         self._ask(
             "initialize",
             start_time_s=start_time_s,

@@ -116,6 +116,10 @@ class Process:
         finally:
             self._left_s -= max(0.0, time.monotonic() - begin - (clocked_s or 0.0))
 
+    def begin(self) -> None:
+        """A run begins: the time for it as a whole starts anew."""
+        self._left_s = self._limits.whole_s
+
     def _wait(
         self, progress: Callable[[float], None] | None, begin: float, clocked_s: float | None
     ) -> Mapping[str, Any]:

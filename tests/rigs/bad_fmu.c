@@ -23,7 +23,7 @@
 static char kind[64];
 static const fmi2CallbackFunctions *host;
 static int steps, slow;
-static double y;
+static double y, bad = 1;
 
 static int is(const char *name) { return strcmp(kind, name) == 0; }
 static void say(const char *text) { host->logger(host->componentEnvironment, kind, fmi2Error, "", text); }
@@ -96,7 +96,7 @@ static fmi2Status bad_step(void) {
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean back) {
     (void)c; (void)t; (void)h; (void)back;
     y = ++steps;
-    fmi2Status status = steps == BAD_STEP ? bad_step() : fmi2OK;
+    fmi2Status status = steps == BAD_STEP && bad >= 0.5 ? bad_step() : fmi2OK;
     if (slow) usleep(10000 * slow);
     return status;
 }
@@ -105,6 +105,12 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
     (void)c; (void)vr;
     if (is("exit_in_get") && steps == BAD_STEP) exit(0);
     for (size_t i = 0; i < n; i++) value[i] = y;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
+    (void)c;
+    for (size_t i = 0; i < n; i++) if (vr[i] == 1) bad = value[i];
     return fmi2OK;
 }
 
@@ -133,13 +139,13 @@ void fmi2FreeInstance(fmi2Component c) {
     if (is("segv_in_free")) *(volatile int *)8 = 1;
 }
 
-fmi2Status fmi2Reset(fmi2Component c) { (void)c; steps = 0; y = 0; return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) { (void)c; steps = 0; y = 0; bad = 1; return fmi2OK; }
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
 #define FINE(name, ...) fmi2Status name(__VA_ARGS__) { return fmi2OK; }
 #define GET(T) FINE(fmi2Get##T, fmi2Component c, const fmi2ValueReference v[], size_t n, fmi2##T x[])
 #define SET(T) FINE(fmi2Set##T, fmi2Component c, const fmi2ValueReference v[], size_t n, const fmi2##T x[])
-GET(Integer) GET(Boolean) GET(String) SET(Real) SET(Integer) SET(Boolean) SET(String)
+GET(Integer) GET(Boolean) GET(String) SET(Integer) SET(Boolean) SET(String)
 FINE(fmi2SetDebugLogging, fmi2Component c, fmi2Boolean on, size_t n, const fmi2String names[])
 FINE(fmi2SetupExperiment, fmi2Component c, fmi2Boolean d, fmi2Real tol, fmi2Real start, fmi2Boolean s, fmi2Real stop)
 #ifndef MISSING

@@ -1,4 +1,7 @@
-"""FMUs that misbehave, compiled from `bad_fmu.c`: how, says the name of the slave."""
+"""FMUs that misbehave, compiled from `bad_fmu.c`: how, says the name of the slave.
+
+With the parameter `bad` at 0 their steps are fine.
+"""
 
 import subprocess
 import zipfile
@@ -10,6 +13,9 @@ _DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
   <CoSimulation modelIdentifier="bad" canHandleVariableCommunicationStepSize="true"/>
   <ModelVariables>
     <ScalarVariable name="y" valueReference="0" causality="output"><Real/></ScalarVariable>
+    <ScalarVariable name="bad" valueReference="1" causality="parameter" variability="fixed">
+      <Real start="1"/>
+    </ScalarVariable>
   </ModelVariables>
   <ModelStructure><Outputs><Unknown index="1" dependencies=""/></Outputs></ModelStructure>
 </fmiModelDescription>

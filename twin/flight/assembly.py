@@ -63,20 +63,19 @@ class Assembly:
             parts[part] = parts[part].with_starts({variable: value})
         return replace(self, parts=parts)
 
-    def with_seed(self, seed: int) -> "Assembly":
-        """The same with the seed of every part that draws noise."""
-        noisy = (
-            name
+    def seed_starts(self, seed: int) -> dict[str, float]:
+        """Start values that give a seed to every part that draws noise."""
+        return {
+            f"{name}.seed": float(seed)
             for name, part in self.parts.items()
             if any(v.name == "seed" for v in part.parameters)
-        )
-        return self.with_starts({f"{name}.seed": float(seed) for name in noisy})
+        }
 
-    def with_wind(self, wind_m_s: Iterable[float], gusts: bool = False) -> "Assembly":
-        """The same in a steady wind, velocity of the air NED, with gusts or without."""
-        names = (f"environment.wind.{a}" for a in "xyz")
-        starts = dict(zip(names, wind_m_s, strict=True))
-        return self.with_starts(starts | gust_switches(gusts))
+
+def wind_starts(wind_m_s: Iterable[float], gusts: bool = False) -> dict[str, float]:
+    """Start values of the air: a steady wind, velocity NED, with gusts or without."""
+    names = (f"environment.wind.{a}" for a in "xyz")
+    return dict(zip(names, wind_m_s, strict=True)) | gust_switches(gusts)
 
 
 def gust_switches(on: bool) -> dict[str, float]:

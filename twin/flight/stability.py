@@ -60,10 +60,21 @@ def _fly(vehicle: Vehicle, name: str) -> Mission:
     if not np.all(np.isfinite(flight.states)):
         return Mission(name, False, float("nan"), "the simulation diverges")
     worst, tilt = float(flight.miss_m.max()), float(flight.tilt_rad.max())
-    farthest = max(FARTHEST_M, FARTHEST_ARMS * vehicle.arm_m)
-    problems = []
-    if tilt > STEEPEST_RAD:
-        problems.append(f"tilts to {np.degrees(tilt):.0f} degrees")
-    if worst > farthest:
-        problems.append(f"{worst:.2f} m from the setpoint, more than {farthest:.2f} m")
-    return Mission(name, not problems, worst, "; ".join(problems))
+    problem = lost(worst, tilt, vehicle.arm_m)
+    return Mission(name, not problem, worst, problem)
+
+
+def lost(miss_m: float, tilt_rad: float, arm_m: float) -> str:
+    """Why a flight counts as lost; "" where it does not.
+
+    Args:
+        miss_m: Largest distance from the setpoint.
+        tilt_rad: Largest tilt.
+        arm_m: From the centre to a rotor.
+    """
+    farthest_m, problems = max(FARTHEST_M, FARTHEST_ARMS * arm_m), []
+    if not tilt_rad <= STEEPEST_RAD:
+        problems.append(f"tilts to {np.degrees(tilt_rad):.0f} degrees")
+    if not miss_m <= farthest_m:
+        problems.append(f"{miss_m:.2f} m from the setpoint, more than {farthest_m:.2f} m")
+    return "; ".join(problems)

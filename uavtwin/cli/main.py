@@ -32,6 +32,7 @@ from .gap import gap
 from .options import Exit
 from .printing import STDERR, STDOUT, print_error
 from .simulate import simulate
+from .sweep import sweep
 from .train import train
 from .vehicle import vehicle
 
@@ -54,7 +55,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 """Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
-    *(check, convert, gap, calibrate, explain, demo, export, simulate),
+    *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep),
     *(train, evaluate, generate, bench, version),
 )
 

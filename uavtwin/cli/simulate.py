@@ -85,7 +85,7 @@ def simulate(
         scenario,
         None if own_parts else load_vehicle(vehicle),
         controller,
-        _three(wind, "--wind"),
+        three_numbers(wind, "--wind"),
         gusts,
         seed,
         tuple(effect or ()),
@@ -179,7 +179,7 @@ def _end(run: "Run", out: Path) -> NoReturn:
     raise typer.Exit(Exit.FINDINGS)
 
 
-def _three(text: str, option: str) -> tuple[float, float, float]:
+def three_numbers(text: str, option: str) -> tuple[float, float, float]:
     """Three numbers separated by commas."""
     try:
         x, y, z = (float(part) for part in text.split(","))

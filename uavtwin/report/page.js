@@ -406,8 +406,17 @@
     figures.forEach(function (_, div) { draw(div); });
   }
 
+  function copies() {
+    document.querySelectorAll("button.copy").forEach(function (b) {
+      b.addEventListener("click", function () {
+        navigator.clipboard.writeText(b.dataset.text).then(function () { b.textContent = "copied"; });
+      });
+    });
+  }
+
   function begin() {
     window.drawAll = all;
+    copies();
     window.addEventListener("beforeprint", function () { printing = true; all(); redraw(); });
     window.addEventListener("afterprint", function () { printing = false; redraw(); });
     prefersDark.addEventListener("change", redraw);

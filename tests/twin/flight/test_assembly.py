@@ -10,7 +10,14 @@ from twin.component import ComponentBuilder
 from twin.effects import EFFECTS
 from twin.effects.definition import RECORD
 from twin.errors import ModelError
-from twin.flight.assembly import CONTROLLERS, Assembly, connected_by_name, driven_twin, flying_twin
+from twin.flight.assembly import (
+    CONTROLLERS,
+    Assembly,
+    connected_by_name,
+    driven_twin,
+    flying_twin,
+    wind_starts,
+)
 from twin.flight.mission import mission_names
 from twin.physics.rotors import Drive
 from twin.vehicle.file import load_vehicle
@@ -77,8 +84,11 @@ def start(assembly: Assembly, name: str) -> float:
 
 def test_seed_wind_and_starts_reach_their_parts() -> None:
     before = twin()
-    after = before.with_wind((1.0, 2.0, -0.5), gusts=True).with_seed(7)
-    after = after.with_starts({"airframe.mass": 0.03, "airframe.cmd_1": 0.5})
+    after = before.with_starts(
+        wind_starts((1.0, 2.0, -0.5), gusts=True)
+        | before.seed_starts(7)
+        | {"airframe.mass": 0.03, "airframe.cmd_1": 0.5}
+    )
     seeded = [k for k, p in before.parts.items() if any(v.name == "seed" for v in p.parameters)]
     assert {"environment", "imu", "magnetometer", "barometer", "position"} <= set(seeded)
     assert all(start(after, f"{part}.seed") == 7 for part in seeded)

@@ -1,0 +1,201 @@
+"""The design of a sweep: which factors are varied, and their values in each run.
+
+    method = "latin_hypercube"
+    runs = 1000
+    [vary]
+    "airframe.mass" = { low = 1.2, high = 1.6 }
+    "wind.speed" = { mean = 4.0, sd = 2.0, low = 0.0, high = 12.0 }
+    controller = ["lqr", "px4"]
+
+Sources: McKay, Beckman, Conover, Technometrics 21 (1979) for Latin hypercubes; Saltelli et al.,
+Computer Physics Communications 181 (2010) 259-270 for the design that Sobol' indices are read from.
+"""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from twin.component import unknown_name
+from twin.errors import TwinError
+
+from .distributions import Distribution, Value, distribution_of
+
+Array = NDArray[np.float64]
+METHODS = ("latin_hypercube", "sobol", "random", "grid", "saltelli")
+"""How points are chosen."""
+MOST_RUNS = 10_000_000
+DEFAULT_RUNS = 100
+_KEYS = ("method", "runs", "seed", "vary")
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What is varied, and how.
+
+    Attributes:
+        vary: Distribution of each factor.
+        method: Of `METHODS`.
+        runs: How many; None: as many as a grid has points, else `DEFAULT_RUNS`.
+        seed: Of the points, and of the noise of run 0; each run has the next one.
+    """
+
+    vary: Mapping[str, Distribution] = field(default_factory=dict)
+    method: str = "latin_hypercube"
+    runs: int | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise TwinError(unknown_name("sweep", "method", self.method, METHODS))
+        if self.runs is not None and not 1 <= self.runs <= MOST_RUNS:
+            raise TwinError(f"runs = {self.runs}: needs an integer of 1 to {MOST_RUNS}.")
+
+    @property
+    def continuous(self) -> bool:
+        """Whether points are drawn, and not counted."""
+        return self.method != "grid"
+
+    def points(self) -> list[dict[str, Value]]:
+        """The factors of each run, in order.
+
+        Raises:
+            TwinError: The method cannot have so many runs, or a factor of this kind.
+        """
+        if self.method == "grid":
+            return self._grid()
+        runs = DEFAULT_RUNS if self.runs is None else self.runs
+        if not self.vary:
+            return [{} for _ in range(runs)]
+        shares = self._shares(runs, len(self.vary))
+        columns = [d.at(shares[:, i]) for i, d in enumerate(self.vary.values())]
+        return [dict(zip(self.vary, row, strict=True)) for row in zip(*columns, strict=True)]
+
+    def _shares(self, runs: int, width: int) -> Array:
+        """Shares of probability, shape (runs, width)."""
+        rng = np.random.default_rng(self.seed)
+        if self.method == "random":
+            return rng.random((runs, width))
+        if self.method == "latin_hypercube":
+            return np.asarray(qmc.LatinHypercube(width, rng=rng).random(runs))
+        if self.method == "sobol":
+            if runs & (runs - 1):
+                low = 2 ** math.floor(math.log2(runs))
+                raise TwinError(
+                    f"sobol with {runs} runs: its points are balanced for powers of 2. Take {low} "
+                    f"or {2 * low} runs, or latin_hypercube."
+                )
+            return np.asarray(qmc.Sobol(width, rng=rng).random(runs))
+        return self._saltelli(runs, width, rng)
+
+    def _saltelli(self, runs: int, width: int, rng: np.random.Generator) -> Array:
+        """A, B, then A with each column of B in turn: (2 + width) n rows."""
+        n, rest = divmod(runs, width + 2)
+        if rest or n < 2 or n & (n - 1):
+            near = 2 ** max(1, round(math.log2(max(2.0, runs / (width + 2)))))
+            raise TwinError(
+                f"saltelli with {runs} runs of {width} factors: needs ({width} + 2) times a power "
+                f"of 2. Take {(width + 2) * near} runs."
+            )
+        both = np.asarray(qmc.Sobol(2 * width, rng=rng).random(n))
+        a, b = both[:, :width], both[:, width:]
+        mixed = [np.where(np.arange(width) == i, b, a) for i in range(width)]
+        return np.vstack([a, b, *mixed])
+
+    def _grid(self) -> list[dict[str, Value]]:
+        """All combinations, the last factor fastest."""
+        for name, d in self.vary.items():
+            if not d.levels:
+                raise TwinError(
+                    f"grid: {name} has no steps. Write {{ low = .., high = .., steps = 5 }} or a "
+                    f"list of values."
+                )
+        count = math.prod(len(d.levels) for d in self.vary.values())
+        if count > MOST_RUNS:
+            raise TwinError(f"grid: {count} combinations, at most {MOST_RUNS} are run.")
+        if self.runs is not None and self.runs != count:
+            raise TwinError(
+                f"grid: {count} combinations, --runs says {self.runs}. Leave it out, or choose "
+                f"another method."
+            )
+        combinations = product(*(d.levels for d in self.vary.values()))
+        return [dict(zip(self.vary, row, strict=True)) for row in combinations]
+
+
+def read_design(path: Path) -> Design:
+    """A design from a TOML file.
+
+    Raises:
+        TwinError: Not readable, or wrong; the text names file, key and value.
+    """
+    try:
+        content = tomllib.loads(path.read_text("utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise TwinError(f"{path}: no design: {error}") from error
+    for key in content:
+        if key not in _KEYS:
+            raise TwinError(unknown_name(path.name, "key", key, _KEYS))
+    vary = content.get("vary", {})
+    if not isinstance(vary, Mapping):
+        raise TwinError(f"{path.name}: vary = {vary!r}: is a table, [vary].")
+    for key in ("runs", "seed"):
+        if key in content and (type(content[key]) is not int or content[key] < 0):
+            raise TwinError(f"{path.name}: {key} = {content[key]!r}: needs an integer.")
+    return Design(
+        {name: distribution_of(name, given, path.name) for name, given in _flat(vary).items()},
+        str(content.get("method", "latin_hypercube")),
+        content.get("runs"),
+        content.get("seed", 0),
+    )
+
+
+_OF_DISTRIBUTION = {"low", "high", "mean", "sd", "scale", "steps"}
+
+
+def _flat(table: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """Names with dots, written in quotation marks or as tables within tables."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        deeper = isinstance(value, Mapping) and not value.keys() & _OF_DISTRIBUTION
+        flat |= _flat(value, f"{above}{key}.") if deeper and value else {f"{above}{key}": value}
+    return flat
+
+
+def factor_of(text: str) -> tuple[str, Distribution]:
+    """A factor of the command line: NAME=LOW:HIGH, NAME=LOW:HIGH:STEPS or NAME=A,B,C.
+
+    Raises:
+        TwinError: It is none.
+    """
+    name, equals, values = text.partition("=")
+    form = "write NAME=LOW:HIGH, NAME=LOW:HIGH:STEPS or NAME=A,B,C."
+    if not (name and equals and values):
+        raise TwinError(f"--vary {text}: {form}")
+    if ":" not in values:
+        return name, distribution_of(name, [_value(v) for v in values.split(",")], "--vary")
+    ends = values.split(":")
+    try:
+        given: dict[str, Any] = {"low": float(ends[0]), "high": float(ends[1])}
+        given |= {"steps": int(ends[2])} if len(ends) == 3 else {}
+    except ValueError:
+        ends = []
+    if len(ends) not in (2, 3):
+        raise TwinError(f"--vary {text}: {form}")
+    return name, distribution_of(name, given, "--vary")
+
+
+def _value(text: str) -> Value:
+    """A number, true, false, or a word."""
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,230 @@
+"""A sweep that was run: a row per run."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from shlex import quote
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from twin.effects import EFFECTS
+
+from ..output import output_file
+from ..shown import Shown, TextTable, counted
+from ..simulation import Scenario
+from .design import Design
+from .distributions import Value
+from .outcome import FIGURES, Outcome
+from .sensitivity import Influence, influences
+
+LED_BY = "tracking_worst_m"
+"""Figure by which runs are the worst, and which factors are held against."""
+WORST = 10
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SweepResult(Shown):
+    """What came of a sweep.
+
+    Attributes:
+        name: Of the scenario.
+        table: A row per run, in order: `run`, the factors, `outcome`, `why`, `time_s`, figures.
+        design: What was varied.
+        scenarios: Of each run.
+        vehicle: Name or file of what flies where no factor says another, "" for the usual one.
+    """
+
+    name: str
+    table: pd.DataFrame
+    design: Design
+    scenarios: Sequence[Scenario]
+    vehicle: str = ""
+
+    @property
+    def figures(self) -> list[str]:
+        """Columns that are figures of the outcome."""
+        return [c for c in self.table.columns if c in FIGURES or c.startswith("end.")]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many runs ended how."""
+        return {str(k): int(v) for k, v in self.table["outcome"].value_counts().items()}
+
+    @property
+    def claim(self) -> str:
+        """How it went, in one sentence."""
+        counts = self.counts
+        kinds = [k for k in ("flown", "run", "lost", "failed") if k in counts]
+        if len(kinds) == 1:
+            told = f"all {kinds[0]}"
+        else:
+            told = ", ".join(f"{counts[k]} {k}" for k in kinds)
+        text = f"{self.name}: {counted(self.table, 'run')}, {told}"
+        if LED_BY in self.table and self.table[LED_BY].notna().any():
+            half, most = np.nanpercentile(self.table[LED_BY], [50, 95])
+            text += (
+                f"; farthest from the setpoint {half:.2f} m in the median run, {most:.2f} m in the "
+                f"worst 5 %"
+            )
+        return text
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Of the figures, "" where it is not known."""
+        return {name: FIGURES.get(name, "") for name in self.figures}
+
+    @property
+    def led_by(self) -> str:
+        """Figure by which runs are compared: the distance from the setpoint where something flies,
+        else the first that there is; "" without any."""
+        known = [n for n in (LED_BY, *self.figures) if n in self.table]
+        return next((n for n in known if self.table[n].notna().sum() > 1), "")
+
+    def influences(self, figure: str = "") -> list[Influence]:
+        """Influence of every factor on a figure, the largest first.
+
+        Args:
+            figure: Column; default: `led_by`.
+        """
+        figure = figure or self.led_by
+        return influences(self.table, self.design, figure) if figure in self.table else []
+
+    def worst(self, count: int = WORST) -> pd.DataFrame:
+        """Rows of the runs that failed, were lost, or were farthest from the setpoint."""
+        order = self.table["outcome"].map({"failed": 0, "lost": 1}).fillna(2)
+        by = [order]
+        if LED_BY in self.table:
+            by.append(-self.table[LED_BY].fillna(np.inf))
+        places = np.lexsort([self.table["run"], *reversed(by)])
+        return self.table.iloc[places[:count]]
+
+    def again(self, run: int) -> str:
+        """The command that flies a run once more, with everything recorded."""
+        named = str(self.table["vehicle"][run]) if "vehicle" in self.table else self.vehicle
+        return command_of(self.scenarios[run], named)
+
+    def json(self) -> dict[str, Any]:
+        """The content of `sweep.json`."""
+        quantiles = {}
+        for name in self.figures:
+            known = self.table[name].dropna()
+            if len(known):
+                five, half, most = np.percentile(known, [5, 50, 95])
+                quantiles[name] = {"p5": float(five), "p50": float(half), "p95": float(most)}
+        told = self.influences()
+        return {
+            "scenario": self.name,
+            "method": self.design.method,
+            "runs": len(self.table),
+            "outcomes": self.counts,
+            "figures": quantiles,
+            "influences": [{k: _known(v) for k, v in asdict(i).items()} for i in told],
+            "worst": [int(run) for run in self.worst()["run"]],
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as Parquet; returns its path."""
+        with output_file(Path(path)) as file:
+            pq.write_table(pa.Table.from_pandas(self.table, preserve_index=False), file)
+        return Path(path)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        from ..report.sweep import write_sweep_report
+
+        with output_file(Path(path)) as file:
+            write_sweep_report(self, file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The claim, figures and what matters."""
+        yield self.claim
+        quantiles = self.json()["figures"]
+        rows = [
+            (name, *(f"{q[k]:.3g}" for k in ("p5", "p50", "p95")), self.units[name])
+            for name, q in quantiles.items()
+        ]
+        if rows:
+            yield TextTable(("figure", "5 %", "median", "95 %", "unit"), tuple(rows))
+        told = [i for i in self.influences() if i.size >= 0]
+        if told:
+            shares = any(np.isfinite(i.total) for i in told)
+            head = (f"what matters for {self.led_by}", "rank", "alone", "in all")
+            rows = [(i.factor, *map(_short, (i.rank, i.first, i.total))) for i in told]
+            width = 4 if shares else 2
+            yield TextTable(head[:width], tuple(row[:width] for row in rows))
+
+    def brief(self) -> str:
+        """How many runs of what."""
+        return f"{type(self).__name__}: {self.name}, {counted(self.table, 'run')}"
+
+
+def _short(value: float) -> str:
+    """Two digits, nothing where it is not known."""
+    return f"{value:.2f}" if np.isfinite(value) else ""
+
+
+def _known(value: Any) -> Any:
+    """A number as JSON has it: null where it is not known."""
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def table_of(points: Sequence[Mapping[str, Value]], outcomes: Iterable[Outcome]) -> pd.DataFrame:
+    """A row per run, in order, whatever order the outcomes come in.
+
+    Args:
+        points: Factors of each run.
+        outcomes: One of each run.
+    """
+    count = len(points)
+    texts: dict[str, list[str]] = {"outcome": [""] * count, "why": [""] * count}
+    numbers: dict[str, np.ndarray] = {"time_s": np.full(count, np.nan)}
+    for o in outcomes:
+        texts["outcome"][o.run], texts["why"][o.run] = o.outcome, o.why
+        for name, value in {"time_s": o.time_s, **o.figures}.items():
+            if name not in numbers:
+                numbers[name] = np.full(count, np.nan)
+            numbers[name][o.run] = value
+    first = points[0] if points else {}
+    known = [*FIGURES, *sorted(n for n in numbers if n.startswith("end."))]
+    return pd.DataFrame(
+        {
+            "run": np.arange(count),
+            **{name: [p[name] for p in points] for name in first},
+            **texts,
+            "time_s": numbers["time_s"],
+            **{name: numbers[name] for name in known if name in numbers},
+        }
+    )
+
+
+def command_of(scenario: Scenario, vehicle: str = "") -> str:
+    """`uavtwin simulate` of a scenario.
+
+    Args:
+        scenario: Of a run.
+        vehicle: Name or file of its vehicle, where it is not the usual one.
+    """
+    parts = ["uavtwin", "simulate", str(scenario.target)]
+    if not scenario.is_system:
+        if vehicle:
+            parts += ["--vehicle", vehicle]
+        if any(scenario.wind_m_s):
+            parts.append("--wind=" + ",".join(repr(v) for v in scenario.wind_m_s))
+        parts += ["--gusts"] if scenario.gusts else []
+        parts += ["--seed", str(scenario.seed), "--controller", scenario.controller]
+        for name in scenario.effects:
+            parts += ["--effect", name]
+        if scenario.fused:
+            parts.append("--fused")
+    starts = dict(scenario.starts)
+    if isinstance(scenario.effects, Mapping):
+        for name, numbers in scenario.effects.items():
+            starts |= {f"{EFFECTS[name].component}.{name}.{k}": v for k, v in numbers.items()}
+    for name, value in starts.items():
+        parts += ["--start", f"{name}={value!r}"]
+    return " ".join(map(quote, parts))
