@@ -15,13 +15,14 @@ from pathlib import Path
 from benchmarks.planted import flown, model_of_library, shown, unsteady
 from twin.effects import EFFECTS
 from twin.explain.model.model import has_mean
+from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.degenerate import degenerate
-from uavtwin.report.drawing.series import columns_of
-from uavtwin.report.evidence.plots import SERIES, steady_evidence, unsteady_evidence
+from uavtwin.report.evidence.plots import steady_evidence, unsteady_evidence
 from uavtwin.report.page import Plot, render
 
 HERE = Path(__file__).parent
 ON_A_PAGE = 10
+DRAWN = Budget(300)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +50,12 @@ def entry(effect: str) -> Entry:
     Args:
         effect: Identifier.
     """
-    columns = columns_of(SERIES * ON_A_PAGE)
     if has_mean(EFFECTS[effect]):
         found = shown(effect, model_of_library(flown(effect)))
-        plots, how = steady_evidence(found.acts, found.with_it, found.model.flights, columns)
+        plots, how = steady_evidence(found.acts, found.with_it, found.model.flights, DRAWN)
     else:
         seen = unsteady(effect)
-        plots, how = unsteady_evidence(
-            seen.found, seen.flight, seen.residuals, seen.vehicle, columns
-        )
+        plots, how = unsteady_evidence(seen.found, seen.flight, seen.residuals, seen.vehicle, DRAWN)
     faults = [f"{p.id}: {fault}" for p in plots for fault in degenerate(p)]
     return Entry(effect, EFFECTS[effect].meaning, plots, how, faults if plots else ["no figure"])
 

@@ -15,6 +15,7 @@ from twin.logs.columns import GYRO, POS, QUAT, VEL, motor_columns
 from twin.representation import short_repr
 from twin.residuals.spectra import slow_part
 
+from .drawing.budget import Budget
 from .drawing.panels import Panels, Spans
 from .drawing.series import thinned
 from .drawing.spectrogram import Spectrogram, spectrogram
@@ -22,8 +23,6 @@ from .drawing.strip import Strip, strip
 from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot
 
 Array = NDArray[np.float64]
-SERIES = 24
-"""Curves of setpoint and flight, at most, that share the numbers of a page."""
 MOST_MESSAGES = 200
 MOST_PARAMETERS = 300
 """Rows of a page, of all its flights together at most five times as many."""
@@ -129,7 +128,7 @@ def _wrapped(angle: Array) -> Array:
 
 
 def told_content(
-    name: str, told: Told, phases: Spans, columns: int, share: float = 1.0
+    name: str, told: Told, phases: Spans, budget: Budget, share: float = 1.0
 ) -> dict[str, Any]:
     """What the template `autopilot.html.j2` shows of a flight.
 
@@ -137,15 +136,17 @@ def told_content(
         name: Begins the identifiers, and is the group of the time axes.
         told: Of the flight.
         phases: Drawn as coloured background.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
         share: Of the rows that a page has room for.
     """
     said = told.autopilot or Autopilot()
     words: Strip | None = strip(name, told.autopilot, told.end_s)
     return {
         "strip": words,
-        "followed": [_followed_plot(name, f, phases, columns) for f in told.followed],
-        "spectrogram": None if told.vibration is None else _vibration_plot(name, told, phases),
+        "followed": [_followed_plot(name, f, phases, budget) for f in told.followed],
+        "spectrogram": None
+        if told.vibration is None
+        else _vibration_plot(name, told, phases, budget),
         "spectrogram_note": _vibration_note(told),
         "modes": said.mode_stretches(told.end_s)[:MOST_MESSAGES],
         "armed": said.armed[:MOST_MESSAGES],
@@ -168,7 +169,7 @@ def _listed(parameters: Sequence[Parameter], most: int) -> list[tuple[str, str, 
     return [(p.name, f"{p.value:.7g}", f"{p.default:.7g}") for p in parameters[:most]]
 
 
-def _followed_plot(name: str, shown: Followed, phases: Spans, columns: int) -> Plot:
+def _followed_plot(name: str, shown: Followed, phases: Spans, budget: Budget) -> Plot:
     panels = Panels((_ROW_PX,) * len(shown.axes), name)
     times = []
     for axis, flown, asked in shown.axes:
@@ -178,20 +179,20 @@ def _followed_plot(name: str, shown: Followed, phases: Spans, columns: int) -> P
             (asked, ASKED, BLUE, "dash"),
         ):
             line = {"color": colour, "width": 1.5, "dash": dash}
-            panels.line(number, *thinned(t, values, columns), label, line)
+            panels.line(number, *thinned(t, values, budget.columns), label, line)
         times.append(flown[0])
     panels.look(min(float(t[0]) for t in times), max(float(t[-1]) for t in times), phases)
     label = f"{shown.words}: setpoint and flight over time"
     return plot(f"{name}-setpoint-{shown.words}", label, panels.figure)
 
 
-def _vibration_plot(name: str, told: Told, phases: Spans) -> Plot:
+def _vibration_plot(name: str, told: Told, phases: Spans, budget: Budget) -> Plot:
     """Power over time and frequency; rotors and filters as lines on it."""
     assert told.vibration is not None
     shown = told.vibration
     panels = Panels((_SPECTROGRAM_PX,), name)
     axes = panels.add("frequency, Hz", y={"range": [0, shown.top_hz]})
-    panels.layout["meta"]["spectrogram"] = shown.content()
+    panels.layout["meta"]["spectrogram"] = shown.content(budget.cells)
     ends = np.array([shown.start_s, shown.end_s])
     for i, (t, hz) in enumerate(told.rotors):
         if np.nanmin(hz, initial=np.inf) < shown.top_hz:

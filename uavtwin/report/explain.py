@@ -14,11 +14,10 @@ from twin.explain.estimates import (
 )
 from twin.explain.explanation import Explanation
 
-from .autopilot import SERIES as SERIES_ASKED
 from .autopilot import told_content
-from .drawing.series import columns_of
+from .drawing.budget import Budget, fitted
 from .drawing.strip import Strip, strip
-from .evidence.plots import SERIES, phases_of, steady_evidence, time_group, unsteady_evidence
+from .evidence.plots import phases_of, steady_evidence, time_group, unsteady_evidence
 from .evidence.steady import before_after_figure
 from .figures import pretty_unit
 from .gap import number, percent
@@ -41,8 +40,6 @@ from .words import (
 
 MOST_AFFECTED = 2
 """Channels of an effect that are drawn over time."""
-TIME_SERIES = 30
-"""Series of a held-out flight, about, that share the numbers of a page."""
 
 
 def write_explain_report(found: Explanation, path: Path) -> None:
@@ -52,10 +49,13 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         found: What was found.
         path: HTML file to write; an existing one is replaced.
     """
+    path.write_text(fitted(lambda budget: _page(found, budget)), encoding="utf-8")
+
+
+def _page(found: Explanation, budget: Budget) -> str:
+    """Text of the page."""
     told = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
-    held = 0 if found.comparison is None else len(found.comparison.model.flights)
-    columns = columns_of(SERIES * len(told) + TIME_SERIES * held + SERIES_ASKED)
-    page = render(
+    return render(
         "explain.html.j2",
         {
             "number": number,
@@ -66,23 +66,22 @@ def write_explain_report(found: Explanation, path: Path) -> None:
         claim=claim(found),
         found=found,
         shrinking=shrinking(found),
-        effects=[_effect(found, e, columns) for e in told],
-        flight=_flight(found, columns),
+        effects=[_effect(found, e, budget) for e in told],
+        flight=_flight(found, budget),
         strips=_strips(found),
-        before_after=_before_after(found, columns),
+        before_after=_before_after(found, budget),
         gaps=() if found.comparison is None else found.comparison.gaps,
         alike=[] if found.naming is None else found.naming.resemblances,
         calibrated=calibrated_rows(found),
         days=day_rows(found),
         stable=all(m.stable for m in found.missions),
     )
-    path.write_text(page, encoding="utf-8")
 
 
-def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
+def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
     """One effect as the template reads it."""
     channels, phases = where_felt(found, effect)
-    figures, how = _evidence(found, effect, columns)
+    figures, how = _evidence(found, effect, budget)
     return {
         "name": title(effect),
         "meaning": meaning(effect),
@@ -115,15 +114,15 @@ def _effect(found: Explanation, effect: str, columns: int) -> dict[str, Any]:
     }
 
 
-def _flight(found: Explanation, columns: int) -> dict[str, Any]:
+def _flight(found: Explanation, budget: Budget) -> dict[str, Any]:
     """The last recorded flight, held out where one was: its track, motors and battery."""
     if not found.recorded:
         return {"name": "", "track": [], "logged": None, "told": None}
     flight = found.recorded[-1]
     phases = flight_spans(flight)
     shown = overview(flight)
-    track, logged = overview_plots("flight", shown, phases, columns=columns)
-    told = told_content("flight", shown.told, phases, columns)
+    track, logged = overview_plots("flight", shown, phases, budget)
+    told = told_content("flight", shown.told, phases, budget)
     return {"name": flight.name, "track": track, "logged": logged, "told": told}
 
 
@@ -137,23 +136,23 @@ def _strips(found: Explanation) -> list[Strip]:
     return [s for s in strips if s is not None]
 
 
-def _evidence(found: Explanation, effect: str, columns: int) -> tuple[list[Plot], str]:
+def _evidence(found: Explanation, effect: str, budget: Budget) -> tuple[list[Plot], str]:
     """Figures that convince of an effect, and how to read them; none where there is nothing."""
     acts = next((a for a in found.attributions if a.effect == effect), None)
     compared = found.comparison
     if acts is not None and compared is not None:
-        return steady_evidence(acts, compared.after, compared.model.flights, columns)
+        return steady_evidence(acts, compared.after, compared.model.flights, budget)
     unsteady = beside_mean(found, effect)
     felt = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
     if unsteady is None or not felt:
         return [], ""
     if compared is None or not isinstance(EFFECTS[effect].seen_as, RandomForce):
-        return unsteady_evidence(unsteady, felt[-1], (), found.vehicle, columns)
+        return unsteady_evidence(unsteady, felt[-1], (), found.vehicle, budget)
     flight = compared.model.flights[0].flight
-    return unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, columns)
+    return unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, budget)
 
 
-def _before_after(found: Explanation, columns: int) -> list[Plot]:
+def _before_after(found: Explanation, budget: Budget) -> list[Plot]:
     """Figures over time of the most affected channels."""
     compared = found.comparison
     if compared is None or not found.values:
@@ -167,7 +166,7 @@ def _before_after(found: Explanation, columns: int) -> list[Plot]:
                 for channels in (compared.before, compared.after)
             )
             spans = phases_of(flight)
-            figure = before_after_figure(before, after, spans, time_group(i), columns)
+            figure = before_after_figure(before, after, spans, time_group(i), budget)
             label = f"{name} of {flight.flight.name}, before and after, over time"
             figures.append(plot(f"time-{name}-{i}", label, figure))
     return figures

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from twin.residuals.gap import Channel
 from twin.residuals.spectra import Spectrum, spectrum
 
+from .drawing.budget import Budget
 from .drawing.panels import GAP_PX, Axis, Panels, Spans
 from .drawing.series import DENSE_HZ, TREND_HZ, thinned
 from .page import BLACK, BLUE, GREY, Figure
@@ -17,18 +18,15 @@ Array = NDArray[np.float64]
 
 MEASURED, TWIN, RESIDUAL = "measured", "nominal twin", "residual (measured - twin)"
 SIGNAL_PX, RESIDUAL_PX = 165, 96
-SPECTRUM_COLUMNS = 90
 _LINES = (  # name, colour, dash, width over time
     (MEASURED, BLACK, "solid", 1.4),
     (TWIN, BLUE, "dash", 1.8),
     (RESIDUAL, GREY, "solid", 1.2),
 )
-SERIES_OF_CHANNEL = 9
-"""Curves, bands and spectra of a channel, about, that share the numbers of a page."""
 
 
 def channel_figures(
-    channels: Sequence[Channel], phases: Spans, time: str, columns: int
+    channels: Sequence[Channel], phases: Spans, time: str, budget: Budget
 ) -> tuple[Figure, Figure | None, str]:
     """Measured, twin and residual over time, one pair of panels per channel, and their spectra.
 
@@ -36,7 +34,7 @@ def channel_figures(
         channels: Of one quantity and horizon.
         phases: Drawn as coloured background.
         time: Group of figures whose time axes move together.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
 
     Returns:
         The figure over time; the spectra, one panel per channel, None where samples are too few;
@@ -45,7 +43,7 @@ def channel_figures(
     panels = Panels((SIGNAL_PX, RESIDUAL_PX) * len(channels), time)
     banded = False
     for channel in channels:
-        banded |= _add_time(panels, channel, columns)
+        banded |= _add_time(panels, channel, budget)
     ends = [(float(c.t_s[0]), float(c.t_s[-1])) for c in channels if len(c.t_s)]
     if ends:
         panels.look(min(e[0] for e in ends), max(e[1] for e in ends), phases)
@@ -60,7 +58,7 @@ def channel_figures(
         "spectra: Welch, samples resampled on their median rate "
         f"({', '.join(f'{r} Hz' for r in rates)})"
     )
-    return panels.figure, _spectra_figure(channels, spectra), "; ".join(notes)
+    return panels.figure, _spectra_figure(channels, spectra, budget), "; ".join(notes)
 
 
 def _three(channel: Channel) -> tuple[Array, Array, Array]:
@@ -68,14 +66,14 @@ def _three(channel: Channel) -> tuple[Array, Array, Array]:
     return channel.measured, channel.simulated, channel.residual
 
 
-def _add_time(panels: Panels, channel: Channel, columns: int) -> bool:
+def _add_time(panels: Panels, channel: Channel, budget: Budget) -> bool:
     """Measured over twin, and the residual below; whether bands were drawn."""
     unit = pretty_unit(channel.unit)
     axes = [panels.add(f"{what}, {unit}") for what in (channel.name, "residual")]
     banded = False
     for i, (y, (name, color, dash, width)) in enumerate(zip(_three(channel), _LINES, strict=True)):
         line = {"color": color, "width": width, "dash": dash}
-        shown = panels.series(axes[i == 2], channel.t_s, y, name, line, columns)
+        shown = panels.series(axes[i == 2], channel.t_s, y, name, line, budget.columns)
         banded |= shown.band is not None
     finite = channel.residual[np.isfinite(channel.residual)]
     if len(finite) >= 20:  # 95 % of the residuals lie in the band
@@ -84,7 +82,9 @@ def _add_time(panels: Panels, channel: Channel, columns: int) -> bool:
     return banded
 
 
-def _spectra_figure(channels: Sequence[Channel], spectra: Sequence[Sequence[Spectrum]]) -> Figure:
+def _spectra_figure(
+    channels: Sequence[Channel], spectra: Sequence[Sequence[Spectrum]], budget: Budget
+) -> Figure:
     """Power spectral densities of measured, twin and residual, log-log, beside the panels over
     time."""
     panels = Panels((SIGNAL_PX + RESIDUAL_PX + GAP_PX,) * len(channels))
@@ -100,7 +100,7 @@ def _spectra_figure(channels: Sequence[Channel], spectra: Sequence[Sequence[Spec
         axes = panels.add(title, frequency, density)
         for s, (name, color, dash, _) in zip(three, _LINES, strict=True):
             keep = (s.f_hz > 0) & (s.psd > 0)
-            f, log_psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), SPECTRUM_COLUMNS)
+            f, log_psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), budget.spectrum)
             panels.line(
                 axes,
                 10**f,

@@ -1,6 +1,6 @@
 """The gap report: one HTML file, claim first, figures second, numbers in a table.
 
-The page embeds plotly.js once and fetches nothing. Figures are stored as JSON and drawn when
+The page embeds plotly.js once and fetches nothing. Figures are stored once, packed, and drawn when
 they come into view, so a page with many flights opens at once.
 """
 
@@ -25,17 +25,18 @@ from twin.residuals.gap import (
 )
 from twin.residuals.spectra import SLOW_HZ
 
-from .autopilot import SERIES as SERIES_ASKED
 from .autopilot import told_content
+from .drawing.budget import Budget, fitted
 from .drawing.panels import Spans
-from .drawing.series import COLUMNS, columns_of
-from .figures import SERIES_OF_CHANNEL, channel_figures, pretty_unit
+from .figures import channel_figures, pretty_unit
 from .hover import hover_sentence
 from .overview import Overview, overview_plots
 from .page import Plot, plot, render
 
-FLIGHTS_IN_FULL = 5
-"""Of more flights on a page, fewer messages and parameters of each are listed."""
+FULLY_TOLD = 5
+"""Of more flights, fewer messages and parameters of each are listed."""
+MOST_LISTED = 200
+"""Rows of the table of flights."""
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
 of the built-in flights alone it reaches 0.08."""
@@ -94,42 +95,122 @@ def write_gap_report(
 ) -> None:
     """Write the report of one or more flights against their twin.
 
-    The same gaps give the same bytes: identifiers are counted, no time is written.
+    The same gaps give the same bytes: identifiers are counted, no time is written. Of more flights
+    than a page has room for, those are drawn whose twin is furthest off; all are listed.
 
     Args:
         gaps: One per flight.
         path: HTML file to write; an existing one is replaced.
         overviews: What each flight was; none: pages begin with the gap.
     """
-    pooled = summaries(gaps)
-    places = rank(pooled)
-    series = SERIES_OF_CHANNEL * sum(len(c.t_s) > 2 * COLUMNS[0] for g in gaps for c in g.channels)
-    series += SERIES_ASKED * sum(bool(o.told.followed) for o in overviews)
-    horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
-    page = render(
-        "report.html.j2",
-        {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
-        claim=claim(places),
-        detail=_detail(places),
-        hover=[f"{g.flight}: {hover_sentence(g.vehicle, g.means)}" for g in gaps if g.means],
-        places=places[:6],
-        slow_hz=SLOW_HZ,
-        band_hz=BAND_HZ,
-        horizons=horizons,
-        teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
-        pooled=pooled if len(gaps) > 1 else {},
-        flights=[
-            _flight(
-                i,
-                gap,
-                columns_of(series),
-                overviews[i] if overviews else None,
-                min(1.0, FLIGHTS_IN_FULL / len(gaps)),
-            )
-            for i, gap in enumerate(gaps)
-        ],
+    scored = _Scored(
+        tuple(gaps),
+        tuple(overviews) or (None,) * len(gaps),
+        summaries(gaps),
+        tuple(tuple(summarise(c) for c in g.channels) for g in gaps),
     )
-    path.write_text(page, encoding="utf-8")
+    path.write_text(fitted(scored.page, len(gaps)), encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True)
+class _Scored:
+    """Flights with what does not depend on how they are drawn.
+
+    Attributes:
+        gaps: One per flight.
+        overviews: One per flight; None: not kept.
+        pooled: Every channel over all flights.
+        summed: Every channel of each flight.
+    """
+
+    gaps: tuple[FlightGap, ...]
+    overviews: tuple[Overview | None, ...]
+    pooled: Mapping[str, Summary]
+    summed: tuple[tuple[Summary, ...], ...]
+
+    def page(self, budget: Budget) -> str:
+        """Text of the page."""
+        gaps, places = self.gaps, rank(self.pooled)
+        drawn = self._furthest_off(budget.parts)
+        horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
+        share = min(1.0, FULLY_TOLD / max(len(drawn), 1))
+        return render(
+            "report.html.j2",
+            {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
+            claim=claim(places),
+            detail=_detail(places),
+            hover=[_hover(gaps[i], f"{gaps[i].flight}: ") for i in drawn if gaps[i].means],
+            places=places[:6],
+            slow_hz=SLOW_HZ,
+            band_hz=BAND_HZ,
+            horizons=horizons,
+            teacher_forced=any(c.horizon_s == 0 for g in gaps for c in g.channels),
+            pooled=self.pooled if len(gaps) > 1 else {},
+            count=len(gaps),
+            columns=budget.columns
+            if any(len(c.t_s) > 2 * budget.columns for g in gaps for c in g.channels)
+            else 0,
+            listed=self._listed(drawn) if len(drawn) < len(gaps) else [],
+            flights=[self._flight(i, budget, share) for i in drawn],
+        )
+
+    def _furthest_off(self, most: int) -> list[int]:
+        """Flights that are drawn, in the order in which they were given."""
+        if len(self.gaps) <= most:
+            return list(range(len(self.gaps)))
+        places = [rank({s.name: s for s in summed})[:1] for summed in self.summed]
+        worst = sorted(
+            range(len(places)), key=lambda i: -max([p.weight for p in places[i]], default=-1.0)
+        )
+        return sorted(worst[:most])
+
+    def _listed(self, drawn: Sequence[int]) -> list[dict[str, Any]]:
+        """Rows of the table of flights, those that are drawn first."""
+        others = [i for i in range(len(self.gaps)) if i not in drawn]
+        return [
+            {
+                "id": f"flight{i}" if i in drawn else "",
+                "name": self.gaps[i].flight,
+                "duration_s": self.gaps[i].duration_s,
+                "claim": claim(rank({s.name: s for s in self.summed[i]})),
+                "hover": _hover(self.gaps[i]) if self.gaps[i].means else "",
+            }
+            for i in [*drawn, *others][:MOST_LISTED]
+        ]
+
+    def _flight(self, index: int, budget: Budget, share: float) -> dict[str, Any]:
+        """Figures and tables of one flight, as the template reads them."""
+        gap, shown, summed = self.gaps[index], self.overviews[index], self.summed[index]
+        name, phases = f"flight{index}", gap.phases
+        ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
+        track: list[Plot] = []
+        logged = told = None
+        if shown is not None:
+            track, logged = overview_plots(name, shown, phases, budget, ends)
+            told = told_content(name, shown.told, phases, budget, share)
+        return {
+            "track": track,
+            "logged": logged,
+            "told": told,
+            "id": name,
+            "name": gap.flight,
+            "vehicle": gap.vehicle,
+            "duration_s": gap.duration_s,
+            "phases": phases,
+            "claim": claim(rank({s.name: s for s in summed})),
+            "figures": [
+                _figure(name, kind, members, phases, budget)
+                for kind, members in _grouped(gap.channels)
+            ],
+            "rows": _rows(summed),
+            "facts": gap.facts,
+            "warnings": gap.warnings,
+        }
+
+
+def _hover(gap: FlightGap, before: str = "") -> str:
+    """What the hover of a flight says of the twin."""
+    return before + hover_sentence(gap.vehicle, gap.means) if gap.means else ""
 
 
 def claim(places: Sequence[Ranked]) -> str:
@@ -190,44 +271,11 @@ def _detail(places: Sequence[Ranked]) -> str:
     return text
 
 
-def _flight(
-    index: int, gap: FlightGap, columns: int, shown: Overview | None, share: float
-) -> dict[str, Any]:
-    """Figures and tables of one flight, as the template reads them."""
-    summed = [summarise(c) for c in gap.channels]
-    ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
-    track, logged = (
-        ([], None)
-        if shown is None
-        else overview_plots(f"flight{index}", shown, gap.phases, ends, columns)
-    )
-    return {
-        "track": track,
-        "logged": logged,
-        "told": None
-        if shown is None
-        else told_content(f"flight{index}", shown.told, gap.phases, columns, share),
-        "id": f"flight{index}",
-        "name": gap.flight,
-        "vehicle": gap.vehicle,
-        "duration_s": gap.duration_s,
-        "phases": gap.phases,
-        "claim": claim(rank({s.name: s for s in summed})),
-        "figures": [
-            _figure(f"flight{index}", kind, members, gap.phases, columns)
-            for kind, members in _grouped(gap.channels)
-        ],
-        "rows": _rows(summed),
-        "facts": gap.facts,
-        "warnings": gap.warnings,
-    }
-
-
 def _figure(
-    flight: str, kind: _Kind, channels: Sequence[Channel], phases: Spans, columns: int
+    flight: str, kind: _Kind, channels: Sequence[Channel], phases: Spans, budget: Budget
 ) -> _Figure:
     """The figures of the channels of one kind and horizon."""
-    over_time, spectra, note = channel_figures(channels, phases, flight, columns)
+    over_time, spectra, note = channel_figures(channels, phases, flight, budget)
     horizon_s = channels[0].horizon_s
     name = f"{flight}-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms"
     label = f"{kind.title}, {_mode(horizon_s)}: measured, twin and residual"

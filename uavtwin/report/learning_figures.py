@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from twin.residuals.spectra import spectrum
 
+from .drawing.budget import Budget
 from .drawing.panels import Panels
 from .drawing.series import thinned
-from .figures import SPECTRUM_COLUMNS, pretty_unit
+from .figures import pretty_unit
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ _LOSSES = {
     "distribution": "#b58900",
     "validation": BLACK,
 }
-SERIES_OF_CORRECTION = 7
-"""Curves of a figure of a correction, about, that share the numbers of a page."""
 
 
 def curve_figure(curve: Sequence[Mapping[str, Any]], best_epoch: int) -> Figure:
@@ -73,7 +72,7 @@ def correction_figure(
     lines: Mapping[str, Array],
     spread: Array,
     time: str,
-    columns: int,
+    budget: Budget,
 ) -> Figure:
     """Measured, twin, explained twin and corrected twin over time, and what is left below.
 
@@ -84,7 +83,7 @@ def correction_figure(
         lines: Some of `_LINES`, shape (n,) each; "measured" and "corrected twin" among them.
         spread: Predicted standard deviation of what is left, shape (n,).
         time: Group of figures whose time axes move together.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     shown = pretty_unit(unit)
     panels = Panels((214, 126), time)
@@ -92,9 +91,9 @@ def correction_figure(
     for line, values in lines.items():
         colour, dash, width = _LINES[line]
         style = {"color": colour, "dash": dash, "width": width}
-        panels.series(axes, t_s, values, line, style, columns)
+        panels.series(axes, t_s, values, line, style, budget.columns)
     axes = panels.add(f"left, {shown}")
-    t, edge = thinned(t_s, 2 * spread, columns // 2)
+    t, edge = thinned(t_s, 2 * spread, budget.columns // 2)
     panels.line(
         axes,
         np.concatenate([t, t[::-1]]),
@@ -109,18 +108,21 @@ def correction_figure(
     for line in ("twin", "corrected twin"):
         style = {"color": _LINES[line][0], "width": 1}
         left = lines["measured"] - lines[line]
-        panels.series(axes, t_s, left, f"measured - {line}", style, columns)
+        panels.series(axes, t_s, left, f"measured - {line}", style, budget.columns)
     panels.look(float(t_s[0]), float(t_s[-1]), ())
     return panels.figure
 
 
-def spectra_figure(names: Sequence[str], t_s: Array, lines: Mapping[str, Array]) -> Figure:
+def spectra_figure(
+    names: Sequence[str], t_s: Array, lines: Mapping[str, Array], budget: Budget
+) -> Figure:
     """Power spectra of several signals, a panel per channel.
 
     Args:
         names: Of the channels.
         t_s: Times of the samples, shape (n,).
         lines: By name, shape (n, channels).
+        budget: Of the page.
     """
     panels = Panels((150,) * len(names))
     for i, name in enumerate(names):
@@ -133,23 +135,23 @@ def spectra_figure(names: Sequence[str], t_s: Array, lines: Mapping[str, Array])
             found = spectrum(t_s, values[:, i])
             keep = (found.f_hz > 0) & (found.psd > 0)
             f, psd = np.log10(found.f_hz[keep]), np.log10(found.psd[keep])
-            f, psd = thinned(f, psd, SPECTRUM_COLUMNS)
+            f, psd = thinned(f, psd, budget.spectrum)
             panels.line(axes, 10**f, 10**psd, line, {"color": colour, "width": 1.2})
     return panels.figure
 
 
-def anomaly_figure(t_s: Array, anomaly: Array, time: str, columns: int) -> Figure:
+def anomaly_figure(t_s: Array, anomaly: Array, time: str, budget: Budget) -> Figure:
     """Anomaly score over time, with the level above which it is an alarm.
 
     Args:
         t_s: Times of the samples, shape (n,).
         anomaly: Shape (n,).
         time: Group of figures whose time axes move together.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     panels = Panels((194,), time)
     axes = panels.add("anomaly score", None, {"rangemode": "tozero"})
-    t, score = thinned(t_s, anomaly, columns)
+    t, score = thinned(t_s, anomaly, budget.columns)
     panels.line(axes, t, score, "anomaly score", {"color": "#c23b66", "width": 1.2})
     ends = np.array([t_s[0], t_s[-1]], dtype=np.float64)
     panels.line(axes, ends, np.ones(2), "alarm", {"color": GREY, "width": 1.2, "dash": "dot"})

@@ -13,6 +13,7 @@ from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
 from .autopilot import Told, told_of
+from .drawing.budget import Budget
 from .drawing.panels import Panels, Spans
 from .drawing.series import thinned
 from .drawing.track import Track, track_plots
@@ -106,8 +107,8 @@ def overview_plots(
     name: str,
     shown: Overview,
     phases: Spans,
+    budget: Budget,
     ends: Sequence[Channel] = (),
-    columns: int = HELD // 2,
 ) -> tuple[list[Plot], Plot | None]:
     """The tracks, and motors and battery over time.
 
@@ -115,9 +116,9 @@ def overview_plots(
         name: Begins the identifiers, and is the group of the time axes.
         shown: The flight.
         phases: Drawn as coloured background.
+        budget: Of the page.
         ends: Channels north, east and down of the position of a twin that restarts from the
             measured state again and again, at the end of each stretch.
-        columns: Columns of pixels that a series over time may take.
 
     Returns:
         The pictures of the track, and the figure over time; none and None where nothing is logged.
@@ -128,8 +129,8 @@ def overview_plots(
         tracks.append(Track("measured", t, position, BLACK))
         if len(ends) == 3 and len(ends[0].t_s):
             tracks.append(_restarted(t, position, ends))
-    pictures = track_plots(name, tracks, shown.attitude) if tracks else []
-    return pictures, _over_time(name, shown, phases, columns)
+    pictures = track_plots(name, tracks, budget, shown.attitude) if tracks else []
+    return pictures, _over_time(name, shown, phases, budget)
 
 
 def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
@@ -144,7 +145,7 @@ def _restarted(t_s: Array, position_m: Array, ends: Sequence[Channel]) -> Track:
     return Track(label, np.repeat(ends[0].t_s, 3), strokes, BLUE)
 
 
-def _over_time(name: str, shown: Overview, phases: Spans, columns: int) -> Plot | None:
+def _over_time(name: str, shown: Overview, phases: Spans, budget: Budget) -> Plot | None:
     """Motors and battery."""
     count = len(shown.motors) + len(shown.battery)
     if count == 0:
@@ -156,12 +157,12 @@ def _over_time(name: str, shown: Overview, phases: Spans, columns: int) -> Plot 
         for i, (t, values) in enumerate(lines):
             line = {"color": _MOTORS[i], "width": 1.2}
             label = f"motor {i + 1}"
-            panels.line(axes, *thinned(t, values, columns), label, line, legendgroup=label)
+            panels.line(axes, *thinned(t, values, budget.columns), label, line, legendgroup=label)
             times.append(t)
     for words, t, values in shown.battery:
         axes = panels.add(words)
         label, line = words.partition(",")[0], {"color": GREY, "width": 1.4}
-        panels.line(axes, *thinned(t, values, columns), label, line)
+        panels.line(axes, *thinned(t, values, budget.columns), label, line)
         times.append(t)
     panels.look(min(float(t[0]) for t in times), max(float(t[-1]) for t in times), phases)
     label = "Motor commands, rotor speeds and battery over time, as logged"

@@ -7,6 +7,7 @@
   var coarse = window.matchMedia("(pointer: coarse)").matches;
   var printing = false;
   var figures = new Map(); // element -> {given, drawn}
+  var stored = {}; // what they hold, by identifier
   var ranges = {}; // what is looked at, by group of linked time axes
   var strips = {}; // what an autopilot said, by the same group
   document.querySelectorAll("script[data-strip]").forEach(function (script) {
@@ -15,18 +16,24 @@
 
   // ---- what a figure holds
 
+  function bytesOf(text) {
+    var raw = atob(text), bytes = new Uint8Array(raw.length);
+    for (var i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+    return bytes;
+  }
+
   function floats(packed) {
     if (Array.isArray(packed)) return packed;
-    if (!packed || packed.dtype !== "f4") return packed;
-    var raw = atob(packed.bdata), bytes = new Uint8Array(raw.length);
-    for (var i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-    return Array.from(new Float32Array(bytes.buffer), function (v) { return v === v ? v : null; });
+    if (!packed || !packed.bdata) return packed;
+    var raw = bytesOf(packed.bdata).buffer;
+    if (packed.dtype === "f4") return Array.from(new Float32Array(raw), function (v) { return v === v ? v : null; });
+    return Array.from(new Uint16Array(raw), function (v) { return v ? packed.low + (v - 1) * packed.step : null; });
   }
 
   function given(div) {
     var figure = figures.get(div);
     if (!figure.given) {
-      figure.given = JSON.parse(figure.script.textContent);
+      figure.given = stored[div.id];
       (figure.given.data || []).forEach(function (trace) { trace.x = floats(trace.x); trace.y = floats(trace.y); });
     }
     return figure.given;
@@ -133,9 +140,7 @@
   var POWER_DARK = [[24, 28, 34], [27, 52, 92], [40, 98, 176], [116, 170, 230], [232, 243, 255]];
 
   function cells(power) {
-    var raw = atob(power.cells), found = new Uint8Array(raw.length);
-    for (var i = 0; i < raw.length; i++) found[i] = raw.charCodeAt(i);
-    return found;
+    return bytesOf(power.cells);
   }
 
   function painted(power, dark) {
@@ -257,6 +262,8 @@
     return /[",\n\r]/.test(text) ? '"' + text.replace(/"/g, '""') + '"' : text;
   }
 
+  function short(v) { return typeof v === "number" ? Number(v.toPrecision(7)) : v; } // as exact as a page holds it
+
   function csv(div) {
     var figure = figures.get(div), f = given(div), rows = [["series", "panel", "x", "y"]];
     if (figure.scene) {
@@ -268,7 +275,7 @@
       f.data.forEach(function (t) {
         var axis = f.layout["yaxis" + (t.yaxis || "y").slice(1)] || {};
         for (var i = 0; i < (t.y || []).length; i++)
-          rows.push([t.name || "", (axis.title || {}).text || "", t.x[i], t.y[i]]);
+          rows.push([t.name || "", (axis.title || {}).text || "", short(t.x[i]), short(t.y[i])]);
       });
       var power = (f.layout.meta || {}).spectrogram;
       if (power) {
@@ -428,8 +435,7 @@
   }
 
   function unpacked(id) {
-    var raw = atob(document.getElementById(id).textContent), bytes = new Uint8Array(raw.length);
-    for (var i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
+    var bytes = bytesOf(document.getElementById(id).textContent);
     return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).text();
   }
 
@@ -437,9 +443,10 @@
     document.body.classList.add("old");
     return;
   }
-  unpacked("plotly").then(function (source) {
+  Promise.all([unpacked("plotly"), unpacked("figures")]).then(function (sources) {
     var script = document.createElement("script");
-    script.textContent = source;
+    script.textContent = sources[0];
+    stored = JSON.parse(sources[1]);
     document.head.append(script);
     begin();
   });

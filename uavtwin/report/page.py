@@ -1,5 +1,6 @@
 """HTML pages that need nothing but themselves: style, figures and the library that draws them."""
 
+import gzip
 import json
 import re
 from base64 import b64encode
@@ -127,8 +128,29 @@ def render(
         lstrip_blocks=True,
     )
     environment.filters.update(filters)
-    page = _indexed(environment.get_template(template).render(**_parts(), **content))
+    page = environment.get_template(template).render(**_parts(), **content)
+    page = _packed(_indexed(page))
     return page.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def _packed(page: str) -> str:
+    """The page with all figures packed into one script: what they share is there once."""
+    found: dict[str, str] = {}
+
+    def taken(figure: re.Match[str]) -> str:
+        begin, name, content = figure.groups()
+        found[name] = content
+        return f"{begin}</script>"
+
+    page = _FIGURE.sub(taken, page)
+    whole = ",".join(f"{json.dumps(name)}:{content}" for name, content in found.items())
+    raw = gzip.compress(f"{{{whole}}}".encode("ascii"), mtime=0)
+    return page.replace("<!--figures-->", b64encode(raw).decode("ascii"), 1)
+
+
+_FIGURE = re.compile(
+    r'(<script type="application/json" data-for="([^"]*)"[^>]*>)(.*?)</script>', re.DOTALL
+)
 
 
 def _indexed(page: str) -> str:

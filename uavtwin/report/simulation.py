@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from cosim.recording import Recording
 from twin.flight.mission import PHASES
 
+from .drawing.budget import Budget, fitted
 from .drawing.panels import Panels, Spans, spans_of
-from .drawing.series import columns_of, thinned
+from .drawing.series import thinned
 from .drawing.track import Track, track_plots
 from .figures import pretty_unit
 from .page import BLACK, BLUE, Figure, Plot, plot, render
@@ -47,18 +48,21 @@ def write_simulation_report(
         name: Of the scenario.
         path: HTML file to write; an existing one is replaced.
     """
-    shown = _Shown(recording, units)
+    text = fitted(lambda budget: _page(_Shown(recording, units, budget), claim, facts, name))
+    path.write_text(text, encoding="utf-8")
+
+
+def _page(shown: "_Shown", claim: str, facts: Mapping[str, Any], name: str) -> str:
+    """Text of the page."""
     groups: dict[str, dict[str, list[str]]] = {}
-    for column in recording.names:
+    for column in shown.names:
         part, stem = _place(column)
         groups.setdefault(part, {}).setdefault(stem, []).append(column)
     parts = [
         {"name": part, "figure": shown.part(i, part, stems)}
         for i, (part, stems) in enumerate(groups.items())
     ]
-    columns = shown.columns
-    thin = 2 * columns < len(recording.time_s)
-    page = render(
+    return render(
         "flight.html.j2",
         {},
         name=name,
@@ -67,9 +71,8 @@ def write_simulation_report(
         track=shown.track(),
         followed=shown.followed(),
         parts=parts,
-        note=f"drawn: least and largest value in each of {columns} spans of time" if thin else "",
+        note=shown.note,
     )
-    path.write_text(page, encoding="utf-8")
 
 
 def _place(column: str) -> tuple[str, str]:
@@ -81,13 +84,21 @@ def _place(column: str) -> tuple[str, str]:
 class _Shown:
     """A recording as figures."""
 
-    def __init__(self, recording: Recording, units: Mapping[str, str]) -> None:
-        self._recording, self._units = recording, units
+    def __init__(self, recording: Recording, units: Mapping[str, str], budget: Budget) -> None:
+        self._recording, self._units, self._budget = recording, units, budget
+        self.names = recording.names
         self._t = np.asarray(recording.time_s, dtype=np.float64)
         self._fused = any(n.startswith("twin.") for n in recording.names)
         self._there = {n.removeprefix("twin."): n for n in recording.names}
-        self.columns = columns_of(len(recording.names) + 30)
         self._spans = self._phases()
+
+    @property
+    def note(self) -> str:
+        """What the figures leave out, "" if nothing."""
+        columns = self._budget.columns
+        if 2 * columns >= len(self._t):
+            return ""
+        return f"Drawn: the least and the largest value in each of {columns} spans of time."
 
     def _phases(self) -> Spans:
         """Phases of the mission, where it has some."""
@@ -117,7 +128,7 @@ class _Shown:
         if wanted is not None:
             tracks.append(Track(SETPOINT, self._t, wanted, BLUE, "dash"))
         q = self._vector("airframe.q", "wxyz")
-        return track_plots("flight", tracks, None if q is None else (self._t, q))
+        return track_plots("flight", tracks, self._budget, None if q is None else (self._t, q))
 
     def followed(self) -> list[Plot]:
         """Setpoint against flight."""
@@ -134,7 +145,7 @@ class _Shown:
                     (flown, FLOWN, BLACK, "solid"),
                     (setpoint, SETPOINT, BLUE, "dash"),
                 ):
-                    x, y = thinned(self._t, values[:, i], self.columns)
+                    x, y = thinned(self._t, values[:, i], self._budget.columns)
                     panels.line(number, x, y, name, {"color": colour, "width": 1.5, "dash": dash})
             label = f"{words}: setpoint and flight over time"
             plots.append(plot(f"followed-{words}", label, self._looked(panels)))
@@ -148,7 +159,7 @@ class _Shown:
             axes = panels.add(stem if unit in ("", "1") else f"{stem}, {pretty_unit(unit)}")
             for i, column in enumerate(columns):
                 label = column.removeprefix("twin." if self._fused else "").partition(".")[2]
-                x, y = thinned(self._t, np.asarray(self._recording[column]), self.columns)
+                x, y = thinned(self._t, np.asarray(self._recording[column]), self._budget.columns)
                 if len(y) and np.ptp(y) == 0:
                     x, y = x[[0, -1]], y[[0, -1]]  # a constant
                 line = {"color": _COLOURS[i % len(_COLOURS)], "width": 1.3}

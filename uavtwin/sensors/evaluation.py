@@ -24,11 +24,10 @@ from twin.vehicle.file import load_vehicle
 
 from ..flights import check_names
 from ..output import output_file
-from ..report.drawing.series import columns_of
+from ..report.drawing.budget import Budget, fitted
 from ..report.figures import pretty_unit
 from ..report.gap import number, percent
 from ..report.learning_figures import (
-    SERIES_OF_CORRECTION,
     anomaly_figure,
     correction_figure,
 )
@@ -312,8 +311,14 @@ def _anomaly(flight: ResidualFlight, corrected: Corrected) -> dict[str, Any]:
 
 def write_evaluation_report(found: Evaluation, path: Path) -> None:
     """Write the page; an existing one is replaced."""
+    page = fitted(lambda budget: _page(found, budget), len(found.flights))
+    path.write_text(page, encoding="utf-8")
+
+
+def _page(found: Evaluation, budget: Budget) -> str:
+    """Text of the page."""
     rows = by_group(found)
-    page = render(
+    return render(
         "evaluation.html.j2",
         {"number": number, "percent": percent, "unit": pretty_unit},
         claim=evaluation_claim(found),
@@ -330,15 +335,14 @@ def write_evaluation_report(found: Evaluation, path: Path) -> None:
             }
             for g, part in rows.groupby("group", sort=False)
         ],
-        flights=[_flight(found, i) for i in range(len(found.flights))],
+        flights=[_flight(found, i, budget) for i in range(len(found.flights))[: budget.parts]],
+        further=len(found.flights[budget.parts :]),
     )
-    path.write_text(page, encoding="utf-8")
 
 
-def _flight(found: Evaluation, i: int) -> dict[str, Any]:
+def _flight(found: Evaluation, i: int, budget: Budget) -> dict[str, Any]:
     """One flight as the template reads it."""
     flight, corrected = found.flights[i], found.corrected[i]
-    columns = columns_of(SERIES_OF_CORRECTION * len(CHANNELS) * len(found.flights))
     figures: list[Plot] = []
     for c, channel in enumerate(CHANNELS):
         fresh = flight.fresh[:, c]
@@ -351,7 +355,7 @@ def _flight(found: Evaluation, i: int) -> dict[str, Any]:
         lines["corrected twin"] = virtual + corrected.correction[fresh, c]
         spread, time = corrected.spread[fresh, c], f"flight-{i}"
         figure = correction_figure(
-            channel, UNITS[c], flight.t_s[fresh], lines, spread, time, columns
+            channel, UNITS[c], flight.t_s[fresh], lines, spread, time, budget
         )
         label = f"{channel} of {flight.name}: measured, twins, and what is left, over time"
         figures.append(plot(f"f{i}-{channel}", label, figure))
@@ -361,16 +365,16 @@ def _flight(found: Evaluation, i: int) -> dict[str, Any]:
         "notes": flight.notes,
         "inside": float(np.mean(corrected.inside[_airborne(flight)])),
         "anomaly": _anomaly(flight, corrected),
-        "score": _score(i, flight, corrected, columns),
+        "score": _score(i, flight, corrected, budget),
         "figures": figures,
     }
 
 
-def _score(i: int, flight: ResidualFlight, corrected: Corrected, columns: int) -> Plot | None:
+def _score(i: int, flight: ResidualFlight, corrected: Corrected, budget: Budget) -> Plot | None:
     """Figure of the anomaly score, None of a model that gives none."""
     if np.isnan(corrected.anomaly).any():
         return None
-    figure = anomaly_figure(flight.t_s, corrected.anomaly, f"flight-{i}", columns)
+    figure = anomaly_figure(flight.t_s, corrected.anomaly, f"flight-{i}", budget)
     return plot(f"f{i}-anomaly", f"Anomaly score of {flight.name} over time", figure)
 
 

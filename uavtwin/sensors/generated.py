@@ -28,6 +28,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 from ..output import output_file
+from ..report.drawing.budget import Budget, fitted
 from ..report.figures import pretty_unit
 from ..report.gap import number
 from ..report.learning_figures import spectra_figure
@@ -185,26 +186,30 @@ class GeneratedEvaluation(Shown):
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
-        rows = self._means()
         with output_file(Path(path)) as file:
-            page = render(
-                "generated.html.j2",
-                {"number": number, "unit": pretty_unit},
-                claim=self.claim,
-                info=self.model.info,
-                models=list(dict.fromkeys(rows["model"])),
-                groups=[
-                    {
-                        "name": g,
-                        "unit": p["unit"].iloc[0],
-                        "rows": p.set_index("model").to_dict("index"),
-                    }
-                    for g, p in rows.groupby("group", sort=False)
-                ],
-                figures=[f for i in range(len(self.flights)) for f in self._figures(i)],
-            )
-            file.write_text(page, encoding="utf-8")
+            file.write_text(fitted(self._page, len(self.flights)), encoding="utf-8")
         return Path(path)
+
+    def _page(self, budget: Budget) -> str:
+        """Text of the page."""
+        rows, shown = self._means(), range(len(self.flights))[: budget.parts]
+        return render(
+            "generated.html.j2",
+            {"number": number, "unit": pretty_unit},
+            claim=self.claim,
+            info=self.model.info,
+            models=list(dict.fromkeys(rows["model"])),
+            groups=[
+                {
+                    "name": g,
+                    "unit": p["unit"].iloc[0],
+                    "rows": p.set_index("model").to_dict("index"),
+                }
+                for g, p in rows.groupby("group", sort=False)
+            ],
+            figures=[f for i in shown for f in self._figures(i, budget)],
+            further=len(self.flights) - len(shown),
+        )
 
     def sections(self) -> Iterable[str | TextTable]:
         """The claim, and how far the draws are off."""
@@ -250,7 +255,7 @@ class GeneratedEvaluation(Shown):
         by = ["group", "unit", "model"]
         return whole.groupby(by, sort=False)[columns].mean().reset_index()
 
-    def _figures(self, i: int) -> list[Plot]:
+    def _figures(self, i: int, budget: Budget) -> list[Plot]:
         """Spectra of measured and drawn residuals of a flight, a figure per sensor."""
         flight, found = self.flights[i], []
         for group, columns in GROUPS.items():
@@ -264,6 +269,7 @@ class GeneratedEvaluation(Shown):
                     "measured": flight.residual[known, columns],
                     "drawn": self.drawn[i][known, columns],
                 },
+                budget,
             )
             label = f"Spectra of measured and drawn residuals of {flight.name}, {group}"
             found.append(plot(f"f{i}-{group}", label, figure))

@@ -24,6 +24,7 @@ from twin.explain.inference.selection import days_of
 from twin.explain.model.model import Model, candidates
 from twin.explain.model.numbers import columns_of
 from twin.logs import Flight
+from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.degenerate import degenerate
 from uavtwin.report.evidence.plots import steady_evidence
 
@@ -60,7 +61,7 @@ def test_the_flight_shows_every_effect_that_changes_a_mean() -> None:
 def check_picture(effect: str, model: Model) -> None:
     """The figure of the explain page shows something: curves with an extent, no dot."""
     found = shown(effect, model)
-    plots, how = steady_evidence(found.acts, found.with_it, model.flights, 200)
+    plots, how = steady_evidence(found.acts, found.with_it, model.flights, Budget(200))
     assert plots and effect.replace("_", " ") in how
     assert [fault for p in plots for fault in degenerate(p)] == []
 

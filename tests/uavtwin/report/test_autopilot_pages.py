@@ -16,6 +16,7 @@ from twin.logs.autopilot import Autopilot, Filter, Message, Mode, Parameter, Set
 from twin.logs.columns import ACC, GYRO, QUAT
 from twin.residuals.gap import FlightGap
 from uavtwin.report.autopilot import MOST_MESSAGES, MOST_PARAMETERS, told_content, told_of
+from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.spectrogram import COLUMNS, ROWS, spectrogram
 from uavtwin.report.drawing.strip import PLACES, strip
 from uavtwin.report.gap import write_gap_report
@@ -140,7 +141,7 @@ def test_texts_of_a_log_stay_texts(tmp_path: Path) -> None:
     text = page.read_text("utf-8")
     assert "alert(" in text
     assert "<script>alert" not in text and "<b>&'" not in text
-    shown = told_content("f", told_of(made), (), 100)
+    shown = told_content("f", told_of(made), (), Budget(100))
     assert len(shown["messages"]) == MOST_MESSAGES and shown["messages_count"] == 1000
     assert any(m.grave for m in shown["messages"])
     assert len(shown["parameters"]) == MOST_PARAMETERS

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planted import unsteady
+from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.degenerate import degenerate
 from uavtwin.report.drawing.panels import Panels
 from uavtwin.report.evidence.plots import unsteady_evidence
@@ -14,7 +15,9 @@ from uavtwin.report.page import plot
 @pytest.mark.slow
 def test_an_effect_without_a_mean_has_a_picture() -> None:
     seen = unsteady("stuck_sensor")
-    plots, how = unsteady_evidence(seen.found, seen.flight, seen.residuals, seen.vehicle, 200)
+    plots, how = unsteady_evidence(
+        seen.found, seen.flight, seen.residuals, seen.vehicle, Budget(200)
+    )
     assert plots and seen.flight.name in how
     assert [fault for p in plots for fault in degenerate(p)] == []
 

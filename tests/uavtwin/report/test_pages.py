@@ -5,98 +5,24 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
-from numpy.typing import NDArray
 from page_rigs.browser import VIEWS, Browser, View, browser, faults, needs_browser, pictures
+from page_rigs.circle import gap_of, recorded
 
 from cosim.recording import Recording
-from twin.logs import Flight
-from twin.logs.autopilot import (
-    LEVELS,
-    Autopilot,
-    Filter,
-    Message,
-    Mode,
-    Parameter,
-    Setpoint,
-    Stretch,
-)
-from twin.logs.columns import GYRO, POS, QUAT, VEL
-from twin.residuals.gap import Channel, FlightGap
+from twin.logs.columns import POS, QUAT
+from uavtwin.report.drawing.budget import PAGE_BYTES
 from uavtwin.report.gap import write_gap_report
 from uavtwin.report.overview import overview
 from uavtwin.report.simulation import write_simulation_report
 
 pytestmark = needs_browser
-Array = NDArray[np.float64]
-HOSTILE = "</script><img src=https://example.invalid/x onerror=alert(1)><b>&'\""
-LARGEST = 1_500_000
-"""Bytes of a page."""
 
 
 @pytest.fixture(scope="module")
 def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     with browser(tmp_path_factory.mktemp("browser")) as one:
         yield one
-
-
-def recorded(seconds: float = 20.0) -> Flight:
-    """A flight in a circle, with everything that the top of a page shows."""
-    t = np.arange(0, seconds, 0.02)
-    table: dict[str, Array] = {"time": t}
-    circle = (2 * np.sin(0.5 * t), 2 * np.cos(0.5 * t), -1 - 0.05 * t)
-    table |= dict(zip(POS, circle, strict=True))
-    table |= dict(zip(QUAT, (np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)), strict=True))
-    table |= {f"cmd_{i}": 0.5 + 0.02 * i + 0.05 * np.sin(t + i) for i in range(1, 5)}
-    table |= {f"rotor_{i}": 500 + 10 * np.sin(t + i) for i in range(1, 5)}
-    shaken = np.sin(2 * np.pi * (12 + 0.3 * t) * t)
-    table |= {name: k + 0.2 * shaken for k, name in enumerate(GYRO)}
-    table |= {"vbat_v": 16.4 - 0.02 * t, "ibat_a": 9 + 0 * t}
-    return Flight("circle", pd.DataFrame(table), autopilot=_said(t))
-
-
-def _said(t: Array) -> Autopilot:
-    """Much of everything, some of it made to break a page."""
-    texts = (HOSTILE, "EKF yaw aligned", "a very long text " * 17)
-    messages = [Message(0.4 * k, LEVELS[k % 9], texts[k % 3]) for k in range(-2, 60)]
-    turn = np.column_stack([np.cos(0.1 * t), 0 * t, 0 * t, np.sin(0.1 * t)])
-    return Autopilot(
-        tuple(Mode(name, 2.0 * k) for k, name in enumerate(("Hold", HOSTILE, "Land", "x" * 90))),
-        (Stretch("armed", 0.5, 19.0),),
-        (Stretch("battery failsafe", 12.0, 20.0), Stretch(HOSTILE, 1.0, 1.01)),
-        tuple(messages),
-        (
-            Setpoint(POS, t[::5], np.where(np.arange(3) == 1, np.nan, np.sin(t[::5, None]))),
-            Setpoint(VEL, t[::5], np.cos(t[::5, None] + np.arange(3))),
-            Setpoint(QUAT, t[::5], turn[::5]),
-            Setpoint(GYRO, t[::5], 0.1 * turn[::5, :3]),
-        ),
-        tuple(Parameter(f"NAME_{k}_{HOSTILE[:9]}", k / 7, -1e-9 * k) for k in range(400)),
-        True,
-        tuple(
-            Filter("gyro", "tracking notch", 8.0 * k, f"INS_HNTCH_FREQ{HOSTILE[:9]}")
-            for k in range(1, 7)
-        ),
-    )
-
-
-def gap_of(flight: Flight) -> FlightGap:
-    """Residuals of it: vibration, and a twin that drifts off."""
-    rng = np.random.default_rng(0)
-    t = np.arange(0, 20, 0.01)
-    phase = np.where(t < 3, "takeoff", "hover").astype(np.str_)
-    every = slice(50, None, 50)
-    channels = []
-    for k, axis in enumerate("xyz"):
-        slow = np.sin(0.5 * t + k)
-        shaken = slow + 0.4 * rng.standard_normal(len(t))
-        channels.append(Channel(f"acc_{axis}", "m/s2", 0.0, t, shaken, 0.8 * slow, phase))
-        way = flight.table[f"pos_{axis}"].to_numpy()[: len(t) // 2].repeat(2)[every]
-        end = Channel(f"pos_{axis}", "m", 0.5, t[every], way, way + 0.1, phase[every])
-        channels.append(end)
-    spans = (("takeoff", 0.0, 3.0), ("hover", 3.0, 19.0), ("land", 19.0, 20.0))
-    return FlightGap("circle", "made_up", tuple(channels), spans, ("beware",), {"rate": "100 Hz"})
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +39,7 @@ def test_gap_page_is_fine_to_look_at(
     opened: Browser, gap_page: Path, view: View, tmp_path: Path
 ) -> None:
     assert faults(opened, gap_page, view, pictures(tmp_path) / f"gap_{view}.png") == []
-    assert gap_page.stat().st_size < LARGEST
+    assert gap_page.stat().st_size < PAGE_BYTES
 
 
 @pytest.mark.parametrize("view", [VIEWS[0], VIEWS[3]], ids=str)
@@ -132,7 +58,7 @@ def test_page_of_a_simulation_is_fine_to_look_at(
     units = {n: "m" for n in names if "pos" in n}
     write_simulation_report(run, units, "flown well", {"wind": "5,0,0"}, "circle", page)
     assert faults(opened, page, view, pictures(tmp_path) / f"simulation_{view}.png") == []
-    assert page.stat().st_size < LARGEST
+    assert page.stat().st_size < PAGE_BYTES
 
 
 def test_zoom_keys_and_numbers_of_a_page(opened: Browser, gap_page: Path) -> None:

@@ -10,6 +10,7 @@ import plotly.graph_objects as go
 import pytest
 
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
+from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.series import unpacked
 from uavtwin.report.figures import channel_figures
 from uavtwin.report.gap import claim, describe, write_gap_report
@@ -143,24 +144,24 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
 
 def test_dense_samples_are_a_slow_curve_over_a_band_that_holds_them_all() -> None:
     channel = flight(n=40_010).channels[1]
-    figure, _, note = channel_figures([channel], (), "", 200)
+    figure, _, note = channel_figures([channel], (), "", Budget(200))
     assert "bands: all samples" in note
     band, curve = figure["data"][:2]
     assert (band["fill"], band["name"]) == ("toself", "measured, all samples")
     high, low = np.split(unpacked(band["y"]), 2)
     assert len(high) == len(low) <= 201
     t = unpacked(band["x"])[: len(high)]
-    edges = np.searchsorted(channel.t_s, t[:-1] - 1e-4)
+    edges = np.searchsorted(channel.t_s, t[:-1] - 2.4e-3)  # held to 1.6 ms
     parts = np.split(channel.measured, edges[1:])
-    np.testing.assert_allclose(high[:-2], [p.max() for p in parts[:-1]], rtol=1e-5)
-    np.testing.assert_allclose(low[::-1][:-2], [p.min() for p in parts[:-1]], rtol=1e-5)
+    np.testing.assert_allclose(high[:-2], [p.max() for p in parts[:-1]], atol=1e-4)
+    np.testing.assert_allclose(low[::-1][:-2], [p.min() for p in parts[:-1]], atol=1e-4)
     assert len(unpacked(curve["y"])) <= 402
 
 
 def test_figures_are_ones_that_plotly_knows() -> None:
     """Its own objects refuse an attribute that there is not, and a value that cannot be."""
     gap = flight()
-    both = [channel_figures([c] * 2, gap.phases, "t", 300)[:2] for c in gap.channels]
+    both = [channel_figures([c] * 2, gap.phases, "t", Budget(300))[:2] for c in gap.channels]
     for figure in (f for two in both for f in two if f is not None):
         checked = go.Figure(figure)
         assert checked.layout.height == figure["layout"]["height"]

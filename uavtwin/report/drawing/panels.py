@@ -124,8 +124,8 @@ class Panels:
             {
                 "type": "scatter",
                 "mode": "lines",
-                "x": packed(x),
-                "y": packed(y),
+                "x": packed(x, self.layout[f"xaxis{axes}"].get("type", "linear")),
+                "y": packed(y, self.layout[f"yaxis{axes}"].get("type", "linear")),
                 "xaxis": f"x{axes}",
                 "yaxis": f"y{axes}",
                 "name": name,

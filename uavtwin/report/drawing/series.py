@@ -1,9 +1,10 @@
-"""Series as a page holds them: no more points than a screen can show, four bytes each."""
+"""Series as a page holds them: no more points than a screen can show, two bytes each."""
 
 from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,21 +13,15 @@ from twin.residuals.spectra import slow_part
 
 Array = NDArray[np.float64]
 
-PAGE_POINTS = 110_000
-"""Numbers of all series of a page together, about: 600 kB."""
-COLUMNS = (60, 700)
-"""Fewest and most columns of pixels that a series is drawn in."""
 TREND_HZ = 2.0
 """Low-pass of the curve that is drawn over a band where samples come faster than `DENSE_HZ`: slower
 than any rotor of the vehicles here turns, as fast as one of them tilts into another direction."""
 DENSE_HZ = 20.0
+STEPS, COARSE_STEPS = 65_533, 500
+"""Of two bytes, and how many the middle half of the values spans at least."""
+_LARGEST = 3.4e38
 GAP_STEPS, GAP_S = 6, 0.2
 """A line ends where samples are missing for longer than so many usual steps and than this."""
-
-
-def columns_of(series: float) -> int:
-    """Columns of pixels for each of so many series, two numbers each, that share a page."""
-    return int(np.clip(PAGE_POINTS / max(4 * series, 1), *COLUMNS))
 
 
 def thinned(x: Array, y: Array, columns: int) -> tuple[Array, Array]:
@@ -132,12 +127,38 @@ def _chained(parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     return x, y
 
 
-def packed(values: Array) -> dict[str, str]:
-    """Numbers as plotly.js reads them in single precision, four bytes each."""
-    raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
-    return {"dtype": "f4", "bdata": b64encode(raw).decode("ascii")}
+def packed(values: Array, scale: str = "linear") -> dict[str, str | float]:
+    """Numbers as a page holds them, NaN where unknown.
+
+    Two bytes each: one and so many of 65,533 steps from the least to the largest, 0 where unknown.
+    On a logarithmic scale, and where far-off values make these steps coarse for all others, four:
+    single precision.
+
+    Args:
+        values: Shape (n,).
+        scale: Of the axis along which they are drawn, as plotly.js has it.
+    """
+    known = values[np.isfinite(values)]
+    low, high = (float(f(known)) if len(known) else 0.0 for f in (np.min, np.max))
+    low, step = (float(f"{v:.9g}") for v in (low, (high - low) / STEPS))
+    spread = float(np.ptp(np.percentile(known, [25, 75]))) if len(known) else 0.0
+    coarse = step * COARSE_STEPS > spread > 0.0
+    if scale == "log" or coarse or not np.isfinite(step):
+        single = np.clip(values, -_LARGEST, _LARGEST)
+        return {"dtype": "f4", "bdata": _text(single.astype("<f4"))}
+    share = (values - low) / step if step > 0.0 else np.where(np.isfinite(values), 0.0, np.nan)
+    codes = np.where(np.isfinite(share), np.clip(np.rint(share), 0, STEPS) + 1.0, 0.0)
+    return {"dtype": "u2", "bdata": _text(codes.astype("<u2")), "low": low, "step": step}
 
 
-def unpacked(values: Mapping[str, str]) -> Array:
+def _text(numbers: NDArray[np.generic]) -> str:
+    return b64encode(np.ascontiguousarray(numbers).tobytes()).decode("ascii")
+
+
+def unpacked(values: Mapping[str, Any]) -> Array:
     """Numbers that `packed` wrote, shape (n,)."""
-    return np.frombuffer(b64decode(values["bdata"]), dtype="<f4").astype(np.float64)
+    raw = b64decode(values["bdata"])
+    if values["dtype"] == "f4":
+        return np.frombuffer(raw, dtype="<f4").astype(np.float64)
+    codes = np.frombuffer(raw, dtype="<u2").astype(np.float64)
+    return np.where(codes > 0, values["low"] + (codes - 1.0) * values["step"], np.nan)

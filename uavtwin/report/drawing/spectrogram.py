@@ -51,15 +51,21 @@ class Spectrogram:
         """Half of the sampling rate."""
         return 0.5 * self.rate_hz
 
-    def content(self) -> dict[str, object]:
-        """As a page holds it: a byte a cell, 0 where unknown, 1 to 255 from `low_db` to
-        `high_db`."""
+    def content(self, columns: int = COLUMNS) -> dict[str, object]:
+        """As a page holds it: a byte a cell, 0 where unknown, 1 to 255 from `low` to `high`.
+
+        Args:
+            columns: At most; the strongest of neighbours is kept.
+        """
         known = self.power_db[np.isfinite(self.power_db)]
         low, high = (float(v) for v in np.percentile(known, [_LOWEST, _HIGHEST]))
         high = max(high, low + 1.0)
         share = np.clip((self.power_db - low) / (high - low), 0.0, 1.0)
+        if share.shape[1] > columns:
+            starts = np.arange(columns) * share.shape[1] // columns
+            share = np.fmax.reduceat(share, starts, axis=1)
         cells = np.where(np.isfinite(share), 1 + np.round(254 * np.nan_to_num(share)), 0)
-        rows, columns = self.power_db.shape
+        rows, columns = share.shape
         return {
             **{"start": self.start_s, "end": self.end_s, "top": self.top_hz},
             **{"rows": rows, "columns": columns, "low": round(low, 1), "high": round(high, 1)},

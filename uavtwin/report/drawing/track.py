@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from twin.frames import to_ned
 
 from ..page import Figure, Plot, plot
+from .budget import Budget
 from .panels import Panels
 from .series import packed
 
 Array = NDArray[np.float64]
-POINTS = 500
-"""Of a track: those between which it bends most."""
 BODIES = 14
 """Attitudes that are drawn along a track."""
 HEIGHT_PX = 330
@@ -43,7 +42,10 @@ class Track:
 
 
 def track_plots(
-    name: str, tracks: Sequence[Track], attitude: tuple[Array, Array] | None = None
+    name: str,
+    tracks: Sequence[Track],
+    budget: Budget,
+    attitude: tuple[Array, Array] | None = None,
 ) -> list[Plot]:
     """Three pictures of tracks.
 
@@ -53,9 +55,10 @@ def track_plots(
     Args:
         name: Begins the identifiers of the pictures.
         tracks: Curves; the first one is that of what has the attitude.
+        budget: Of the page.
         attitude: Times, s, shape (m,), and quaternions body to NED, shape (m, 4); None: not known.
     """
-    thin = [(t, _thinned(t.position_m)) for t in tracks]
+    thin = [(t, _thinned(t.position_m, budget.track)) for t in tracks]
     known = np.concatenate([p[np.isfinite(p).all(axis=1)] for _, p in thin])
     if len(known) < 2:
         return []
@@ -87,11 +90,11 @@ def _enu(position_m: Array) -> Array:
     return enu
 
 
-def _thinned(position_m: Array) -> Array:
-    """At most `POINTS` of a track, evenly along it."""
-    if len(position_m) <= POINTS:
+def _thinned(position_m: Array, points: int) -> Array:
+    """At most so many points of a track, evenly along it."""
+    if len(position_m) <= points:
         return position_m
-    return position_m[np.unique(np.linspace(0, len(position_m) - 1, POINTS).astype(np.intp))]
+    return position_m[np.unique(np.linspace(0, len(position_m) - 1, points).astype(np.intp))]
 
 
 _WORDS = ("north, m", "east, m", "up, m")

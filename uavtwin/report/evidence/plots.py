@@ -10,13 +10,12 @@ from twin.logs import AnyFlight
 from twin.residuals.channels import ChannelData
 from twin.vehicle import Vehicle
 
+from ..drawing.budget import Budget
 from ..drawing.panels import Spans, spans_of
 from ..page import Plot, plot
 from .steady import agreement_figure, evidence_figure, loudest
 from .unsteady import slow_force_over_time, unsteady_figure
 
-SERIES = 20
-"""Series of the figures of an effect, about, that share the numbers of a page."""
 _STEADY = (
     "Held-out flight {}. Blue: what the model as it stood leaves of the reading. Black, dashed: "
     "what {} predicts of that. Orange: what is left with it. Where black lies on blue, the effect "
@@ -39,7 +38,7 @@ def steady_evidence(
     acts: Attribution,
     with_all: Sequence[Sequence[ChannelData]],
     flights: Sequence[FlightModel],
-    columns: int,
+    budget: Budget,
 ) -> tuple[list[Plot], str]:
     """Figures of an effect that changes a mean, and how to read them.
 
@@ -47,12 +46,12 @@ def steady_evidence(
         acts: Where it acts.
         with_all: Channels of each flight with every added effect.
         flights: The same flights.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     i = loudest(acts, with_all)
     name = acts.effect.replace("_", " ")
     spans, time = phases_of(flights[i]), time_group(i)
-    over_time = evidence_figure(acts, with_all, i, spans, time, columns)
+    over_time = evidence_figure(acts, with_all, i, spans, time, budget)
     plots = [plot(f"evidence-{acts.effect}", f"Residuals over time: {name}", over_time)]
     text = _STEADY.format(flights[i].flight.name, name)
     agreement = agreement_figure(acts, with_all, i)
@@ -67,7 +66,7 @@ def unsteady_evidence(
     flight: AnyFlight,
     residuals: Sequence[ChannelData],
     vehicle: Vehicle,
-    columns: int,
+    budget: Budget,
 ) -> tuple[list[Plot], str]:
     """The same of an effect that changes no mean.
 
@@ -76,12 +75,12 @@ def unsteady_evidence(
         flight: As read.
         residuals: Channels of it against the model.
         vehicle: The model as it stood.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     kind, name = type(EFFECTS[found.effect].seen_as), found.effect.replace("_", " ")
-    figures = [unsteady_figure(found, flight, residuals, vehicle, columns)]
+    figures = [unsteady_figure(found, flight, residuals, vehicle, budget)]
     if kind is RandomForce:
-        figures.insert(0, slow_force_over_time(found, residuals, columns))
+        figures.insert(0, slow_force_over_time(found, residuals, budget))
     plots = [
         plot(f"evidence-{found.effect}-{i}", f"What shows {name}", figure)
         for i, figure in enumerate(figures)

@@ -9,6 +9,7 @@ from twin.explain.attribution import Attribution
 from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
 from twin.residuals.spectra import spectrum
 
+from ..drawing.budget import Budget
 from ..drawing.panels import Axis, Panels, Spans
 from ..drawing.series import TREND_HZ
 from ..figures import pretty_unit
@@ -30,7 +31,7 @@ BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what t
 
 
 def evidence_figure(
-    acts: Attribution, with_all: Flights, flight: int, spans: Spans, time: str, columns: int
+    acts: Attribution, with_all: Flights, flight: int, spans: Spans, time: str, budget: Budget
 ) -> Figure:
     """Residual without and with an effect over what the effect predicts, over time.
 
@@ -42,7 +43,7 @@ def evidence_figure(
         flight: Which of them is shown.
         spans: Phases of it.
         time: Group of figures whose time axes move together.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     names = acts.channels[:MOST_CHANNELS]
     panels = Panels((230,) * len(names), time)
@@ -60,7 +61,7 @@ def evidence_figure(
         ):
             band = label != PREDICTED
             shown = _broken(without, values)
-            panels.series(axes, t, shown, label, line, columns, band, below_hz)
+            panels.series(axes, t, shown, label, line, budget.columns, band, below_hz)
         ends.append(strongest(without.t_s, predicted))
     panels.look(*ends[0], spans)
     return panels.figure
@@ -151,7 +152,7 @@ def _reaches_hz(t_s: Array, predicted: Array) -> float:
 
 
 def before_after_figure(
-    before: ChannelData, after: ChannelData, spans: Spans, time: str, columns: int
+    before: ChannelData, after: ChannelData, spans: Spans, time: str, budget: Budget
 ) -> Figure:
     """Measured and both models, and both residuals, over time.
 
@@ -160,7 +161,7 @@ def before_after_figure(
         after: The same with the effects added.
         spans: Phases of the flight.
         time: Group of figures whose time axes move together.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     unit = pretty_unit(before.unit)
     panels = Panels((190, 130), time)
@@ -182,7 +183,7 @@ def before_after_figure(
         axes = panels.add(f"{what}, {unit}")
         for values, label, colour, dash in traces:
             line = {"color": colour, "width": 1.4, "dash": dash}
-            panels.series(axes, t, _broken(before, values), label, line, columns)
+            panels.series(axes, t, _broken(before, values), label, line, budget.columns)
     change = before.residual - after.residual
     panels.look(*strongest(before.t_s, change), spans)
     return panels.figure

@@ -13,9 +13,10 @@ from twin.residuals.channels import ChannelData
 from twin.residuals.spectra import spectrum
 from twin.vehicle import Vehicle
 
+from ..drawing.budget import Budget
 from ..drawing.panels import Panels
 from ..drawing.series import thinned
-from ..figures import SPECTRUM_COLUMNS, pretty_unit
+from ..figures import pretty_unit
 from ..page import BLACK, BLUE, GREY, ORANGE, Figure
 
 Array = NDArray[np.float64]
@@ -30,7 +31,7 @@ def unsteady_figure(
     flight: AnyFlight,
     residuals: Sequence[ChannelData],
     vehicle: Vehicle,
-    columns: int,
+    budget: Budget,
 ) -> Figure | None:
     """The figure that shows an effect without a mean; None where the flight lacks the readings.
 
@@ -39,19 +40,19 @@ def unsteady_figure(
         flight: As read.
         residuals: Its channels against the model, for a force that is slow.
         vehicle: The model as it stood, whose noise is drawn.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     match EFFECTS[found.effect].seen_as:
         case Repeats():
-            return _still(found, flight, columns)
+            return _still(found, flight, budget)
         case RandomForce():
-            return _slow_force(found, residuals, vehicle, columns)
+            return _slow_force(found, residuals, vehicle, budget)
         case NoiseFloor() | Lines():
-            return _spectra(found, flight, vehicle)
+            return _spectra(found, flight, vehicle, budget)
     return None
 
 
-def _still(found: StochasticEffect, flight: AnyFlight, columns: int) -> Figure | None:
+def _still(found: StochasticEffect, flight: AnyFlight, budget: Budget) -> Figure | None:
     """Readings of a sensor around the instant from which one of them stands still."""
     channel = found.channels[0]
     sensor = next(s for s in SENSORS if channel in s.columns)
@@ -69,12 +70,14 @@ def _still(found: StochasticEffect, flight: AnyFlight, columns: int) -> Figure |
         near = np.abs(t - since) <= AROUND_S
         line = {"color": ORANGE if stuck else BLACK, "width": 1.3}
         name = "stands still" if stuck else "the other axes go on"
-        panels.line(axes, *thinned(t[near], values[near, 0], columns), name, line)
+        panels.line(axes, *thinned(t[near], values[near, 0], budget.columns), name, line)
     panels.look(since - AROUND_S, since + AROUND_S, (("still", since, since + AROUND_S),))
     return panels.figure
 
 
-def _spectra(found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle) -> Figure | None:
+def _spectra(
+    found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle, budget: Budget
+) -> Figure | None:
     """Spectra of readings, the noise that the vehicle file says, and the effect."""
     seen_as = EFFECTS[found.effect].seen_as
     names = [c for c in found.channels if flight.has(c)][:MOST_CHANNELS]
@@ -92,7 +95,7 @@ def _spectra(found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle) -> Fi
         if not keep.any():
             continue
         scale = s.f_hz[keep] if linear else np.log10(s.f_hz[keep])
-        f, psd = thinned(scale, np.log10(s.psd[keep]), SPECTRUM_COLUMNS)
+        f, psd = thinned(scale, np.log10(s.psd[keep]), budget.spectrum)
         f = f if linear else 10**f
         panels.line(axes, f, 10**psd, "measured", {"color": BLACK, "width": 1.3})
         ends = f[[0, -1]]
@@ -121,7 +124,7 @@ def _noise(stated: float, own: Mapping[str, float], seen_as: NoiseFloor, sensor:
 
 
 def _slow_force(
-    found: StochasticEffect, residuals: Sequence[ChannelData], vehicle: Vehicle, columns: int
+    found: StochasticEffect, residuals: Sequence[ChannelData], vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
     """What is left of the accelerometer: slow, and more than its noise."""
     names = [c for c in residuals if c.name in found.channels]
@@ -133,7 +136,7 @@ def _slow_force(
         s = spectrum(channel.t_s, channel.residual)
         keep = (s.f_hz > 0) & (s.psd > 0) & (s.f_hz < 15)
         axes = _density(panels, f"residual of {channel.name}", channel.unit, i == len(names) - 1)
-        f, psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), SPECTRUM_COLUMNS)
+        f, psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), budget.spectrum)
         panels.line(axes, 10**f, 10**psd, "residual", {"color": GREY, "width": 1.5})
         stated = sensor.noise(vehicle)
         if stated > 0:
@@ -144,14 +147,14 @@ def _slow_force(
 
 
 def slow_force_over_time(
-    found: StochasticEffect, residuals: Sequence[ChannelData], columns: int
+    found: StochasticEffect, residuals: Sequence[ChannelData], budget: Budget
 ) -> Figure | None:
     """The same over time.
 
     Args:
         found: A random force.
         residuals: Channels of a flight against the model.
-        columns: Columns of pixels that a series may take.
+        budget: Of the page.
     """
     names = [c for c in residuals if c.name in found.channels]
     if not names:
@@ -160,7 +163,7 @@ def slow_force_over_time(
     for channel in names:
         axes = panels.add(f"residual of {channel.name}, {pretty_unit(channel.unit)}")
         line = {"color": GREY, "width": 1.4}
-        panels.series(axes, channel.t_s, channel.residual, "residual", line, columns)
+        panels.series(axes, channel.t_s, channel.residual, "residual", line, budget.columns)
     panels.look(float(names[0].t_s[0]), float(names[0].t_s[-1]), ())
     return panels.figure
 
