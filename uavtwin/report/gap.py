@@ -6,12 +6,11 @@ they come into view, so a page with many flights opens at once.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from twin.logs.columns import POS
-from twin.physics.sensors.table import BODY, SENSORS, Sensor
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
     UNKNOWN_PHASE,
@@ -30,6 +29,8 @@ from .drawing.budget import Budget, fitted
 from .drawing.panels import Spans
 from .figures import channel_figures, pretty_unit
 from .hover import hover_sentence
+from .kinds import Kind, describe, grouped, mode
+from .laid_over import laid_over
 from .overview import Overview, overview_plots
 from .page import Plot, plot, render
 
@@ -40,42 +41,6 @@ MOST_LISTED = 200
 AGREEMENT = 0.1
 """Share of the signal below which the slow part of a residual is called agreement. With the noise
 of the built-in flights alone it reaches 0.08."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Kind:
-    """A physical quantity: the channels whose name starts with `prefix`."""
-
-    prefix: str
-    title: str
-    axes: str = ""
-    words: str = ""
-    axis: Mapping[str, str] = field(default_factory=dict)
-
-
-def _of_sensor(sensor: Sensor) -> _Kind:
-    """Kind of the readings of a sensor beside the IMU."""
-    vector = len(sensor.columns) > 1
-    axes, axis = ("body axes", _BODY) if vector else ("", {})
-    return _Kind(f"{sensor.signal}_", sensor.title, axes, sensor.words, axis)
-
-
-_BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
-_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
-_EARTH = {"x": "north", "y": "east", "z": "down"}
-_FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
-_NED = "x north, y east, z down"
-_KINDS = (
-    _Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
-    _Kind("gyro_rate_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
-    _Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
-    _Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
-    _Kind("pos_", "Position", _NED, "position", _EARTH),
-    _Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
-    _Kind("q_", "Attitude (quaternion)", "body to NED"),
-    *(_of_sensor(s) for s in SENSORS if s.group != BODY),
-    _Kind("", "Other channels"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +116,9 @@ class _Scored:
             if any(len(c.t_s) > 2 * budget.columns for g in gaps for c in g.channels)
             else 0,
             listed=self._listed(drawn) if len(drawn) < len(gaps) else [],
+            over=laid_over([gaps[i] for i in drawn], [self.overviews[i] for i in drawn], budget)
+            if len(drawn) > 1
+            else None,
             flights=[self._flight(i, budget, share) for i in drawn],
         )
 
@@ -200,7 +168,7 @@ class _Scored:
             "claim": claim(rank({s.name: s for s in summed})),
             "figures": [
                 _figure(name, kind, members, phases, budget)
-                for kind, members in _grouped(gap.channels)
+                for kind, members in grouped(gap.channels)
             ],
             "rows": _rows(summed),
             "facts": gap.facts,
@@ -235,18 +203,6 @@ def claim(places: Sequence[Ranked]) -> str:
     return f"Twin and flight disagree most in {where}: {size} of the signal."
 
 
-def describe(channel: str) -> str:
-    """A channel's name in words: `acc_z` is the specific force on the down axis."""
-    name = channel.split("@")[0]
-    kind = _kind(name)
-    axis = kind.axis.get(name.removeprefix(kind.prefix))
-    return ", ".join(filter(None, (kind.words or name.replace("_", " "), axis)))
-
-
-def _kind(channel: str) -> _Kind:
-    return next(kind for kind in _KINDS if channel.startswith(kind.prefix))
-
-
 def _detail(places: Sequence[Ranked]) -> str:
     """What a pilot should make of the headline: can a model mend it?"""
     if not places or not places[0].score.rms > 0:
@@ -272,34 +228,21 @@ def _detail(places: Sequence[Ranked]) -> str:
 
 
 def _figure(
-    flight: str, kind: _Kind, channels: Sequence[Channel], phases: Spans, budget: Budget
+    flight: str, kind: Kind, channels: Sequence[Channel], phases: Spans, budget: Budget
 ) -> _Figure:
     """The figures of the channels of one kind and horizon."""
     over_time, spectra, note = channel_figures(channels, phases, flight, budget)
     horizon_s = channels[0].horizon_s
     name = f"{flight}-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms"
-    label = f"{kind.title}, {_mode(horizon_s)}: measured, twin and residual"
+    label = f"{kind.title}, {mode(horizon_s)}: measured, twin and residual"
     return _Figure(
         kind.title,
         kind.axes,
-        _mode(horizon_s),
+        mode(horizon_s),
         note,
         plot(name, f"{label} over time", over_time),
         None if spectra is None else plot(f"{name}-spectra", f"{label}, spectra", spectra),
     )
-
-
-def _grouped(channels: Sequence[Channel]) -> list[tuple[_Kind, list[Channel]]]:
-    """Channels that share a figure: same quantity, same horizon; in the order of `_KINDS`."""
-    found: dict[tuple[int, float], list[Channel]] = {}
-    for channel in channels:
-        place = _KINDS.index(_kind(channel.name)), channel.horizon_s
-        found.setdefault(place, []).append(channel)
-    return [(_KINDS[i], found[i, horizon_s]) for i, horizon_s in sorted(found)]
-
-
-def _mode(horizon_s: float) -> str:
-    return "teacher-forced" if horizon_s == 0 else f"short horizon, {horizon_s:g} s"
 
 
 def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
@@ -313,7 +256,7 @@ def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
                     "span": len(scores) if score is s.total else 0,
                     "name": s.name,
                     "unit": s.unit,
-                    "mode": _mode(s.horizon_s),
+                    "mode": mode(s.horizon_s),
                     "phase": phase,
                     "score": score,
                 }

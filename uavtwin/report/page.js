@@ -87,7 +87,7 @@
     if (strip) stripped(copy, strip, dark, div.clientWidth - layout.margin.l - layout.margin.r);
     if (power) layout.images = [{ source: painted(power, dark), xref: "x", yref: "y", x: power.start, y: power.top,
       sizex: power.end - power.start, sizey: power.top, sizing: "stretch", layer: "below" }];
-    var hidden = figures.get(div).hidden;
+    var hidden = hiddenOf(div);
     copy.data.forEach(function (t) { if (hidden.has(keyOf(t))) t.visible = false; });
     return copy;
   }
@@ -157,6 +157,26 @@
     return canvas.toDataURL("image/png");
   }
 
+  var together = {}; // what is hidden, by group of figures whose keys go together
+
+  function hiddenOf(div) {
+    var figure = figures.get(div), group = figure.scene ? null : (given(div).layout.meta || {}).keys;
+    if (!group) return figure.hidden;
+    return together[group] = together[group] || new Set();
+  }
+
+  function toggle(div, key) { // here, and where keys go along
+    var hidden = hiddenOf(div);
+    if (hidden.has(key)) hidden.delete(key); else hidden.add(key);
+    figures.forEach(function (other, there) {
+      if (!other.drawn || other.scene || hiddenOf(there) !== hidden) return;
+      there.parentNode.querySelectorAll(".key").forEach(function (b) {
+        if (b.dataset.key === key) b.setAttribute("aria-pressed", String(!hidden.has(key)));
+      });
+      draw(there);
+    });
+  }
+
   function keyOf(trace) { return trace.legendgroup || trace.name || ""; }
 
   function draw(div) {
@@ -211,20 +231,17 @@
   }
 
   function keys(div, f) {
-    var place = div.parentNode.querySelector(".keys"), figure = figures.get(div), seen = new Set();
+    var place = div.parentNode.querySelector(".keys"), seen = new Set();
     place.replaceChildren();
     f.data.forEach(function (trace) {
       var key = keyOf(trace);
       if (!trace.name || trace.showlegend === false || seen.has(key)) return;
       seen.add(key);
       var line = trace.line || {}, marker = trace.marker || {}, shade = trace.fillcolor && !line.width;
-      var b = button(trace.name, "show or hide " + trace.name, function () {
-        if (figure.hidden.has(key)) figure.hidden.delete(key); else figure.hidden.add(key);
-        b.setAttribute("aria-pressed", String(!figure.hidden.has(key)));
-        draw(div);
-      });
+      var b = button(trace.name, "show or hide " + trace.name, function () { toggle(div, key); });
       b.className = "key";
-      b.setAttribute("aria-pressed", String(!figure.hidden.has(key)));
+      b.dataset.key = key;
+      b.setAttribute("aria-pressed", String(!hiddenOf(div).has(key)));
       var swatch = document.createElement("i");
       var style = shade ? "block" : { dash: "dashed", dot: "dotted" }[line.dash] || "solid";
       if (trace.mode === "markers") style = "round";

@@ -1,11 +1,5 @@
 """A made-up flight in a circle, and a twin that drifts off it: what pages of gaps are drawn of."""
 
-import gzip
-import json
-import re
-from base64 import b64decode
-from typing import Any
-
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -110,10 +104,3 @@ def much_of(seed: int, seconds: float = 100.0) -> FlightGap:
             )
     spans = tuple((f"part {k}", 5.0 * k, 5.0 * k + 5.0) for k in range(int(seconds / 5)))
     return FlightGap(f"flight {seed}", "made_up", tuple(channels), spans, (), {"rate": "100 Hz"})
-
-
-def figures_of(page: str) -> dict[str, Any]:
-    """Figures of a page by identifier, as plotly.js gets them."""
-    found = re.search(r'id="figures">([^<]*)<', page)
-    assert found is not None
-    return dict(json.loads(gzip.decompress(b64decode(found[1]))))

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import Markup
-from page_rigs.circle import figures_of, much_of, recorded
+from page_rigs.circle import much_of, recorded
+from page_rigs.figures import figures_of
 from places import DATA, needs
 
 import uavtwin as ut

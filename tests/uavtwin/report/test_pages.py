@@ -109,6 +109,37 @@ def test_zoom_keys_and_numbers_of_a_page(opened: Browser, gap_page: Path) -> Non
     assert np.isfinite(float(y))
 
 
+def test_a_flight_is_hidden_in_all_figures_that_lay_it_over_others(
+    opened: Browser, gap_page: Path
+) -> None:
+    opened.open(gap_page, VIEWS[0])
+    result = opened.run(
+        """
+(async () => {
+  while (!window.drawAll) await new Promise(r => setTimeout(r, 20));
+  window.drawAll();
+  const names = ["over-acc-0ms", "over-pos-500ms", "over-battery"];
+  const there = names.map(id => document.getElementById(id));
+  const keys = div => [...div.parentNode.querySelectorAll(".key")];
+  const key = div => keys(div).find(b => b.textContent === "again");
+  key(there[0]).click();
+  await new Promise(r => setTimeout(r, 50));
+  const hidden = div => div._fullData.filter(t => t.visible === false);
+  const gone = there.map(div => hidden(div).map(t => t.name));
+  const pressed = there.map(div => key(div).getAttribute("aria-pressed"));
+  const own = hidden(document.getElementById("flight1-acc-0ms")).length;
+  const last = there.map(div => div.layout.xaxis6 || div.layout.xaxis2);
+  return { gone, pressed, own, titles: last.map(a => a.title.text) };
+})()
+"""
+    )
+    assert [set(names) for names in result["gone"]] == [{"again"}] * 3
+    assert [len(names) for names in result["gone"]] == [6, 6, 2]
+    assert result["pressed"] == ["false"] * 3
+    assert result["own"] == 0
+    assert result["titles"] == ["time from take-off, s"] * 3
+
+
 def test_the_test_of_pages_sees_what_is_wrong(opened: Browser, tmp_path: Path) -> None:
     page = tmp_path / "bad.html"
     page.write_text(

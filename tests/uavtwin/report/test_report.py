@@ -13,7 +13,8 @@ from twin.residuals.gap import Channel, FlightGap, rank, summaries
 from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.series import unpacked
 from uavtwin.report.figures import channel_figures
-from uavtwin.report.gap import claim, describe, write_gap_report
+from uavtwin.report.gap import claim, write_gap_report
+from uavtwin.report.kinds import describe
 from uavtwin.report.words import headline
 
 HOSTILE = "</script><script>alert('x')</script><b>&"

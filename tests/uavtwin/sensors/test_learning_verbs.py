@@ -13,6 +13,7 @@ import pytest
 import torch
 import yaml
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
+from page_rigs.figures import figures_of
 
 from learning.data.channels import GROUPS
 from learning.data.flights import residual_flight
@@ -129,7 +130,8 @@ def test_evaluation_scores_the_model_beside_baselines(
     groups = {row["group"] for row in printed["groups"]}
     assert groups == {"gyro", "acc", "pos", "vel"}  # these flights have no magnetometer
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
-    assert "explained twin" in page and "corrected twin" in page
+    figures = str(figures_of(page))
+    assert "explained twin" in figures and "corrected twin" in figures
     assert len(page) < 1.5e6
     (result,) = yaml.safe_load((tmp_path / "e" / "README.md").read_text("utf-8").split("---\n")[1])[
         "model-index"
