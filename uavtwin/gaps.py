@@ -163,7 +163,7 @@ def _series(gap: FlightGap) -> Series:
         how = f"{c.horizon_s:g} s after a restart from it" if c.horizon_s else "at it"
         about = f"twin: from the measured state, {how}"
         columns += compared(c.name, c.unit, c.t_s, c.measured, {TWIN: c.simulated}, about)
-    return Series(gap.flight, tuple(columns), {"verb": "gap", "vehicle": gap.vehicle})
+    return Series(gap.flight, tuple(columns), {"verb": "gap", "vehicle": gap.vehicle}, gap.origin)
 
 
 def gap(

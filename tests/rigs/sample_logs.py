@@ -18,7 +18,7 @@ from twin.frames import from_euler, multiply, to_body
 # -- ULog -----------------------------------------------------------------------------------
 
 _TYPES = {"u1": "uint8_t", "u2": "uint16_t", "u4": "uint32_t", "i4": "int32_t", "u8": "uint64_t"}
-_TYPES |= {"f4": "float", "b1": "bool"}
+_TYPES |= {"f4": "float", "f8": "double", "b1": "bool"}
 
 
 def ulog_message(kind: bytes, payload: bytes) -> bytes:

@@ -91,6 +91,11 @@ class ThrustCurve:
         return command / reach * (2.0 * f * x + 1.0 - f) / (f * x * x + (1.0 - f) * x)
 
 
+def origin_of(airframe: "Airframe | None") -> Place | None:
+    """From where the positions of a flight are counted; None where its log does not tell."""
+    return None if airframe is None or airframe.origin is None else airframe.origin.value
+
+
 @dataclass(frozen=True, slots=True)
 class Airframe:
     """Facts of an aircraft that its log holds besides the signals; None where it does not tell.
@@ -106,6 +111,7 @@ class Airframe:
         accel_cutoff_hz: Low-pass that the accelerometer in the log went through.
         gyro_cutoff_hz: Low-pass that the gyroscope in the log went through.
         place: Where it flew.
+        origin: From where its positions are counted; its height is over the sea.
         filters: Filters on board that the signals in the log did not go through, in words.
     """
 
@@ -120,6 +126,7 @@ class Airframe:
     gyro_cutoff_hz: Told[float] | None = None
     place: Told[Place] | None = None
     filters: str = ""
+    origin: Told[Place] | None = None
 
     __repr__ = short_repr
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..errors import LogError
 from ..frames import AXES, rotation_vector
 from ..logs import AnyFlight
+from ..logs.airframe import origin_of
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
@@ -70,6 +71,7 @@ def flight_gap(
         warnings=tuple([*alignment.notes, *notes, *warnings]),
         facts=dict(flight.facts),
         means=hover_means(channels, vehicle),
+        origin=origin_of(flight.airframe),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import ModelError
+from ..logs.airframe import Place
 from ..representation import short_repr
 from .spectra import SLOW_HZ, slow_part, spectrum
 
@@ -76,6 +77,7 @@ class FlightGap:
         warnings: What a reader of the numbers must know.
         facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
         means: What its hover says of the twin; None: it has none.
+        origin: From where its positions are counted; None: not known.
     """
 
     flight: str
@@ -85,6 +87,7 @@ class FlightGap:
     warnings: tuple[str, ...]
     facts: dict[str, str]
     means: "HoverMeans | None" = None
+    origin: Place | None = None
 
     __repr__ = short_repr
 

@@ -10,9 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs import Finding, Flight
+from twin.logs.airframe import origin_of
 from twin.logs.columns import ACC, ACC_NED, COLUMNS, GYRO, MAG, POS, QUAT, VEL, motor_number
 
-from .foxglove import FOXGLOVE, LOG, LONGEST_STEP_S, PoseTopics, log_message
+from .foxglove import (
+    FOXGLOVE,
+    LOCATION,
+    LOG,
+    LONGEST_STEP_S,
+    LocationTopics,
+    PoseTopics,
+    log_message,
+)
 from .mcap_file import McapFile, PlotTopics, check_times, mcap_file
 from .table import nanoseconds
 
@@ -55,6 +64,8 @@ def write_flight_mcap(flight: Flight, path: Path) -> None:
         plots = PlotTopics(file, topics)
         file.topic(LOG, FOXGLOVE[LOG])
         pose = None if position is None else PoseTopics(file)
+        placed = {LOCATION: POS} if flight.has(*POS) else {}
+        places = LocationTopics(file, origin_of(flight.airframe), placed)
         file.note("flight", {"name": flight.name, **flight.facts})
         file.note("units", {c: unit for f in topics.values() for c, (_, unit) in f.items()})
         _write_findings(file, int(t_ns[0]), flight.name, flight.findings)
@@ -64,8 +75,10 @@ def write_flight_mcap(flight: Flight, path: Path) -> None:
             rows = slice(start, start + _BLOCK_ROWS)
             block = {c: v[rows] for c, v in columns.items()}
             poses = {} if position is None else _poses(flight.time_s[rows], block, *position)
+            of_rows = places.rows(block, len(t_ns[rows]))
             each = zip(t_ns[rows].tolist(), phases[codes[rows]], plots.rows(block), strict=True)
             for row, (t, phase, messages) in enumerate(each):
+                places.write(t, of_rows[row])
                 if phase != told:
                     text = f"phase: {phase or 'unknown'}"
                     file.write(LOG, t, log_message(t, "info", text, flight.name))

@@ -10,12 +10,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from twin.logs.airframe import Place
 from twin.logs.flight import Severity
+from twin.vehicle.geodesy import geodetic_of_ned
 
 from .mcap_file import McapFile, Schema, timestamp
 
 TF, TF_STATIC, POSE, LOG = "/tf", "/tf_static", "/pose", "/log"
+LOCATION = "/location"
 LONGEST_STEP_S = 1.0
 """Between two positions; the pose between those farther apart is not told."""
 MEANINGS: Mapping[str, str] = {
@@ -23,9 +27,12 @@ MEANINGS: Mapping[str, str] = {
     f"are at most {LONGEST_STEP_S:g} s apart; the position is on a straight line between them",
     TF_STATIC: "`map` to `ned`, `frd` to `base_link`, at the first instant",
     POSE: "the same in `ned`",
+    LOCATION: "latitude and longitude, degrees, and height, m, where the position has a sample, of "
+    "flights whose log tells the origin of its positions",
     LOG: "phases where they begin; what the reader counted or doubts, at the first instant",
 }
 """Of the topics that are no plain numbers."""
+Array = NDArray[np.float64]
 MAP, NED, FRD, BASE_LINK = "map", "ned", "frd", "base_link"
 _HALF = float(np.sqrt(0.5))
 _STATIC = (
@@ -64,6 +71,16 @@ FOXGLOVE: Mapping[str, Schema] = {
         "foxglove.FrameTransforms", transforms={"type": "array", "items": _TRANSFORM}
     ),
     POSE: _object("foxglove.PoseInFrame", timestamp=_TIME, frame_id=_TEXT, pose=_POSE),
+    LOCATION: _object(
+        "foxglove.LocationFix",
+        timestamp=_TIME,
+        frame_id=_TEXT,
+        latitude=_NUMBER,
+        longitude=_NUMBER,
+        altitude=_NUMBER,
+        position_covariance={"type": "array", "items": _NUMBER, "minItems": 9, "maxItems": 9},
+        position_covariance_type={"type": "integer", "minimum": 0, "maximum": 3},
+    ),
     LOG: _object(
         "foxglove.Log",
         timestamp=_TIME,
@@ -106,6 +123,47 @@ class PoseTopics:
         self._file.write(TF, t_ns, _frame(t_ns, NED, FRD, place, turn))
         told = {"timestamp": timestamp(t_ns), "frame_id": NED, "pose": pose}
         self._file.write(POSE, t_ns, told)
+
+
+class LocationTopics:
+    """Positions on the Earth, a topic for each side that has some; Foxglove's map shows them."""
+
+    def __init__(
+        self, file: McapFile, origin: Place | None, topics: Mapping[str, Sequence[str]]
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            file: To write into.
+            origin: From where positions are counted; None: there are no topics.
+            topics: Columns north, east and down, m, by topic.
+        """
+        self._file, self._origin = file, origin
+        self._topics = {} if origin is None else dict(topics)
+        for topic in self._topics:
+            file.topic(topic, FOXGLOVE[LOCATION])
+
+    def rows(self, columns: Mapping[str, Array], count: int) -> list[list[tuple[str, Array]]]:
+        """Topics and places, degrees and m, by row; none where a position has no sample."""
+        found: list[list[tuple[str, Array]]] = [[] for _ in range(count)]
+        for topic, names in self._topics.items():
+            assert self._origin is not None
+            position = np.column_stack([columns[c] for c in names])
+            known = np.flatnonzero(np.isfinite(position).all(axis=1))
+            o = self._origin
+            told = geodetic_of_ned(position[known], o.latitude_rad, o.longitude_rad, o.height_m)
+            told[:, :2] = np.degrees(told[:, :2])
+            for row, place in zip(known.tolist(), told, strict=True):
+                found[row].append((topic, place))
+        return found
+
+    def write(self, t_ns: int, places: Sequence[tuple[str, Array]]) -> None:
+        """Write what `rows` found at an instant."""
+        for topic, place in places:
+            told = dict(zip(("latitude", "longitude", "altitude"), place.tolist(), strict=True))
+            unknown = {"position_covariance": [0.0] * 9, "position_covariance_type": 0}
+            fix = {"timestamp": timestamp(t_ns), "frame_id": NED, **told, **unknown}
+            self._file.write(topic, t_ns, fix)
 
 
 def _frame(

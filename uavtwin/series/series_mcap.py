@@ -5,11 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .foxglove import PoseTopics
+from twin.logs.columns import POS
+
+from .foxglove import LOCATION, LocationTopics, PoseTopics
 from .mcap_file import PlotTopics, check_times, mcap_file
-from .table import Series
+from .table import CORRECTED, DRAWN, EXPLAINED, MEASURED, TWIN, Series
 
 _BLOCK_ROWS = 1 << 12
+PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED, DRAWN)
+"""Sides that are somewhere; the others are differences and spreads."""
 
 
 def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> None:
@@ -31,6 +35,7 @@ def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> N
     begun = False
     with mcap_file(path) as file:
         plots, body = PlotTopics(file, topics), PoseTopics(file) if pose else None
+        places = LocationTopics(file, series.origin, _positions(series.names))
         file.note("uavtwin", {"name": series.name, **series.facts})
         file.note("units", {c.name: c.unit for c in series.columns})
         for t_ns, values in series.blocks(_BLOCK_ROWS):
@@ -41,8 +46,17 @@ def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> N
             begun = True
             block = dict(zip(series.names, values, strict=True))
             poses = np.column_stack([block[c] for c in pose]).tolist() if pose else ()
+            of_rows = places.rows(block, len(t_ns))
             for k, (t, messages) in enumerate(zip(t_ns.tolist(), plots.rows(block), strict=True)):
+                places.write(t, of_rows[k])
                 if body is not None and np.isfinite(poses[k]).all():
                     body.write(t, poses[k][:3], poses[k][3:])
                 for topic, message in messages:
                     file.write(topic, t, message)
+
+
+def _positions(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Columns of a position by topic, of every side that has one and is no difference."""
+    sides = dict.fromkeys(name.rpartition(".")[0] for name in names)
+    found = {side: tuple(f"{side}.{c}" for c in POS) for side in sides if side in PLACED}
+    return {f"/{s}{LOCATION}": columns for s, columns in found.items() if {*columns} <= {*names}}

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from twin.logs.airframe import Place
 from twin.representation import short_repr
 
 Array = NDArray[np.float64]
@@ -69,11 +70,13 @@ class Series:
         name: Of the flight.
         columns: Each name once; those sampled together share the array of their times.
         facts: What they were made of, as text.
+        origin: From where positions are counted; None: not known.
     """
 
     name: str
     columns: tuple[Column, ...]
     facts: Mapping[str, str] = field(default_factory=dict)
+    origin: Place | None = None
 
     __repr__ = short_repr
 

@@ -161,3 +161,29 @@ def test_absurd_parameters_tell_nothing(params: dict[str, float]) -> None:
     assert told.layout is None or not told.layout.metric
     assert told.cells is None
     assert told.thrust is None
+
+
+def test_the_origin_of_positions_unless_it_moves() -> None:
+    """From when the estimator has one; a kilometre further north at the end."""
+    t = MOVING_S[::5]
+    n = len(t)
+    known = np.arange(n) > 3
+    local = {
+        "t": t,
+        **{k: np.zeros(n, dtype=np.float32) for k in ("x", "y", "z", "vx", "vy", "vz")},
+        "ref_lat": np.where(known, 47.3977, np.nan),
+        "ref_lon": np.where(known, 8.5456, np.nan),
+        "ref_alt": np.where(known, 488.0, np.nan).astype(np.float32),
+        "xy_global": known.astype(np.uint8),
+    }
+    told = airframe({}, {"vehicle_local_position": local}).origin
+    assert told is not None and told.source == "vehicle_local_position of the log"
+    origin = told.value
+    assert np.degrees([origin.latitude_rad, origin.longitude_rad]) == pytest.approx(
+        (47.3977, 8.5456)
+    )
+    assert origin.height_m == 488.0
+    moved = local | {"ref_lat": local["ref_lat"] + 0.01 * (np.arange(n) > 0.8 * n)}
+    never = local | {"xy_global": np.zeros(n, dtype=np.uint8)}
+    for other in (moved, never):
+        assert airframe({}, {"vehicle_local_position": other}).origin is None

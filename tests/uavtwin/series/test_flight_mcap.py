@@ -21,7 +21,7 @@ from uavtwin.series.flight_mcap import TOPICS, write_flight_mcap
 from uavtwin.series.foxglove import FOXGLOVE, LOG, POSE, TF, TF_STATIC
 
 Array = np.ndarray
-FIELDS = {"/pose", "/tf", "/tf_static", "/log"}
+FIELDS = {"/pose", "/tf", "/tf_static", "/location", "/log"}
 
 
 def flight(**columns: Any) -> Flight:
@@ -140,6 +140,10 @@ def test_names_and_fields_are_those_foxglove_knows() -> None:
         "foxglove.FrameTransform": transform,
         "foxglove.FrameTransforms": ["transforms"],
         "foxglove.PoseInFrame": ["timestamp", "frame_id", "pose"],
+        "foxglove.LocationFix": [
+            *("timestamp", "frame_id", "latitude", "longitude", "altitude"),
+            *("position_covariance", "position_covariance_type"),
+        ],
         "foxglove.Log": ["timestamp", "level", "message", "name", "file", "line"],
     }
 

@@ -19,6 +19,9 @@ _FRAME_SD = 0.05
 _FULL_CELL_V = 4.2
 _IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")
 _SPIN_MIN, _SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
+_EKF_ORIGIN = 0
+_COUNTED = {"XKF1", "NKF1", "PSCN"}
+"""Messages whose positions are counted from it."""
 _OTHERS = {
     "ArduPlane": "a fixed-wing aircraft",
     "ArduRover": "a rover",
@@ -42,6 +45,7 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
         accel_cutoff_hz=_cutoff(params, "INS_ACCEL_FILTER"),
         gyro_cutoff_hz=_cutoff(params, "INS_GYRO_FILTER"),
         place=None if place is None else _place(place),
+        origin=_origin(log),
     )
 
 
@@ -102,6 +106,24 @@ def _imu_position(params: Mapping[str, float]) -> Told[tuple[float, float, float
 def _cutoff(params: Mapping[str, float], name: str) -> Told[float] | None:
     hz = params.get(name, 0.0)
     return Told(hz, f"{name} of the log") if hz > 0.0 else None
+
+
+def _origin(log: ArduPilotLog) -> Told[Place] | None:
+    """What the estimator counts positions from; POS alone is counted from its first sample."""
+    topic = log.whole("ORGN")  # said once, mostly before the flight
+    if topic is None or not topic.has("Type", "Lat", "Lng", "Alt"):
+        return None
+    if not _COUNTED & log.content.messages.keys():
+        return None
+    columns = np.column_stack([topic.raw(c) for c in ("Lat", "Lng", "Alt")])
+    there = columns[topic.raw("Type") == _EKF_ORIGIN]
+    if not len(there) or not np.isfinite(there).all() or np.any(np.ptp(there, axis=0) > 0.0):
+        return None
+    latitude, longitude, height = there[-1].tolist()
+    if abs(latitude) > 90.0 or abs(longitude) > 180.0:
+        return None
+    place = Place(math.radians(latitude), math.radians(longitude), height, None)
+    return Told(place, "ORGN of the log")
 
 
 def _place(found: Fix) -> Told[Place]:

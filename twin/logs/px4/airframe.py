@@ -52,6 +52,8 @@ _TYPED_SD = 0.05
 _MOST_CELLS, _MOST_V = 60, 5.5
 _HIGHEST_M = 2e4
 _FIX_3D = 3
+_MOVED_DEG = 1e-6
+"""A tenth of a metre: an estimator that moves its origin further starts again."""
 _EARLIEST_S = 1.0e9  # 2001: receivers without a date begin in 1970 or 1980
 
 
@@ -80,6 +82,7 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
         gyro_cutoff_hz=gyro,
         place=_place(log),
         filters="" if filtered else _filters(log),
+        origin=_origin(log),
     )
 
 
@@ -224,6 +227,22 @@ def _place(log: Px4Log) -> Told[Place] | None:
         )
         return Told(place, f"{name} of the log, {int(fixed.sum())} fixes")
     return None
+
+
+def _origin(log: Px4Log) -> Told[Place] | None:
+    """What the estimator counts positions from; None where it has none, or has moved it."""
+    topic = log.topic("vehicle_local_position", 0, "ref_lat", "ref_lon", "ref_alt", "xy_global")
+    if topic is None:
+        return None
+    there = topic.columns(("ref_lat", "ref_lon", "ref_alt"))[topic.data["xy_global"] > 0]
+    there = there[np.isfinite(there).all(axis=1)]
+    if not len(there) or np.any(np.ptp(there[:, :2], axis=0) > _MOVED_DEG):
+        return None
+    latitude, longitude, height = there[-1]
+    if abs(latitude) > 90.0 or abs(longitude) > 360.0 or not (latitude or longitude):
+        return None
+    north, east = (float(v) for v in np.radians([latitude, longitude]))
+    return Told(Place(north, east, float(height), None), "vehicle_local_position of the log")
 
 
 def _degrees(topic: Topic) -> Array | None:

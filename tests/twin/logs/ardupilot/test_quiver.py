@@ -171,6 +171,10 @@ def test_the_log_tells_its_aircraft_in_the_words_of_all_formats() -> None:
     more = x + step / (curve.full - curve.start)
     slope = (curve.factor * more**2 + (1 - curve.factor) * more - thrust) / step
     assert curve.elasticity(0.5) == pytest.approx(0.5 * slope / thrust, rel=1e-4)
+    assert told.origin is not None and told.origin.source == "ORGN of the log"
+    place, origin = told.place, told.origin.value
+    assert place is not None and origin.height_m == pytest.approx(place.value.height_m, abs=20)
+    assert origin.latitude_rad == pytest.approx(place.value.latitude_rad, abs=1e-4)
     assert told.place is not None and told.gyro_cutoff_hz is not None
 
 

@@ -1,0 +1,46 @@
+"""Where on the Earth a local position is: the ellipsoid WGS 84."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+A_M = 6378137.0
+"""Semi-major axis."""
+F = 1 / 298.257223563
+"""Flattening."""
+_E2 = F * (2.0 - F)
+
+
+def geodetic_of_ned(
+    position_m: Array, latitude_rad: float, longitude_rad: float, height_m: float
+) -> Array:
+    """Latitude and longitude, rad, and height over the ellipsoid, m, of positions, shape (n, 3).
+
+    Args:
+        position_m: North, east, down from the origin, along its axes, m, shape (n, 3).
+        latitude_rad: Of the origin, geodetic, north positive.
+        longitude_rad: Of the origin, east positive.
+        height_m: Of the origin, over the ellipsoid.
+
+    Source: WGS 84, NIMA TR8350.2, ch. 3 (ellipsoid) and ch. 4.5 (to Earth-fixed axes); back by
+    Bowring, Survey Review 28 (1985), whose latitude is off by less than 1e-11 rad here.
+    Valid for: what aircraft reach.
+    """
+    sin_lat, cos_lat = np.sin(latitude_rad), np.cos(latitude_rad)
+    sin_lon, cos_lon = np.sin(longitude_rad), np.cos(longitude_rad)
+    north = np.array([-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat])
+    east = np.array([-sin_lon, cos_lon, 0.0])
+    down = -np.array([cos_lat * cos_lon, cos_lat * sin_lon, sin_lat])
+    radius = A_M / np.sqrt(1.0 - _E2 * sin_lat**2)  # of curvature, east and west
+    origin = -down * (radius + height_m) - np.array([0.0, 0.0, _E2 * radius * sin_lat])
+    x, y, z = (origin + position_m @ np.stack([north, east, down])).T
+    across = np.hypot(x, y)
+    b_m = A_M * (1.0 - F)
+    ratio, second = np.hypot(across, z), _E2 / (1.0 - _E2)
+    reduced = np.arctan2(b_m * z * (1.0 + second * b_m / ratio), A_M * across)
+    latitude = np.arctan2(
+        z + second * b_m * np.sin(reduced) ** 3, across - _E2 * A_M * np.cos(reduced) ** 3
+    )
+    sine = np.sin(latitude)
+    height = across * np.cos(latitude) + z * sine - A_M * np.sqrt(1.0 - _E2 * sine**2)
+    return np.column_stack([latitude, np.arctan2(y, x), height])
