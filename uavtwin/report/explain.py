@@ -17,7 +17,13 @@ from twin.explain.explanation import Explanation
 from .autopilot import told_content
 from .drawing.budget import Budget, fitted
 from .drawing.strip import Strip, strip
-from .evidence.plots import phases_of, steady_evidence, time_group, unsteady_evidence
+from .evidence.plots import (
+    phases_of,
+    steady_evidence,
+    time_group,
+    unsteady_evidence,
+    unsteady_strip,
+)
 from .evidence.steady import before_after_figure
 from .figures import pretty_unit
 from .gap import number, percent
@@ -81,7 +87,7 @@ def _page(found: Explanation, budget: Budget) -> str:
 def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
     """One effect as the template reads it."""
     channels, phases = where_felt(found, effect)
-    figures, how = _evidence(found, effect, budget)
+    figures, how, over = _evidence(found, effect, budget)
     return {
         "name": title(effect),
         "meaning": meaning(effect),
@@ -102,6 +108,7 @@ def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
         "phases": phases,
         "figures": figures,
         "how": how,
+        "strip": over,
         "rivals": [
             {
                 "name": title(r["name"]),
@@ -136,20 +143,25 @@ def _strips(found: Explanation) -> list[Strip]:
     return [s for s in strips if s is not None]
 
 
-def _evidence(found: Explanation, effect: str, budget: Budget) -> tuple[list[Plot], str]:
-    """Figures that convince of an effect, and how to read them; none where there is nothing."""
+def _evidence(
+    found: Explanation, effect: str, budget: Budget
+) -> tuple[list[Plot], str, Strip | None]:
+    """Figures that convince of an effect, how to read them, and the strip over them if it is not
+    one of the page; no figures where there is nothing."""
     acts = next((a for a in found.attributions if a.effect == effect), None)
     compared = found.comparison
     if acts is not None and compared is not None:
-        return steady_evidence(acts, compared.after, compared.model.flights, budget)
+        return *steady_evidence(acts, compared.after, compared.model.flights, budget), None
     unsteady = beside_mean(found, effect)
     felt = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
     if unsteady is None or not felt:
-        return [], ""
+        return [], "", None
     if compared is None or not isinstance(EFFECTS[effect].seen_as, RandomForce):
-        return unsteady_evidence(unsteady, felt[-1], (), found.vehicle, budget)
+        shown = unsteady_evidence(unsteady, felt[-1], (), found.vehicle, budget)
+        return *shown, unsteady_strip(effect, felt[-1])
     flight = compared.model.flights[0].flight
-    return unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, budget)
+    shown = unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, budget)
+    return *shown, unsteady_strip(effect, flight)
 
 
 def _before_after(found: Explanation, budget: Budget) -> list[Plot]:

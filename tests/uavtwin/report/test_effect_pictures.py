@@ -1,13 +1,21 @@
 """Pictures of effects without a mean, and what makes a picture degenerate."""
 
+from dataclasses import replace
+
 import numpy as np
+import pandas as pd
 import pytest
 
 from benchmarks.planted import unsteady
+from twin.explain.stochastic.finding import StochasticEffect
+from twin.logs import Flight
+from twin.logs.autopilot import Autopilot, Mode, Stretch
+from twin.residuals.channels import ChannelData
+from twin.vehicle.file import load_vehicle
 from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.degenerate import degenerate
 from uavtwin.report.drawing.panels import Panels
-from uavtwin.report.evidence.plots import unsteady_evidence
+from uavtwin.report.evidence.plots import unsteady_evidence, unsteady_strip
 from uavtwin.report.evidence.steady import varies
 from uavtwin.report.page import plot
 
@@ -19,6 +27,27 @@ def test_an_effect_without_a_mean_has_a_picture() -> None:
         seen.found, seen.flight, seen.residuals, seen.vehicle, Budget(200)
     )
     assert plots and seen.flight.name in how
+    assert [fault for p in plots for fault in degenerate(p)] == []
+    said = Autopilot((Mode("Hold", 0.0),), failsafes=(Stretch("battery failsafe", 1.0, 2.0),))
+    over = unsteady_strip("stuck_sensor", replace(seen.flight, autopilot=said))
+    assert over is not None and over.group == plots[0].time, "page.js lays it over that figure"
+    assert "battery failsafe" in over.json
+    assert unsteady_strip("stuck_sensor", seen.flight) is None
+
+
+def test_a_slow_force_over_time_has_a_strip_too() -> None:
+    """Residuals of the gust are those of a held-out flight; its strip is of the same group."""
+    t = np.arange(0, 20, 0.02)
+    left = np.sin(t) + 0.1 * np.random.default_rng(0).standard_normal(len(t))
+    piece = np.zeros(len(t), dtype=np.int64)
+    channel = ChannelData("acc_x", "m/s^2", t, left, left, np.empty((len(t), 0)), piece)
+    found = StochasticEffect("gust", 9.0, {}, {}, ("acc_x",), 0.9)
+    said = Autopilot((Mode("Hold", 0.0),))
+    flight = Flight("held_out", pd.DataFrame({"time": t}), autopilot=said)
+    plots, _ = unsteady_evidence(found, flight, [channel], load_vehicle("feisi_x150"), Budget(200))
+    over = unsteady_strip("gust", flight)
+    assert [p.time for p in plots] == ["unsteady-gust", ""], "over time, and spectra"
+    assert over is not None and over.group == "unsteady-gust"
     assert [fault for p in plots for fault in degenerate(p)] == []
 
 

@@ -12,6 +12,7 @@ from twin.vehicle import Vehicle
 
 from ..drawing.budget import Budget
 from ..drawing.panels import Spans, spans_of
+from ..drawing.strip import Strip, strip
 from ..page import Plot, plot
 from .steady import agreement_figure, evidence_figure, loudest
 from .unsteady import slow_force_over_time, unsteady_figure
@@ -78,15 +79,31 @@ def unsteady_evidence(
         budget: Of the page.
     """
     kind, name = type(EFFECTS[found.effect].seen_as), found.effect.replace("_", " ")
-    figures = [unsteady_figure(found, flight, residuals, vehicle, budget)]
+    time = _unsteady_group(found.effect)
+    figures = [unsteady_figure(found, flight, residuals, vehicle, time, budget)]
     if kind is RandomForce:
-        figures.insert(0, slow_force_over_time(found, residuals, budget))
+        figures.insert(0, slow_force_over_time(found, residuals, time, budget))
     plots = [
         plot(f"evidence-{found.effect}-{i}", f"What shows {name}", figure)
         for i, figure in enumerate(figures)
         if figure is not None
     ]
     return plots, _UNSTEADY[kind].format(flight.name) if plots else ""
+
+
+def unsteady_strip(effect: str, flight: AnyFlight) -> Strip | None:
+    """Modes, failsafes and messages over the figures of `unsteady_evidence`.
+
+    Args:
+        effect: That is shown.
+        flight: In which.
+    """
+    return strip(_unsteady_group(effect), flight.autopilot, float(flight.time_s[-1]))
+
+
+def _unsteady_group(effect: str) -> str:
+    """Group of the figures of an effect without a mean: each looks at a time of its own."""
+    return f"unsteady-{effect}"
 
 
 def phases_of(flight: FlightModel) -> Spans:

@@ -31,6 +31,7 @@ def unsteady_figure(
     flight: AnyFlight,
     residuals: Sequence[ChannelData],
     vehicle: Vehicle,
+    time: str,
     budget: Budget,
 ) -> Figure | None:
     """The figure that shows an effect without a mean; None where the flight lacks the readings.
@@ -40,11 +41,12 @@ def unsteady_figure(
         flight: As read.
         residuals: Its channels against the model, for a force that is slow.
         vehicle: The model as it stood, whose noise is drawn.
+        time: Group of figures whose time axes move together.
         budget: Of the page.
     """
     match EFFECTS[found.effect].seen_as:
         case Repeats():
-            return _still(found, flight, budget)
+            return _still(found, flight, time, budget)
         case RandomForce():
             return _slow_force(found, residuals, vehicle, budget)
         case NoiseFloor() | Lines():
@@ -52,7 +54,7 @@ def unsteady_figure(
     return None
 
 
-def _still(found: StochasticEffect, flight: AnyFlight, budget: Budget) -> Figure | None:
+def _still(found: StochasticEffect, flight: AnyFlight, time: str, budget: Budget) -> Figure | None:
     """Readings of a sensor around the instant from which one of them stands still."""
     channel = found.channels[0]
     sensor = next(s for s in SENSORS if channel in s.columns)
@@ -60,7 +62,7 @@ def _still(found: StochasticEffect, flight: AnyFlight, budget: Budget) -> Figure
         return None
     t, values = flight.signal([channel])
     since = next((v for k, v in found.values.items() if k.endswith("time_s")), float(t[0]))
-    panels = Panels((150,) * len(sensor.columns), "still")
+    panels = Panels((150,) * len(sensor.columns), time)
     for column in sensor.columns:
         stuck = column == channel
         axes = panels.add(f"{column}, {pretty_unit(sensor.unit)}")
@@ -147,19 +149,20 @@ def _slow_force(
 
 
 def slow_force_over_time(
-    found: StochasticEffect, residuals: Sequence[ChannelData], budget: Budget
+    found: StochasticEffect, residuals: Sequence[ChannelData], time: str, budget: Budget
 ) -> Figure | None:
     """The same over time.
 
     Args:
         found: A random force.
         residuals: Channels of a flight against the model.
+        time: Group of figures whose time axes move together.
         budget: Of the page.
     """
     names = [c for c in residuals if c.name in found.channels]
     if not names:
         return None
-    panels = Panels((170,) * len(names), "unsteady")
+    panels = Panels((170,) * len(names), time)
     for channel in names:
         axes = panels.add(f"residual of {channel.name}, {pretty_unit(channel.unit)}")
         line = {"color": GREY, "width": 1.4}
