@@ -214,6 +214,7 @@ def write_run(
     seed: int | None = None,
     file: str = "run.json",
     incomplete: str = "",
+    fmus: Mapping[str, str] | None = None,
 ) -> None:
     """Write `run.json`: what made the results beside it. No time and no machine: the same run
     gives the same bytes.
@@ -226,6 +227,7 @@ def write_run(
         seed: Of what is drawn.
         file: Another name, where the folder is not of this run alone.
         incomplete: Why the results are of a part of the run; "": they are of all of it.
+        fmus: How each FMU of a simulation was run, by its name there; None: there were none.
     """
     write_json(
         out / file,
@@ -236,6 +238,7 @@ def write_run(
             "inputs": [{"name": p.name, "sha256": sha256(p)} for p in inputs],
             "python": platform.python_version(),
             "packages": {name: version(name) for name in _PACKAGES},
+            **({} if fmus is None else {"fmus": dict(fmus)}),
             **({"incomplete": incomplete} if incomplete else {}),
         },
     )

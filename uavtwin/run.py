@@ -48,6 +48,7 @@ class Run(Shown):
         units: By column, "" where there is none.
         facts: What it was run with, for the page.
         ended: What ended it early; None where it came to its end.
+        fmus: How each FMU was run, by its name in the system: "FMI 3.0, co-simulation".
     """
 
     name: str
@@ -55,6 +56,7 @@ class Run(Shown):
     units: Mapping[str, str]
     facts: Mapping[str, Any] = field(default_factory=dict)
     ended: RunError | Interrupted | None = None
+    fmus: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def claim(self) -> str:
@@ -277,7 +279,8 @@ def run_plan(
             recording, ended = error.recording, error
         interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
     units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
-    return Run(plan.name, recording, units, _facts(plan), ended)
+    ways = {k: f"FMI {i.description.fmiVersion}, co-simulation" for k, i in interfaces.items()}
+    return Run(plan.name, recording, units, _facts(plan), ended, ways)
 
 
 def _facts(plan: Scenario) -> dict[str, Any]:

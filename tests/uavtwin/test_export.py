@@ -116,6 +116,14 @@ def test_no_input_is_ignored(name: str) -> None:
     assert columns == set(range(len(c.inputs)))
 
 
+@pytest.mark.parametrize("name", COMPONENTS)
+def test_a_component_that_says_where_its_derivatives_jump_is_for_solvers(name: str) -> None:
+    """The ground is such a place, so the airframe is the one of ours."""
+    made = component(name, load_vehicle("crazyflie"))
+    assert made.for_solvers is (name == "airframe")
+    assert not replace(made, continuous=None).for_solvers
+
+
 def test_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     arguments = ("battery", "mission", "--vehicle", "crazyflie", "--mission", "land")
     code, said, _ = run(capsys, "export", *arguments, "--out", tmp_path)

@@ -124,11 +124,15 @@ def test_an_ssp_is_the_scenario_that_it_was_made_of(
     code, said, _ = simulate(ssp, "--stop", "4", "--out", tmp_path / "a", "--csv")
     assert code == 0
     assert said.startswith("windy.ssp: 4 s flown")
+    assert said.rstrip().endswith("report.html, recording.csv, summary.json, run.json")
     options = ("--vehicle", VEHICLE, "--wind=3,-2,0", "--gusts", "--seed", "4", "--csv")
     simulate("tour", *options, "--effect", "rotor_drag", "--stop", "4", "--out", tmp_path / "b")
     a, b = ((tmp_path / name / "recording.csv").read_bytes() for name in "ab")
     assert a == b
-    assert json.loads((tmp_path / "b" / "run.json").read_text())["seed"] == 4
+    made = [json.loads((tmp_path / name / "run.json").read_text()) for name in "ab"]
+    assert made[1]["seed"] == 4
+    assert made[0]["fmus"] == dict.fromkeys(windy.fmus, "FMI 2.0, co-simulation")
+    assert made[1]["fmus"].keys() == windy.fmus.keys()
 
 
 @pytest.mark.slow

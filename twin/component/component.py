@@ -150,6 +150,11 @@ class Component:
     sampling: Sampling | None = None
     continuous: Continuous | None = None
 
+    @property
+    def for_solvers(self) -> bool:
+        """Whether a solver outside may integrate it: it says where its derivatives jump."""
+        return self.continuous is not None and bool(self.continuous.crossing_names)
+
     def __repr__(self) -> str:
         sizes = {
             "parameters": self.parameters,

@@ -115,27 +115,28 @@ def simulate(
     inputs = [p for p in given if p.is_file()]
     recordings = [f"recording.{form}" for form in forms]
     _write(run, out, force, recordings, options, inputs, seed)
-    _say(run, out, realtime, as_json)
+    _say(run, out, recordings, realtime, as_json)
 
 
-def _say(run: "Run", out: Path, realtime: bool, as_json: bool) -> None:
+def _say(run: "Run", out: Path, recordings: Sequence[str], realtime: bool, as_json: bool) -> None:
     """What came of a run; ends the verb where it did not come to its end."""
     if as_json:
         print_json(run.json())
     if run.ended is not None:
         _end(run, out)
     if not as_json:
-        _tell(run, out, realtime)
+        _tell(run, out, recordings, realtime)
 
 
-def _tell(run: "Run", out: Path, realtime: bool) -> None:
+def _tell(run: "Run", out: Path, recordings: Sequence[str], realtime: bool) -> None:
     """What a run that came to its end says."""
     STDOUT.print(run.claim, style="bold", markup=False)
     if realtime:
         STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
     if run.recording.printed:
         STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}", markup=False)
-    STDOUT.print(f"written: {out / 'report.html'}, recording, summary.json, run.json")
+    written = ", ".join([*recordings, "summary.json", "run.json"])
+    STDOUT.print(f"written: {out / 'report.html'}, {written}", markup=False)
 
 
 def _write(
@@ -163,7 +164,7 @@ def _write(
         if printed:
             (folder / "printed.txt").write_text(printed, "utf-8")
         why = run.recording.incomplete
-        write_run(folder, "simulate", options, inputs, seed, incomplete=why)
+        write_run(folder, "simulate", options, inputs, seed, incomplete=why, fmus=run.fmus)
 
 
 def _end(run: "Run", out: Path) -> NoReturn:

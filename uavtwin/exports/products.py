@@ -18,8 +18,6 @@ from twin.errors import TwinError
 from ..output import sha256
 from .parts import Twin
 
-EXCHANGED = ("airframe",)
-"""Components that a solver of the importer may integrate, beside co-simulation."""
 Exportable = Component | FmuModel | NetworkFile | Twin
 
 
@@ -130,7 +128,7 @@ def products_of(
         ready = what.with_starts(starts.of(what))
         if python_slave:
             return [_slave(ready)]
-        return [_native(component_model(ready, exchange=ready.name in EXCHANGED))]
+        return [_native(component_model(ready, exchange=ready.for_solvers))]
     if isinstance(what, FmuModel):
         return [_native(what.with_starts(starts.of(what)))]
     raise TwinError(

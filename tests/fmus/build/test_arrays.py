@@ -78,6 +78,7 @@ def pair(
     return whole, build(whole, folder / "arrays.fmu", 3), build(plain, folder / "plain.fmu", 3)
 
 
+@pytest.mark.slow
 def test_fmpy_finds_no_problem_and_the_same_bits(pair: tuple[FmuModel, Path, Path]) -> None:
     whole, vectors, plain = pair
     assert validate_fmu(str(vectors)) == []
@@ -92,6 +93,7 @@ def test_fmpy_finds_no_problem_and_the_same_bits(pair: tuple[FmuModel, Path, Pat
         assert np.reshape(many[entry.name], columns.shape).tobytes() == columns.tobytes()
 
 
+@pytest.mark.slow
 def test_start_values_terminals_and_page(pair: tuple[FmuModel, Path, Path]) -> None:
     whole, vectors, _ = pair
     table = {v.name: v for v in fmpy.read_model_description(str(vectors)).modelVariables}
@@ -110,6 +112,7 @@ def test_start_values_terminals_and_page(pair: tuple[FmuModel, Path, Path]) -> N
     assert "<h2>Arrays</h2>" in page
 
 
+@pytest.mark.slow
 def test_elements_are_set_and_their_derivatives_told(tmp_path: Path) -> None:
     """Directional derivatives of arrays are those of their elements, one after another."""
     plain = model("airframe-crazyflie")
@@ -142,6 +145,7 @@ def test_elements_are_set_and_their_derivatives_told(tmp_path: Path) -> None:
         i.close()
 
 
+@pytest.mark.slow
 def test_our_master_steps_it_and_refuses_to_connect_arrays(
     pair: tuple[FmuModel, Path, Path],
 ) -> None:
@@ -168,6 +172,7 @@ def test_our_master_steps_it_and_refuses_to_connect_arrays(
 # -- the front door ---------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_export_with_arrays(tmp_path: Path) -> None:
     """By name and as a twin, which has no `.ssp` then; in FMI 2 refused."""
     battery = component("battery", vehicle("crazyflie"))

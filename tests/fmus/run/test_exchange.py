@@ -4,6 +4,7 @@ import ctypes
 import math
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -384,3 +385,42 @@ def _close(inside: Array, outside: Array) -> None:
     span = np.maximum(np.ptp(inside, axis=0), 1.0)
     assert np.ptp(inside, axis=0).max() > 1.0  # it flies
     np.testing.assert_array_less(np.abs(inside - outside) / span, 1e-6)
+
+
+@pytest.mark.slow
+def test_arrays_are_integrated_as_scalars_are(airframes: dict[int, Path], tmp_path: Path) -> None:
+    """FMPy's CVode sees the same states, derivatives and events, so that every bit of what it
+    makes of them is the same: a fall onto the ground with changing commands."""
+    component = airframe(load_vehicle("copter_default"), effects=("command_delay",))
+    whole = replace(component_model(component, exchange=True), arrays=True)
+    vectors = build(whole, tmp_path / "arrays.fmu", 3)
+    assert validate_fmu(str(vectors)) == []
+    states = fmpy.read_model_description(str(vectors)).numberOfContinuousStates
+    plain = airframes[3]
+    assert states == fmpy.read_model_description(str(plain)).numberOfContinuousStates
+    times = np.array([0.0, 0.1, 0.1, 0.5])
+    levels = np.array([0.2, 0.3, 0.5, 0.1])[:, None] + [0.0, 0.01, -0.01, 0.02]
+    singles = np.zeros(4, dtype=[("time", float), *((f"cmd_{i}", float) for i in range(1, 5))])
+    several = np.zeros(4, dtype=[("time", float), ("cmd", float, (4,))])
+    several["time"] = singles["time"] = times
+    several["cmd"] = levels
+    for k in range(4):
+        singles[f"cmd_{k + 1}"] = levels[:, k]
+    many, single = (
+        fmpy.simulate_fmu(
+            str(path),
+            fmi_type="ModelExchange",
+            stop_time=0.5,
+            output_interval=0.01,
+            relative_tolerance=1e-8,
+            input=commands,
+            record_events=False,
+        )
+        for path, commands in ((vectors, several), (plain, singles))
+    )
+    outputs = [e for e in whole.entries if e.first.causality == "output"]
+    assert {len(e.members) for e in outputs} >= {1, 3, 4}
+    for entry in outputs:
+        columns = np.column_stack([single[v.name] for v in entry.members])
+        assert np.reshape(many[entry.name], columns.shape).tobytes() == columns.tobytes()
+    assert np.ptp(single["vel_z"]) > 1.0, "it falls"

@@ -57,6 +57,7 @@ def instance(
     one.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_description(files: dict[int, Path], fmi: int) -> None:
     assert validate_fmu(str(files[fmi])) == []
@@ -86,6 +87,7 @@ def test_description(files: dict[int, Path], fmi: int) -> None:
     assert (table["seed"].min, table["seed"].max) == ("0", str(2**31 - 1))
 
 
+@pytest.mark.slow
 def test_values_come_back(instance: Instance) -> None:
     """Also after a state was saved, and another value was set."""
     instance.start({"step": -3, "wanted": 2, "on": 1})
@@ -101,6 +103,7 @@ def test_values_come_back(instance: Instance) -> None:
     instance.fmu.freeFMUState(state)
 
 
+@pytest.mark.slow
 def test_the_wrong_function_says_so(instance: Instance) -> None:
     fmu, reference = instance.fmu, instance.reference
     real, integer = ("Real", "Integer") if instance.fmi == 2 else ("Float64", "Int32")
@@ -118,6 +121,7 @@ def test_the_wrong_function_says_so(instance: Instance) -> None:
             assert what in instance.messages[-1]
 
 
+@pytest.mark.slow
 def test_what_is_no_item_is_refused(instance: Instance) -> None:
     with pytest.raises(FMICallException):
         instance.set({"wanted": 3})
@@ -141,6 +145,7 @@ def test_python_refuses_the_same(starts: dict[str, float], message: str) -> None
 # -- connected -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_connected_saved_as_ssp_and_run(files: dict[int, Path], tmp_path: Path) -> None:
     """Each kind to its own, an enumeration by its codes to a number; the file gives the same."""
     system = System(
@@ -164,6 +169,7 @@ def test_connected_saved_as_ssp_and_run(files: dict[int, Path], tmp_path: Path) 
     assert runs[0].tobytes() == runs[1].tobytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "target"),
     [
@@ -182,6 +188,7 @@ def test_what_would_mean_something_else_is_refused(
         system.check({"a": read_interface(files[2])})
 
 
+@pytest.mark.slow
 def test_an_enumeration_goes_where_all_its_items_are(
     files: dict[int, Path], tmp_path: Path
 ) -> None:
@@ -198,6 +205,7 @@ def test_an_enumeration_goes_where_all_its_items_are(
             fuse("both", "Both", parts, [ends])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
