@@ -293,6 +293,24 @@ CHANGES: dict[str, Prior] = {
 }
 """What may change on an aircraft whose numbers are known, as changes of its numbers; whatever is
 not here does not change from one flight to the next."""
+BEGINNINGS: dict[str, Prior] = {
+    **{e: CHANGES[e] for e in ("rotor_efficiency_loss", "mass_offset", "cog_offset")},
+    **{e: CHANGES[e] for e in ("steady_wind", "accel_bias", "gyro_bias")},
+    "battery_sag": Prior(
+        COMMON,
+        "a cell that fails or freezes: slope as of motor controllers without compensation",
+        {"slope": Normal(1.3, 0.6), "reference_v": Normal(1.0, 0.05)},
+    ),
+    "motor_lag": Prior(RARE, "a bearing, a controller that is hot", {"": Normal(0.0, 0.03)}),
+    "mag_hard_iron": Prior(
+        COMMON, "a tenth to half of the earth's field: a magnet, steel", {"": Normal(0.0, 1e-5)}
+    ),
+    "baro_bias": Prior(COMMON, "a draught, a blocked port", {"": Normal(0.0, 100.0)}),
+    "stuck_sensor": Prior(COMMON, "a sensor that hangs", {"": Normal(0.0, 1.0)}),
+    "vibration": Prior(COMMON, "a blade that is nicked or loose", {"": Normal(0.0, 1.0)}),
+    "sensor_noise_level": Prior(RARE, "a sensor that fails", {"": Normal(0.0, 1.0)}),
+}
+"""What may begin within a second in flight, as changes of numbers, whatever the weather."""
 ONLY_MORE = ("rotor_efficiency_loss", "mass_offset", "inertia_error", "slung_load")
 """What broke or was strapped on only adds."""
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..component import Component
+from ..component import Component, unknown_name
 from ..component.along import accumulated
 from ..errors import ModelError
 from ..frames import AXES
@@ -145,6 +145,7 @@ def fly(
     control: Component,
     setpoints: Array,
     held: Mapping[str, float] | None = None,
+    courses: Mapping[str, Array] | None = None,
 ) -> tuple[Array, Array]:
     """Fly setpoints at one per `STEP_S`, from the airframe's own start.
 
@@ -153,16 +154,15 @@ def fly(
         control: Controller; a sampled one must have a period of a whole number of steps.
         setpoints: In the order of `SETPOINTS`, shape (n, 11).
         held: Other inputs of the airframe, such as the wind.
+        courses: Inputs and parameters of the airframe that change in flight, by name, one value
+            per step, shape (n,); a delay of its memory does not.
 
     Returns:
         States before each step, shape (n, n_x), and the inputs over it, shape (n, n_u).
     """
     every, line = _every(control), _Memory(body)
-    u0, p_body, p_control = (
-        body.input_values(held),
-        body.parameter_values(),
-        control.parameter_values(),
-    )
+    course = _Course(body, held, courses or {}, len(setpoints))
+    u0, p_body, p_control = course.u, course.p, control.parameter_values()
     x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
     past = ca.SX.sym("past", line.size)
     setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")
@@ -176,17 +176,59 @@ def fly(
     answer = control.outputs(after, sensed, p_control)
     u = ca.SX(u0)
     u[[body.input_names.index(n) for n in control.output_names]] = answer
-    moved, later = line.sampled(body.step(x, u, p_body, STEP_S), u, past)
+    moved, later = line.sampled(body.step(x, u, p_body, STEP_S), u, past, p_body)
     both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
     everything = ca.vertcat(x, c, past)
-    step = ca.Function("closed_loop", [everything, setpoint, due], [both, ca.cse(u)])
-    start = [body.initial(u0, p_body), control.initial(control.input_values(), p_control)]
-    _, first_u = step(ca.vertcat(*start, np.zeros(line.size)), setpoints[0], True)
-    start[:1], begun = line.begun(body.initial(first_u, p_body), first_u)
+    rows = [everything, setpoint, due, course.now]
+    step = ca.Function("closed_loop", rows, [both, ca.cse(u)])
+    u_start, p_start = course.started()
+    start = [body.initial(u_start, p_start), control.initial(control.input_values(), p_control)]
+    known = ca.vertcat(*start, np.zeros(line.size))
+    _, first_u = step(known, setpoints[0], True, course.rows[0])
+    start[:1], begun = line.begun(body.initial(first_u, p_start), first_u)
     state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
     now = (np.arange(len(setpoints)) % every == 0).astype(np.float64)
-    trail, inputs = accumulated(step, state, setpoints, now[:, None])
+    trail, inputs = accumulated(step, state, setpoints, now[:, None], course.rows)
     return np.vstack([state, trail[:-1]])[:, : len(body.states)], inputs
+
+
+class _Course:
+    """Inputs and parameters of an airframe, those that change in flight as symbols.
+
+    Attributes:
+        u: All inputs that nobody else gives.
+        p: All parameters.
+        now: Symbols of what changes.
+        rows: Their values, shape (n, k).
+    """
+
+    def __init__(
+        self,
+        body: Component,
+        held: Mapping[str, float] | None,
+        courses: Mapping[str, Array],
+        n: int,
+    ) -> None:
+        self._body, self._held = body, dict(held or {})
+        self.now = ca.SX.sym("now", len(courses))
+        self.rows = np.column_stack([*courses.values()]) if courses else np.zeros((n, 0))
+        self.u, self.p = ca.SX(body.input_values(held)), ca.SX(body.parameter_values())
+        parameters = [v.name for v in body.parameters]
+        self._first: dict[str, float] = {}
+        for k, name in enumerate(courses):
+            if name in body.input_names:
+                self.u[body.input_names.index(name)] = self.now[k]
+                self._held[name] = float(self.rows[0, k])
+            elif name in parameters:
+                self.p[parameters.index(name)] = self.now[k]
+                self._first[name] = float(self.rows[0, k])
+            else:
+                known = (*body.input_names, *parameters)
+                raise ModelError(unknown_name(body.name, "input or parameter", name, known))
+
+    def started(self) -> tuple[Array, Array]:
+        """Inputs and parameters at the start."""
+        return self._body.input_values(self._held), self._body.parameter_values(self._first)
 
 
 class _Memory:
@@ -208,11 +250,11 @@ class _Memory:
             self._back = delays_s / STEP_S
         self.size = sum(int(k) + 2 for k in self._back)
 
-    def sampled(self, x: ca.SX, u: ca.SX, past: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def sampled(self, x: ca.SX, u: ca.SX, past: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX]:
         """State after a sample instant, and what is remembered from it on."""
         if self._sampling is None:
             return x, past
-        signals = self._sampling.signals(x, u, self._p)
+        signals = self._sampling.signals(x, u, p)
         lines: list[ca.SX] = []
         delayed = []
         for i, back in enumerate(self._back):
@@ -221,7 +263,7 @@ class _Memory:
             delayed.append(line[whole] + (back - whole) * (line[whole + 1] - line[whole]))
             lines.append(line)
         nothing = np.zeros(self._sampling.channels)
-        after = self._sampling.update(x, u, self._p, nothing, ca.vertcat(*delayed))
+        after = self._sampling.update(x, u, p, nothing, ca.vertcat(*delayed))
         return after, ca.vertcat(*lines)
 
     def begun(self, x: ca.DM, u: ca.DM) -> tuple[list[ca.DM], ca.DM]:

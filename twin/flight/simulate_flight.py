@@ -1,6 +1,6 @@
 """A plant flown by its controller along setpoints, and recorded as a flight table."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ..component import Component
 from ..component.sampled import noiseless_outputs
-from ..effects import EFFECTS, Average, Shift
+from ..effects import EFFECTS, Average, Repeats, Shift
 from ..logs import Flight, Site
 from ..logs.columns import QUAT
 from ..physics.airframe import airframe
@@ -61,6 +61,19 @@ class Recorder:
     until_lost: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Later:
+    """What begins in mid-flight.
+
+    Attributes:
+        effects: By identifier, its numbers.
+        from_s: Since when.
+    """
+
+    effects: Mapping[str, Mapping[str, float]]
+    from_s: float
+
+
 def simulate_flight(
     setpoints: Array,
     phases: Sequence[str],
@@ -69,6 +82,8 @@ def simulate_flight(
     recorder: Recorder,
     name: str = "simulated",
     voltage_v: float | None = None,
+    later: Later | None = None,
+    courses: Mapping[str, Array] | None = None,
 ) -> Flight:
     """Fly setpoints in closed loop from standing on the ground, and record the sensors.
 
@@ -83,36 +98,98 @@ def simulate_flight(
         recorder: What is recorded.
         name: Of the flight.
         voltage_v: Of the battery, constant; default: that of the plant.
+        later: Effects that begin in mid-flight, from the motion that the plant has by then.
+        courses: Inputs of the airframe that change in flight, such as the wind, by name, one value
+            per step, shape (n,).
 
     Raises:
         ModelError: No controller can be designed, or the plant has no hover trim.
     """
+    courses = dict(courses or {})
     volts = plant.voltage_v if voltage_v is None else voltage_v
     flown = _punctual(plant, recorder)
-    body = airframe(flown)
+    body = airframe(flown, effects=() if later is None else _added(later.effects, flown))
     body = body.with_starts(standing(body, flown))
     held = {"vbat_v": volts} if "vbat_v" in body.input_names else {}
-    states, inputs = fly(body, controller(_punctual(vehicle, recorder)), setpoints, held)
+    changes: dict[str, tuple[float, float]] = {}
+    ended = plant
+    if later is not None:
+        ended = plant.with_effects({**plant.effects, **later.effects})
+        changes = _changes(body, airframe(_punctual(ended, recorder)))
+        begun = STEP_S * np.arange(len(setpoints)) >= later.from_s
+        steps = {k: np.where(begun, after, before) for k, (before, after) in changes.items()}
+    given = {k: v for k, v in courses.items() if k in body.input_names}
+    states, inputs = fly(
+        body,
+        controller(_punctual(vehicle, recorder)),
+        setpoints,
+        held,
+        given if later is None else given | steps,
+    )
     end = _lost(setpoints, phases, body, states, plant) if recorder.until_lost else len(states)
     kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
-    known = _truth(body, states[kept], inputs[kept])
-    known["vbat_v"] = np.full(len(states[kept]), volts)
-    _sense(known, flown, recorder)
     t_s = np.arange(len(states[kept])) / recorder.sampled_hz
+    voltage = courses.get("vbat_v", np.full(len(states), volts))[kept]
+    made = [_recorded(body, {}, plant, states[kept], inputs[kept], voltage, recorder)]
+    known, since = made[0], {}
+    if later is not None:
+        on = {k: after for k, (_, after) in changes.items()}
+        after = _recorded(body, on, ended, states[kept], inputs[kept], voltage, recorder)
+        known = {k: np.where(t_s < later.from_s, known[k], after[k]) for k in known}
+        since = {c: max(s, later.from_s) for c, s in _stuck_columns(later.effects)}
+    since = dict(_stuck_columns(plant.effects)) | since
+    outdoors = Site(False, "simulated without walls")
+    return Flight(name, _table(known, phases[kept], recorder, since), site=outdoors)
+
+
+def _added(effects: Iterable[str], flown: Vehicle) -> list[str]:
+    """Effects that the airframe needs a place for, switched off."""
+    own = [e for e in effects if EFFECTS[e].in_the_air and e not in flown.effects]
+    return [e for e in own if not isinstance(EFFECTS[e].seen_as, Shift)]
+
+
+def _changes(before: Component, after: Component) -> dict[str, tuple[float, float]]:
+    """Parameters of an airframe that differ in another one, and both values of each."""
+    old, new = (
+        dict(zip((v.name for v in b.parameters), b.parameter_values(), strict=True))
+        for b in (before, after)
+    )
+    both = {k: (float(old[k]), float(v)) for k, v in new.items() if k in old}
+    return {k: v for k, v in both.items() if v[0] != v[1] and not k.startswith("initial.")}
+
+
+def _recorded(
+    body: Component,
+    parameters: Mapping[str, float],
+    plant: Vehicle,
+    states: Array,
+    inputs: Array,
+    voltage_v: Array,
+    recorder: Recorder,
+) -> dict[str, Array]:
+    """What a recorder can see of a flight, without noise, by column, shape (n,) each."""
+    y = body.outputs_along(states, inputs, parameters)
+    known = dict(zip(body.output_names, y.T, strict=True))
+    known |= dict(zip(body.input_names, inputs.T, strict=True))
+    known["vbat_v"] = voltage_v
+    _sense(known, _punctual(plant, recorder), recorder)
+    t_s = np.arange(len(states)) / recorder.sampled_hz
     for column, later_s in _late_columns(plant, recorder, list(known)):
         known[column] = np.interp(t_s - later_s, t_s, known[column])
     for column, width_s in _averaged_columns(plant, list(known)):
         known[column] = gaussian_filter1d(
             known[column], width_s * recorder.sampled_hz, mode="nearest"
         )
-    outdoors = Site(False, "simulated without walls")
-    return Flight(name, _table(known, phases[kept], recorder), site=outdoors)
+    return known
 
 
-def _truth(body: Component, states: Array, inputs: Array) -> dict[str, Array]:
-    """Outputs and inputs of an airframe by name, shape (n,) each."""
-    known = dict(zip(body.output_names, body.outputs_along(states, inputs).T, strict=True))
-    return known | dict(zip(body.input_names, inputs.T, strict=True))
+def _stuck_columns(effects: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, float]]:
+    """Columns that stand still, noise and all, and since when, s."""
+    for effect, numbers in effects.items():
+        seen_as = EFFECTS[effect].seen_as
+        if isinstance(seen_as, Repeats) and numbers[seen_as.channel] >= 1:
+            column = seen_as.channels[round(numbers[seen_as.channel]) - 1]
+            yield column, numbers.get(seen_as.since, 0.0)
 
 
 def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
@@ -130,7 +207,12 @@ def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
         known |= dict(zip(sensor.output_names, readings.T, strict=True))
 
 
-def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -> pd.DataFrame:
+def _table(
+    known: dict[str, Array],
+    phases: Sequence[str],
+    recorder: Recorder,
+    stuck_since_s: Mapping[str, float],
+) -> pd.DataFrame:
     """The flight table: samples of each stream, noise added, NaN between them."""
     rng, n = np.random.default_rng(recorder.seed), len(phases)
     every = round(recorder.sampled_hz / recorder.rate_hz)
@@ -144,7 +226,12 @@ def _table(known: dict[str, Array], phases: Sequence[str], recorder: Recorder) -
             if stream.columns == QUAT:
                 values /= np.linalg.norm(values, axis=1, keepdims=True)
         period = every * max(1, round(stream.period_s * recorder.rate_hz))
-        values[np.arange(n) % period != 0] = np.nan
+        sampled = np.arange(n) % period == 0
+        for i, column in enumerate(stream.columns):
+            if column in stuck_since_s:
+                held = sampled & (columns["time"] >= stuck_since_s[column])
+                values[held, i] = values[np.argmax(held), i]
+        values[~sampled] = np.nan
         columns |= dict(zip(stream.columns, values.T, strict=True))
     table = pd.DataFrame({c: v[::every] for c, v in columns.items()})
     table["phase"] = list(phases[::every])

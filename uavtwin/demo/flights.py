@@ -79,7 +79,7 @@ def fly(
         waypoints: Phase, duration and place of each leg.
         imu_s: Time between two rows of the table, commands and IMU in each.
     """
-    setpoints, phases = _setpoints(plant, waypoints)
+    setpoints, phases = setpoints_along(plant, waypoints)
     drives = motor_columns("cmd" if plant.drive == "command" else "rotor", plant.rotors.count)
     recorder = Recorder(
         streams=(
@@ -97,7 +97,7 @@ def fly(
     return simulate_flight(setpoints, phases, vehicle, plant, recorder, name)
 
 
-def _setpoints(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
+def setpoints_along(plant: Vehicle, waypoints: Waypoints) -> tuple[Array, list[str]]:
     """Setpoints along waypoints (minimum-jerk, nose north), shape (n, 11), and phases."""
     here = np.array([0.0, 0.0, -plant.leg_height_m])
     rest = here.copy()

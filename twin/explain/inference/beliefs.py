@@ -100,7 +100,7 @@ class Beliefs:
         }
 
 
-def _about(number: Number) -> tuple[EffectParameter, str]:
+def parameter_of(number: Number) -> tuple[EffectParameter, str]:
     """A number's parameter before it was sized for a vehicle, and its name."""
     effect = EFFECTS[number.effect]
     known = {p.name: p for p in (*effect.parameters, *effect.of_logs)}
@@ -179,7 +179,7 @@ def beliefs_since(model: Model) -> Beliefs:
         if effect not in CHANGES:
             continue
         number = model.numbers[usual.columns[i]]
-        about, stem = _about(number)
+        about, stem = parameter_of(number)
         expected = CHANGES[effect].of(stem, indoors).sized(about, model.vehicle)
         mean[i] = expected.mean if usual.shape[i] else mean[i] + expected.mean
         slab[i] = np.hypot(slab[i], expected.sd)
@@ -211,7 +211,7 @@ def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
     priors = {e: prior_of(EFFECTS[e]) for e in effects}
     mean, slab, day, spike = (np.zeros(len(own)) for _ in range(4))
     for i, n in enumerate(own):
-        about, stem = _about(n)
+        about, stem = parameter_of(n)
         expected = priors[n.effect].of(stem, indoors).sized(about, vehicle)
         if n.shape and n.about.unit == "V":
             expected = priors[n.effect].of(stem, indoors).scaled(n.now)

@@ -35,6 +35,7 @@ class Batch:
         value = ca.Function("value", [*rows, theta], [ca.cse(ca.densify(readings))])
         self._value = OverRows(value, len(rows))
         self._slopes: dict[tuple[int, ...], OverRows] = {}
+        self._tangent: OverRows | None = None
 
     def value(self, theta: Array, *rows: Array) -> Array:
         """Predicted readings, shape (n, c), of rows of shape (n, ...)."""
@@ -53,6 +54,21 @@ class Batch:
             self._slopes[key] = OverRows(function, len(self._rows))
         flat = self._slopes[key](*rows, theta)
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
+
+    def reached(self) -> NDArray[np.bool_]:
+        """Whether each reading answers to each number, by the equations' structure, (c, k)."""
+        function = ca.Function("reach", [*self._rows, self._theta], [ca.densify(self._readings)])
+        sparsity = ca.DM(function.jac_sparsity(0, len(self._rows)), 1)
+        return np.asarray(np.asarray(sparsity, dtype=np.float64) != 0)
+
+    def tangent(self, theta: Array, change: Array, *rows: Array) -> Array:
+        """Change of the readings, shape (n, c), by one of the first rows, shape (n, ...)."""
+        if self._tangent is None:
+            way = ca.SX.sym("way", self._rows[0].shape[0])
+            moved = ca.cse(ca.densify(ca.jtimes(self._readings, self._rows[0], way)))
+            function = ca.Function("tangent", [way, *self._rows, self._theta], [moved])
+            self._tangent = OverRows(function, 1 + len(self._rows))
+        return self._tangent(change, *rows, theta)
 
 
 class Physics:
@@ -126,6 +142,15 @@ class Physics:
         along = self._along(theta, states, inputs)
         return self._batch.slopes(columns, theta, states, inputs, *along)
 
+    def answering(self) -> NDArray[np.bool_]:
+        """Whether each reading answers to each number, the states given, shape (6, k)."""
+        return self._batch.reached()
+
+    def tangent(self, theta: Array, change: Array, states: Array, inputs: Array) -> Array:
+        """Change of the readings, shape (n, 6), by a change of the states, shape (n, n_x)."""
+        along = self._along(theta, states, inputs)
+        return self._batch.tangent(theta, change, states, inputs, *along)
+
     def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
         """States of effects in the IMU."""
         if self._felt is None:
@@ -153,6 +178,10 @@ class SensorBatch:
         z = ca.SX.sym("z", len(self._states.index))
         shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, theta, {}))
         self._batch = Batch([sensed, z] if self._states.index else [sensed], theta, shown)
+
+    def answering(self) -> NDArray[np.bool_]:
+        """Whether each reading answers to each number, shape (c, k)."""
+        return self._batch.reached()
 
     def value(self, theta: Array, rows: Array) -> Array:
         """Predicted readings, shape (n, c), of all rows of a flight, shape (n, n_u)."""

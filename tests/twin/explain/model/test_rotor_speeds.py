@@ -34,7 +34,7 @@ OF_COMMANDS = {"motor_lag", "command_delay"}
 def flown(plant: Vehicle) -> Flight:
     """A flight with commands and rotor speeds."""
     flight = demo.fly(VEHICLE, plant, 3, waypoints=WAYPOINTS)
-    setpoints, phases = demo._setpoints(plant, WAYPOINTS)
+    setpoints, phases = demo.setpoints_along(plant, WAYPOINTS)
     tachometers = Recorder((Stream(SPEEDS, demo.IMU_S),), 1 / demo.IMU_S, 1 / STEP_S)
     turning = simulate_flight(setpoints, phases, VEHICLE, plant, tachometers)
     return replace(flight, table=flight.table.join(turning.table[[*SPEEDS]]))

@@ -1,0 +1,95 @@
+"""What an alarm says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ...effects import EFFECTS
+from ...representation import short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One number of an alarm.
+
+    Attributes:
+        name: Within the effect.
+        value: Change since the alarm's beginning.
+        sd: Standard deviation.
+        unit: SI unit.
+    """
+
+    name: str
+    value: float
+    sd: float
+    unit: str
+
+    def __str__(self) -> str:
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name} {self.value:+.3g} ± {self.sd:.2g}{unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """Something that has begun in flight.
+
+    Attributes:
+        effect: Identifier of the effect library.
+        numbers: By how much.
+        since_s: When it began, on the clock of the flight.
+        raised_s: When the alarm was raised.
+        probability: Of this effect, against every other and against nothing.
+        nothing: Probability that nothing has begun.
+        others: Other effects that it may be as well, and the probability of each.
+        closed_s: When it ended; None: it goes on.
+    """
+
+    effect: str
+    numbers: tuple[Told, ...]
+    since_s: float
+    raised_s: float
+    probability: float
+    nothing: float
+    others: Mapping[str, float]
+    closed_s: float | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        told = ", ".join(str(n) for n in self.numbers)
+        text = f"{self.effect} since {self.since_s:.1f} s: {EFFECTS[self.effect].meaning}"
+        text += f" ({told}; {self.probability:.0%})" if told else f" ({self.probability:.0%})"
+        if self.others:
+            known = " or ".join(f"{e} ({p:.0%})" for e, p in self.others.items())
+            text += f"; cannot be told from {known}"
+        if self.closed_s is not None:
+            text += f"; over since {self.closed_s:.1f} s"
+        return text
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What is known after a second of flight.
+
+    Attributes:
+        t_s: Up to when, on the clock of the flight.
+        learning: Whether noise and standing offset are still being learned.
+        flying: Whether the aircraft is in the air.
+        alarms: Those that are open.
+        opened: Those raised since the verdict before.
+        closed: Those closed since the verdict before.
+        nothing: Probability that nothing has begun beyond what is alarmed for good.
+        effects: Probability of each effect that some number of it has jumped.
+    """
+
+    t_s: float
+    learning: bool
+    flying: bool
+    alarms: tuple[Alarm, ...]
+    opened: tuple[Alarm, ...]
+    closed: tuple[Alarm, ...]
+    nothing: float
+    effects: Mapping[str, float]
+
+    __repr__ = short_repr

@@ -1,0 +1,355 @@
+"""Residuals and their slopes by frames of half a second.
+
+The channels of `twin.explain.model.flight`: what accelerometer and gyroscope read against airframe
+and IMU, and against the pose; magnetometer and barometer against the pose. Slopes are derivatives
+of the CasADi expressions at the measured state; the states of the rotors, which nobody measures,
+carry theirs along. Whatever is computed is computed frame by frame on the clock of the grid, so
+that it does not matter in which portions a flight comes.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+from scipy.signal import butter, lfilter, lfilter_zi
+
+from ...component import Component
+from ...physics.sensors.table import BODY, SENSORS
+from ...representation import short_repr
+from ...residuals.aligned import LIFT_OFF_HEIGHT_M
+from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ
+from ...residuals.imu import OF_IMU, prompt_imu
+from ...vehicle import Vehicle
+from ..model.numbers import values_of
+from ..model.parts import in_body, named, rows_of
+from ..model.prediction import Physics, SensorBatch
+from .feed import GridBlock
+from .hypotheses import Library
+from .lag import LagSlopes
+from .shaking import high_power, longest_repeats
+
+Array = NDArray[np.float64]
+FRAME_ROWS = 100
+"""Rows of the grid in a frame."""
+FRAME_S = FRAME_ROWS / GRID_HZ
+KEPT = FRAME_ROWS // EVERY
+"""Samples of a channel in a frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Channels of one sensor that are compared in one way.
+
+    Attributes:
+        names: As in `twin.explain.model.flight`.
+        sensor: Whose readings: "acc", "gyro", "mag", "baro".
+        filters_hz: Low-passes that a prediction passes, the last of them readings as well.
+        rate: Whether the rate of change is compared.
+        columns: Numbers that reach any of them, positions within `Library.columns`.
+    """
+
+    names: tuple[str, ...]
+    sensor: str
+    filters_hz: tuple[float, ...]
+    rate: bool
+    columns: NDArray[np.intp]
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """Half a second.
+
+    Attributes:
+        number: From the start of the clock.
+        flying: Whether all of it is in the air.
+        rows: By number of the group and channel within it, where known and settled, the cosine
+            transform (orthonormal, the mean first) of measured, residual and slopes, (25, 2 + k).
+        loud: Power above the band of motion by reading of the IMU and sub-band, shape (6, s); empty
+            where the IMU is not known.
+        repeats: By column of the IMU, most samples in a row that are all the same.
+        samples: By signal of the IMU, how many came.
+    """
+
+    number: int
+    flying: bool
+    rows: Mapping[tuple[int, int], Array]
+    loud: Array
+    repeats: Mapping[str, int]
+    samples: Mapping[str, int]
+
+    __repr__ = short_repr
+
+    @property
+    def t_s(self) -> float:
+        """When it begins."""
+        return self.number * FRAME_S
+
+    @property
+    def end_s(self) -> float:
+        """When it ends."""
+        return (self.number + 1) * FRAME_S
+
+
+class Framing:
+    """From rows of the grid to frames.
+
+    Attributes:
+        groups: All that may be compared.
+    """
+
+    def __init__(self, vehicle: Vehicle, library: Library, body: Component) -> None:
+        """Take the equations.
+
+        Args:
+            vehicle: The calibrated model.
+            library: Numbers and hypotheses.
+            body: Airframe, built with the effects of the library.
+        """
+        self._vehicle, self._library = vehicle, library
+        self._height = [s.name for s in body.states].index("pos_z")
+        self._attitude = [[s.name for s in body.states].index(f"q_{a}") for a in "wxyz"]
+        numbers, effects = library.numbers, library.effects
+        self._theta, self._columns = values_of(numbers, {}), list(library.columns)
+        self._physics = Physics(body, vehicle, effects, numbers)
+        self._lag = LagSlopes(body, library, self._physics)
+        self._imu = prompt_imu(vehicle, effects)
+        self._imu_batch = SensorBatch(self._imu, effects, numbers)
+        self._kinds = [s for s in SENSORS if s.group != BODY]
+        self._made = [kind.make(vehicle, effects) for kind in self._kinds]
+        self._batches = [SensorBatch(m, effects, numbers) for m in self._made]
+        self.groups = tuple(self._list_groups())
+        self._pending: list[GridBlock] = []
+        self._passed: dict[int, list[Array]] = {}  # by group, the states of its filters
+        self._last: dict[int, Array] = {}  # by group, the last row before this frame
+        self._next, self._rest_m = -1, np.nan
+
+    def push(self, block: GridBlock) -> list[Frame]:
+        """The frames that a block completes."""
+        self._pending.append(block)
+        whole = _joined(self._pending)
+        first, end = whole.first, whole.first + len(whole.t_s)
+        numbers = range(-(-first // FRAME_ROWS), end // FRAME_ROWS)
+        found = []
+        for number in numbers:
+            low = number * FRAME_ROWS - first
+            found.append(self._frame(number, _cut(whole, low, low + FRAME_ROWS)))
+        done = max(numbers.stop * FRAME_ROWS - first, 0) if numbers else 0
+        self._pending = [_cut(whole, done, len(whole.t_s))]
+        return found
+
+    # -- what there is -------------------------------------------------------------------------
+
+    def _list_groups(self) -> list[Group]:
+        body = self._physics.answering()[:, self._columns]
+        body[:, list(self._lag.columns)] = True
+        imu = self._imu_batch.answering()[:, self._columns]
+        found = []
+        for k, s in enumerate(OF_IMU):
+            own = slice(3 * k, 3 * k + 3)
+            cutoff = s.cutoff_hz(self._vehicle)
+            through = () if cutoff is None else (cutoff,)
+            columns = np.flatnonzero(body[own].any(axis=0))
+            pose = np.flatnonzero(imu[own].any(axis=0))
+            names = tuple(f"pose_{c}" for c in s.columns)
+            rate = bool(s.rate_unit)
+            found.append(Group(s.channels, s.signal, (*through, BAND_HZ), rate, columns))
+            found.append(Group(names, s.signal, (*through, POSE_BAND_HZ), False, pose))
+        for kind, batch in zip(self._kinds, self._batches, strict=True):
+            columns = np.flatnonzero(batch.answering()[:, self._columns].any(axis=0))
+            found.append(Group(kind.channels, kind.signal, (POSE_BAND_HZ,), False, columns))
+        return found
+
+    # -- one frame -----------------------------------------------------------------------------
+
+    def _frame(self, number: int, block: GridBlock) -> Frame:
+        states, inputs = block.states, block.inputs
+        predicted = self._physics.value(self._theta, states, inputs)
+        along = self._lag.along(states, inputs)
+        flying = self._is_flying(block, predicted)
+        if number != self._next:
+            self._passed, self._last = {}, {}
+        self._next = number + 1
+        rows: dict[tuple[int, int], Array] = {}
+        if flying:
+            slopes = self._physics.slopes(self._columns, self._theta, states, inputs)
+            for column, change in along:
+                slopes[:, :, column] += self._physics.tangent(self._theta, change, states, inputs)
+            compared = self._compared(block, predicted, slopes)
+            for g, group in enumerate(self.groups):
+                rows |= self._transformed(g, group, compared.get(g))
+        else:
+            self._passed, self._last = {}, {}
+        readings = [block.readings[s.signal] for s in OF_IMU if s.signal in block.readings]
+        loud = np.zeros((0, 0))
+        if flying and len(readings) == len(OF_IMU) and np.all(np.isfinite(np.hstack(readings))):
+            loud = high_power(np.hstack(readings))
+        counted = {name: len(t) for name, (t, _) in block.samples.items()}
+        return Frame(number, flying, rows, loud, longest_repeats(block.samples), counted)
+
+    def _is_flying(self, block: GridBlock, predicted: Array) -> bool:
+        """Whether the rotors carry, above the resting place, and nobody says otherwise."""
+        force = np.linalg.norm(predicted[:, :3], axis=1)
+        carried = force > 0.5 * self._vehicle.gravity_m_s2
+        height = -block.states[:, self._height]
+        standing = np.isfinite(height) & (block.grounded | ~carried)
+        if standing.any():
+            self._rest_m = float(np.median(height[standing]))
+        low = np.isfinite(self._rest_m) & (height < self._rest_m + LIFT_OFF_HEIGHT_M)
+        return bool(np.all(carried & ~block.grounded & ~low))
+
+    def _compared(self, block: GridBlock, predicted: Array, slopes: Array) -> dict[int, Array]:
+        """By group, measured, predicted and slopes, shape (n, c, 2 + k)."""
+        read, found = block.readings, {}
+        for k, s in enumerate(OF_IMU):
+            if s.signal in read:
+                own = slice(3 * k, 3 * k + 3)
+                moved = slopes[:, own][:, :, self.groups[2 * k].columns]
+                found[2 * k] = _stacked(read[s.signal], predicted[:, own], moved)
+        found |= self._of_pose(block, predicted)
+        pose = self._pose(block)
+        for j, kind in enumerate(self._kinds):
+            if kind.signal not in read:
+                continue
+            rows = rows_of(self._made[j], pose | dict(block.further), len(block.t_s))
+            group = self.groups[4 + j]
+            wanted = [self._columns[c] for c in group.columns]
+            first = self._made[j].output_names.index(kind.columns[0])
+            outputs = slice(first, first + len(kind.columns))
+            value = self._batches[j].value(self._theta, rows)[:, outputs]
+            slope = self._batches[j].slopes(wanted, self._theta, rows)[:, outputs]
+            found[4 + j] = _stacked(read[kind.signal], value, slope)
+        return found
+
+    def _of_pose(self, block: GridBlock, predicted: Array) -> dict[int, Array]:
+        """What the IMU reads against what the pose implies; see `twin.explain.model.sensors`."""
+        read, n = block.readings, len(block.t_s)
+        if not {"gyro", "turning"} <= read.keys():
+            return {}
+        implied, felt = named("omega", read["turning"]), named("omega", read["gyro"])
+        there = {"acc", "pull"} <= read.keys()
+        if there:
+            alpha = named("angular_acceleration", np.gradient(read["gyro"], 1 / GRID_HZ, axis=0))
+            q = block.states[:, self._attitude]
+            implied |= alpha | named("specific_force", in_body(q, read["pull"]))
+            felt |= alpha | named("specific_force", predicted[:, :3])
+        value = self._imu_batch.value(self._theta, rows_of(self._imu, implied, n))
+        at, found = rows_of(self._imu, felt, n), {}
+        for k, s in enumerate(OF_IMU):
+            if s.signal == "acc" and not there:
+                continue
+            own, columns = slice(3 * k, 3 * k + 3), self.groups[2 * k + 1].columns
+            wanted = [self._columns[c] for c in columns]
+            slope = self._imu_batch.slopes(wanted, self._theta, at)[:, own]
+            found[2 * k + 1] = _stacked(read[s.signal], value[:, own], slope)
+        return found
+
+    def _pose(self, block: GridBlock) -> dict[str, Array]:
+        """Measured motion by the names of sensors' inputs."""
+        names = [s.name for s in self._physics.airframe.states]
+        wanted = ("pos_", "vel_", "q_")
+        return {n: block.states[:, i] for i, n in enumerate(names) if n.startswith(wanted)}
+
+    def _transformed(
+        self, g: int, group: Group, values: Array | None
+    ) -> dict[tuple[int, int], Array]:
+        """Filtered, thinned out and transformed; nothing where unknown or not settled yet."""
+        if values is None or not np.all(np.isfinite(values)):
+            self._passed.pop(g, None)
+            self._last.pop(g, None)
+            return {}
+        if group.rate:
+            before = self._last.get(g, values[0])
+            self._last[g] = values[-1]
+            whole = np.concatenate([before[None], values])
+            measured = np.diff(whole[:, :, :1], axis=0) * GRID_HZ
+            values = np.concatenate([measured, (whole[1:, :, 1:] + whole[:-1, :, 1:]) / 2], axis=2)
+        settled = g in self._passed
+        states = self._passed.get(g, [])
+        kept = []
+        for k, cutoff in enumerate(group.filters_hz):
+            b, a, start = _butterworth(cutoff)
+            if not settled:
+                states.append(start[:, None, None] * values[:1])
+            last = k == len(group.filters_hz) - 1
+            passed, states[k] = lfilter(b, a, values, axis=0, zi=states[k])
+            if not last:
+                passed[:, :, 0] = values[:, :, 0]
+            values = passed
+        self._passed[g] = states
+        if not settled:
+            return {}
+        kept = dct(values[EVERY - 1 :: EVERY], axis=0, norm="ortho")
+        kept[:, :, 1] = kept[:, :, 0] - kept[:, :, 1]
+        return {(g, c): kept[:, c] for c in range(len(group.names))}
+
+
+def _stacked(measured: Array, predicted: Array, slopes: Array) -> Array:
+    return np.concatenate([measured[:, :, None], predicted[:, :, None], slopes], axis=2)
+
+
+def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
+    """Second order on the grid: coefficients, and the state that is settled on one."""
+    b, a = butter(2, min(cutoff_hz / (GRID_HZ / 2), 0.9))
+    return b, a, lfilter_zi(b, a)
+
+
+def _joined(blocks: Sequence[GridBlock]) -> GridBlock:
+    """Blocks that follow each other, as one."""
+    if len(blocks) == 1:
+        return blocks[0]
+    n = [len(b.t_s) for b in blocks]
+    signals = {k: v.shape[1] for b in blocks for k, v in b.readings.items()}
+    readings = {
+        s: np.concatenate(
+            [b.readings.get(s, np.full((m, k), np.nan)) for b, m in zip(blocks, n, strict=True)]
+        )
+        for s, k in signals.items()
+    }
+    names = {k for b in blocks for k in b.further}
+    further = {
+        k: np.concatenate(
+            [b.further.get(k, np.full(m, np.nan)) for b, m in zip(blocks, n, strict=True)]
+        )
+        for k in names
+    }
+    samples = {
+        s: (
+            np.concatenate([b.samples[s][0] for b in blocks if s in b.samples]),
+            np.concatenate([b.samples[s][1] for b in blocks if s in b.samples]),
+        )
+        for s in {k for b in blocks for k in b.samples}
+    }
+    return GridBlock(
+        blocks[0].first,
+        np.concatenate([b.t_s for b in blocks]),
+        np.concatenate([b.states for b in blocks]),
+        np.concatenate([b.inputs for b in blocks]),
+        np.concatenate([b.grounded for b in blocks]),
+        readings,
+        samples,
+        further,
+    )
+
+
+def _cut(block: GridBlock, low: int, high: int) -> GridBlock:
+    """Some rows of a block."""
+    own = slice(low, high)
+    start_s, end_s = (block.first + low) / GRID_HZ - 1e-9, (block.first + high) / GRID_HZ - 1e-9
+    samples = {}
+    for s, (t, values) in block.samples.items():
+        a, b = np.searchsorted(t, [start_s, end_s])
+        samples[s] = t[a:b], values[a:b]
+    return GridBlock(
+        block.first + low,
+        block.t_s[own],
+        block.states[own],
+        block.inputs[own],
+        block.grounded[own],
+        {k: v[own] for k, v in block.readings.items()},
+        samples,
+        {k: v[own] for k, v in block.further.items()},
+    )

@@ -1,0 +1,367 @@
+"""Running evidence: which effect has begun, since when, by how much, second by second."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from ...effects import EFFECTS
+from ...representation import short_repr
+from ...vehicle import Vehicle
+from .alarms import Alarm, Told, Verdict
+from .channels import FRAME_S, Frame, Framing
+from .feed import Feed
+from .hypotheses import BESIDE, FEARED, library_of
+from .jumps import Jump, Jumps
+from .noise import Levels
+from .settings import RUNNING, RunningSettings
+from .silent import Shaking, Sign, StandStill
+
+Array = NDArray[np.float64]
+LEAST_FRAMES = 2
+"""Frames that a change has to last: a bump is over by then."""
+LEAST_SHARE = 0.05
+"""Probability from which on another effect is worth a mention."""
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A cause as it stands now.
+
+    Attributes:
+        effect: Identifier.
+        log_odds: Against nothing, all beginnings together.
+        jump: The hypothesis.
+        best: Position of the likeliest beginning.
+    """
+
+    effect: str
+    log_odds: float
+    jump: Jump
+    best: int
+
+    __repr__ = short_repr
+
+    @property
+    def start(self) -> int:
+        """Frame of the likeliest beginning."""
+        return int(self.jump.starts[self.best])
+
+
+@dataclass(frozen=True, slots=True)
+class _Young:
+    """An alarm that competes with other effects still; `ends`: it ends an older alarm."""
+
+    alarm: Alarm
+    start: int
+    ends: bool
+
+
+class RunningEvidence:
+    """Evidence that effects have begun in flight, on top of a calibrated model.
+
+    It takes rows of a flight table as they come, in portions of any size, and keeps of the past a
+    bounded number of sums: neither time nor memory grow with the flight.
+
+    Attributes:
+        learning: Whether the quiet start is not over yet.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        effects: Sequence[str] = FEARED,
+        settings: RunningSettings = RUNNING,
+        beside: Sequence[str] = BESIDE,
+    ) -> None:
+        """Begin a flight.
+
+        Args:
+            vehicle: The calibrated model.
+            effects: What may begin, identifiers of the effect library.
+            settings: When an alarm is raised.
+            beside: By which the standing model may be a little off as well.
+
+        Raises:
+            ModelError: There is no such effect, or nothing is known of how it begins.
+        """
+        self._vehicle, self._settings = vehicle, settings
+        self._library = library_of(vehicle, effects, beside, settings)
+        self._feed = Feed(vehicle, self._library.effects)
+        self._framing: Framing | None = None
+        self._levels: Levels | None = None
+        self._jumps: Jumps | None = None
+        self._constant_at: dict[tuple[int, int], int] = {}
+        self._quiet: list[Frame] = []
+        self._settling = 0
+        self.learning = True
+        self._still, self._shaking = StandStill(settings), Shaking(settings)
+        self._young: _Young | None = None
+        self._settled: list[Alarm] = []
+        self._silent: dict[str, Alarm] = {}
+        self._over_since: float | None = None
+        self._opened: list[Alarm] = []
+        self._closed: list[Alarm] = []
+        self._signs: dict[str, float] = {}
+        self._last: tuple[float, bool] = (0.0, False)
+        self._shares: dict[str, float] = {}
+        self._nothing = 1.0
+
+    def update(self, rows: pd.DataFrame) -> Verdict:
+        """Look at what has come since the last call.
+
+        Args:
+            rows: Of a flight table, later than those before; a second of them, or any other
+                portion.
+
+        Returns:
+            What is known after the last whole second that they complete.
+
+        Raises:
+            LogError: Times do not rise, or nothing drives the vehicle.
+        """
+        self._opened, self._closed = [], []
+        block = self._feed.push(rows)
+        if block is not None:
+            if self._framing is None:
+                assert self._feed.airframe is not None
+                self._begin(Framing(self._vehicle, self._library, self._feed.airframe))
+            assert self._framing is not None
+            for frame in self._framing.push(block):
+                self._look(frame)
+        return self._verdict()
+
+    # -- frame by frame ------------------------------------------------------------------------
+
+    def _begin(self, framing: Framing) -> None:
+        s = self._settings
+        self._framing = framing
+        self._levels = Levels(framing.groups, self._vehicle, s)
+        k = len(self._library.columns)
+        keys = list(self._levels.constant)
+        self._constant_at = {key: k + i for i, key in enumerate(keys)}
+        constants = [2 * self._levels.constant[key] for key in keys]
+        self._jumps = Jumps(
+            self._library.hypotheses,
+            np.concatenate([self._library.standing, constants]),
+            float(np.exp(-FRAME_S / s.forget_s)),
+            round(s.oldest_s / FRAME_S),
+            LEAST_FRAMES,
+        )
+
+    def _look(self, frame: Frame) -> None:
+        """One frame."""
+        s = self._settings
+        self._last = frame.end_s, frame.flying
+        if not frame.flying:
+            self._settling = 0
+            return
+        self._settling += 1
+        if self._settling * FRAME_S <= s.settle_s:
+            return
+        if self.learning:
+            self._quiet.append(frame)
+            if len(self._quiet) * FRAME_S >= s.quiet_s:
+                self._learn()
+            return
+        self._take(frame)
+        if (frame.number + 1) % round(1 / FRAME_S) == 0:
+            self._decide(frame)
+
+    def _learn(self) -> None:
+        """Noise and standing offset of the quiet start."""
+        assert self._levels is not None
+        self.learning = False
+        self._levels.begin(self._quiet)
+        self._still.begin(self._quiet)
+        self._shaking.begin(self._quiet)
+        for frame in self._quiet:
+            self._take(frame)
+        self._quiet = []
+
+    def _take(self, frame: Frame) -> None:
+        """Add a frame to the sums."""
+        assert self._jumps is not None and self._levels is not None and self._framing is not None
+        suspect = self._still.follow(frame)
+        self._shaking.follow(frame)
+        standing = self._explained()
+        rows = []
+        for (g, c), values in frame.rows.items():
+            group = self._framing.groups[g]
+            if group.sensor in suspect:
+                continue
+            at = np.append(group.columns, self._constant_at[g, c])
+            n = len(values)
+            constant = np.zeros((n, 1))
+            constant[0] = np.sqrt(n)
+            whole = np.hstack([values[:, 1:], constant])
+            innovation = whole[:, 0] - whole[:, 1:] @ standing[at]
+            weights = self._levels.weights((g, c), values, innovation)
+            used = weights > 0
+            rows.append((at, whole[used] * np.sqrt(weights[used])[:, None]))
+        self._jumps.add(frame.number, rows)
+
+    def _explained(self) -> Array:
+        """Standing numbers and constants, and what a young alarm adds."""
+        assert self._jumps is not None
+        mean, _ = self._jumps.standing()
+        if self._young is not None:
+            for told in self._young.alarm.numbers:
+                k = self._column(self._young.alarm.effect, told.name)
+                mean[k] += told.value
+        return mean
+
+    def _column(self, effect: str, name: str) -> int:
+        columns = range(len(self._library.columns))
+        full = f"{effect}.{name}"
+        return next(k for k in columns if self._library.name(k).full == full)
+
+    # -- second by second ----------------------------------------------------------------------
+
+    def _decide(self, frame: Frame) -> None:
+        """Raise, change and close alarms."""
+        assert self._jumps is not None
+        now = frame.end_s
+        weighed = self._weigh()
+        whole = float(logsumexp([w.log_odds for w in weighed])) if weighed else -np.inf
+        self._nothing = float(1 / (1 + np.exp(min(whole, 700.0))))
+        self._shares = _shares(weighed)
+        self._follow_silent(frame)
+        over = whole >= self._settings.bar
+        if self._young is not None:
+            self._follow_young(weighed, whole, now)
+        elif not over:
+            self._over_since = None
+        else:
+            self._over_since = now if self._over_since is None else self._over_since
+            waited = now - self._over_since >= self._settings.patience_s
+            if waited or max(self._shares.values()) >= self._settings.clear:
+                self._raise(weighed, now)
+
+    def _weigh(self) -> list[Weighed]:
+        """Every cause, all its beginnings together."""
+        assert self._jumps is not None
+        chance = np.log(FRAME_S / self._settings.every_s)
+        shared = logsumexp([h.odds for h in self._library.hypotheses])
+        found = []
+        for jump in self._jumps.jumps():
+            best = int(np.argmax(jump.evidence))
+            if np.isfinite(jump.evidence[best]):
+                steps = np.diff(jump.starts, append=jump.starts[-1] + 1)
+                odds = chance + jump.hypothesis.odds - shared
+                log_odds = float(logsumexp(jump.evidence + np.log(np.maximum(steps, 1)))) + odds
+                found.append(Weighed(jump.hypothesis.effect, float(log_odds), jump, best))
+        return found
+
+    def _raise(self, weighed: Sequence[Weighed], now: float) -> None:
+        """A new alarm, or the end of an older one."""
+        best = max(weighed, key=lambda w: w.log_odds)
+        alarm = self._alarm(best, now)
+        ended = next((a for a in self._settled if self._reverses(alarm, a)), None)
+        if ended is not None:
+            self._settled.remove(ended)
+            self._closed.append(replace(ended, closed_s=alarm.since_s))
+        else:
+            self._opened.append(alarm)
+        self._young = _Young(alarm, best.start, ended is not None)
+
+    def _reverses(self, new: Alarm, old: Alarm) -> bool:
+        """Whether a change takes back most of an older one."""
+        if new.effect != old.effect:
+            return False
+        was, now = ({n.name: n.value for n in a.numbers} for a in (old, new))
+        keys = was.keys() & now.keys()
+        before = sum(was[k] ** 2 for k in keys)
+        return before > 0 and sum((was[k] + now[k]) ** 2 for k in keys) < 0.25 * before
+
+    def _follow_young(self, weighed: Sequence[Weighed], whole: float, now: float) -> None:
+        """Name, number and probability of a young alarm as they are now; it may be over."""
+        young, s = self._young, self._settings
+        assert young is not None and self._jumps is not None
+        if whole < 0:  # as likely as not
+            if not young.ends:
+                self._closed.append(replace(young.alarm, closed_s=now))
+            self._young, self._over_since = None, None
+            return
+        best = max(weighed, key=lambda w: w.log_odds)
+        alarm = self._alarm(best, young.alarm.raised_s)
+        self._young = _Young(alarm, best.start, young.ends)
+        if now - alarm.since_s >= s.settled_s:
+            self._jumps.settle(best.jump, best.start)
+            if not young.ends:
+                self._settled.append(alarm)
+            self._young, self._over_since = None, None
+
+    def _alarm(self, weighed: Weighed, raised_s: float) -> Alarm:
+        """What is to be said of a cause."""
+        jump, t = weighed.jump, weighed.best
+        told = []
+        for i, k in enumerate(jump.hypothesis.columns):
+            number = self._library.name(k)
+            sd = float(np.sqrt(jump.covariance[t, i, i]))
+            told.append(Told(number.name, float(jump.numbers[t, i]), sd, number.about.unit))
+        there = 1 - self._nothing
+        own = there * self._shares[weighed.effect]
+        others = {
+            e: there * p
+            for e, p in sorted(self._shares.items(), key=lambda kv: -kv[1])
+            if e != weighed.effect and p >= LEAST_SHARE
+        }
+        since_s = weighed.start * FRAME_S
+        return Alarm(weighed.effect, tuple(told), since_s, raised_s, own, self._nothing, others)
+
+    def _follow_silent(self, frame: Frame) -> None:
+        """Alarms of what changes no mean, each by itself."""
+        signs: list[Sign] = []
+        if "stuck_sensor" in self._library.silent:
+            signs += self._still.signs(frame)
+        signs += self._shaking.signs(self._library.silent)
+        price = np.log(self._settings.every_s / FRAME_S)
+        by = {s.effect: s for s in signs if s.evidence - price >= self._settings.bar}
+        for effect in self._silent.keys() - by.keys():
+            self._closed.append(replace(self._silent.pop(effect), closed_s=frame.end_s))
+        for effect, sign in by.items():
+            nothing = float(np.exp(-min(sign.evidence - price, 700.0)))
+            old = self._silent.get(effect)
+            raised = frame.end_s if old is None else old.raised_s
+            since = sign.start * FRAME_S if old is None else old.since_s
+            alarm = Alarm(effect, sign.numbers, since, raised, 1 - nothing, nothing, {})
+            if old is None:
+                self._opened.append(alarm)
+            self._silent[effect] = alarm
+
+    def _verdict(self) -> Verdict:
+        young = [] if self._young is None or self._young.ends else [self._young.alarm]
+        alarms = (*self._settled, *young, *self._silent.values())
+        t_s, flying = self._last
+        effects = {e: (1 - self._nothing) * p for e, p in self._shares.items()}
+        return Verdict(
+            t_s,
+            self.learning,
+            flying,
+            alarms,
+            tuple(self._opened),
+            tuple(self._closed),
+            self._nothing,
+            effects,
+        )
+
+
+def _shares(weighed: Sequence[Weighed]) -> dict[str, float]:
+    """Probability of each effect, given that one has begun."""
+    if not weighed:
+        return {}
+    odds = np.array([w.log_odds for w in weighed])
+    share = np.exp(odds - logsumexp(odds))
+    found: dict[str, float] = {}
+    for w, p in zip(weighed, share, strict=True):
+        found[w.effect] = found.get(w.effect, 0.0) + float(p)
+    return found
+
+
+def known_effects() -> Mapping[str, str]:
+    """Effects that can be told while flying, and what each means."""
+    return {name: EFFECTS[name].meaning for name in FEARED}

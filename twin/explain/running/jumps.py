@@ -1,0 +1,199 @@
+"""Evidence that some numbers have jumped since a time: a generalised likelihood ratio.
+
+    r_k = N_k eta + S_k theta [k >= t0] + e_k,    eta ~ N(m0, P0),    theta ~ N(m, P)
+
+eta: by how much the standing model is off, every number and a constant per channel; theta: what has
+begun at t0. All is linear and Gaussian, so that sums of products up to a frame, G, say everything:
+those since t0 are G - G(t0). Of these follow, for all t0 and hypotheses at once, the Bayes factor
+against no jump with eta integrated out, and the numbers. Willsky & Jones, IEEE Trans. Automatic
+Control 21 (1976), in information form and with a proper prior in the place of their maximum.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+
+from ...representation import short_repr
+from .hypotheses import Hypothesis
+
+Array = NDArray[np.float64]
+RECENT = 16
+"""Frames back to which every one may be the beginning; twice as far, every second, and so on."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jump:
+    """A hypothesis against the frames so far.
+
+    Attributes:
+        hypothesis: What has begun.
+        starts: Frames with which it may have begun, shape (t,).
+        evidence: Log Bayes factor against nothing of each, shape (t,).
+        numbers: Most probable numbers of each, shape (t, m).
+        covariance: Of these, shape (t, m, m).
+    """
+
+    hypothesis: Hypothesis
+    starts: NDArray[np.intp]
+    evidence: Array
+    numbers: Array
+    covariance: Array
+
+    __repr__ = short_repr
+
+
+class Jumps:
+    """Sums of products of residuals and slopes, and what follows from them."""
+
+    def __init__(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        standing: Array,
+        forget: float,
+        oldest: int,
+        least: int,
+    ) -> None:
+        """Know nothing yet.
+
+        Args:
+            hypotheses: What may begin.
+            standing: Deviation of each standing number, then of each constant, shape (k,).
+            forget: What a frame counts one frame later, at most 1.
+            oldest: Frames back to which a beginning is looked for.
+            least: Frames that a jump has to last to be one.
+        """
+        self._hypotheses, self._unit = list(hypotheses), np.array(standing)
+        self._forget, self._oldest, self._least = forget, oldest, least
+        k = len(standing)
+        self._sum = np.zeros((1 + k, 1 + k))
+        self._mean = np.zeros(k)
+        self._past: list[tuple[int, Array]] = []
+        self._now = -1
+
+    @property
+    def kept(self) -> int:
+        """Beginnings that are being looked at."""
+        return len(self._past)
+
+    def add(self, number: int, rows: Sequence[tuple[NDArray[np.intp], Array]]) -> None:
+        """The next frame.
+
+        Args:
+            number: Of the frame.
+            rows: By channel, the positions of its columns and its rows over their deviation:
+                residual, then slopes, shape (n, 1 + k).
+        """
+        steps = number - self._now if self._now >= 0 else 0
+        self._now = number
+        self._sum *= self._forget**steps
+        self._past.append((number, self._sum.copy()))
+        for columns, values in rows:
+            scaled = values.copy()
+            scaled[:, 1:] *= self._unit[columns]
+            at = np.concatenate([[0], 1 + columns])
+            self._sum[np.ix_(at, at)] += scaled.T @ scaled
+        self._past = [(n, g) for n, g in self._past if self._may_begin(n)]
+
+    def _may_begin(self, number: int) -> bool:
+        """Whether a frame is still looked at as the beginning: the older, the fewer."""
+        age = self._now - number
+        step = 1 << max(0, (age // RECENT).bit_length())
+        return age <= self._oldest and number % step == 0 if age >= RECENT else True
+
+    def standing(self) -> tuple[Array, Array]:
+        """Most probable standing numbers and constants, and their covariance."""
+        factor, mean = self._solved()
+        inverse = cho_solve(factor, np.eye(len(mean)))
+        return mean * self._unit, inverse * np.outer(self._unit, self._unit)
+
+    def _solved(self) -> tuple[tuple[Array, bool], Array]:
+        information = self._sum[1:, 1:] + np.eye(len(self._unit))
+        factor = cho_factor(information, lower=True)
+        return factor, cho_solve(factor, self._sum[1:, 0] + self._mean)
+
+    def jumps(self) -> list[Jump]:
+        """Every hypothesis; nothing where no frame is old enough."""
+        past = [(n, g) for n, g in self._past if self._now - n + 1 >= self._least]
+        if not past:
+            return []
+        starts = np.array([n for n, _ in past], dtype=np.intp)
+        decay = self._forget ** (self._now - starts).astype(np.float64)
+        since = self._sum - decay[:, None, None] * np.array([g for _, g in past])
+        every = sorted({c for h in self._hypotheses for c in h.columns})
+        place = {c: i for i, c in enumerate(every)}
+        at = 1 + np.array(every, dtype=np.intp)
+        factor, mean = self._solved()
+        across = since[:, 1:, at]  # (t, k, j)
+        flat = across.transpose(1, 0, 2).reshape(len(mean), -1)
+        solved = cho_solve(factor, flat).reshape(len(mean), len(past), -1).transpose(1, 0, 2)
+        inner = since[:, at[:, None], at] - across.transpose(0, 2, 1) @ solved
+        pull = since[:, at, 0] - across.transpose(0, 2, 1) @ mean
+        found = []
+        for h in self._hypotheses:
+            own = [place[c] for c in h.columns]
+            unit = self._unit[list(h.columns)]
+            m = inner[:, np.array(own)[:, None], own]
+            found.append(_jump(h, starts, m, pull[:, own], unit))
+        return found
+
+    def settle(self, jump: Jump, start: int) -> None:
+        """Let what began with a frame belong to the standing model from now on.
+
+        Numbers and constants are as they are given all frames so far and the jump; the sums begin
+        anew from there.
+
+        Args:
+            jump: Of this moment.
+            start: With which frame it began.
+        """
+        k, h = len(self._unit), jump.hypothesis
+        t = int(np.flatnonzero(jump.starts == start)[0])
+        before = next(g for n, g in self._past if n == start)
+        since = self._sum - self._forget ** float(self._now - start) * before
+        columns = 1 + np.array(h.columns, dtype=np.intp)
+        unit = self._unit[list(h.columns)]
+        factor, mean = self._solved()
+        covariance = cho_solve(factor, np.eye(k))
+        theta, spread = jump.numbers[t] / unit, jump.covariance[t] / np.outer(unit, unit)
+        gain = -covariance @ since[1:, columns]  # of eta by theta
+        moved = gain.copy()
+        moved[columns - 1, np.arange(len(columns))] += 1.0
+        prior = np.zeros(k)
+        prior[columns - 1] = theta
+        new_mean = mean + moved @ theta
+        new_covariance = covariance + moved @ spread @ moved.T
+        information = np.linalg.inv(new_covariance)
+        self._mean = self._mean + prior
+        self._sum[1:, 1:] = information - np.eye(k)
+        self._sum[1:, 0] = information @ new_mean - self._mean
+        self._sum[0, 1:] = self._sum[1:, 0]
+        self._past = []
+
+
+def _jump(h: Hypothesis, starts: NDArray[np.intp], inner: Array, pull: Array, unit: Array) -> Jump:
+    """One hypothesis.
+
+    Args:
+        h: Hypothesis.
+        starts: Beginnings, shape (t,).
+        inner: Information about its numbers over `unit`, the standing model unknown, (t, m, m).
+        pull: What residuals say of them, shape (t, m).
+        unit: Of each number.
+    """
+    mean, precision = h.mean / unit, (unit / h.sd) ** 2
+    whole = inner + np.diag(precision)
+    gradient = pull + precision * mean
+    covariance = np.linalg.inv(whole)
+    numbers = (covariance @ gradient[:, :, None])[:, :, 0]
+    evidence = 0.5 * (
+        np.sum(gradient * numbers, axis=1)
+        - float(np.sum(precision * mean * mean))
+        - np.linalg.slogdet(whole)[1]
+        + float(np.sum(np.log(precision)))
+    )
+    if h.only_more:
+        evidence = np.where(np.all(numbers > 0, axis=1), evidence, -np.inf)
+    return Jump(h, starts, evidence, numbers * unit, covariance * np.outer(unit, unit))

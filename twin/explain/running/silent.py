@@ -1,0 +1,162 @@
+"""Rules for what changes no mean: a reading that stands still, an IMU that is shaken."""
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...effects import EFFECTS, Repeats
+from ...effects.inertial import IMU_CHANNELS
+from ...representation import short_repr
+from ..settings import DEFAULT
+from .alarms import Told
+from .channels import FRAME_S, Frame
+from .settings import RunningSettings
+
+Array = NDArray[np.float64]
+NATS_PER_REPEAT = 0.3
+"""What one more sample that is just as before says for a reading that stands still."""
+CELL = 6.0
+"""Degrees of freedom of the power of a reading in a sub-band of a frame: ten bins under a Hann
+window."""
+CLIP = 30.0
+"""Power over that of the quiet start that counts in full."""
+PRICE = 3.0
+"""Nats for a level that is estimated, per sub-band that is louder."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sign:
+    """Of an effect that changes no mean.
+
+    Attributes:
+        effect: Identifier.
+        start: Frame with which it began.
+        evidence: Nats against nothing.
+        numbers: By how much.
+    """
+
+    effect: str
+    start: int
+    evidence: float
+    numbers: tuple[Told, ...]
+
+    __repr__ = short_repr
+
+
+class StandStill:
+    """Readings of the IMU that repeat themselves while their neighbours go on."""
+
+    def __init__(self, settings: RunningSettings) -> None:
+        self._least = settings.repeats
+        self._usual: dict[str, int] = {}
+        self._frames: dict[str, int] = {}  # since when, first frame
+
+    def begin(self, frames: Iterable[Frame]) -> None:
+        """Learn how long readings stand still anyway."""
+        for frame in frames:
+            for column, n in frame.repeats.items():
+                self._usual[column] = max(n, self._usual.get(column, 1))
+
+    def follow(self, frame: Frame) -> frozenset[str]:
+        """Look at the next frame; signals of which a reading stands still meanwhile."""
+        suspect = set()
+        for column, n in frame.repeats.items():
+            signal = column.partition("_")[0]
+            whole = frame.samples[signal]
+            beside = [m for c, m in frame.repeats.items() if c != column and c.startswith(signal)]
+            limit = DEFAULT.stochastic.stuck.longer
+            goes_on = any(limit * m <= n for m in beside)
+            usual = self._usual.get(column, 1)
+            if n >= max(self._least, 3 * usual) and n > 2 * min(beside, default=n):
+                suspect.add(signal)
+            if n == whole and goes_on and n >= 3 * usual and n > 1:
+                self._frames.setdefault(column, frame.number)
+                suspect.add(signal)
+            else:
+                self._frames.pop(column, None)
+        return frozenset(suspect)
+
+    def signs(self, frame: Frame) -> list[Sign]:
+        """Readings that stand still now, the one that does so for longest."""
+        effect = EFFECTS["stuck_sensor"]
+        assert isinstance(effect.seen_as, Repeats)
+        found = []
+        for column, start in sorted(self._frames.items(), key=lambda kv: kv[1])[:1]:
+            rate = frame.samples[column.partition("_")[0]]
+            evidence = NATS_PER_REPEAT * rate * (frame.number + 1 - start)
+            number = 1.0 + IMU_CHANNELS.index(column)
+            told = (
+                Told(effect.seen_as.channel, number, 0.0, "1"),
+                Told(effect.seen_as.since, start * FRAME_S, FRAME_S / 2, "s"),
+            )
+            found.append(Sign(effect.name, start, evidence, told))
+        return found
+
+
+class Shaking:
+    """Power above the band of motion against that of the quiet start."""
+
+    def __init__(self, settings: RunningSettings) -> None:
+        self._settings = settings
+        self._usual: Array | None = None
+        self._past: deque[tuple[int, Array]] = deque(maxlen=round(10.0 / FRAME_S))
+
+    def begin(self, frames: Iterable[Frame]) -> None:
+        """Learn the power of the quiet start."""
+        loud = [f.loud for f in frames if f.loud.size]
+        if len(loud) > 3:
+            self._usual = np.maximum(np.mean(loud, axis=0), 1e-12)
+
+    def follow(self, frame: Frame) -> None:
+        """Look at the next frame."""
+        if self._usual is None or not frame.loud.size:
+            self._past.clear()
+            return
+        over = np.minimum(frame.loud / self._usual, CLIP)
+        self._past.append((frame.number, over))
+        if float(np.median(over)) < self._settings.louder:
+            share = FRAME_S / self._settings.forget_s
+            self._usual = self._usual * (1 + share * (np.minimum(over, 4.0) - 1))
+
+    def signs(self, wanted: Iterable[str]) -> list[Sign]:
+        """What shakes now, of some effects: the likeliest beginning."""
+        if self._usual is None or len(self._past) < 4:
+            return []
+        numbers = [n for n, _ in self._past]
+        over = np.array([o for _, o in self._past])  # (t, 6, s)
+        counts = np.arange(len(over), 0, -1)[:, None, None]
+        mean = np.cumsum(over[::-1], axis=0)[::-1] / counts
+        least = np.minimum.accumulate(over[::-1], axis=0)[::-1]
+        n = self._settings.tempered * CELL * counts
+        gain = 0.5 * n * (mean - 1 - np.log(mean)) - PRICE
+        heard = (least > self._settings.louder) & (gain > 0)
+        evidence = np.where(heard, gain, 0.0).sum(axis=(1, 2))[:-2]
+        best = int(np.argmax(evidence))
+        if evidence[best] <= 0:
+            return []
+        effect = "vibration" if _uneven(mean[best]) else "sensor_noise_level"
+        if effect not in wanted:
+            return []
+        return [Sign(effect, numbers[best], float(evidence[best]), self._told(effect, mean[best]))]
+
+    def _told(self, effect: str, over: Array) -> tuple[Told, ...]:
+        """How strong, from what is added to the power of the quiet start."""
+        assert self._usual is not None
+        added = np.maximum(over - 1, 0.0) * self._usual
+        found = []
+        for name, unit, rows in (("accel_m_s2", "m/s2", 0), ("gyro_rad_s", "rad/s", 3)):
+            across = float(added[rows : rows + 2].sum(axis=1).mean())
+            # Four rotors, each a circle in the plane of the rotors: 2 A^2 along each axis.
+            size = np.sqrt(across / 2) if effect == "vibration" else np.sqrt(2.7 * across)
+            found.append(Told(name, float(size), 0.3 * float(size), unit))
+        return tuple(found)
+
+
+def _uneven(over: Array) -> bool:
+    """Whether what is added stands in some sub-bands, and not in all alike."""
+    added = np.maximum(over - 1, 0.0)
+    loudest = added[int(np.argmax(added.sum(axis=1)))]
+    return bool(loudest.max() > 4.0 * (loudest.min() + 0.1))
