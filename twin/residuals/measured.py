@@ -184,8 +184,12 @@ class MeasuredMotion:
     __repr__ = short_repr
 
 
-def measured_motion(flight: AnyFlight) -> MeasuredMotion:
+def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:
     """Collect the motion signals of a flight.
+
+    Args:
+        flight: As read.
+        doubts: Whether to ask if attitude and gyroscope turn together.
 
     Raises:
         LogError: The flight has neither accelerometer, gyro, attitude nor position.
@@ -215,7 +219,7 @@ def measured_motion(flight: AnyFlight) -> MeasuredMotion:
     if missing:
         notes.append(f"no {', no '.join(missing)}: channels that need them are left out")
     rates = None if gyro is None else Signal(gyro.t_s, zero_phase(gyro, RATE_CUTOFF_HZ))
-    if measured and rates is not None and attitude is not None:
+    if doubts and measured and rates is not None and attitude is not None:
         notes += _attitude_doubt(attitude, rates)
     return MeasuredMotion(position, velocity, attitude, rates, measured, tuple(notes))
 

@@ -9,6 +9,7 @@ that it does not matter in which portions a flight comes.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,6 +292,7 @@ def _stacked(measured: Array, predicted: Array, slopes: Array) -> Array:
     return np.concatenate([measured[:, :, None], predicted[:, :, None], slopes], axis=2)
 
 
+@cache
 def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
     """Second order on the grid: coefficients, and the state that is settled on one."""
     b, a = butter(2, min(cutoff_hz / (GRID_HZ / 2), 0.9))

@@ -168,8 +168,7 @@ class RunningEvidence:
                 self._learn()
             return
         self._take(frame)
-        if (frame.number + 1) % round(1 / FRAME_S) == 0:
-            self._decide(frame)
+        self._decide(frame)
 
     def _learn(self) -> None:
         """Noise and standing offset of the quiet start."""
@@ -219,7 +218,7 @@ class RunningEvidence:
         full = f"{effect}.{name}"
         return next(k for k in columns if self._library.name(k).full == full)
 
-    # -- second by second ----------------------------------------------------------------------
+    # -- alarms --------------------------------------------------------------------------------
 
     def _decide(self, frame: Frame) -> None:
         """Raise, change and close alarms."""
@@ -230,7 +229,10 @@ class RunningEvidence:
         self._nothing = float(1 / (1 + np.exp(min(whole, 700.0))))
         self._shares = _shares(weighed)
         self._follow_silent(frame)
-        over = whole >= self._settings.bar
+        # With its first frame alone behind it, a beginning may be half a frame off.
+        newest = max((int(w.jump.starts[-1]) for w in weighed), default=0)
+        best = max(weighed, key=lambda w: w.log_odds, default=None)
+        over = best is not None and best.start < newest and whole >= self._settings.bar
         if self._young is not None:
             self._follow_young(weighed, whole, now)
         elif not over:

@@ -5,7 +5,7 @@ and a quarter of a second behind the newest row: until then the zero-phase low-p
 rates has forgotten where the record ends, and the next sample of a slow signal is there.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ from ...residuals.teacher_forced import (
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]
-KEPT_S = 2.0
+KEPT_S = 1.0
 """Rows so old are kept: filters begin there."""
 BEHIND_S = 0.25
 """By which the grid ends before the newest row."""
@@ -66,6 +66,43 @@ class GridBlock:
     further: Mapping[str, Array]
 
     __repr__ = short_repr
+
+
+class Recent(Flight):
+    """The last seconds of a flight: what `Flight` says of its columns, told from arrays.
+
+    A table of pandas takes longer to say what it holds than all that is computed of it.
+    """
+
+    __slots__ = ("_by",)
+    _by: dict[str, tuple[Array, NDArray[np.bool_]]]
+
+    def __init__(self, table: pd.DataFrame) -> None:
+        """Take the rows."""
+        super().__init__("live", table)
+        by: dict[str, tuple[Array, NDArray[np.bool_]]] = {}
+        for c in table:
+            if c != "phase":
+                values = table[c].to_numpy(dtype=np.float64)
+                there = np.isfinite(values)
+                if there.any():
+                    by[str(c)] = values, there
+        object.__setattr__(self, "_by", by)
+
+    @property
+    def time_s(self) -> Array:
+        """See `Flight`."""
+        return self._by["time"][0]
+
+    def has(self, *columns: str) -> bool:
+        """See `Flight`."""
+        return all(c in self._by for c in columns)
+
+    def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
+        """See `Flight`."""
+        own = [self._by[c] for c in columns]
+        there = np.logical_and.reduce([known for _, known in own])
+        return self.time_s[there], np.column_stack([values[there] for values, _ in own])
 
 
 class Feed:
@@ -114,11 +151,11 @@ class Feed:
         if self._next is None:
             if times[-1] - times[0] < KEPT_S:
                 return None
-            self._begin(Flight("live", table))
+            self._begin(Recent(table))
             self._next = int(np.ceil(times[0] * GRID_HZ - 1e-6)) + 1
         if end <= self._next:
             return None
-        block = self._block(Flight("live", table), self._next, end)
+        block = self._block(Recent(table), self._next, end)
         self._next = end
         self._tail = [table[times > end / GRID_HZ - KEPT_S]]
         return block
@@ -136,7 +173,7 @@ class Feed:
         signals = InputSignals(flight, self._vehicle, self.airframe)
         u = signals.at(t)
         inputs = Inputs(signals.columns, t, u, self._rotors.along(u), signals.notes)
-        motion = measured_motion(flight)
+        motion = measured_motion(flight, doubts=False)
         states = measured_states(self.airframe, motion, inputs, self._hidden)
         read: dict[str, Array] = {}
         for name, columns in (("acc", ACC), ("gyro", GYRO)):

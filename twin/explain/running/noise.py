@@ -82,7 +82,7 @@ class Levels:
             blocks = means[: len(means) // LONG * LONG].reshape(-1, LONG).mean(axis=1)
             long = float(np.mean(np.diff(blocks) ** 2)) / 2 * LONG
         self._level[key] = np.maximum(power, self._least(key, values[-1]))
-        self._long[key] = max(long, float(self._level[key][0]))
+        self._long[key] = max(long, self._settings.together * float(self._level[key][0]))
         self._means[key] = [*means[-2 * LONG :]]
 
     def _least(self, key: Key, rows: Array) -> Array:
@@ -108,7 +108,7 @@ class Levels:
         for b, (low, high) in enumerate(self._bands[key]):
             now = max(float(level[b]), float(least[b]))
             if b == 0:
-                variance = max(now, self._long[key], float(least[0]))
+                variance = max(s.together * now, self._long[key])
                 weights[0] = 1 / variance
                 continue
             n, power = (high - low) * s.tempered, float(np.mean(innovation[low:high] ** 2))

@@ -29,11 +29,18 @@ class RunningSettings(Group):
     burst: float = setting(
         4.0, "1", "power over the noise level that counts in full towards it", "made up"
     )
+    together: float = setting(
+        2.0,
+        "1",
+        "power of means over two seconds over that of means over a frame, at least: turbulence "
+        "lasts about a second, and a quiet start is too short to show it",
+        _TUNED,
+    )
     level: float = setting(
         4.0, "degrees of freedom", "with which the noise level of a frame is known", "made up"
     )
     tempered: float = setting(
-        0.3, "share", "of its samples that a band above the mean counts as", _TUNED, 1.0
+        0.5, "share", "of its samples that a band above the mean counts as", _TUNED, 1.0
     )
     rough: float = setting(
         0.02,
@@ -52,7 +59,7 @@ class RunningSettings(Group):
     oldest_s: float = setting(60.0, "s", "ago that a change may have begun at most", "made up")
     every_s: float = setting(1800.0, "s", "between two changes, before anything is seen", "made up")
     bar: float = setting(
-        10.0, "nats", "log odds of any change over none from which an alarm is raised", _TUNED
+        15.0, "nats", "log odds of any change over none from which an alarm is raised", _TUNED
     )
     clear: float = setting(
         0.7, "probability", "of one effect among all from which on it is named at once", _TUNED, 1.0

@@ -102,7 +102,7 @@ class Shaking:
     def __init__(self, settings: RunningSettings) -> None:
         self._settings = settings
         self._usual: Array | None = None
-        self._past: deque[tuple[int, Array]] = deque(maxlen=round(10.0 / FRAME_S))
+        self._past: deque[tuple[int, Array, Array]] = deque(maxlen=round(10.0 / FRAME_S))
 
     def begin(self, frames: Iterable[Frame]) -> None:
         """Learn the power of the quiet start."""
@@ -116,7 +116,7 @@ class Shaking:
             self._past.clear()
             return
         over = np.minimum(frame.loud / self._usual, CLIP)
-        self._past.append((frame.number, over))
+        self._past.append((frame.number, over, frame.loud - self._usual))
         if float(np.median(over)) < self._settings.louder:
             share = FRAME_S / self._settings.forget_s
             self._usual = self._usual * (1 + share * (np.minimum(over, 4.0) - 1))
@@ -125,8 +125,8 @@ class Shaking:
         """What shakes now, of some effects: the likeliest beginning."""
         if self._usual is None or len(self._past) < 4:
             return []
-        numbers = [n for n, _ in self._past]
-        over = np.array([o for _, o in self._past])  # (t, 6, s)
+        numbers = [n for n, _, _ in self._past]
+        over = np.array([o for _, o, _ in self._past])  # (t, 6, s)
         counts = np.arange(len(over), 0, -1)[:, None, None]
         mean = np.cumsum(over[::-1], axis=0)[::-1] / counts
         least = np.minimum.accumulate(over[::-1], axis=0)[::-1]
@@ -140,18 +140,19 @@ class Shaking:
         effect = "vibration" if _uneven(mean[best]) else "sensor_noise_level"
         if effect not in wanted:
             return []
-        return [Sign(effect, numbers[best], float(evidence[best]), self._told(effect, mean[best]))]
+        added = np.mean([a for _, _, a in self._past][best + 1 :], axis=0)
+        told = self._told(effect, np.maximum(added, 0.0))
+        return [Sign(effect, numbers[best], float(evidence[best]), told)]
 
-    def _told(self, effect: str, over: Array) -> tuple[Told, ...]:
+    def _told(self, effect: str, added: Array) -> tuple[Told, ...]:
         """How strong, from what is added to the power of the quiet start."""
-        assert self._usual is not None
-        added = np.maximum(over - 1, 0.0) * self._usual
         found = []
         for name, unit, rows in (("accel_m_s2", "m/s2", 0), ("gyro_rad_s", "rad/s", 3)):
             across = float(added[rows : rows + 2].sum(axis=1).mean())
-            # Four rotors, each a circle in the plane of the rotors: 2 A^2 along each axis.
+            # Four rotors, each a circle in the plane of the rotors: 2 A^2 along each axis, while
+            # their phases are by chance.
             size = np.sqrt(across / 2) if effect == "vibration" else np.sqrt(2.7 * across)
-            found.append(Told(name, float(size), 0.3 * float(size), unit))
+            found.append(Told(name, float(size), 0.5 * float(size), unit))
         return tuple(found)
 
 

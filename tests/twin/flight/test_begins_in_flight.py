@@ -1,0 +1,90 @@
+"""Effects that begin in mid-flight: nothing before, all of it from then on."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rig import plain
+
+from twin.errors import ModelError
+from twin.flight.closed_loop import STEP_S, fly, standing
+from twin.flight.control.lqr_cascade import controller
+from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
+from twin.logs import Flight
+from twin.logs.columns import ACC, GYRO, POS
+from twin.physics.airframe import airframe
+from uavtwin.demo.flights import setpoints_along
+
+Array = NDArray[np.float64]
+VEHICLE = plain()
+BEGINS_S = 4.0
+UP = (("ground", 0.5, (0.0, 0.0, 0.0)), ("takeoff", 2.0, (0.0, 0.0, -1.0)))
+WAYPOINTS = (*UP, ("hover", 3.5, (0.0, 0.0, -1.0)))
+RECORDER = Recorder(
+    (Stream(ACC, 0.005, 0.01), Stream(GYRO, 0.005, 0.001), Stream(POS, 0.01)), 200.0, 1000.0, seed=5
+)
+
+
+@cache
+def flown(effect: str = "", **numbers: float) -> Flight:
+    setpoints, phases = setpoints_along(VEHICLE, WAYPOINTS)
+    later = Later({effect: numbers}, BEGINS_S) if effect else None
+    return simulate_flight(setpoints, phases, VEHICLE, VEHICLE, RECORDER, later=later)
+
+
+def apart(flight: Flight, column: str) -> tuple[Array, Array]:
+    """What an effect adds to a column, before it begins and afterwards."""
+    more = flight.table[column].to_numpy() - flown().table[column].to_numpy()
+    before = flight.time_s < BEGINS_S
+    return more[before & np.isfinite(more)], more[~before & np.isfinite(more)]
+
+
+def test_the_aircraft_changes_where_it_is() -> None:
+    """A twentieth of the mass dropped: 5 % more specific force at once, and it climbs."""
+    lighter = flown("mass_offset", mass_kg=-0.05 * VEHICLE.mass_kg)
+    before, after = apart(lighter, "acc_z")
+    assert np.all(before == 0)
+    assert after[:3].mean() == pytest.approx(-9.81 * (1 / 0.95 - 1), rel=0.05)
+    before, after = apart(lighter, "pos_z")
+    assert np.all(before == 0)
+    assert after[-1] < -0.005
+
+
+def test_a_sensor_changes_and_the_flight_does_not() -> None:
+    biased = flown("accel_bias", x_m_s2=0.3, y_m_s2=0.0, z_m_s2=-0.2)
+    before, after = apart(biased, "acc_x")
+    assert np.all(before == 0)
+    np.testing.assert_allclose(after, 0.3, atol=1e-9)
+    assert np.all(np.hstack(apart(biased, "pos_z")) == 0)
+
+
+def test_a_reading_stands_still_noise_and_all() -> None:
+    stuck = flown("stuck_sensor", channel=5.0, time_s=0.0)
+    before, _ = apart(stuck, "gyro_y")
+    assert np.all(before == 0)
+    held = stuck.table["gyro_y"].to_numpy()[stuck.time_s >= BEGINS_S]
+    assert len(np.unique(held)) == 1
+    assert len(np.unique(stuck.table["gyro_x"].to_numpy()[stuck.time_s >= BEGINS_S])) > 100
+
+
+def test_a_course_that_stands_still_is_a_start_value() -> None:
+    setpoints, _ = setpoints_along(VEHICLE, UP)
+    body = airframe(VEHICLE, effects=["mass_offset"])
+    body = body.with_starts(standing(body, VEHICLE))
+    values = {"mass_offset.enabled": 1.0, "mass_offset.mass_kg": 0.1}
+    courses = {k: np.full(len(setpoints), v) for k, v in values.items()}
+    wind = {"wind_x": 1.5}
+    control = controller(VEHICLE)
+    held, _ = fly(body.with_starts(values), control, setpoints, wind)
+    given, _ = fly(
+        body, control, setpoints, None, courses | {"wind_x": np.full(len(setpoints), 1.5)}
+    )
+    np.testing.assert_allclose(given, held, atol=1e-12)
+    assert STEP_S * len(setpoints) == 2.5
+
+
+def test_a_misspelt_course_is_named() -> None:
+    setpoints, _ = setpoints_along(VEHICLE, UP)
+    with pytest.raises(ModelError, match="wind_w"):
+        fly(airframe(VEHICLE), controller(VEHICLE), setpoints, None, {"wind_w": np.zeros(2500)})
