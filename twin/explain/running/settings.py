@@ -50,7 +50,7 @@ class RunningSettings(Group):
         1.0,
     )
     floor: float = setting(
-        0.1,
+        0.5,
         "share",
         "of the constant that a day may bring (EvidenceSettings.trim_*): least deviation of the "
         "mean of a frame",
