@@ -14,6 +14,9 @@ from log_rigs.dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
+from twin.logs.mavlink.dialect import AUTOPILOT, parser
+from twin.logs.mavlink.encode import messages_of
+from twin.logs.mavlink.tlog import stamped
 
 # -- ULog -----------------------------------------------------------------------------------
 
@@ -216,7 +219,20 @@ def _crazyflie(version: int) -> bytes:
     return usd_log({"fixedFrequency": fixed}, version)
 
 
+@cache
+def _tlog() -> bytes:
+    still = dict.fromkeys(("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y"), 0.0)
+    packer, blob = parser(1, AUTOPILOT), b""
+    for t in T_S:
+        for message in messages_of(round(1e6 * t), {**still, "acc_z": -9.80665}, 4):
+            frame = message.pack(packer)
+            packer.seq = (packer.seq + 1) % 256
+            blob += stamped(1_700_000_000_000_000 + round(1e6 * t), frame)
+    return blob
+
+
 SAMPLES: dict[str, Callable[[], bytes]] = {
+    "MAVLink telemetry log": _tlog,
     "Crazyflie uSD log, version 1": lambda: _crazyflie(1),
     "Crazyflie uSD log, version 2": lambda: _crazyflie(2),
     "PX4 ULog": _ulog,

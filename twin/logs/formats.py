@@ -19,6 +19,7 @@ HEAD = 4096
 _TELLING = 4
 """Bytes of a longer signature after which a difference is damage, not another format."""
 _LETTERS = string.ascii_letters.encode() + string.digits.encode()
+_CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000
 _BEFORE_TEXT = b"\xef\xbb\xbf \t\"'"
 
 
@@ -87,6 +88,29 @@ class FirstWord:
 
     def __str__(self) -> str:
         return f"the word `{self.word.decode('ascii')}`"
+
+
+@dataclass(frozen=True, slots=True)
+class Stamped:
+    """A time of this century, us since 1970 in 8 bytes, the first the highest, and then one of some
+    bytes."""
+
+    then: tuple[bytes, ...]
+
+    def matches(self, head: bytes) -> bool:
+        """Whether both stand there."""
+        return (
+            head[8:].startswith(self.then)
+            and _CENTURY_US[0] < int.from_bytes(head[:8]) < _CENTURY_US[1]
+        )
+
+    def damage(self, head: bytes) -> str:
+        """A time alone tells too little."""
+        return ""
+
+    def __str__(self) -> str:
+        then = " or ".join(each.hex(" ") for each in self.then)
+        return f"a time, us since 1970 in 8 bytes, and byte {then}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +218,14 @@ FORMATS: tuple[LogFormat, ...] = (
             holds="of acc, gyro, mag, baro, stateEstimate, motor, rpm and pm what config.txt names",
         )
         for version in (1, 2)
+    ),
+    LogFormat(
+        name="MAVLink telemetry log",
+        suffixes=(".tlog",),
+        signature=Stamped((b"\xfe", b"\xfd")),
+        reader="mavlink.log:read_tlog",
+        packages=("pymavlink",),
+        holds="what was sent of IMU, attitude, position, motor outputs, battery; often too seldom",
     ),
     LogFormat(
         name="flight table, Parquet",

@@ -25,8 +25,10 @@ _F = TypeVar("_F", bound=AnyFlight)
 NOT_READ: tuple[tuple[Signature, str], ...] = (
     (Magic(b"PK\x03\x04"), "a ZIP archive (or FMU). Unpack it first."),
     (Magic(b"\x1f\x8b"), "gzip-compressed. Unpack it first."),
-    (Magic(b"\xfd"), "perhaps a MAVLink telemetry log, which lacks the rates needed here."),
-    (Magic(b"\xfe", at=8), "perhaps a MAVLink telemetry log, which lacks the rates needed here."),
+    (
+        Magic(b"\xfd"),
+        "perhaps MAVLink as it was sent, without times. A telemetry log (.tlog) has them.",
+    ),
 )
 """What people try as well, and what to do then."""
 

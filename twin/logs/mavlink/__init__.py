@@ -1,0 +1,1 @@
+"""MAVLink: messages to samples of a flight table and back, telemetry logs."""

@@ -1,0 +1,317 @@
+"""MAVLink messages -> samples of a flight table. Its units and frames stand here alone.
+
+| column | from | in it |
+|---|---|---|
+| acc, gyro, mag, baro_pa | HIGHRES_IMU, what `fields_updated` says | m/s^2, rad/s, gauss, hPa, us |
+| acc, gyro, mag | SCALED_IMU, 2, 3; RAW_IMU of ArduPilot | mG, mrad/s, mgauss as integers |
+| baro_pa | SCALED_PRESSURE | hPa |
+| pos, vel, q | ODOMETRY in LOCAL_NED | velocity in NED or along the body, us |
+| q | ATTITUDE_QUATERNION, ATTITUDE | ms |
+| pos, vel | LOCAL_POSITION_NED | ms |
+| pos, q | VICON_POSITION_ESTIMATE | us |
+| cmd_i | ACTUATOR_OUTPUT_STATUS, SERVO_OUTPUT_RAW | 0..1 or pulses of so many us |
+| rotor_i | DEBUG_FLOAT_ARRAY `rotor_rads`, ESC_TELEMETRY_* | rad/s; rpm without a time |
+| vbat_v, ibat_a | BATTERY_STATUS, SYS_STATUS | mV, cA, without a time |
+| phase | EXTENDED_SYS_STATE | landed or not, without a time |
+
+A message without a time of its own gets the newest time that its system has told.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+
+import numpy as np
+
+from ...frames import from_euler, to_ned
+from ..columns import MAX_MOTORS
+from ..limits import LIMITS
+from .dialect import AUTOPILOTS, GCS, MOTORS, Message, dialect
+from .samples import LANDED, Sample
+
+ROTOR_ARRAY = "rotor_rads"
+"""Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""
+GRAVITY_M_S2 = 9.80665
+T_PER_GAUSS = 1e-4
+PA_PER_HPA = 100.0
+_RPM = 2 * math.pi / 60
+_PULSES_US = (1000.0, 2000.0)
+_FIRST_MOTOR = 33
+"""SERVOn_FUNCTION of ArduPilot's motor 1."""
+_UNKNOWN_16 = 65535
+_FRAMES_B = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_FRD)
+_PULSE_PARAMETERS = (
+    ("PWM_MIN", "PWM_MAX"),
+    ("PWM_MAIN_MIN", "PWM_MAIN_MAX"),
+    ("MOT_PWM_MIN", "MOT_PWM_MAX"),
+)
+
+Found = Iterator[Sample]
+
+
+class MavlinkDecoder:
+    """Samples of the messages of one system, in the order in which they came.
+
+    Attributes:
+        motors: How many; of the heartbeat where not given.
+        autopilot: Of the heartbeat, in words; "" before it came.
+        kinds: How many messages of each kind came.
+        dropped: How many samples were left out, by signal and why.
+        parameters: By name, as told by PARAM_VALUE.
+        newest_us: The newest time told so far, us; None: none yet.
+    """
+
+    def __init__(self, motors: int | None = None) -> None:
+        self.motors, self.autopilot = motors, ""
+        self.kinds: Counter[str] = Counter()
+        self.dropped: Counter[tuple[str, str]] = Counter()
+        self.parameters: dict[str, float] = {}
+        self.newest_us: int | None = None
+        self._fixed_motors = motors is not None
+        self._rpm: dict[int, Sequence[float]] = {}
+
+    def samples(self, message: Message) -> list[Sample]:
+        """What a message carries: nothing, or samples that are finite and within limits."""
+        kind = message.get_type()
+        self.kinds[kind] += 1
+        read = _READ.get(kind)
+        return [] if read is None else [s for s in read(self, message) if self._sound(s)]
+
+    def _sound(self, sample: Sample) -> bool:
+        """Whether a sample can be one; one that cannot is counted."""
+        values, limit = sample.values, LIMITS.get(sample.group, math.inf)
+        if not all(math.isfinite(v) for v in values):
+            why = "a value is NaN or infinite"
+        elif max(map(abs, values)) > limit:
+            why = f"a value is beyond {limit:g} (SI)"
+        elif sample.group == "q" and abs(math.hypot(*values) - 1.0) > 0.1:
+            why = "the quaternion has not norm 1"
+        elif sample.group in ("baro", "rotor") and min(values) < 0.0:
+            why = "a value is negative"
+        else:
+            return True
+        self.dropped[sample.group, why] += 1
+        return False
+
+    # -- times ------------------------------------------------------------------------------
+
+    def _at(self, t_us: int) -> int:
+        """A time that the aircraft told."""
+        if self.newest_us is None or t_us > self.newest_us or self.newest_us - t_us > 1_000_000:
+            self.newest_us = t_us
+        return t_us
+
+    def _at_ms(self, message: Message) -> int:
+        return self._at(1000 * int(message.time_boot_ms))
+
+    def _at_32(self, t_us: int) -> int:
+        """A time of which the lower 32 bits were sent: they begin anew every 71 minutes."""
+        if self.newest_us is None:
+            return self._at(t_us)
+        ahead = (t_us - self.newest_us + 2**31) % 2**32 - 2**31
+        return self._at(self.newest_us + ahead)
+
+    # -- messages ---------------------------------------------------------------------------
+
+    def _heartbeat(self, m: Message) -> Found:
+        if m.type != GCS and m.get_srcComponent() in (0, dialect.MAV_COMP_ID_AUTOPILOT1):
+            self.autopilot = AUTOPILOTS.get(m.autopilot, f"autopilot of kind {m.autopilot}")
+            if not self._fixed_motors:
+                self.motors = MOTORS.get(m.type)
+        yield from ()
+
+    def _parameter(self, m: Message) -> Found:
+        name, value = m.param_id, float(m.param_value)
+        whole = m.param_type not in (dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_REAL64)
+        if whole and self.autopilot == "PX4":  # sends the bytes of the integer
+            value = float(np.float32(value).view(np.int32))
+        self.parameters[name] = value
+        yield from ()
+
+    def _highres_imu(self, m: Message) -> Found:
+        t, there, kind = self._at(m.time_usec), m.fields_updated, "HIGHRES_IMU"
+        if m.id:  # of a second IMU
+            return
+        if there & 0x7 == 0x7:
+            yield Sample("acc", kind, t, (m.xacc, m.yacc, m.zacc))
+        if there & 0x38 == 0x38:
+            yield Sample("gyro", kind, t, (m.xgyro, m.ygyro, m.zgyro))
+        if there & 0x1C0 == 0x1C0:
+            yield Sample("mag", kind, t, _scaled((m.xmag, m.ymag, m.zmag), T_PER_GAUSS))
+        if there & 0x200:
+            yield Sample("baro", kind, t, (m.abs_pressure * PA_PER_HPA,))
+
+    def _scaled_imu(self, m: Message) -> Found:
+        return self._integers(m, self._at_ms(m))
+
+    def _raw_imu(self, m: Message) -> Found:
+        t = self._at(m.time_usec)
+        if self.autopilot != "ArduPilot":
+            self.dropped["acc", "RAW_IMU says its units with ArduPilot alone"] += 1
+            return iter(())
+        return self._integers(m, t)
+
+    def _integers(self, m: Message, t: int) -> Found:
+        kind = m.get_type()
+        yield Sample("acc", kind, t, _scaled((m.xacc, m.yacc, m.zacc), 1e-3 * GRAVITY_M_S2))
+        yield Sample("gyro", kind, t, _scaled((m.xgyro, m.ygyro, m.zgyro), 1e-3))
+        if m.xmag or m.ymag or m.zmag:
+            yield Sample("mag", kind, t, _scaled((m.xmag, m.ymag, m.zmag), 1e-3 * T_PER_GAUSS))
+
+    def _pressure(self, m: Message) -> Found:
+        yield Sample("baro", "SCALED_PRESSURE", self._at_ms(m), (m.press_abs * PA_PER_HPA,))
+
+    def _odometry(self, m: Message) -> Found:
+        t, kind = self._at(m.time_usec), "ODOMETRY"
+        if m.frame_id != dialect.MAV_FRAME_LOCAL_NED:
+            self.dropped["pos", f"ODOMETRY in frame {m.frame_id}, not LOCAL_NED"] += 1
+            return
+        position, q, velocity = (m.x, m.y, m.z), tuple(m.q), (m.vx, m.vy, m.vz)
+        if _told(position):
+            yield Sample("pos", kind, t, position)
+        if _told(q):
+            yield Sample("q", kind, t, q)
+        if not _told(velocity):
+            return
+        if m.child_frame_id == dialect.MAV_FRAME_LOCAL_NED:
+            yield Sample("vel", kind, t, velocity)
+        elif m.child_frame_id in _FRAMES_B and _told(q):
+            yield Sample("vel", kind, t, tuple(float(v) for v in to_ned(q, velocity)))
+        else:
+            self.dropped["vel", f"ODOMETRY's velocity in frame {m.child_frame_id}"] += 1
+
+    def _quaternion(self, m: Message) -> Found:
+        yield Sample("q", "ATTITUDE_QUATERNION", self._at_ms(m), (m.q1, m.q2, m.q3, m.q4))
+
+    def _attitude(self, m: Message) -> Found:
+        yield Sample("q", "ATTITUDE", self._at_ms(m), _from_euler(m))
+
+    def _local_position(self, m: Message) -> Found:
+        t, kind = self._at_ms(m), "LOCAL_POSITION_NED"
+        yield Sample("pos", kind, t, (m.x, m.y, m.z))
+        yield Sample("vel", kind, t, (m.vx, m.vy, m.vz))
+
+    def _vicon(self, m: Message) -> Found:
+        t, kind = self._at(m.usec), "VICON_POSITION_ESTIMATE"
+        yield Sample("pos", kind, t, (m.x, m.y, m.z))
+        yield Sample("q", kind, t, _from_euler(m))
+
+    def _actuators(self, m: Message) -> Found:
+        t = self._at(m.time_usec)
+        if self.motors is not None:
+            yield self._commands("ACTUATOR_OUTPUT_STATUS", t, m.actuator[: self.motors])
+
+    def _servos(self, m: Message) -> Found:
+        t = self._at_32(m.time_usec)
+        if self.motors is None or m.port:
+            return
+        outputs = self._motor_outputs(self.motors)
+        values = [getattr(m, f"servo{k}_raw") for k in outputs]
+        yield self._commands("SERVO_OUTPUT_RAW", t, values)
+
+    def _motor_outputs(self, motors: int) -> list[int]:
+        """Numbers of the outputs of motors 1..n: of SERVOn_FUNCTION where told, else the first."""
+        told = {
+            int(self.parameters.get(f"SERVO{k}_FUNCTION", 0)) - _FIRST_MOTOR: k
+            for k in range(1, 17)
+        }
+        if all(i in told for i in range(motors)):
+            return [told[i] for i in range(motors)]
+        return list(range(1, motors + 1))
+
+    def _commands(self, kind: str, t: int, values: Sequence[float]) -> Sample:
+        """Commands 0..1 of outputs; a pulse a little outside its range counts as its end."""
+        if any(abs(v) > 1.5 for v in values):
+            low, high = self.pulses_us
+            values = [(v - low) / (high - low) for v in values]
+        clipped = tuple(min(max(float(v), 0.0), 1.0) if v == v else math.nan for v in values)
+        return Sample("cmd", kind, t, clipped)
+
+    @property
+    def pulses_us(self) -> tuple[float, float]:
+        """Lengths of the pulses of command 0 and 1, us: of parameters, else 1000 and 2000."""
+        for names in _PULSE_PARAMETERS:
+            low, high = (self.parameters.get(n, math.nan) for n in names)
+            if 500.0 < low < high < 3000.0:
+                return low, high
+        return _PULSES_US
+
+    def _rotors(self, m: Message) -> Found:
+        t = self._at(m.time_usec)
+        if m.name == ROTOR_ARRAY and self.motors is not None:
+            yield Sample("rotor", "DEBUG_FLOAT_ARRAY", t, tuple(m.data[: self.motors]))
+
+    def _esc(self, m: Message) -> Found:
+        """Four motors each; a sample is there when every motor has told once more."""
+        first = int(m.get_type().split("_")[2])
+        self._rpm[first] = m.rpm
+        if self.motors is None or self.newest_us is None:
+            return
+        blocks = range(1, self.motors + 1, 4)
+        if self.motors <= MAX_MOTORS and all(k in self._rpm for k in blocks):
+            rpm = [r for k in blocks for r in self._rpm[k]][: self.motors]
+            self._rpm.clear()
+            yield Sample("rotor", "ESC_TELEMETRY", self.newest_us, _scaled(rpm, _RPM))
+
+    def _battery(self, m: Message) -> Found:
+        cells = [v for v in m.voltages if v != _UNKNOWN_16]
+        cells += [v for v in m.voltages_ext if v not in (0, _UNKNOWN_16)]
+        if not m.id:  # the first battery
+            yield from self._power("BATTERY_STATUS", sum(cells), m.current_battery)
+
+    def _status(self, m: Message) -> Found:
+        millivolts = 0 if m.voltage_battery == _UNKNOWN_16 else m.voltage_battery
+        return self._power("SYS_STATUS", millivolts, m.current_battery)
+
+    def _power(self, kind: str, millivolts: float, centiamperes: float) -> Found:
+        if self.newest_us is None:
+            return
+        if millivolts:
+            yield Sample("vbat_v", kind, self.newest_us, (1e-3 * millivolts,))
+        if centiamperes != -1:
+            yield Sample("ibat_a", kind, self.newest_us, (1e-2 * centiamperes,))
+
+    def _landed(self, m: Message) -> Found:
+        if self.newest_us is not None and m.landed_state:
+            yield Sample(LANDED, "EXTENDED_SYS_STATE", self.newest_us, (float(m.landed_state),))
+
+
+_READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {
+    "HEARTBEAT": MavlinkDecoder._heartbeat,
+    "PARAM_VALUE": MavlinkDecoder._parameter,
+    "HIGHRES_IMU": MavlinkDecoder._highres_imu,
+    "SCALED_IMU": MavlinkDecoder._scaled_imu,
+    "SCALED_IMU2": MavlinkDecoder._scaled_imu,
+    "SCALED_IMU3": MavlinkDecoder._scaled_imu,
+    "RAW_IMU": MavlinkDecoder._raw_imu,
+    "SCALED_PRESSURE": MavlinkDecoder._pressure,
+    "ODOMETRY": MavlinkDecoder._odometry,
+    "ATTITUDE_QUATERNION": MavlinkDecoder._quaternion,
+    "ATTITUDE": MavlinkDecoder._attitude,
+    "LOCAL_POSITION_NED": MavlinkDecoder._local_position,
+    "VICON_POSITION_ESTIMATE": MavlinkDecoder._vicon,
+    "ACTUATOR_OUTPUT_STATUS": MavlinkDecoder._actuators,
+    "SERVO_OUTPUT_RAW": MavlinkDecoder._servos,
+    "DEBUG_FLOAT_ARRAY": MavlinkDecoder._rotors,
+    "ESC_TELEMETRY_1_TO_4": MavlinkDecoder._esc,
+    "ESC_TELEMETRY_5_TO_8": MavlinkDecoder._esc,
+    "ESC_TELEMETRY_9_TO_12": MavlinkDecoder._esc,
+    "BATTERY_STATUS": MavlinkDecoder._battery,
+    "SYS_STATUS": MavlinkDecoder._status,
+    "EXTENDED_SYS_STATE": MavlinkDecoder._landed,
+}
+USED = frozenset(i for i, kind in dialect.mavlink_map.items() if kind.msgname in _READ)
+"""Ids of the messages that are read."""
+
+
+def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:
+    return tuple(v * factor for v in values)
+
+
+def _told(values: Iterable[float]) -> bool:
+    """Whether something is there: NaN stands for what is not."""
+    return not any(v != v for v in values)
+
+
+def _from_euler(m: Message) -> tuple[float, ...]:
+    return tuple(float(v) for v in from_euler(m.roll, m.pitch, m.yaw))

@@ -1,0 +1,197 @@
+"""MAVLink telemetry log -> Flight."""
+
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from ...errors import LogError
+from ..assemble import Rows, add_signal, lay_out
+from ..clock import advancing, told_dropped
+from ..columns import VEL, motor_columns
+from ..flight import Array, Finding, Flight, Noted
+from ..formats import ReadOptions
+from ..phases import Span, ground_spans, label_phases, motion_spans
+from ..validate import validate
+from .decoder import USED, MavlinkDecoder
+from .dialect import BAD, dialect, parser
+from .link import Link
+from .samples import GROUPS, LANDED, Sample, best_source
+from .tlog import Frame, frames
+
+_ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
+_NAMED = {
+    dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
+    dialect.MAV_LANDED_STATE_LANDING: "land",
+}
+_SEEN = 8
+"""Kinds of message that an error lists."""
+
+
+@dataclass(slots=True)
+class _Log(Noted):
+    """Findings of a log."""
+
+    findings: list[Finding] = field(default_factory=list)
+
+
+def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
+    """Read a telemetry log of a ground station, or `raw.tlog` of `uavtwin live`.
+
+    Of several systems that of the most samples is read.
+
+    Args:
+        path: File name.
+        blob: Content of the file.
+        options: Of no concern: the commands are those that were sent.
+
+    Raises:
+        LogError: Nothing in it can be used.
+    """
+    log, link = _Log(), Link()
+    system, decoder, samples = _aircraft(path, log, link, blob)
+    rows = Rows()
+    by_group = _by_group(samples)
+    if not by_group:
+        raise LogError(
+            f"{path.name}: of {link.of(system).received} messages of system {system} none holds a "
+            f"signal that is read; there are {_listed(decoder.kinds)}. Ask for HIGHRES_IMU, "
+            f"ODOMETRY and ACTUATOR_OUTPUT_STATUS (SET_MESSAGE_INTERVAL) and fly again."
+        )
+    start_us = min(int(t[0]) for t, _ in by_group.values())
+    facts = {"aircraft": f"MAVLink system {system}", "autopilot": decoder.autopilot or "unknown"}
+    for group, (t_us, values) in by_group.items():
+        if group != LANDED:
+            columns = GROUPS.get(group) or motor_columns(group, values.shape[1])
+            keep, *dropped = advancing(t_us)
+            for message, count in told_dropped("samples", *dropped):
+                log.note("warning", group, message, count)
+            add_signal(log, rows, group, columns, t_us[keep] - start_us, values[keep])
+    advice = "Ask for HIGHRES_IMU and ODOMETRY (SET_MESSAGE_INTERVAL) and fly again."
+    table, t_us = lay_out(log, path, rows, advice, ": the aircraft began anew?")
+    table["time"] = (t_us - t_us[0]) * 1e-6
+    landed = by_group.get(LANDED)
+    told = [] if landed is None else _phases(table, landed[0] - start_us - t_us[0], landed[1])
+    phase = label_phases(table["time"].to_numpy(), told)
+    table["phase"] = pd.Series(phase, dtype=object)
+    facts |= _sources(samples) | rows.coverage(t_us)
+    _note(log, decoder, link, system, table)
+    mended, doubts = validate(path.name, {str(c): table[c].to_numpy() for c in table})
+    table = table.assign(**mended)
+    return Flight(path.stem, table, (*log.findings, *doubts), facts, path)
+
+
+def _aircraft(
+    path: Path, log: _Log, link: Link, blob: bytes
+) -> tuple[int, MavlinkDecoder, list[Sample]]:
+    """The system of the most samples, what it is, and its samples in order of arrival."""
+    decoders: defaultdict[int, MavlinkDecoder] = defaultdict(MavlinkDecoder)
+    samples: defaultdict[int, list[Sample]] = defaultdict(list)
+    reader, lost, wrong, twice = parser(), 0, 0, 0
+    for frame in frames(blob):
+        if not isinstance(frame, Frame):
+            lost += frame
+            continue
+        if frame.kind not in USED:
+            link.add(frame.system, frame.component, frame.number)
+            continue
+        for message in reader.parse_buffer(frame.content) or ():
+            if message.get_type() == BAD:
+                wrong += 1
+                continue
+            if link.add(frame.system, frame.component, frame.number):
+                twice += 1
+                continue
+            samples[frame.system] += decoders[frame.system].samples(message)
+    if lost:
+        log.note("error", "file", "bytes that are no stamped MAVLink frame", lost)
+    if wrong:
+        log.note("error", "file", "frames whose checksum is wrong", wrong)
+    if twice:
+        log.note("info", "file", "messages that came twice, left out", twice)
+    if not link.sequences:
+        raise LogError(f"{path.name}: no whole MAVLink frame in {len(blob)} bytes. Copy it again.")
+    heard = Counter({s: link.of(s).received for s, _ in link.sequences})
+    system = max(heard, key=lambda s: (len(samples[s]), heard[s]))
+    for other in sorted(s for s in samples if samples[s] and s != system):
+        message = f"another aircraft, system {other}, left out; system {system} is read"
+        log.note("warning", "aircraft", message, len(samples[other]))
+    return system, decoders[system], samples[system]
+
+
+def _counts(samples: list[Sample]) -> dict[str, Counter[str]]:
+    counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for sample in samples:
+        counts[sample.group][sample.source] += 1
+    return counts
+
+
+def _by_group(samples: list[Sample]) -> dict[str, tuple[NDArray[np.int64], Array]]:
+    """Times, us, and values of each signal, of its best source, in order of arrival."""
+    best = {group: best_source(counts) for group, counts in _counts(samples).items()}
+    kept: defaultdict[str, list[Sample]] = defaultdict(list)
+    for sample in samples:
+        if sample.source == best[sample.group]:
+            kept[sample.group].append(sample)
+    found = {}
+    for group, several in kept.items():
+        widths = Counter(len(s.values) for s in several)
+        width = widths.most_common(1)[0][0]  # the aircraft may say late how many motors it has
+        same = [s for s in several if len(s.values) == width]
+        t_us = np.array([s.t_us for s in same], dtype=np.int64)
+        order = np.argsort(t_us, kind="stable") if _is_reordered(t_us) else np.arange(len(t_us))
+        values = np.array([s.values for s in same], dtype=np.float64)  # noqa: PD011
+        found[group] = t_us[order], values[order]
+    return found
+
+
+def _is_reordered(t_us: NDArray[np.int64]) -> bool:
+    """Whether times run back by less than a second: messages that overtook each other."""
+    back = np.diff(t_us)
+    return bool((back < 0).any() and back.min() > -1_000_000)
+
+
+def _sources(samples: list[Sample]) -> dict[str, str]:
+    """Facts: which message each signal is from."""
+    return {f"source {g}": best_source(c) for g, c in _counts(samples).items()}
+
+
+def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[Span]:
+    """Phases of the land detector, those of the air by how the aircraft moves."""
+    t_s = np.asarray(t_us * 1e-6, dtype=np.float64)
+    ground = ground_spans(t_s, state[:, 0] == _ON_GROUND)
+    if set(VEL) <= set(table):
+        known = table[list(VEL)].notna().all(axis=1).to_numpy()
+        velocity = table.loc[known, list(VEL)].to_numpy(dtype=np.float64)
+        ground = motion_spans(table["time"].to_numpy()[known], velocity, ground)
+    edges = np.append(t_s, np.inf)
+    for k, code in enumerate(state[:, 0]):
+        if code in _NAMED:
+            ground.append((_NAMED[int(code)], float(edges[k]), float(edges[k + 1])))
+    return ground
+
+
+def _note(log: _Log, decoder: MavlinkDecoder, link: Link, system: int, table: pd.DataFrame) -> None:
+    """What was lost and left out."""
+    total = link.of(system)
+    if total.lost:
+        share = 100 * total.lost / (total.lost + total.received)
+        log.note("warning", "link", f"messages lost on the way, {share:.2g} % of all", total.lost)
+    for (group, why), count in sorted(decoder.dropped.items()):
+        log.note("error", group, f"samples left out: {why}", count)
+    if decoder.motors is None and decoder.kinds["ACTUATOR_OUTPUT_STATUS"]:
+        log.note("warning", "cmd", "no heartbeat says how many motors there are; left out")
+    if "cmd_1" in table and not any(
+        n.endswith(("PWM_MIN", "MAIN_MIN")) for n in decoder.parameters
+    ):
+        low, high = decoder.pulses_us
+        message = f"pulses, where there are some, count as 0..1 from {low:g} to {high:g} us"
+        log.note("info", "cmd", f"{message}: no parameter was sent that tells")
+
+
+def _listed(kinds: Counter[str]) -> str:
+    names = [name for name, _ in kinds.most_common(_SEEN)]
+    return ", ".join(names) or "none"
