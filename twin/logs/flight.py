@@ -58,6 +58,22 @@ class Site:
 
 
 @dataclass(frozen=True, slots=True)
+class Settled:
+    """What was settled while a flight was still going on, for whoever computes it again later.
+
+    Afterwards all of it could be had of the whole flight, a little different; a filter that is
+    designed for another rate gives other numbers.
+
+    Attributes:
+        rates_hz: Rates of signals, by the first of their columns.
+        resting_down_m: Where the aircraft rested before it flew, NED; None: it was not told.
+    """
+
+    rates_hz: dict[str, float] = field(default_factory=dict)
+    resting_down_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Flight:
     """One recorded flight on one clock, SI, NED, FRD, quaternions `[w, x, y, z]`.
 
@@ -73,6 +89,7 @@ class Flight:
         airframe: What the log says of the aircraft itself; None: nothing.
         autopilot: What the autopilot says of the flight: modes, failsafes, setpoints; None:
             nothing.
+        settled: What was settled while it was recorded; None: it is all of one piece.
     """
 
     name: str
@@ -83,6 +100,7 @@ class Flight:
     site: Site | None = None
     airframe: Airframe | None = None
     autopilot: Autopilot | None = None
+    settled: Settled | None = None
 
     __repr__ = short_repr
 

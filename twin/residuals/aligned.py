@@ -4,12 +4,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
-from ..component.rows import OverRows
 from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import AnyFlight
@@ -17,6 +15,13 @@ from ..physics.airframe import airframe
 from ..physics.sensors.imu import imu
 from ..representation import short_repr
 from ..vehicle import Vehicle
+from .airborne import (
+    in_flight,
+    resting_height,
+    rotor_thrust,
+    starts_in_air,
+    why_grounded,
+)
 from .measured import MeasuredMotion, measured_motion
 from .teacher_forced import (
     GRID_S,
@@ -33,8 +38,6 @@ LONGEST_FLIGHT_S = 10_000.0
 """Of what is held in memory the most is one signal of the flight, or 200 Hz of all states."""
 BLOCK_ROWS = 1 << 18
 """Rows of a block: with inputs and states some 70 MB."""
-LIFT_OFF_HEIGHT_M = 0.1
-"""Above its resting place by this much, a vehicle counts as airborne."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +224,7 @@ class Alignment:
             LogError: There are none.
         """
         weight = self._vehicle.mass_kg * self._vehicle.gravity_m_s2
-        thrust = _rotor_thrust(self.airframe, self._vehicle.rotors.count)
+        thrust = rotor_thrust(self.airframe, self._vehicle.rotors.count)
         carried = np.zeros(self.rows, dtype=np.bool_)
         grounded = np.zeros(self.rows, dtype=np.bool_)
         height = np.full(self.rows if self.motion.position is not None else 0, np.nan)
@@ -234,17 +237,18 @@ class Alignment:
             grounded[rows] = (names == "ground")[codes[self._table_rows(block.first, block.end)]]
             if len(height):
                 height[rows] = -block.states[:, down]
-        airborne = carried & ~grounded
-        soon = slice(None, max(1, round(0.2 / self.step_s)))
-        starts_in_air = bool(np.median(carried[soon])) and not grounded[0]
-        if len(height) and not starts_in_air:
-            rest = height[np.isfinite(height) & ~carried]
-            if len(rest):
-                airborne &= ~(height < float(np.median(rest)) + LIFT_OFF_HEIGHT_M)
+        settled = self._flight.settled
+        if not len(height) or starts_in_air(carried, grounded, self.step_s):
+            resting_m = None
+        elif settled is not None:
+            resting_m = None if settled.resting_down_m is None else -settled.resting_down_m
+        else:
+            resting_m = resting_height(height, carried)
+        airborne = in_flight(carried, grounded, height, resting_m)
         if not airborne.any():
             raise LogError(
                 f"{self._flight.name}: never airborne with {self._vehicle.name}: "
-                f"{_why_grounded(self.motion, bool(grounded.all()))}"
+                f"{why_grounded(self.motion, bool(grounded.all()))}"
             )
         return np.asarray(airborne)
 
@@ -284,35 +288,3 @@ def _quiet(sensor: Component) -> Component:
     ends = ("_noise", "_bias_walk", *(f"{name}.enabled" for name in louder))
     noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))
-
-
-def _why_grounded(motion: MeasuredMotion, said: bool) -> str:
-    """Way out for a flight without a sample in the air, `said` to be on the ground all along."""
-    if said:
-        return "the whole flight is in phase ground."
-    if motion.position is not None:
-        down = motion.position.values[:, 2]
-        if (
-            np.max(down) - down[0] > 5 * LIFT_OFF_HEIGHT_M
-            and down[0] - np.min(down) < LIFT_OFF_HEIGHT_M
-        ):
-            return (
-                f"pos_z rises to {np.max(down):.2f} m and never goes below its start. It counts "
-                f"down: is it an altitude?"
-            )
-    return (
-        "its rotors never carry half of the weight more than 0.1 m above the resting place. Check "
-        "the vehicle file, the scale of the commands and the length of the record."
-    )
-
-
-def _rotor_thrust(body: Component, rotors: int) -> OverRows:
-    """Thrust of all rotors together in still air, N, shape (n, 1), of their states and inputs."""
-    moving = [i for i, s in enumerate(body.states) if s.name.startswith(("rotor_", "effort_"))]
-    r, u = ca.SX.sym("r", len(moving)), ca.SX.sym("u", len(body.inputs))
-    p = body.parameter_values()
-    x = ca.SX(body.initial(body.input_values(), p))
-    x[moving] = r
-    each = [body.output_names.index(f"thrust_{i}") for i in range(1, rotors + 1)]
-    total = ca.sum1(body.outputs(x, u, p)[each])
-    return OverRows(ca.Function("thrust", [r, u], [ca.densify(total)]), 2)

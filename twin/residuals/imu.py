@@ -148,7 +148,13 @@ def predicted_imu(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
         aligned: The flight on the grid of its twin.
         vehicle: The twin.
     """
-    body, sensor = aligned.airframe, prompt_imu(vehicle)
+    felt = felt_by_imu(aligned.airframe, vehicle)
+    return felt(in_step(aligned, vehicle), aligned.inputs.u)
+
+
+def felt_by_imu(body: Component, vehicle: Vehicle) -> OverRows:
+    """The same of states and inputs of an airframe, for whoever asks for it more than once."""
+    sensor = prompt_imu(vehicle)
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
     y = body.outputs(x, u, body.parameter_values({"ground.enabled": 0.0}))
     outputs = {name: y[i] for i, name in enumerate(body.output_names)}
@@ -157,9 +163,7 @@ def predicted_imu(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
     shown = sensor.outputs(sensor.initial(sensed, p), sensed, p)
     both = ca.vertcat(shown[:3], gyro_rate(sensor, sensed, shown))
     readings = ca.cse(ca.densify(ca.substitute(both, sensed, felt)))
-    return OverRows(ca.Function("felt", [x, u], [readings]), 2)(
-        in_step(aligned, vehicle), aligned.inputs.u
-    )
+    return OverRows(ca.Function("felt", [x, u], [readings]), 2)
 
 
 def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
@@ -173,7 +177,9 @@ def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
     return states
 
 
-def imu_channels(flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight) -> list[Channel]:
+def imu_channels(
+    flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight, felt_by: OverRows | None = None
+) -> list[Channel]:
     """Channels of horizon 0: accelerometer, and rate of change of the gyroscope.
 
     Args:
@@ -181,8 +187,11 @@ def imu_channels(flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight) ->
         vehicle: The twin.
         aligned: The flight on a grid of `GRID_HZ`; where nobody else holds it, it is gone before
             the readings are there.
+        felt_by: `felt_by_imu` of the airframe, where it is at hand.
     """
-    t_s, felt, late = aligned.inputs.t_s, predicted_imu(aligned, vehicle), ages(vehicle)
+    felt_by = felt_by or felt_by_imu(aligned.airframe, vehicle)
+    felt = felt_by(in_step(aligned, vehicle), aligned.inputs.u)
+    t_s, late = aligned.inputs.t_s, ages(vehicle)
     known, phase_of_row = _known(aligned), aligned.phases
     del aligned
     channels: list[Channel] = []

@@ -36,17 +36,24 @@ LONGEST_GAP_S = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A vector signal with its own times, interpolated linearly, NaN outside and in gaps."""
+    """A vector signal with its own times, interpolated linearly, NaN outside and in gaps.
+
+    Attributes:
+        t_s: Times, s, shape (n,).
+        values: Shape (n, k).
+        settled_hz: Its rate, where that was settled while it was recorded; None: it is measured.
+    """
 
     t_s: Array
     values: Array
+    settled_hz: float | None = None
 
     __repr__ = short_repr
 
     @property
     def rate_hz(self) -> float:
         """Samples per second by the median interval; 0 for a single sample."""
-        return _rate_hz(self.t_s)
+        return self.settled_hz or _rate_hz(self.t_s)
 
     def at(self, t_s: Array) -> Array:
         """Interpolated values, shape (len(t_s), k)."""
@@ -60,7 +67,7 @@ class Signal:
         """Samples within a span of time, both ends included."""
         first = int(np.searchsorted(self.t_s, start_s, side="left"))
         end = int(np.searchsorted(self.t_s, end_s, side="right"))
-        return Signal(self.t_s[first:end], self.values[first:end])
+        return replace(self, t_s=self.t_s[first:end], values=self.values[first:end])
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +81,14 @@ class StoredSignal:
         rate_hz: Samples per second by the median interval; 0 for a single sample.
         signs: By which a unit quaternion is multiplied in each row, shape (rows,); None: values are
             as they are in the table.
+        settled_hz: As of `Signal`.
     """
 
     flight: StoredFlight
     columns: tuple[str, ...]
     rate_hz: float
     signs: NDArray[np.int8] | None = None
+    settled_hz: float | None = None
 
     __repr__ = short_repr
 
@@ -111,9 +120,9 @@ class StoredSignal:
         """Samples within a span of time, and some on either side."""
         t_s, values, first = self.flight.around(self.columns, start_s, end_s)
         if self.signs is None:
-            return Signal(t_s, values)
+            return Signal(t_s, values, self.settled_hz)
         signs = self.signs[self.flight.rows_of(t_s, first)]
-        return Signal(t_s, _unit(values) * signs[:, None])
+        return Signal(t_s, _unit(values) * signs[:, None], self.settled_hz)
 
 
 AnySignal = Signal | StoredSignal
@@ -125,9 +134,11 @@ def signal_of(flight: AnyFlight, columns: Sequence[str]) -> AnySignal:
     Raises:
         LogError: A column is missing or has no finite sample.
     """
+    settled = None if flight.settled is None else flight.settled.rates_hz.get(columns[0])
     if isinstance(flight, Flight):
-        return Signal(*flight.signal(columns))
-    return StoredSignal(flight, tuple(columns), _rate_hz(flight.signal(columns)[0]))
+        return Signal(*flight.signal(columns), settled)
+    rate_hz = settled or _rate_hz(flight.signal(columns)[0])
+    return StoredSignal(flight, tuple(columns), rate_hz, settled_hz=settled)
 
 
 def blocks_of(signal: AnySignal, block_s: float) -> Iterator[Signal]:
@@ -218,7 +229,9 @@ def measured_motion(flight: AnyFlight, doubts: bool = True) -> MeasuredMotion:
         )
     if missing:
         notes.append(f"no {', no '.join(missing)}: channels that need them are left out")
-    rates = None if gyro is None else Signal(gyro.t_s, zero_phase(gyro, RATE_CUTOFF_HZ))
+    rates = None
+    if gyro is not None:
+        rates = Signal(gyro.t_s, zero_phase(gyro, RATE_CUTOFF_HZ), gyro.settled_hz)
     if doubts and measured and rates is not None and attitude is not None:
         notes += _attitude_doubt(attitude, rates)
     return MeasuredMotion(position, velocity, attitude, rates, measured, tuple(notes))
@@ -278,7 +291,7 @@ def _continuous(attitude: AnySignal) -> AnySignal:
     """Unit quaternions with signs such that neighbours are close."""
     if isinstance(attitude, Signal):
         q = _unit(attitude.values)
-        return Signal(attitude.t_s, q * _signs(q)[:, None])
+        return replace(attitude, values=q * _signs(q)[:, None])
     flight = attitude.flight
     signs = np.ones(len(flight.time_s), dtype=np.int8)
     before = np.zeros((0, 4))
@@ -305,7 +318,7 @@ def _signs(q: Array) -> NDArray[np.int8]:
 def _derivative(signal: AnySignal) -> Signal:
     smooth = savgol_filter(signal.values, 9, 2, axis=0)
     t_s = signal.t_s
-    return Signal(t_s, differentiate(Signal(t_s, smooth)))
+    return Signal(t_s, differentiate(Signal(t_s, smooth)), signal.settled_hz)
 
 
 def rates_of(attitude: AnySignal) -> Signal:
@@ -316,7 +329,7 @@ def rates_of(attitude: AnySignal) -> Signal:
         rows = slice(first, min(first + ROWS, len(rates)))
         after = slice(rows.start + 1, rows.stop + 1)
         rates[rows] = rotation_vector(q[after], q[rows]) / (t_s[after] - t_s[rows])[:, None]
-    return Signal((t_s[1:] + t_s[:-1]) / 2, rates)
+    return Signal((t_s[1:] + t_s[:-1]) / 2, rates, attitude.settled_hz)
 
 
 def agreement(attitude: AnySignal, rates: AnySignal, later_s: float = 0.0) -> float | None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, Sampling, substeps
+from ..component.along import accumulated
 from ..component.rows import OverRows
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from .aligned import AlignedFlight
@@ -21,6 +22,9 @@ READ = GYRO + POS + VEL + QUAT
 """What is read at the end of a window, in order."""
 WINDOWS_AT_ONCE = 1024
 """More at once are no faster: their states no longer fit the cache."""
+
+FEW = 8
+"""So few windows are faster one by one than side by side; the numbers differ in the last places."""
 
 
 def whole_windows(aligned: AlignedFlight, steps: int) -> NDArray[np.intp]:
@@ -49,6 +53,7 @@ def window_ends(
     steps: int,
     tail: int,
     progress: Callable[[float], None] = lambda _: None,
+    windows: "Windows | None" = None,
 ) -> Array:
     """What the twin reads at the end of windows that start at measured states.
 
@@ -58,26 +63,25 @@ def window_ends(
         steps: Grid steps per window.
         tail: Grid points before the last one that are kept as well, at most `steps`.
         progress: Called with the share done, 0..1.
+        windows: Of airframe and IMU of the flight, where they are at hand.
 
     Returns:
         `READ`: gyroscope, rad/s, position, m, and velocity, m/s, NED, attitude, over the last
         `tail` + 1 grid points, shape (w, tail + 1, 13).
     """
     found = np.empty((len(starts), tail + 1, len(READ)))
-    windows = _Windows(aligned)
+    windows = windows or Windows(aligned.airframe, aligned.imu)
     for first in range(0, len(starts), WINDOWS_AT_ONCE):
         part = slice(first, first + WINDOWS_AT_ONCE)
-        found[part] = windows.ends(starts[part], steps, tail)
+        found[part] = windows.ends(aligned, starts[part], steps, tail)
         progress(min(part.stop, len(starts)) / len(starts))
     return found
 
 
-class _Windows:
+class Windows:
     """Airframe and IMU of a flight, ready to be started anywhere."""
 
-    def __init__(self, aligned: AlignedFlight) -> None:
-        self._aligned = aligned
-        body, sensor = aligned.airframe, aligned.imu
+    def __init__(self, body: Component, sensor: Component) -> None:
         self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
         self._imu = _Batch(sensor, sensor.parameter_values())
         self._felt = [body.output_names.index(n) for n in sensor.input_names]
@@ -85,11 +89,18 @@ class _Windows:
         self._pose = [body.output_names.index(n) for n in READ[len(GYRO) :]]
         self._remembers = any(_moves_gyro(s.name) for s in sensor.states)
 
-    def ends(self, starts: NDArray[np.intp], steps: int, tail: int) -> Array:
+    def ends(
+        self, aligned: AlignedFlight, starts: NDArray[np.intp], steps: int, tail: int
+    ) -> Array:
         """See `window_ends`."""
-        body, sensor, u = self._body, self._imu, self._aligned.inputs.u
+        body, sensor, u = self._body, self._imu, aligned.inputs.u
         kept = np.empty((len(starts), tail + 1, len(READ)))
-        body.start(self._aligned.states[starts], u[starts])
+        if len(starts) <= FEW and not tail and not self._remembers and body.is_plain:
+            after = [body.after(aligned.states[s], u[s : s + steps]) for s in starts]
+            body.x = np.vstack(after)
+            kept[:, 0] = self._read(u[starts + steps])
+            return kept
+        body.start(aligned.states[starts], u[starts])
         sensed = self._sensed(u[starts])
         sensor.start(sensor.initial(sensed), sensed)
         for k in range(steps + 1):
@@ -100,11 +111,18 @@ class _Windows:
                     sensor.advance(sensed)
                     sensed = self._sensed(u[starts + k])
             if k >= steps - tail:
-                outputs = body.outputs(u[starts + k])
-                readings = sensor.outputs(outputs[:, self._felt])
-                row = k - (steps - tail)
-                kept[:, row] = np.hstack([readings[:, self._gyro], outputs[:, self._pose]])
+                kept[:, k - (steps - tail)] = self._read(u[starts + k])
         return kept
+
+    def _read(self, u: Array) -> Array:
+        """`READ` of the present states, shape (w, 13); of a gyroscope without memory the state of
+        the sensor does not matter."""
+        outputs = self._body.outputs(u)
+        felt = outputs[:, self._felt]
+        if len(self._imu.x) != len(u):
+            self._imu.x = self._imu.initial(felt)
+        readings = self._imu.outputs(felt)
+        return np.hstack([readings[:, self._gyro], outputs[:, self._pose]])
 
     def _sensed(self, u: Array) -> Array:
         return self._body.outputs(u)[:, self._felt]
@@ -123,7 +141,8 @@ class _Batch:
         after = x
         for _ in range(n):
             after = component.step(after, u, p, h)
-        self._step = OverRows(ca.Function("step", [x, u], [ca.densify(after)]), 2)
+        self._function = ca.Function("step", [x, u], [ca.densify(after)])
+        self._step = OverRows(self._function, 2)
         y = component.outputs(x, u, p)
         self._outputs = OverRows(ca.Function("outputs", [x, u], [ca.densify(y)]), 2)
         start = component.initial(u, p)
@@ -152,6 +171,16 @@ class _Batch:
         """One grid step with the inputs held, and the sample instant at its end."""
         self.x = self._step(self.x, u)
         self._sample(u)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing happens at sample instants."""
+        return self._lines is None
+
+    def after(self, x: Array, u: Array) -> Array:
+        """State after one grid step with each row of inputs, shape (n_x,), from one state on."""
+        (states,) = accumulated(self._function, x, u)
+        return np.asarray(states[-1], dtype=np.float64)
 
     def outputs(self, u: Array) -> Array:
         """Present outputs, shape (w, n_y)."""

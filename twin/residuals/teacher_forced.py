@@ -164,7 +164,7 @@ def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:
 
 
 def _rate_of_change(signal: AnySignal) -> Signal:
-    return Signal(signal.t_s, differentiate(signal))
+    return Signal(signal.t_s, differentiate(signal), signal.settled_hz)
 
 
 def _rate(rate: Signal, t_s: Array) -> Array:

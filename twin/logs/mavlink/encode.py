@@ -58,7 +58,7 @@ def messages_of(t_us: int, row: Row, motors: int) -> list[Message]:
     found = [imu(t_us, row), odometry(t_us, row)]
     cmd = _vector(row, [f"cmd_{i}" for i in range(1, motors + 1)])
     if cmd is not None and motors:
-        values = [*cmd, *[math.nan] * (_ACTUATORS - motors)]
+        values = [*cmd, *[0.0] * (_ACTUATORS - motors)]
         active = (1 << motors) - 1
         found.append(dialect.MAVLink_actuator_output_status_message(t_us, active, values))
     rotor = _vector(row, [f"rotor_{i}" for i in range(1, motors + 1)])

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..airframe import Airframe
 from ..autopilot import Autopilot, check_autopilot
-from ..flight import Finding, Flight, Site
+from ..flight import Finding, Flight, Settled, Site
 
 _KEY = b"uavtwin"
 _MOST_ROTORS = 64
@@ -24,11 +24,19 @@ class Notes:
     site: Site | None = None
     airframe: Airframe | None = None
     autopilot: Autopilot | None = None
+    settled: Settled | None = None
 
     @classmethod
     def of(cls, flight: Flight) -> "Notes":
         """Those of a flight."""
-        return cls(flight.facts, flight.findings, flight.site, flight.airframe, flight.autopilot)
+        return cls(
+            flight.facts,
+            flight.findings,
+            flight.site,
+            flight.airframe,
+            flight.autopilot,
+            flight.settled,
+        )
 
     def metadata(self) -> dict[bytes, bytes]:
         """As metadata of a Parquet file."""
@@ -62,6 +70,9 @@ def _check(notes: Notes) -> None:
     """
     if notes.autopilot is not None:
         check_autopilot(notes.autopilot)
+    settled = notes.settled
+    if settled is not None and not all(0.0 < r < 1e6 for r in settled.rates_hz.values()):
+        raise ValueError("a rate that is none")
     layout = None if notes.airframe is None else notes.airframe.layout
     if any(f.count < 1 for f in notes.findings):
         raise ValueError("a finding is counted less than once")

@@ -58,7 +58,13 @@ def read_parquet(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """
     raw, notes, found = _parquet(path, blob)
     flight = _checked(path, raw, notes.facts, [*notes.findings, *found])
-    return replace(flight, site=notes.site, airframe=notes.airframe, autopilot=notes.autopilot)
+    return replace(
+        flight,
+        site=notes.site,
+        airframe=notes.airframe,
+        autopilot=notes.autopilot,
+        settled=notes.settled,
+    )
 
 
 def read_csv(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -110,6 +116,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
         time_s,
         frozenset([*there, "phase"]),
         notes.autopilot,
+        notes.settled,
     )
 
 

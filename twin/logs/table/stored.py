@@ -19,7 +19,7 @@ from ...representation import short_repr
 from ..airframe import Airframe
 from ..autopilot import Autopilot
 from ..columns import Columns, over
-from ..flight import Array, Finding, Flight, Site, finite_rows, missing_signal
+from ..flight import Array, Finding, Flight, Settled, Site, finite_rows, missing_signal
 
 _BATCH = 1 << 16
 """Rows that are unpacked at a time."""
@@ -162,6 +162,7 @@ class StoredFlight:
         time_s: Times of the rows, s, strictly increasing, shape (n,).
         known: Columns with a finite sample.
         autopilot: What the autopilot says of the flight; None: nothing.
+        settled: What was settled while it was recorded; None: it is all of one piece.
     """
 
     name: str
@@ -175,6 +176,7 @@ class StoredFlight:
     time_s: Array
     known: frozenset[str] = field(default=frozenset())
     autopilot: Autopilot | None = None
+    settled: Settled | None = None
 
     __repr__ = short_repr
 
@@ -242,6 +244,7 @@ class StoredFlight:
             self.site,
             self.airframe,
             self.autopilot,
+            self.settled,
         )
 
     def _rows(self, columns: Sequence[str], first: int, end: int) -> tuple[Array, Array]:
