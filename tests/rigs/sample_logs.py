@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from log_rigs.crazyflie_rig import usd_log
 from log_rigs.dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
@@ -220,6 +221,15 @@ def _crazyflie(version: int) -> bytes:
 
 
 @cache
+def _stream() -> bytes:
+    file, table = io.BytesIO(), flight_table()
+    arrow = pa.Table.from_pandas(table, preserve_index=False)
+    with pa.ipc.new_stream(file, arrow.schema) as writer:
+        writer.write_table(arrow, max_chunksize=50)
+    return file.getvalue()
+
+
+@cache
 def _tlog() -> bytes:
     still = dict.fromkeys(("gyro_x", "gyro_y", "gyro_z", "acc_x", "acc_y"), 0.0)
     packer, blob = parser(1, AUTOPILOT), b""
@@ -233,6 +243,7 @@ def _tlog() -> bytes:
 
 SAMPLES: dict[str, Callable[[], bytes]] = {
     "MAVLink telemetry log": _tlog,
+    "flight table, Arrow stream": _stream,
     "Crazyflie uSD log, version 1": lambda: _crazyflie(1),
     "Crazyflie uSD log, version 2": lambda: _crazyflie(2),
     "PX4 ULog": _ulog,

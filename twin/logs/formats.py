@@ -236,6 +236,14 @@ FORMATS: tuple[LogFormat, ...] = (
         holds="every column; facts and findings of the program that wrote it",
     ),
     LogFormat(
+        name="flight table, Arrow stream",
+        suffixes=(".arrows",),
+        signature=Magic(b"\xff\xff\xff\xff"),
+        reader="table.stream:read_stream",
+        packages=("pyarrow",),
+        holds="the same, of a recording that was cut off: up to the last second",
+    ),
+    LogFormat(
         name="flight table, CSV",
         suffixes=(".csv",),
         signature=FirstWord(b"time"),
