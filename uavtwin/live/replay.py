@@ -83,7 +83,7 @@ class Replay:
         """
         began = self._began_s = time.monotonic()
         first_us, last_us = (BOOT_US + round(1e6 * float(flight.time_s[k])) for k in (0, -1))
-        self._first_us, step_us, t_us = first_us, first_us, first_us
+        self._first_us, step_us, t_us = first_us, first_us + _STEP_US, first_us
         for t_us, messages in played(flight):
             if self._speed == MAX_SPEED:
                 if t_us >= step_us:

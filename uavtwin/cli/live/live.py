@@ -1,0 +1,104 @@
+"""`uavtwin live`: the twin beside a flying aircraft."""
+
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from twin.errors import TwinError
+
+from ..options import Exit, Json, VehicleName
+from ..printing import STDERR, STDOUT, print_json
+
+if TYPE_CHECKING:
+    from ...live.told import LiveTold
+
+
+def live(
+    vehicle: VehicleName,
+    listen: Annotated[
+        str, typer.Option(help="Where the aircraft sends to: udpin:HOST:PORT.")
+    ] = "udpin:127.0.0.1:14550",
+    system: Annotated[
+        int | None,
+        typer.Option(help="System id of the aircraft. Default: the first that is heard."),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(help="Folder for raw.tlog, flight.parquet, residuals.parquet, alarms.jsonl."),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="End after so long, s.")] = None,
+    until_silent: Annotated[
+        float | None, typer.Option(help="End when the aircraft is silent for so long, s.")
+    ] = None,
+    horizon: Annotated[
+        float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
+    ] = 0.5,
+    hold: Annotated[
+        float, typer.Option(help="So long samples wait for others that were overtaken, s.")
+    ] = 0.15,
+    request_rates: Annotated[
+        bool,
+        typer.Option(
+            "--request-rates",
+            help="Ask the aircraft for the streams that are needed (SET_MESSAGE_INTERVAL), the one "
+            "command that is ever sent.",
+        ),
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
+
+    Ends with Ctrl-C, after --duration, or --until-silent. Nothing is sent to the aircraft but
+    questions for its time (TIMESYNC), unless --request-rates is given.
+    """
+    from ...live.address import address
+    from ...live.session import LiveOptions, LiveSession
+    from ...vehicles import load_vehicle
+
+    if not 0.01 <= horizon <= 60 or abs(1e3 * horizon - round(1e3 * horizon)) > 1e-6:
+        raise TwinError(f"--horizon {horizon:g}: a multiple of 1 ms of at least 10 ms.")
+    if not 0 <= hold <= 10:
+        raise TwinError(f"--hold {hold:g}: 0 to 10 s.")
+    where = address(listen, "udpin", "--listen")
+    options = LiveOptions(
+        where, system, record, horizon, hold, duration, until_silent, request_rates
+    )
+    session = LiveSession(load_vehicle(vehicle), options)
+    ended = False
+
+    def end(_: int, __: FrameType | None) -> None:
+        """Ctrl-C ends the flight, not the recording."""
+        nonlocal ended
+        ended = True
+
+    def say(told: "LiveTold") -> None:
+        """A line each second."""
+        STDERR.print(told.line(), markup=False)
+
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, end)
+    STDERR.print(f"listening at {where}", markup=False)
+    told = session.run(lambda: ended, say)
+    if as_json:
+        print_json(told.json())
+    else:
+        _print(told, record)
+    if told.link.system is None or told.waits_for:
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def _print(told: "LiveTold", record: Path | None) -> None:
+    """What is known at the end."""
+    STDOUT.print(told.line(), markup=False)
+    for name, value in told.rms.items():
+        STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}", markup=False)
+    for text in told.missing.values():
+        STDERR.print(text, style="yellow", markup=False)
+    for who, count in told.link.others.items():
+        STDERR.print(f"left out: {count} messages of {who}", style="yellow", markup=False)
+    if record is not None:
+        names = ", ".join(sorted(p.name for p in record.iterdir()))
+        STDOUT.print(f"written: {record}: {names}", markup=False)

@@ -1,0 +1,86 @@
+"""`uavtwin replay`: a log played as a MAVLink aircraft."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.errors import TwinError
+
+from ..options import Json, Rebuild
+from ..printing import STDOUT, print_json, progress
+
+
+def replay(
+    log: Annotated[Path, typer.Argument(help="Log of any format that is read, or flight table.")],
+    to: Annotated[
+        str, typer.Option("--to", help="Where to: udpout:HOST:PORT.")
+    ] = "udpout:127.0.0.1:14550",
+    speed: Annotated[
+        str, typer.Option(help="Times real time, or max: in step with uavtwin live.")
+    ] = "1",
+    start: Annotated[float, typer.Option(min=0, help="Begin so far into the flight, s.")] = 0.0,
+    stop: Annotated[float | None, typer.Option(help="End so far into the flight, s.")] = None,
+    loss: Annotated[float, typer.Option(help="Share of messages that are lost, 0..1.")] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Each is late by up to so much, s.")] = 0.0,
+    drift: Annotated[
+        str, typer.Option(help="By how much the aircraft's clock is faster: 20ppm.")
+    ] = "0ppm",
+    seed: Annotated[int, typer.Option(min=0, help="Of loss and jitter.")] = 0,
+    system: Annotated[int, typer.Option(help="System id of the aircraft, 1 to 255.")] = 1,
+    rebuild_commands: Rebuild = None,
+    as_json: Json = False,
+) -> None:
+    """Play a log as a MAVLink aircraft, with faults of a radio link where they are asked for."""
+    from twin.logs import read_flight
+
+    from ...live.address import address
+    from ...live.faults import Faults
+    from ...live.replay import MAX_SPEED, Replay
+
+    where = address(to, "udpout", "--to")
+    faults = Faults(loss, jitter, _drift(drift), seed)
+    flight = read_flight(log, rebuild_commands=rebuild_commands)
+    part = flight.between(start, flight.time_s[-1] if stop is None else stop)
+    if len(part.table) < 2:
+        raise TwinError(
+            f"{log.name}: nothing between --start and --stop; it lasts from "
+            f"{flight.time_s[0]:.1f} s to {flight.time_s[-1]:.1f} s."
+        )
+    aircraft = Replay(where, MAX_SPEED if speed == "max" else _speed(speed), faults, system)
+    try:
+        with progress("replaying") as step:
+            told = aircraft.play(part, step)
+    finally:
+        aircraft.close()
+    if as_json:
+        print_json(
+            {
+                "messages": told.messages,
+                "lost": told.lost,
+                "seconds": told.seconds,
+                "wall_s": told.wall_s,
+            }
+        )
+    else:
+        STDOUT.print(
+            f"sent to {where}: {told.messages} messages of {told.seconds:.1f} s of flight in "
+            f"{told.wall_s:.1f} s; {told.lost} of them lost on purpose",
+            markup=False,
+        )
+
+
+def _speed(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise TwinError(f"--speed {text}: a number, or max.") from None
+
+
+def _drift(text: str) -> float:
+    """20ppm as 2e-5."""
+    match = re.fullmatch(r"([+-]?[0-9]+(?:\.[0-9]*)?)\s*ppm", text.strip())
+    if match is None:
+        raise TwinError(f"--drift {text}: write 20ppm.")
+    return 1e-6 * float(match.group(1))

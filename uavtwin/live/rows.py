@@ -1,0 +1,165 @@
+"""Samples as they come -> rows of a flight table in order of time."""
+
+import heapq
+import math
+from collections import Counter, defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.logs.columns import in_order, motor_columns
+from twin.logs.mavlink.dialect import dialect
+from twin.logs.mavlink.samples import GROUPS, LANDED, Sample, best_source
+
+HOLD_S = 0.15
+"""So long rows wait for messages that were overtaken."""
+PROBE_US = 1_000_000
+"""From the first sample on, in which it is seen what comes of several sources."""
+_SILENT_US = 5_000_000
+"""After so long another source of a signal takes its place."""
+_BACK_US, _AHEAD_US = 1_000_000, 60_000_000
+_STREAK = 20
+"""So many times one after the other that are far off are a clock that began anew."""
+_CRUISE_M_S = 1.0
+_PHASES = {
+    dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
+    dialect.MAV_LANDED_STATE_TAKEOFF: "takeoff",
+    dialect.MAV_LANDED_STATE_LANDING: "land",
+}
+Columns = dict[str, NDArray[np.float64] | NDArray[np.object_]]
+
+
+@dataclass(slots=True)
+class ClockJumps:
+    """Tells a clock that began anew from times that are damaged, or of another clock."""
+
+    strays: int = 0
+    _newest_us: int | None = None
+    _streak: int = 0
+
+    def add(self, t_us: int) -> str:
+        """What a time is: `fine`, `stray`, or `anew`."""
+        newest = self._newest_us
+        if newest is None or -_BACK_US <= t_us - newest <= _AHEAD_US:
+            self._newest_us = t_us if newest is None else max(newest, t_us)
+            self._streak = 0
+            return "fine"
+        self._streak += 1
+        if self._streak < _STREAK:
+            self.strays += 1
+            return "stray"
+        self._newest_us, self._streak = t_us, 0
+        return "anew"
+
+
+@dataclass(slots=True)
+class RowBuffer:
+    """The jitter buffer of one flight section.
+
+    Attributes:
+        hold_us: So long rows wait, us of the aircraft's clock.
+        zero_us: Time on the aircraft's clock that is time 0 of the flight; None: none came yet.
+        sources: Which message each signal is taken from.
+        late: Samples that came after their row was gone, by signal.
+        doubled: Samples of a time that was there already.
+    """
+
+    hold_us: int = round(1e6 * HOLD_S)
+    zero_us: int | None = None
+    sources: dict[str, str] = field(default_factory=dict)
+    late: Counter[str] = field(default_factory=Counter)
+    doubled: int = 0
+    _heap: list[tuple[int, int, Sample]] = field(default_factory=list)
+    _count: int = 0
+    _first_us: int | None = None
+    _newest_us: int = -(2**62)
+    _released_us: int = -(2**62)
+    _heard: dict[str, Counter[str]] = field(default_factory=lambda: defaultdict(Counter))
+    _last_us: dict[str, int] = field(default_factory=dict)
+    _landed: int = 0
+    _speed_m_s: float = 0.0
+
+    def add(self, sample: Sample) -> None:
+        """Take a sample."""
+        if self._first_us is None:
+            self._first_us = sample.t_us
+        if sample.t_us <= self._released_us:
+            if self.sources.get(sample.group, sample.source) == sample.source:
+                self.late[sample.group] += 1
+            return
+        self._heard[sample.group][sample.source] += 1
+        self._newest_us = max(self._newest_us, sample.t_us)
+        self._count += 1
+        heapq.heappush(self._heap, (sample.t_us, self._count, sample))
+
+    def take(self, everything: bool = False) -> Columns | None:
+        """Rows for which all has come that will; None: none.
+
+        Args:
+            everything: Nothing more will come.
+        """
+        if self._first_us is None or not self._heap:
+            return None
+        if not everything and self._newest_us - self._first_us < PROBE_US:
+            return None
+        until = self._newest_us if everything else self._newest_us - self.hold_us
+        if self._heap[0][0] > until:
+            return None
+        for group, counts in self._heard.items():
+            if group not in self.sources:
+                self.sources[group] = best_source(counts)
+        rows: dict[int, dict[str, tuple[float, ...]]] = {}
+        phases: dict[int, str] = {}
+        while self._heap and self._heap[0][0] <= until:
+            t_us, _, sample = heapq.heappop(self._heap)
+            if not self._counts(sample):
+                continue
+            if sample.group == LANDED:
+                self._landed = int(sample.values[0])
+                continue
+            row = rows.setdefault(t_us, {})
+            if sample.group in row:
+                self.doubled += 1
+                continue
+            row[sample.group] = sample.values
+            if sample.group == "vel":
+                self._speed_m_s = math.hypot(*sample.values[:2])
+            phases[t_us] = self._phase()
+        self._released_us = max(self._released_us, until)
+        return self._columns(rows, phases) if rows else None
+
+    def _counts(self, sample: Sample) -> bool:
+        """Whether a sample is of the source that its signal is taken from."""
+        chosen, last = self.sources[sample.group], self._last_us.get(sample.group)
+        if sample.source != chosen:
+            if last is None or sample.t_us - last < _SILENT_US:
+                return False
+            self.sources[sample.group] = sample.source
+        self._last_us[sample.group] = sample.t_us
+        return True
+
+    def _phase(self) -> str:
+        """Phase of flight: of the land detector, in the air by speed."""
+        if not self._landed:
+            return ""
+        cruising = "forward" if self._speed_m_s > _CRUISE_M_S else "hover"
+        return _PHASES.get(self._landed, cruising)
+
+    def _columns(
+        self, rows: dict[int, dict[str, tuple[float, ...]]], phases: dict[int, str]
+    ) -> Columns:
+        """Rows by column, NaN where there is no sample."""
+        times = sorted(rows)
+        if self.zero_us is None:  # a whole second, so that a grid is that of the aircraft's clock
+            self.zero_us = times[0] // 1_000_000 * 1_000_000
+        found: Columns = {}
+        for k, t_us in enumerate(times):
+            for group, values in rows[t_us].items():
+                names = GROUPS.get(group) or motor_columns(group, len(values))
+                for name, value in zip(names, values, strict=True):
+                    found.setdefault(name, np.full(len(times), np.nan))[k] = value
+        since_us = np.array(times, dtype=np.int64) - self.zero_us
+        found["time"] = np.asarray(since_us * 1e-6, dtype=np.float64)
+        found["phase"] = np.array([phases[t] for t in times], dtype=object)
+        return {name: found[name] for name in in_order(found)}

@@ -1,0 +1,331 @@
+"""A live flight: listens to an aircraft, records it, and flies the twin beside it."""
+
+import contextlib
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from twin.errors import TwinError
+from twin.logs.flight import Finding
+from twin.logs.mavlink.decoder import MavlinkDecoder
+from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
+from twin.logs.mavlink.samples import Sample
+from twin.residuals.flight_gap import DEFAULT_HORIZON_S
+from twin.vehicle import Vehicle
+
+from .address import Address, listening
+from .alarms import Evidence
+from .clock import ClockWatch
+from .receiver import Receiver, Sender
+from .recording import Recording
+from .rows import HOLD_S, ClockJumps, RowBuffer
+from .streams import missing
+from .told import LinkTold, LiveTold
+from .worker import Batch, Worker
+
+HAND_OVER_S = 0.2
+"""Between two times at which rows go on to the twin and to the disk."""
+ASK_S = 0.5
+"""Between two questions for the aircraft's time."""
+SILENT_S = 2.0
+_WAIT_S = 0.05
+_AT_ONCE = 200
+"""Datagrams that are taken before anything else has its turn."""
+_LONGEST = 65536
+_CLOCKED = ("acc", "gyro")
+"""Signals by whose times the aircraft's clock is known."""
+_UNSTAMPED = ("BATTERY_STATUS", "SYS_STATUS", "EXTENDED_SYS_STATE", "ESC_TELEMETRY")
+RATES_HZ = {
+    dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
+    dialect.MAVLINK_MSG_ID_ODOMETRY: 50.0,
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    dialect.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 200.0,
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 5.0,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+}
+"""What is asked for where it is wanted."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """How a live flight is listened to.
+
+    Attributes:
+        listen: Where the aircraft sends to.
+        system: System id of the aircraft; None: the first that is heard.
+        record: Folder of the recording; None: none is made.
+        horizon_s: Short horizon of the residuals.
+        hold_s: So long rows wait for messages that were overtaken.
+        duration_s: Ends after so long; None: it does not.
+        until_silent_s: Ends when an aircraft that was heard is silent for so long.
+        request_rates: Whether the aircraft is asked for streams, the one command that is sent.
+    """
+
+    listen: Address
+    system: int | None = None
+    record: Path | None = None
+    horizon_s: float = DEFAULT_HORIZON_S
+    hold_s: float = HOLD_S
+    duration_s: float | None = None
+    until_silent_s: float | None = None
+    request_rates: bool = False
+
+
+class LiveSession:
+    """One aircraft and its twin.
+
+    It sends nothing to the aircraft but TIMESYNC, which asks for the time; no heartbeat, since an
+    autopilot that has heard one takes its end for a lost link.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        options: LiveOptions,
+        evidence: Callable[[], Evidence | None] = lambda: None,
+    ) -> None:
+        """Listen, and begin to record.
+
+        Args:
+            vehicle: The twin.
+            options: How.
+            evidence: Makes evidence for a flight section; None: no alarms.
+
+        Raises:
+            TwinError: The address or the folder cannot be used.
+        """
+        self.options, self._vehicle = options, vehicle
+        self._motors = vehicle.rotors.count
+        self._socket = listening(options.listen)
+        try:
+            self._recording = (
+                None if options.record is None else Recording(options.record, self._motors)
+            )
+        except TwinError:
+            self._socket.close()
+            raise
+        self._receiver = Receiver(options.system)
+        self._packer = parser(255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
+        self._jumps, self._asked_ns = ClockJumps(), 0
+        self._late = 0
+        self._requested = False
+        self._begin()
+        self.worker = Worker(vehicle, self._recording, options.horizon_s, evidence)
+
+    def _begin(self) -> None:
+        """All that goes by the aircraft's clock, from the begin."""
+        self._decoder = MavlinkDecoder(self._motors)
+        self._rows = RowBuffer(round(1e6 * self.options.hold_s))
+        self._clock = ClockWatch()
+
+    def run(
+        self,
+        stop: Callable[[], bool] = lambda: False,
+        told: Callable[[LiveTold], None] = lambda _: None,
+        every_s: float = 1.0,
+    ) -> LiveTold:
+        """Listen until it ends.
+
+        Args:
+            stop: Whether to end now.
+            told: Called with what is known, every `every_s`.
+            every_s: Between two calls of it.
+
+        Returns:
+            What is known at the end.
+        """
+        began = time.monotonic()
+        self._heard_s = began
+        next_rows = next_told = began
+        next_ask = began
+        began_cpu = time.process_time()
+        try:
+            while not stop():
+                self._receive()
+                now = time.monotonic()
+                if now >= next_rows:
+                    self._hand_over(now - self._heard_s > SILENT_S)
+                    next_rows = now + HAND_OVER_S
+                if now >= next_ask:
+                    self._ask()
+                    next_ask = now + ASK_S
+                if now >= next_told:
+                    told(self.known((time.process_time() - began_cpu) / max(now - began, 1e-3)))
+                    next_told = now + every_s
+                if self.worker.error is not None or self._is_over(now, began):
+                    break
+        finally:
+            self._hand_over(True)
+            self._close()
+        return self.known((time.process_time() - began_cpu) / (time.monotonic() - began))
+
+    def _is_over(self, now: float, began: float) -> bool:
+        options = self.options
+        if options.duration_s is not None and now - began >= options.duration_s:
+            return True
+        heard = self._receiver.sender is not None
+        silent_s = options.until_silent_s
+        return heard and silent_s is not None and now - self._heard_s >= silent_s
+
+    def _close(self) -> None:
+        self._socket.close()
+        try:
+            self.worker.close()
+        finally:
+            if self._recording is not None:
+                self._recording.close()
+
+    # -- what comes ---------------------------------------------------------------------------
+
+    def _receive(self) -> None:
+        """Take what has come, for a while."""
+        if not select.select([self._socket], [], [], _WAIT_S)[0]:
+            self._receiver.silent = time.monotonic() - self._heard_s > SILENT_S
+            return
+        for _ in range(_AT_ONCE):
+            try:
+                datagram, sender = self._socket.recvfrom(_LONGEST)
+            except OSError:  # nothing more is there, or what was sent to nobody came back
+                return
+            self._take(datagram, (sender[0], sender[1]), time.monotonic(), time.time_ns() // 1000)
+
+    def _take(self, datagram: bytes, sender: Sender, at_s: float, arrival_us: int) -> None:
+        for received in self._receiver.messages(datagram, sender):
+            self._heard_s, self._receiver.silent = at_s, False
+            if self._recording is not None:
+                self._recording.raw.add(arrival_us, received.frame)
+            message = received.message
+            if message.get_type() == "TIMESYNC":
+                self._timesync(message, at_s)
+                continue
+            for sample in self._decoder.samples(message):
+                if not self._take_sample(sample, at_s):
+                    break
+            self._request_rates()
+
+    def _take_sample(self, sample: Sample, at_s: float) -> bool:
+        """Take a sample, unless its time is far from that of all others."""
+        if sample.source not in _UNSTAMPED:
+            verdict = self._jumps.add(sample.t_us)
+            if verdict == "stray":
+                return False
+            if verdict == "anew":
+                self._new_section()
+        if sample.group in _CLOCKED:
+            self._clock.came(sample.t_us * 1e-6, at_s)
+        self._rows.add(sample)
+        return True
+
+    def _new_section(self) -> None:
+        """The aircraft's clock began anew: what came before is a flight of its own."""
+        self._hand_over(True)
+        self._late += sum(self._rows.late.values())
+        self._begin()
+        self.worker.new_section()
+
+    def _hand_over(self, everything: bool = False) -> None:
+        """Give rows on to the twin and to the disk."""
+        rows = self._rows.take(everything)
+        if rows is not None:
+            self.worker.add(Batch(rows, self._facts(), self._findings()))
+        if self._recording is not None:
+            self._recording.raw.flush()
+
+    # -- what is sent -------------------------------------------------------------------------
+
+    def _send(self, message: Message) -> None:
+        if self._receiver.sender is None:
+            return
+        frame = message.pack(self._packer)
+        self._packer.seq = (self._packer.seq + 1) % 256
+        with contextlib.suppress(OSError):  # it is not there any more
+            self._socket.sendto(frame, self._receiver.sender)
+
+    def _ask(self) -> None:
+        """Ask for the aircraft's time."""
+        self._asked_ns = time.monotonic_ns()
+        self._send(dialect.MAVLink_timesync_message(0, self._asked_ns))
+
+    def _timesync(self, m: Message, at_s: float) -> None:
+        """Answer a question for the time, or take an answer."""
+        if not m.tc1:
+            self._send(dialect.MAVLink_timesync_message(time.monotonic_ns(), m.ts1))
+        elif 0 < m.ts1 <= 1e9 * at_s and 1e9 * at_s - m.ts1 < 10e9:
+            self._clock.answered(1e-9 * m.ts1, 1e-9 * m.tc1, at_s)
+
+    def _request_rates(self) -> None:
+        """Ask for the streams that the twin needs, once, where that is wanted."""
+        if not self.options.request_rates or self._requested:
+            return
+        self._requested = True
+        for kind, rate_hz in RATES_HZ.items():
+            command = dialect.MAVLink_command_long_message(
+                self._receiver.system,
+                AUTOPILOT,
+                dialect.MAV_CMD_SET_MESSAGE_INTERVAL,
+                0,
+                *(kind, 1e6 / rate_hz, 0, 0, 0, 0, 0),
+            )
+            self._send(command)
+
+    # -- what is known ------------------------------------------------------------------------
+
+    def _facts(self) -> dict[str, str]:
+        """For the recording."""
+        clock = self._clock.estimate()
+        facts = {"aircraft": f"MAVLink system {self._receiver.system}"}
+        if self._decoder.autopilot:
+            facts["autopilot"] = self._decoder.autopilot
+        if self._rows.zero_us is not None:
+            facts["clock"] = f"t = 0 is {1e-6 * self._rows.zero_us:.0f} s on the aircraft's clock"
+        if clock is not None:
+            facts["clock offset"] = f"{clock.offset_s:.4f} s, {clock.drift_ppm:.1f} ppm"
+        return facts | {f"source {g}": s for g, s in self._rows.sources.items()}
+
+    def _findings(self) -> tuple[Finding, ...]:
+        """For the recording."""
+        total, found = self._receiver.sequence, []
+        if total.lost:
+            found.append(Finding("warning", "link", "messages lost on the way", total.lost))
+        for (group, why), count in sorted(self._decoder.dropped.items()):
+            found.append(Finding("error", group, f"samples left out: {why}", count))
+        for group, count in sorted(self._rows.late.items()):
+            message = f"samples left out, later than {self.options.hold_s:g} s"
+            found.append(Finding("warning", group, message, count))
+        return tuple(found)
+
+    def known(self, busy: float = 0.0) -> LiveTold:
+        """All that is known now."""
+        receiver, total = self._receiver, self._receiver.sequence
+        sender = receiver.sender
+        link = LinkTold(
+            receiver.system,
+            "" if sender is None else f"{sender[0]}:{sender[1]}",
+            total.received,
+            total.lost,
+            total.duplicates,
+            total.reordered,
+            total.jumps,
+            self._late + sum(self._rows.late.values()),
+            self._jumps.strays,
+            receiver.garbage,
+            receiver.wrong,
+            receiver.version_1,
+            dict(receiver.others),
+        )
+        worker = self.worker
+        return LiveTold(
+            link,
+            self._clock.estimate(),
+            dict(self._rows.sources),
+            missing(self._rows.sources),
+            worker.waits_for,
+            worker.sections,
+            worker.flight_s,
+            worker.rms,
+            dict(worker.units),
+            busy,
+        )

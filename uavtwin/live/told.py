@@ -1,0 +1,97 @@
+"""What a live flight has been up to now, as numbers and in words."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from .clock import ClockEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTold:
+    """The link to the aircraft.
+
+    Attributes:
+        system: System id of the aircraft; None: none was heard.
+        sender: Where it sends from.
+        messages: How many came of it.
+        lost: How many are missing by their sequence numbers.
+        duplicates: How many came twice.
+        reordered: How many were overtaken.
+        jumps: How often the sequence number jumped.
+        late: Samples that came after their row was gone.
+        strays: Samples whose time is far from that of all others.
+        garbage: Bytes that are no message.
+        wrong: Frames whose checksum is wrong.
+        version_1: Messages of MAVLink 1.
+        others: Messages of others, by who sent them.
+    """
+
+    system: int | None
+    sender: str
+    messages: int
+    lost: int
+    duplicates: int
+    reordered: int
+    jumps: int
+    late: int
+    strays: int
+    garbage: int
+    wrong: int
+    version_1: int
+    others: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class LiveTold:
+    """A live flight.
+
+    Attributes:
+        link: Counts.
+        clock: The aircraft's clock on ours; None: nothing came.
+        sources: Which message each signal is taken from.
+        missing: What is not there, and what cannot be told without it.
+        waits_for: Why the twin has not started; "": it has.
+        sections: How many flights there were: the clock began anew, or a stream came later.
+        flight_s: Time of the newest row of the flight table.
+        rms: Of residuals, by channel, up to now.
+        units: Of the channels.
+        busy: Share of one core that this process takes.
+    """
+
+    link: LinkTold
+    clock: ClockEstimate | None
+    sources: Mapping[str, str]
+    missing: Mapping[str, str]
+    waits_for: str
+    sections: int
+    flight_s: float
+    rms: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    busy: float = 0.0
+
+    def json(self) -> dict[str, Any]:
+        """As JSON has it: null for what is not a finite number."""
+        told: dict[str, Any] = _finite(asdict(self))
+        return told
+
+    def line(self) -> str:
+        """One line for a terminal."""
+        link = self.link
+        if link.system is None:
+            return "nothing heard yet"
+        told = [f"{self.flight_s:.1f} s", f"{link.messages} messages, {link.lost} lost"]
+        if self.clock is not None:
+            told.append(f"clock {self.clock.offset_s:+.4f} s")
+        told += [f"{n} {v:.3g} {self.units[n]}" for n, v in self.rms.items() if n.startswith("acc")]
+        if self.waits_for:
+            told.append(f"the twin waits for {self.waits_for}")
+        return "; ".join(told)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, float):
+        return value if abs(value) < float("inf") else None
+    return value

@@ -1,0 +1,174 @@
+"""The flight behind the receiver: records rows, flies the twin beside them, asks for alarms.
+
+It runs in a thread of its own, so that nothing that it computes keeps messages waiting.
+"""
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from queue import Queue
+
+import pandas as pd
+
+from twin.logs.flight import Finding
+from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
+from twin.vehicle import Vehicle
+
+from .alarms import Alarm, Evidence, alarm_json
+from .recording import Recording
+from .rows import Columns
+
+EVERY_S = 1.0
+"""Of flight, between two blocks of residuals."""
+_WAITING = 120
+"""Batches of rows that may wait: half a minute."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """New rows, and what is known of the flight by then."""
+
+    rows: Columns
+    facts: dict[str, str]
+    findings: tuple[Finding, ...]
+
+
+class _NewSection:
+    """The aircraft's clock began anew."""
+
+
+class _End:
+    """Nothing more will come."""
+
+
+class Worker:
+    """Takes rows in, tells residuals and alarms.
+
+    Attributes:
+        sections: How many flights there were.
+        flight_s: Time of the newest row.
+        units: Of the channels.
+        error: What ended it; None: nothing did.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        recording: Recording | None,
+        horizon_s: float,
+        evidence: Callable[[], Evidence | None] = lambda: None,
+        on_block: Callable[[ResidualBlock], None] = lambda _: None,
+        on_alarm: Callable[[Alarm], None] = lambda _: None,
+    ) -> None:
+        self._vehicle, self._recording, self._horizon_s = vehicle, recording, horizon_s
+        self._new_evidence, self._on_block, self._on_alarm = evidence, on_block, on_alarm
+        self._queue: Queue[Batch | _NewSection | _End] = Queue(_WAITING)
+        self._thread = threading.Thread(target=self._work, name="twin", daemon=True)
+        self.sections, self.flight_s = 1, 0.0
+        self.units: dict[str, str] = {}
+        self.error: BaseException | None = None
+        self._sums: dict[str, tuple[int, float]] = {}
+        self._begin()
+        self._thread.start()
+
+    def add(self, batch: Batch) -> None:
+        """Hand rows over; waits where very many are waiting."""
+        self._queue.put(batch)
+
+    def new_section(self) -> None:
+        """The aircraft's clock began anew."""
+        self._queue.put(_NewSection())
+
+    def close(self) -> None:
+        """Tell what is left, and end.
+
+        Raises:
+            BaseException: What ended the thread before.
+        """
+        self._queue.put(_End())
+        self._thread.join()
+        if self.error is not None:
+            raise self.error
+
+    @property
+    def waits_for(self) -> str:
+        """Why the twin has not started."""
+        return self._running.waits_for
+
+    @property
+    def rms(self) -> dict[str, float]:
+        """Of the residuals of this section so far, by channel."""
+        return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
+
+    def _begin(self) -> None:
+        self._running = RunningResiduals(self._vehicle, horizon_s=self._horizon_s)
+        self._evidence = self._new_evidence()
+        self._sums = {}
+        self._updated_s: float | None = None
+
+    def _work(self) -> None:
+        while True:
+            item = self._queue.get()
+            if self.error is not None and not isinstance(item, _End):
+                continue  # nobody waits for a thread that has ended
+            try:
+                if isinstance(item, Batch):
+                    self._take(item)
+                else:
+                    self._finish()
+                    if isinstance(item, _NewSection):
+                        self._anew()
+            except BaseException as error:
+                self.error = error
+            if isinstance(item, _End):
+                return
+
+    def _take(self, batch: Batch) -> None:
+        rows = batch.rows
+        if self._running.lacks([c for c in rows if c not in ("time", "phase")]):
+            self._finish()
+            self._anew()
+        self._running.append(rows)
+        if self._recording is not None:
+            settled = self._running.settled
+            self._recording.add_rows(rows, batch.facts, batch.findings, settled)
+        self._weigh(rows)
+        self.flight_s = float(rows["time"][-1])
+        if self._updated_s is None:
+            self._updated_s = float(rows["time"][0])
+        if self.flight_s - self._updated_s >= EVERY_S:
+            self._updated_s = self.flight_s
+            self._tell(self._running.update())
+
+    def _weigh(self, rows: Columns) -> None:
+        """Ask for alarms: here and nowhere else."""
+        if self._evidence is None:
+            return
+        verdict = self._evidence.update(pd.DataFrame(rows))
+        for alarm in (*verdict.opened, *verdict.closed):
+            if self._recording is not None:
+                self._recording.add_alarm(alarm_json(alarm, self.sections))
+            self._on_alarm(alarm)
+
+    def _finish(self) -> None:
+        """Tell what the section leaves, and note what was settled in it."""
+        self._tell(self._running.update(final=True))
+
+    def _anew(self) -> None:
+        self.sections += 1
+        if self._recording is not None:
+            self._recording.begin_section()
+        self._begin()
+
+    def _tell(self, block: ResidualBlock | None) -> None:
+        if block is None:
+            return
+        for channel in (*block.channels, *block.short):
+            n, total = self._sums.get(channel.name, (0, 0.0))
+            r = channel.residual
+            self._sums[channel.name] = n + len(r), total + float(r @ r)
+            self.units[channel.name] = channel.unit
+        if self._recording is not None:
+            self._recording.add_residuals(block)
+        self._on_block(block)
