@@ -19,7 +19,7 @@ from scipy.signal import butter, lfilter, lfilter_zi
 from ...component import Component
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
-from ...residuals.aligned import LIFT_OFF_HEIGHT_M
+from ...residuals.airborne import LIFT_OFF_HEIGHT_M
 from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ
 from ...residuals.imu import OF_IMU, prompt_imu
 from ...vehicle import Vehicle
