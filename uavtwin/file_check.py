@@ -77,8 +77,8 @@ class CheckReport(Shown):
                 ("question", [str(q) for q in self.questions]),
                 ("note", self.notes),
                 ("good for", self.good_for),
-                ("explain can tell", self.told),
-                ("explain cannot tell", self.not_told),
+                ("explain can look for", self.told),
+                ("explain cannot look for", self.not_told),
             )
             for text in texts
         ]

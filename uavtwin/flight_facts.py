@@ -98,18 +98,20 @@ def _level(hover: Hover) -> str:
 def _split(hover: Hover, layout: Layout | None) -> str:
     """How much each motor does over their mean, and pairs of them over the others."""
     each = np.array(hover.each) / np.mean(hover.each)
-    text = f"{', '.join(f'{round(100 * (u - 1)):+d} %' for u in each)} of their mean"
+    shares = (f"{k} {round(100 * (u - 1)):+d} %" for k, u in enumerate(each, start=1))
+    text = f"motor {', '.join(shares)} from their mean"
     if layout is None or layout.count != len(each):
         return text
     x, y = layout.position[:, 0], layout.position[:, 1]
     for side, names in (
         (-x, ("rear", "front")),
         (y, ("right", "left")),
-        (layout.direction, ("clockwise", "counter-clockwise")),
+        (layout.direction, ("clockwise ones", "counter-clockwise ones")),
     ):
         more = 100 * float(each[side > 0].mean() - each[side < 0].mean())
         if abs(more) >= _LEAST_SPLIT:
-            text += f"; {names[0 if more > 0 else 1]} {abs(more):.0f} % more"
+            high, low = names if more > 0 else names[::-1]
+            text += f"; {high} {abs(more):.0f} % above {low}"
     return text
 
 

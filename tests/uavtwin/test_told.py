@@ -71,7 +71,7 @@ def test_check_lists_it(tmp_path: Path) -> None:
     assert any(text.startswith("airframe: ") and "thrust_scale" in text for text in report.told)
     assert any("accel_bias" in text and "acc_x" in text for text in report.not_told)
     assert json.loads(json.dumps(report.json()))["told"] == list(report.told)
-    assert any("explain cannot tell: " in text for _, text in report.lines())
+    assert any("explain cannot look for: " in text for _, text in report.lines())
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

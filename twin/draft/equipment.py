@@ -104,7 +104,11 @@ def draft_battery(m: Making) -> None:
     )  # standard deviations over the values, by judgement
     lacking = [key.replace("_", " ") for key, number, _, _ in entries if not number]
     if lacking:
-        m.say("battery", f"{value}; no section: {', '.join(lacking)} not told", source)
+        m.say(
+            "battery",
+            f"{value}; no [battery] section: the log does not tell {', '.join(lacking)}",
+            source,
+        )
         m.file.notes.append(f"No [battery]: {value}, but {', '.join(lacking)} are not in the log.")
         return
     for key, number, unit, sd in entries:

@@ -51,7 +51,7 @@ def noise_of(flights: Sequence[Flight], hovers: Sequence[Hover], columns: Sequen
     """
     rest = [_second(f, columns, _resting) for f in flights]
     air = [_second(f, columns, _within(h)) for f, h in zip(flights, hovers, strict=True)]
-    for found, where in ((rest, "at rest"), (air, "in hover, vibration among it")):
+    for found, where in ((rest, "at rest"), (air, "in hover, vibration included")):
         values = np.concatenate(found)
         if len(values) >= _LEAST:
             sd = np.median(np.abs(values), axis=0) / 0.6745 / np.sqrt(6.0)

@@ -136,8 +136,8 @@ def sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -
     told = Estimate(
         slope,
         float(np.hypot(scatter, _DRIFT / np.ptp(volts))),
-        f"commands of the hover from {volts.min() * reference_v:.2f} to "
-        f"{volts.max() * reference_v:.2f} V {slope:.1f} +- {scatter:.1f}",
+        f"hover commands from {volts.min() * reference_v:.2f} to "
+        f"{volts.max() * reference_v:.2f} V say {slope:.1f} +- {scatter:.1f}",
     ).with_prior(usual)
     return Estimate(min(max(told.value, 0.0), 4.0), told.sd, told.source)
 

@@ -13,7 +13,7 @@ _STYLES = {
     "warning": "yellow",
     "question": "cyan",
     "good for": "green",
-    "explain can tell": "green",
+    "explain can look for": "green",
 }
 
 

@@ -93,7 +93,7 @@ def use_the_flight(log: ArduPilotLog) -> dict[str, str]:
     if ends is not None and ends[1] - end < _STILL_ON_US:
         log.note("error", "log", "it ends with the motors running: cut short?")
     if ends is not None and (left := (begin - ends[0]) + (ends[1] - end)) > _STILL_ON_US:
-        log.note("info", "log", f"{left * 1e-6:.1f} s with the motors at rest are not used")
+        log.note("info", "log", f"{left * 1e-6:.1f} s with the motors stopped are not used")
     log.cut_to(begin, end)
     return {
         "motors run": told,

@@ -46,14 +46,14 @@ def primary(log: ArduPilotLog) -> Primary:
     family = wanted if wanted in there else there[0]
     cores = found[family]
     states = log.topic(f"{family}F4", _first(log, f"{family}F4"))
-    core = _most(log, states, "PI", "q", "core of the EKF in charge")
+    core = _most(log, states, "PI", "q", "EKF core in charge")
     core = core if core in cores else cores[0]
     sensors = log.topic("XKFS", core) if family == "XK" and log.instances("XKFS") else None
     return Primary(
         family,
         core,
         _imu(int(log.params.get(f"EK{3 if family == 'XK' else 2}_IMU_MASK", 0.0)), core),
-        max(_most(log, sensors, "MI", "mag", "compass of the EKF"), 0),
+        max(_most(log, sensors, "MI", "mag", "compass that the EKF uses"), 0),
         max(_most(log, sensors, "BI", "baro", "barometer of the EKF"), 0),
         max(_most(log, sensors, "GI", "pos", "GPS of the EKF"), 0),
     )
@@ -83,6 +83,6 @@ def _most(log: ArduPilotLog, topic: Topic | None, column: str, where: str, what:
     changes = np.flatnonzero(np.diff(numbers)) + 1
     if len(changes):
         at = ", ".join(f"{t:.1f}" for t in topic.t_s[known][changes][:_SHOWN])
-        message = f"the {what} changes at {at} s; number {most} is used throughout"
+        message = f"the {what} changes at {at} s; here number {most} is used throughout"
         log.note("warning", where, message, len(changes))
     return most

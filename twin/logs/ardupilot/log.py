@@ -287,14 +287,14 @@ def _note_damage(log: ArduPilotLog, damage: Damage, size: int) -> None:
         log.note(
             "info",
             "log",
-            f"it ends inside a message, the last {damage.tail} bytes are not used: ArduPilot "
-            "writes whole blocks",
+            f"it ends inside a message: the last {damage.tail} bytes are not used. That is normal, "
+            "ArduPilot writes whole blocks",
         )
     elif damage.tail:
         log.note(
             "error",
             "log",
-            f"cut short: it ends inside a message, the last {damage.tail} bytes are not used",
+            f"cut short: it ends inside a message; the last {damage.tail} bytes are not used",
             damage.tail,
         )
     for found, what in (

@@ -134,5 +134,5 @@ def _resets(log: ArduPilotLog) -> None:
         if len(times := events.t_s[kinds == number]):
             at = ", ".join(f"{t:.2f}" for t in times[:8])
             where = "q" if name == "yaw" else "pos"
-            message = f"the estimator reset its {name} at {at} s: steps there"
+            message = f"the estimator reset its {name} at {at} s: expect steps there"
             log.note("warning", where, message, len(times))

@@ -109,7 +109,9 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
     rate_hz = (len(commands.t_us) - 1) / max(1e-6 * float(np.ptp(commands.t_us)), 1e-9)
     if rate_hz < _ENOUGH_HZ:
         log.note(
-            "warning", "cmd", f"motor commands at {rate_hz:.0f} Hz only, each holds until the next"
+            "warning",
+            "cmd",
+            f"motor commands at only {rate_hz:.0f} Hz; each is held until the next",
         )
     cmd = commands.cmd
     absurd = int(np.count_nonzero(np.abs(cmd - 0.5) > 0.5 + _ABSURD))

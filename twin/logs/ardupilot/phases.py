@@ -91,7 +91,7 @@ def note_failures(log: ArduPilotLog) -> None:
         codes = errors.raw("ECode")
         for t, system, code in zip(errors.t_s, errors.raw("Subsys"), codes, strict=True):
             if np.isfinite((system, code)).all() and code:
-                message = f"error of {subsystem(system)}, code {code:.0f}, at {t:.2f} s"
+                message = f"{subsystem(system)} error, code {code:.0f}, at {t:.2f} s"
                 log.note("warning", "log", message)
     if lost := _grown(log, "DSF", None, "Dp"):
         message = "messages that could not be logged; use a faster card or log less"

@@ -54,15 +54,15 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
     together = np.column_stack(columns)
     bridged = np.isfinite(together).all(axis=1)
     if not bridged.all():
-        message = f"samples left out, a motor reports nothing for over {_LONGEST_S:g} s"
+        message = f"samples left out: a motor reports nothing for over {_LONGEST_S:g} s"
         log.note("warning", "rotor", message, int(np.count_nonzero(~bridged)))
     n = len(found)
     add(log, rows, "rotor", motor_columns("rotor", n), slowest.t_us[bridged], together[bridged])
     log.note(
         "info",
         "rotor",
-        f"each speed controller reports in its own time; put on that of number "
-        f"{wanted[least]}, linear between reports",
+        "the speed controllers report at different times; all are interpolated to those of number "
+        f"{wanted[least]}",
     )
     rates = ", ".join(f"{t.rate_hz:.0f}" for t in found)
     poles = log.params.get("SERVO_BLH_POLES", 0.0)

@@ -160,7 +160,7 @@ def _add_current(
         log.note("warning", "ibat_a", f"left out: {doubt}", len(amps))
         return
     if unknown.any():
-        log.note("warning", "ibat_a", "samples without a current", int(unknown.sum()))
+        log.note("warning", "ibat_a", "samples hold no current", int(unknown.sum()))
     add(log, rows, "ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
 
 
@@ -181,7 +181,7 @@ def _current_doubt(
     idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
     if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
         return (
-            f"{np.median(working):.2f} A while flying and {np.median(idle):.2f} A with the motors "
-            "idle: not the current of the motors"
+            f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
+            "idle: this is not the current of the motors"
         )
     return None

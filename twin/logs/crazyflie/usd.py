@@ -37,7 +37,12 @@ _PER_RPM = 2.0 * np.pi / 60.0
 
 def _turned(factor: float) -> Callable[[Array], Array]:
     """Forward, left, up -> forward, right, down, times a factor."""
-    return lambda values: values * (factor, -factor, -factor)
+
+    def turned(values: Array) -> Array:
+        with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+            return np.asarray(values * (factor, -factor, -factor))
+
+    return turned
 
 
 def _attitude(values: Array) -> Array:

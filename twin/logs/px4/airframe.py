@@ -231,8 +231,8 @@ def _place(log: Px4Log) -> Told[Place] | None:
 
 def _origin(log: Px4Log) -> Told[Place] | None:
     """What the estimator counts positions from; None where it has none, or has moved it."""
-    topic = log.topic("vehicle_local_position", 0, "ref_lat", "ref_lon", "ref_alt", "xy_global")
-    if topic is None:
+    topic = log.topic("vehicle_local_position", 0)
+    if topic is None or not topic.has("ref_lat", "ref_lon", "ref_alt", "xy_global"):
         return None
     there = topic.columns(("ref_lat", "ref_lon", "ref_alt"))[topic.data["xy_global"] > 0]
     there = there[np.isfinite(there).all(axis=1)]

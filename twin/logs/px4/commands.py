@@ -62,7 +62,7 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
             facts["commands_not_rebuilt"] = str(why)
     if rate < _ENOUGH_HZ:
         log.note(
-            "warning", "cmd", f"motor commands at {rate:.0f} Hz only, each holds until the next"
+            "warning", "cmd", f"motor commands at only {rate:.0f} Hz; each is held until the next"
         )
     cmd = _clipped(log, outputs.cmd, "actuator_outputs")
     facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"

@@ -416,7 +416,7 @@ def _note_damage(opened: Px4Log, blob: bytes, log: Any) -> None:
         opened.note(
             "error",
             "log",
-            f"cut short: it ends inside a message, the last {tail} bytes are not used",
+            f"cut short: it ends inside a message; the last {tail} bytes are not used",
             tail,
         )
     if log.dropouts:

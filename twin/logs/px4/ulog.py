@@ -178,8 +178,8 @@ def _gaps(log: Px4Log, topic: Topic, window_us: NDArray[np.int64], facts: dict[s
         log.note(
             "warning",
             "sensor_combined",
-            f"samples missing, {lost / (len(steps) + lost):.0%} of those taken; the longest gap is "
-            f"{steps.max() / 1e3:.1f} ms. Nothing is filled in",
+            f"{100 * lost / (len(steps) + lost):.0f} % of the samples are missing; the longest gap "
+            f"is {steps.max() / 1e3:.1f} ms. Nothing is filled in",
             lost,
         )
 
@@ -290,7 +290,12 @@ def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) ->
             times += topic.t_s[stepped].tolist()
     if times:
         at = ", ".join(f"{t:.2f}" for t in sorted(set(times))[:8])
-        log.note("warning", where, f"the estimator reset itself at {at} s: steps there", len(times))
+        log.note(
+            "warning",
+            where,
+            f"the estimator reset itself at {at} s: expect steps there",
+            len(times),
+        )
 
 
 def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> None:
@@ -327,8 +332,8 @@ def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) ->
     idle, working = amps[mean_cmd < 0.05], amps[mean_cmd > 0.2]
     if len(idle) and len(working) and np.nanmedian(working) < 1.5 * np.nanmedian(idle):
         return (
-            f"{np.nanmedian(working):.2f} A while flying and {np.nanmedian(idle):.2f} A with the "
-            "motors idle: not the current of the motors"
+            f"{np.nanmedian(working):.2f} A in flight and {np.nanmedian(idle):.2f} A with the "
+            "motors idle: this is not the current of the motors"
         )
     return ""
 
@@ -344,7 +349,8 @@ def _rotors(log: Px4Log, rows: Rows) -> None:
         log.note(
             "warning",
             "rotor",
-            f"left out: esc_status has a changing speed for {len(alive)} motors",
+            f"left out: in esc_status the speed of {len(alive) or 'no'} "
+            f"motor{'s' if len(alive) > 1 else ''} changes",
             len(topic.t_us),
         )
         return

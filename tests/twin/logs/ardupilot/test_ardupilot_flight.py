@@ -92,7 +92,9 @@ def test_sensors_are_those_of_the_core_in_charge(tmp_path: Path) -> None:
     assert found.facts["gyro from"].startswith("IMU 2 of 3")
     _, mag = found.signal(["mag_x", "mag_y", "mag_z"])
     np.testing.assert_allclose(mag, np.tile([2.2e-5, -2e-6, 4.3e-5], (len(mag), 1)), rtol=1e-9)
-    assert "compass of the EKF changes at 9.0 s; number 1" in said(found, "mag", "warning")
+    assert "compass that the EKF uses changes at 9.0 s; here number 1" in said(
+        found, "mag", "warning"
+    )
     _, pressure = found.signal(["baro_pa"])
     assert pressure.min() > 1e5
 
@@ -103,7 +105,7 @@ def test_a_change_of_core_is_told(tmp_path: Path) -> None:
     quaternions = [{**base["XKQ"], "C": k} for k in (0, 1)]
     charge = {"t": SLOW, "C": 0, "PI": (SLOW > 20.0).astype(int)}
     found = flight(tmp_path, flown(XKF1=both, XKQ=quaternions, XKF4=charge))
-    assert "in charge changes at 20.0 s; number 0 is used" in said(found, "q", "warning")
+    assert "in charge changes at 20.0 s; here number 0 is used" in said(found, "q", "warning")
 
 
 def test_the_delay_of_the_filters_is_taken_off(tmp_path: Path) -> None:
@@ -133,7 +135,7 @@ def test_the_longest_armed_stretch_is_used(tmp_path: Path) -> None:
     late = {n: {**m, "t": np.asarray(m["t"]) + 99.0} for n, m in base.items()}
     found = flight(tmp_path, late | {"RCOU": pulses(on, t)})
     assert "2 stretches over a minute apart" in said(found, "log", "warning")
-    assert "motors at rest are not used" in said(found, "log", "info")
+    assert "motors stopped are not used" in said(found, "log", "info")
     assert not said(found, "log", "error")
     assert found.table["time"].iloc[0] == 0.0
     assert found.table["time"].iloc[-1] == pytest.approx(27.9, abs=0.11)
@@ -283,7 +285,7 @@ def test_current_is_taken_where_it_is_one(tmp_path: Path) -> None:
     battery = {"t": SLOW, "Volt": volts, "Curr": holes}
     found = flight(tmp_path, flown(BAT=battery))
     assert found.table["ibat_a"].count() == int(np.isfinite(holes).sum())
-    assert "without a current" in said(found, "ibat_a", "warning")
+    assert "hold no current" in said(found, "ibat_a", "warning")
     for current, why in ((0.0 * SLOW, "never positive"), (7.0 + 0.0 * SLOW, "throughout")):
         without = flight(tmp_path, flown(BAT=battery | {"Curr": current}))
         assert why in said(without, "ibat_a", "warning") and not without.has("ibat_a")
@@ -307,7 +309,7 @@ def test_what_happens_is_told(tmp_path: Path) -> None:
     assert found.facts["modes"] == "Stabilize from 0.0 s, PosHold from 10.0 s, mode 77 from 20.0 s"
     assert "reset its yaw at 6.00 s" in said(found, "q", "warning")
     assert "reset its height at 9.00 s" in said(found, "pos", "warning")
-    assert said(found, "log", "warning").startswith("error of battery failsafe, code 1, at 12.00 s")
+    assert said(found, "log", "warning").startswith("battery failsafe error, code 1, at 12.00 s")
     assert "could not be logged" in said(found, "log", "warning")
     assert "at its limit" in said(found, "acc", "warning")
     assert "failed (thrust boost) from 15.04 s" in said(found, "cmd", "warning")
