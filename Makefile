@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # A worker per core: further threads for its small matrices would only wait for each other.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
-.PHONY: setup cross-tools demo test fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
+.PHONY: setup cross-tools demo test test-long fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
 
 setup: $(STAMP)
 
@@ -23,11 +23,14 @@ cross-tools:  ## what runs FMUs of other platforms and looks at pages in the tes
 demo: setup  ## find the effect hidden in built-in flights and write out/demo/report.html
 	$(BIN)/uavtwin demo --out out/demo --force
 
-test: setup lint  ## the whole suite
-	$(PYTEST)
+test: setup lint  ## all but the longest tests
+	$(PYTEST) -m 'not long'
+
+test-long: setup  ## the longest tests, which hold at length what others hold in parts
+	$(PYTEST) -m long
 
 fast: setup  ## without the slow tests; three minutes
-	$(PYTEST) -m 'not slow'
+	$(PYTEST) -m 'not slow and not long'
 
 FUZZ := $(if $(COUNT),--count $(COUNT)) $(if $(MINUTES),--minutes $(MINUTES))
 fuzz: setup  ## files changed at random: does one fell a reader, is a change told? MINUTES=10, or COUNT=1000

@@ -72,7 +72,7 @@ def test_a_page_does_what_it_says(name: str, tree: Tree) -> None:
         assert result.returncode == 0, result.stdout[-4000:]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("page", "forgotten"), STEPS)
 def test_a_forgotten_step_is_found(page: Page, forgotten: Step, tree: Tree) -> None:
     for step in page.steps:

@@ -145,7 +145,7 @@ def test_figures_show_what_each_system_said(tables: Path) -> None:
     assert "Figure 8" in page and "src=" not in page.split("<script>", 1)[0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_missions_are_drawn_as_they_were_flown(
     tables: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

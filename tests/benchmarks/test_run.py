@@ -82,7 +82,7 @@ def test_what_explains_imports_nothing_that_knows_what_is_hidden() -> None:
                 assert node.module in ("explaining", "files", "calibrated"), (module, node.module)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_explain_on_a_handful_of_cases_without_the_truth_at_hand(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -204,7 +204,7 @@ def test_other_forms_give_the_same(new: New) -> None:
 @pytest.mark.parametrize(
     ("name", "file", "others"),
     [
-        ("track", FILE, ["aarch64-linux", "darwin-arm64"]),
+        pytest.param("track", FILE, ["aarch64-linux", "darwin-arm64"], marks=pytest.mark.long),
         ("wide", INT8_FILE, ["aarch64-linux"]),
     ],
 )

@@ -24,7 +24,7 @@ TOLERANCE = 1e-5
 """Of the spread."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_minute_in_the_loop(tmp_path: Path) -> None:
     """Fed with what the fused twin itself made; commands are those of the step before."""
     model = compensator(tiny(encoder_units=(10, 7)), "free", vehicle=VEHICLE, envelope=1e4)

@@ -68,6 +68,10 @@ def _apart(away: ResidualFlight, drawn: np.ndarray, phase: int, from_phase: int)
     return float(np.mean([wasserstein(a, b) for a, b in zip(own.T, other.T, strict=True)]))
 
 
+SLOWEST = ("tsgan",)
+"""Two networks that learn against critics: two minutes."""
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("model", AUTOENCODERS, indirect=True)
 def test_draws_of_an_autoencoder_belong_to_their_phase(model: SystemModel) -> None:
@@ -75,7 +79,14 @@ def test_draws_of_an_autoencoder_belong_to_their_phase(model: SystemModel) -> No
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [n for n in SYSTEMS if n not in AUTOENCODERS])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=pytest.mark.long) if n in SLOWEST else n
+        for n in SYSTEMS
+        if n not in AUTOENCODERS
+    ],
+)
 def test_draws_belong_to_their_phase(name: str, tmp_path: Path) -> None:
     apart = APART.get(name, {})
     model = small(name, "generate", DRAWN.get(name, 60), tmp_path, **apart)

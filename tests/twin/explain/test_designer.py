@@ -132,7 +132,7 @@ def test_a_plan_strings_manoeuvres_together_at_whole_blocks() -> None:
             assert row[3:9] == pytest.approx(0, abs=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["crazyflie", "feisi_x150"])  # copter_default is flown below
 def test_every_manoeuvre_can_be_flown(name: str) -> None:
     vehicle = load_vehicle(name)
@@ -202,7 +202,7 @@ def test_wind_and_tilted_rotors_part_when_the_nose_turns() -> None:
     assert ranked[-1].manoeuvre == "hover"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_weak_rotors_and_a_weak_battery_part_at_another_voltage() -> None:
     vehicle = replace(COPTER, battery=load_vehicle("crazyflie").battery)
     flight = hovering(vehicle, PLANTS["thrust_scale"])
@@ -214,7 +214,10 @@ def test_weak_rotors_and_a_weak_battery_part_at_another_voltage() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("truth", list(PLANTS))
+@pytest.mark.parametrize(
+    "truth",
+    [*list(PLANTS)[:1], *(pytest.param(p, marks=pytest.mark.long) for p in list(PLANTS)[1:])],
+)
 def test_a_known_payload_separates_extra_mass_from_weak_rotors(truth: str) -> None:
     """Force over mass: unknown mass counts for less once a known one is aboard, lost thrust does
     not. With 10 % of each and half the mass aboard they part by 3 % of the weight."""
@@ -235,7 +238,7 @@ def test_a_known_payload_separates_extra_mass_from_weak_rotors(truth: str) -> No
 # -- the whole ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_suggested_flight_separates_and_one_ranked_low_does_not() -> None:
     """Extra mass and weak rotors are the same in hover; what turns the vehicle tells them apart."""
     so_far = {truth: hovering(COPTER, plant) for truth, plant in PLANTS.items()}

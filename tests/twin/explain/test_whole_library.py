@@ -9,6 +9,8 @@ Clocks that are apart explain every delay of the aircraft: which of the two it i
 and no single flight.
 """
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -66,8 +68,17 @@ def check_picture(effect: str, model: Model) -> None:
     assert [fault for p in plots for fault in degenerate(p)] == []
 
 
+def every_fifth(effects: list[str]) -> list[Any]:
+    """All, most of them marked as long."""
+    return [
+        e if i % 5 == 0 else pytest.param(e, marks=pytest.mark.long) for i, e in enumerate(effects)
+    ]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", [e.name for e in candidates([blank()]) if e.name not in DAILY])
+@pytest.mark.parametrize(
+    "effect", every_fifth([e.name for e in candidates([blank()]) if e.name not in DAILY])
+)
 def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None:
     problem = problem_of(flown(effect))
     own = columns_of(problem.model.numbers, [effect])
