@@ -12,6 +12,7 @@ from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import AnyFlight
 from ..physics.airframe import airframe
+from ..physics.rotors import Drive
 from ..physics.sensors.imu import imu
 from ..representation import short_repr
 from ..vehicle import Vehicle
@@ -123,6 +124,23 @@ class Block:
         return self.first + len(self.states)
 
 
+def components_of(
+    vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()
+) -> tuple[Component, Component]:
+    """Airframe and IMU as of `AlignedFlight`.
+
+    Args:
+        vehicle: Numbers of the aircraft.
+        drive: What drives its rotors.
+        effects: Effects to build into the airframe, switched off.
+    """
+    body = airframe(vehicle, drive, effects)
+    switches = {v.name for v in body.parameters}
+    late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
+    off = {name: 0.0 for name in late if name in switches}
+    return body.with_starts(off), _quiet(imu(vehicle))
+
+
 class Alignment:
     """A flight and a vehicle, to be put on the twin's grid: whole, or one block of rows after
     another, with the same numbers.
@@ -145,10 +163,7 @@ class Alignment:
         motion: MeasuredMotion | None = None,
     ) -> None:
         """Arguments and errors as of `align_flight`; that it never flies is said by `airborne`."""
-        body = airframe(vehicle, choose_drive(flight, vehicle), effects)
-        switches = {v.name for v in body.parameters}
-        late = [f"{e.name}.enabled" for e in acting_late() if e.name in vehicle.effects]
-        self.airframe = body.with_starts({name: 0.0 for name in late if name in switches})
+        self.airframe, self.imu = components_of(vehicle, choose_drive(flight, vehicle), effects)
         time = flight.time_s
         if len(time) < 2 or time[-1] - time[0] < 2 * grid_s:
             raise LogError(f"{flight.name}: too short: {len(time)} samples.")
@@ -164,7 +179,6 @@ class Alignment:
         self.step_s = float(next_s - start_s)
         self.motion = motion or measured_motion(flight)
         self._signals = InputSignals(flight, vehicle, self.airframe)
-        self.imu = _quiet(imu(vehicle))
         self.notes = self.motion.notes + self._signals.notes
 
     def times(self, first: int, end: int) -> Array:

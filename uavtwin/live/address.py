@@ -1,5 +1,6 @@
 """Where MAVLink is sent to and listened for: `udpout:HOST:PORT`, `udpin:HOST:PORT`."""
 
+import contextlib
 import re
 import socket
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from dataclasses import dataclass
 from twin.errors import TwinError
 
 _FORM = re.compile(r"(udpin|udpout):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
+_FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
 _BUFFER = 8 << 20
 """Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
 
@@ -83,5 +85,7 @@ def _socket(where: Address) -> socket.socket:
     family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
     opened = socket.socket(family, socket.SOCK_DGRAM)
     opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    with contextlib.suppress(OSError):  # beyond what the system allows to everybody
+        opened.setsockopt(socket.SOL_SOCKET, _FORCED, _BUFFER)
     opened.setblocking(False)
     return opened

@@ -23,12 +23,14 @@ class ClockEstimate:
     """What is known of the aircraft's clock.
 
     Attributes:
-        offset_s: Our time less the aircraft's, now, s.
+        told_s: Newest time of the aircraft, at which the offset holds, s.
+        offset_s: Our time less the aircraft's, s.
         drift_ppm: By how much the aircraft's clock is faster; NaN: not known yet.
         source: `TIMESYNC`, or `arrivals`: the offset holds the shortest delay of the link as well.
         width_s: Between the bounds from above and below; infinite without TIMESYNC.
     """
 
+    told_s: float
     offset_s: float
     drift_ppm: float
     source: str
@@ -62,11 +64,11 @@ class ClockWatch:
         now, slope = self._now_s, above[1]
         high = _at(above, now)
         if not self._below:
-            return ClockEstimate(high, _ppm(slope), "arrivals", math.inf)
+            return ClockEstimate(now, high, _ppm(slope), "arrivals", math.inf)
         # Answers are few: their line has the slope of the other one.
         level = 0.0 if math.isnan(slope) else slope
         least = max(-y + level * (now - x) for x, y in self._below.values())
-        return ClockEstimate((high + least) / 2, _ppm(slope), "TIMESYNC", high - least)
+        return ClockEstimate(now, (high + least) / 2, _ppm(slope), "TIMESYNC", high - least)
 
     def _forget(self) -> None:
         oldest = math.floor((self._now_s - KEPT_S) / _BIN_S) if math.isfinite(self._now_s) else 0

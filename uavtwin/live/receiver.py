@@ -7,6 +7,7 @@ from typing import Any
 
 from twin.logs.mavlink.dialect import BAD, GCS, Message, dialect, parser
 from twin.logs.mavlink.link import Link, Sequence
+from twin.logs.mavlink.tlog import checksum_of
 
 Sender = tuple[str, int]
 _MOST_SENDERS = 64
@@ -75,7 +76,10 @@ class Receiver:
             if message.get_type() == BAD:
                 self._count_bad(frame)
             elif self._is_of_the_aircraft(message, sender) and not self.link.add(
-                message.get_srcSystem(), message.get_srcComponent(), message.get_seq()
+                message.get_srcSystem(),
+                message.get_srcComponent(),
+                message.get_seq(),
+                checksum_of(frame),
             ):
                 self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
                 yield Received(message, frame)

@@ -1,5 +1,6 @@
 """Play a flight as a MAVLink aircraft, in real time, faster, or in step with who listens."""
 
+import contextlib
 import select
 import time
 from collections.abc import Callable
@@ -91,8 +92,10 @@ class Replay:
                     step_us = t_us + _STEP_US
             else:
                 self._wait_until(self._due_s(t_us))
+            # as late as it is due, not as late as a busy machine gets to it
+            at_s = None if self._speed == MAX_SPEED else self._due_s(t_us)
             for message in messages:
-                self._send(message)
+                self._send(message, at_s)
             self._deliver()
             progress((t_us - first_us) / max(last_us - first_us, 1))
         if self._speed == MAX_SPEED:
@@ -103,6 +106,10 @@ class Replay:
         seconds = (t_us - first_us) * 1e-6
         return Played(self._messages, self._link.lost, seconds, time.monotonic() - began)
 
+    def listener_time_s(self, told_s: float) -> float:
+        """This machine's monotonic clock when the aircraft's clock says a time, s."""
+        return self._due_s(round(1e6 * told_s))
+
     @property
     def _pace(self) -> float:
         """Seconds of the aircraft's clock per second of ours."""
@@ -111,21 +118,18 @@ class Replay:
     def _due_s(self, t_us: int) -> float:
         return self._began_s + (t_us - self._first_us) * 1e-6 / self._pace
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: Message, at_s: float | None = None) -> None:
         frame = message.pack(self._packer)
         self._packer.seq = (self._packer.seq + 1) % 256
         self._messages += 1
-        self._link.send(time.monotonic(), bytes(frame))
+        self._link.send(time.monotonic() if at_s is None else at_s, bytes(frame))
 
     def _deliver(self) -> None:
         now = time.monotonic() if self._faults.jitter_s else float("inf")
         for datagram in self._link.due(now):
-            try:
-                self._socket.sendto(datagram, self._to.pair)
-            except BlockingIOError:
+            with contextlib.suppress(OSError):  # nobody listens there, as yet
                 select.select([], [self._socket], [], 1.0)
-            except OSError:  # nobody listens there, as yet
-                pass
+                self._socket.sendto(datagram, self._to.pair)
 
     def _wait_until(self, due_s: float) -> None:
         """Deliver and answer until then."""

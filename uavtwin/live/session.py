@@ -1,6 +1,7 @@
 """A live flight: listens to an aircraft, records it, and flies the twin beside it."""
 
 import contextlib
+import math
 import select
 import time
 from collections.abc import Callable
@@ -18,6 +19,8 @@ from twin.vehicle import Vehicle
 from .address import Address, listening
 from .alarms import Evidence
 from .clock import ClockWatch
+from .following import FollowingTwin
+from .publisher import DEFAULT_SYSTEM, Publisher
 from .receiver import Receiver, Sender
 from .recording import Recording
 from .rows import HOLD_S, ClockJumps, RowBuffer
@@ -25,11 +28,14 @@ from .streams import missing
 from .told import LinkTold, LiveTold
 from .worker import Batch, Worker
 
-HAND_OVER_S = 0.2
+HAND_OVER_S = 0.1
 """Between two times at which rows go on to the twin and to the disk."""
 ASK_S = 0.5
 """Between two questions for the aircraft's time."""
 SILENT_S = 2.0
+"""After so long the aircraft may send from another port of its machine."""
+_PAUSE_S = 0.5
+"""After so long nothing that was overtaken is waited for."""
 _WAIT_S = 0.05
 _AT_ONCE = 200
 """Datagrams that are taken before anything else has its turn."""
@@ -62,6 +68,8 @@ class LiveOptions:
         duration_s: Ends after so long; None: it does not.
         until_silent_s: Ends when an aircraft that was heard is silent for so long.
         request_rates: Whether the aircraft is asked for streams, the one command that is sent.
+        publish: Where the twin is sent to as an aircraft of its own; None: nowhere.
+        publish_system: System id of the twin.
     """
 
     listen: Address
@@ -72,6 +80,8 @@ class LiveOptions:
     duration_s: float | None = None
     until_silent_s: float | None = None
     request_rates: bool = False
+    publish: Address | None = None
+    publish_system: int = DEFAULT_SYSTEM
 
 
 class LiveSession:
@@ -113,7 +123,14 @@ class LiveSession:
         self._late = 0
         self._requested = False
         self._begin()
-        self.worker = Worker(vehicle, self._recording, options.horizon_s, evidence)
+        self._publisher = (
+            None
+            if options.publish is None
+            else Publisher(options.publish, self._motors, options.publish_system)
+        )
+        tell = (lambda _: None) if self._publisher is None else self._publisher.alarm
+        self.worker = Worker(vehicle, self._recording, options.horizon_s, evidence, on_alarm=tell)
+        self._twin = FollowingTwin(self.worker.equations, options.horizon_s)
 
     def _begin(self) -> None:
         """All that goes by the aircraft's clock, from the begin."""
@@ -147,8 +164,10 @@ class LiveSession:
                 self._receive()
                 now = time.monotonic()
                 if now >= next_rows:
-                    self._hand_over(now - self._heard_s > SILENT_S)
+                    self._hand_over(now - self._heard_s > max(_PAUSE_S, 2 * self.options.hold_s))
                     next_rows = now + HAND_OVER_S
+                if self._publisher is not None:
+                    self._publisher.tick(self._receiver.system)
                 if now >= next_ask:
                     self._ask()
                     next_ask = now + ASK_S
@@ -172,6 +191,8 @@ class LiveSession:
 
     def _close(self) -> None:
         self._socket.close()
+        if self._publisher is not None:
+            self._publisher.close()
         try:
             self.worker.close()
         finally:
@@ -217,6 +238,8 @@ class LiveSession:
         if sample.group in _CLOCKED:
             self._clock.came(sample.t_us * 1e-6, at_s)
         self._rows.add(sample)
+        if self._publisher is not None and self._twin.take(sample):
+            self._publisher.reading(sample.t_us, self._twin, at_s)
         return True
 
     def _new_section(self) -> None:
@@ -328,4 +351,5 @@ class LiveSession:
             worker.rms,
             dict(worker.units),
             busy,
+            math.nan if self._publisher is None else self._publisher.age_p99_s,
         )

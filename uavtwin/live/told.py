@@ -1,5 +1,6 @@
 """What a live flight has been up to now, as numbers and in words."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -57,6 +58,8 @@ class LiveTold:
         rms: Of residuals, by channel, up to now.
         units: Of the channels.
         busy: Share of one core that this process takes.
+        published_age_p99_s: Of what the twin publishes, 99 in 100: from when the message came that
+            it was made of; NaN: nothing was published.
     """
 
     link: LinkTold
@@ -69,6 +72,7 @@ class LiveTold:
     rms: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     busy: float = 0.0
+    published_age_p99_s: float = math.nan
 
     def json(self) -> dict[str, Any]:
         """As JSON has it: null for what is not a finite number."""
@@ -93,5 +97,5 @@ def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(k): _finite(v) for k, v in value.items()}
     if isinstance(value, float):
-        return value if abs(value) < float("inf") else None
+        return value if math.isfinite(value) else None
     return value

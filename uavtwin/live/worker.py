@@ -12,6 +12,7 @@ from queue import Queue
 import pandas as pd
 
 from twin.logs.flight import Finding
+from twin.residuals.running.equations import Equations
 from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
 from twin.vehicle import Vehicle
 
@@ -21,8 +22,10 @@ from .rows import Columns
 
 EVERY_S = 1.0
 """Of flight, between two blocks of residuals."""
-_WAITING = 120
-"""Batches of rows that may wait: half a minute."""
+_MOST_BEHIND_S = 3.0
+_WAITING = 10
+"""Batches of rows that may wait, a second: then the receiver waits, and what comes waits in the
+kernel. A sender in step goes no faster; of what is killed no more is lost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +53,7 @@ class Worker:
         flight_s: Time of the newest row.
         units: Of the channels.
         error: What ended it; None: nothing did.
+        equations: Of the twin.
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class Worker:
         self.units: dict[str, str] = {}
         self.error: BaseException | None = None
         self._sums: dict[str, tuple[int, float]] = {}
+        self.equations = Equations.of(vehicle, vehicle.drive)
         self._begin()
         self._thread.start()
 
@@ -102,7 +107,9 @@ class Worker:
         return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
 
     def _begin(self) -> None:
-        self._running = RunningResiduals(self._vehicle, horizon_s=self._horizon_s)
+        self._running = RunningResiduals(
+            self._vehicle, horizon_s=self._horizon_s, equations=self.equations
+        )
         self._evidence = self._new_evidence()
         self._sums = {}
         self._updated_s: float | None = None
@@ -137,7 +144,9 @@ class Worker:
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
             self._updated_s = float(rows["time"][0])
-        if self.flight_s - self._updated_s >= EVERY_S:
+        # What waits is recorded before anything is computed, up to a point.
+        behind_s = self.flight_s - self._updated_s
+        if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
             self._tell(self._running.update())
 

@@ -27,41 +27,35 @@ class Sequence:
     reordered: int = 0
     jumps: int = 0
     _newest: int = -1
-    _seen: list[int] = field(default_factory=list)
-    """By number, how many messages had been sent when it was last seen."""
+    _seen: list[tuple[int, int]] = field(default_factory=list)
+    """By number, how many messages had been sent when it was last seen, and its checksum."""
     _count: int = 0
 
-    def add(self, number: int) -> bool:
-        """Count a message; returns whether it came before."""
+    def add(self, number: int, checksum: int) -> bool:
+        """Count a message; returns whether it came before: with this number, and the same."""
         if self._newest < 0:
-            self._seen = [-_MODULUS] * _MODULUS
-            return self._advance(number, 1)
+            self._seen = [(-_MODULUS, 0)] * _MODULUS
+            return self._advance(number, 1, checksum)
         ahead = (number - self._newest) % _MODULUS
-        if ahead == 0:
-            self.duplicates += 1
-            return True
-        if ahead < _REORDERED:
+        if 0 < ahead < _REORDERED:
             if ahead > _JUMP:
                 self.jumps += 1
             else:
                 self.lost += ahead - 1
-            return self._advance(number, ahead)
-        back = self._count - (_MODULUS - ahead)
-        if self._seen[number] == back:
+            return self._advance(number, ahead, checksum)
+        back = self._count - (_MODULUS - ahead) % _MODULUS
+        if self._seen[number] == (back, checksum):
             self.duplicates += 1
             return True
-        if _MODULUS - ahead > _JUMP:  # the sender began anew
-            self.jumps += 1
-            return self._advance(number, _MODULUS)
         self.received += 1
         self.reordered += 1
         self.lost = max(self.lost - 1, 0)
-        self._seen[number] = back
+        self._seen[number] = back, checksum
         return False
 
-    def _advance(self, number: int, by: int) -> bool:
+    def _advance(self, number: int, by: int, checksum: int) -> bool:
         self._newest, self._count = number, self._count + by
-        self._seen[number] = self._count
+        self._seen[number] = self._count, checksum
         self.received += 1
         return False
 
@@ -72,9 +66,10 @@ class Link:
 
     sequences: dict[tuple[int, int], Sequence] = field(default_factory=dict)
 
-    def add(self, system: int, component: int, number: int) -> bool:
+    def add(self, system: int, component: int, number: int, checksum: int) -> bool:
         """Count a message; returns whether it came before."""
-        return self.sequences.setdefault((system, component), Sequence()).add(number)
+        one = self.sequences.setdefault((system, component), Sequence())
+        return one.add(number, checksum)
 
     def of(self, system: int) -> Sequence:
         """Sums over the components of a system."""

@@ -96,13 +96,13 @@ def _aircraft(
             lost += frame
             continue
         if frame.kind not in USED:
-            link.add(frame.system, frame.component, frame.number)
+            link.add(frame.system, frame.component, frame.number, frame.checksum)
             continue
         for message in reader.parse_buffer(frame.content) or ():
             if message.get_type() == BAD:
                 wrong += 1
                 continue
-            if link.add(frame.system, frame.component, frame.number):
+            if link.add(frame.system, frame.component, frame.number, frame.checksum):
                 twice += 1
                 continue
             samples[frame.system] += decoders[frame.system].samples(message)

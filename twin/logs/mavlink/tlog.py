@@ -17,6 +17,11 @@ _V1, _V2 = MARKERS
 _SIGNATURE = 13
 
 
+def checksum_of(frame: bytes) -> int:
+    """The last bytes of a frame: of its checksum, or of its signature."""
+    return int.from_bytes(frame[-2:], "little")
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """One frame.
@@ -36,6 +41,11 @@ class Frame:
     component: int
     number: int
     kind: int
+
+    @property
+    def checksum(self) -> int:
+        """As of `checksum_of`."""
+        return checksum_of(self.content)
 
 
 def stamped(arrival_us: int, frame: bytes) -> bytes:

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...component import Component
 from ...logs import Flight
 from ...vehicle import Vehicle
-from ..airborne import in_flight, rotor_thrust, starts_in_air
+from ..airborne import in_flight, starts_in_air
 from ..aligned import AlignedFlight
 from ..measured import MeasuredMotion
 from ..teacher_forced import (
@@ -19,6 +18,7 @@ from ..teacher_forced import (
     hidden_of,
     measured_states,
 )
+from .equations import Equations
 
 Array = NDArray[np.float64]
 NONE = -1
@@ -82,15 +82,14 @@ class RunningGrid:
             state is unknown or the aircraft on the ground.
     """
 
-    def __init__(
-        self, vehicle: Vehicle, airframe: Component, imu: Component, step_s: float
-    ) -> None:
-        self.airframe, self.imu, self.step_s = airframe, imu, step_s
+    def __init__(self, vehicle: Vehicle, equations: Equations, step_s: float) -> None:
+        airframe = equations.airframe
+        self.airframe, self.imu, self.step_s = airframe, equations.imu, step_s
         self.rows: GridRows | None = None
         self.piece_of: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
         self._vehicle = vehicle
         self._weight = vehicle.mass_kg * vehicle.gravity_m_s2
-        self._thrust = rotor_thrust(airframe, vehicle.rotors.count)
+        self._thrust = equations.thrust
         self._rotors = RotorStates(airframe, step_s)
         self._hidden = hidden_of(airframe, step_s)
         self._down = [s.name for s in airframe.states].index("pos_z")

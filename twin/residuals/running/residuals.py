@@ -23,19 +23,20 @@ from ...logs.columns import ACC, GYRO, POS, QUAT, VEL
 from ...logs.flight import Settled
 from ...vehicle import Vehicle
 from ..airborne import resting_height
-from ..aligned import AlignedFlight, Alignment
+from ..aligned import AlignedFlight
 from ..channels import EVERY, GRID_HZ, SHORTEST_S
 from ..flight_gap import DEFAULT_HORIZON_S, end_channels
 from ..gap import Channel
-from ..imu import felt_by_imu, imu_channels
+from ..imu import imu_channels
 from ..measured import (
     LONGEST_GAP_INTERVALS,
     LONGEST_GAP_S,
     MeasuredMotion,
     measured_motion,
 )
-from ..short_horizon import Windows, window_ends
-from ..teacher_forced import GRID_S
+from ..short_horizon import window_ends
+from ..teacher_forced import GRID_S, choose_drive
+from .equations import Equations
 from .grid import NONE, GridRows, RunningGrid, with_motion
 from .table import LastRows, Rows
 
@@ -87,12 +88,14 @@ class RunningResiduals:
         vehicle: The twin.
         name: Of the flight.
         horizon_s: Of the short horizon, a multiple of 1 ms.
+        equations: Of the vehicle, where they are at hand.
         waits_for: What is missing for the twin to start, in words; "": nothing.
     """
 
     vehicle: Vehicle
     name: str = "live"
     horizon_s: float = DEFAULT_HORIZON_S
+    equations: Equations | None = None
     waits_for: str = "the first seconds of flight"
     _last: LastRows = field(init=False)
     _twin: "_Twin | None" = None
@@ -139,7 +142,7 @@ class RunningResiduals:
             return False
         self._last.settled = Settled(self._last.rates_hz())
         try:
-            self._twin = _Twin(self._last.flight(), self.vehicle, self.horizon_s)
+            self._twin = _Twin(self._last.flight(), self.vehicle, self.horizon_s, self.equations)
         except LogError as error:
             self._last.settled = None
             self.waits_for = str(error).partition(": ")[2]
@@ -151,16 +154,19 @@ class RunningResiduals:
 class _Twin:
     """Twin and flight from when all is there that the twin needs."""
 
-    def __init__(self, flight: Flight, vehicle: Vehicle, horizon_s: float) -> None:
+    def __init__(
+        self, flight: Flight, vehicle: Vehicle, horizon_s: float, equations: Equations | None
+    ) -> None:
         self.columns = frozenset(c for c in flight.columns if flight.has(c))
         self._vehicle, self._steps = vehicle, round(horizon_s / GRID_S)
         self._horizon_s = horizon_s
-        alignment = Alignment(flight, vehicle, 1 / GRID_HZ)
-        body, sensor = alignment.airframe, alignment.imu
-        self._felt = felt_by_imu(body, vehicle)
-        self._coarse = RunningGrid(vehicle, body, sensor, 1 / GRID_HZ)
-        self._fine = RunningGrid(vehicle, body, sensor, GRID_S)
-        self._windows = Windows(body, sensor)
+        drive = choose_drive(flight, vehicle)
+        if equations is None or equations.drive != drive:
+            equations = Equations.of(vehicle, drive)
+        measured_motion(flight)  # says where there is none
+        self._felt, self._windows = equations.felt, equations.windows
+        self._coarse = RunningGrid(vehicle, equations, 1 / GRID_HZ)
+        self._fine = RunningGrid(vehicle, equations, GRID_S)
         self._heights_m: list[Array] = []
         self._resting_known = False
         self._told_s = float(flight.time_s[0])

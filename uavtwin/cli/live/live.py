@@ -47,6 +47,11 @@ def live(
             "command that is ever sent.",
         ),
     ] = False,
+    publish: Annotated[
+        str | None,
+        typer.Option(help="Send the twin as an aircraft of its own: udpout:HOST:PORT."),
+    ] = None,
+    publish_system: Annotated[int, typer.Option(help="System id of the twin, 1 to 255.")] = 2,
     as_json: Json = False,
 ) -> None:
     """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
@@ -64,7 +69,16 @@ def live(
         raise TwinError(f"--hold {hold:g}: 0 to 10 s.")
     where = address(listen, "udpin", "--listen")
     options = LiveOptions(
-        where, system, record, horizon, hold, duration, until_silent, request_rates
+        where,
+        system,
+        record,
+        horizon,
+        hold,
+        duration,
+        until_silent,
+        request_rates,
+        None if publish is None else address(publish, "udpout", "--publish"),
+        publish_system,
     )
     session = LiveSession(load_vehicle(vehicle), options)
     ended = False

@@ -117,18 +117,26 @@ def test_the_sample_is_a_telemetry_log() -> None:
         ([0, 1, 1, 2, 0], (3, 0, 2, 0, 0)),
         ([5, 6, 106, 107], (4, 0, 0, 0, 1)),
         ([200, 201, 0, 1, 2], (5, 54, 0, 0, 0)),
+        ([0, *range(1, 101), 0], (101, 0, 1, 0, 0)),
     ],
 )
 def test_sequence_numbers(numbers: list[int], counts: tuple[int, ...]) -> None:
     one = Sequence()
     for number in numbers:
-        one.add(number)
+        one.add(number, 10 * number)
     assert (one.received, one.lost, one.duplicates, one.reordered, one.jumps) == counts
 
 
 def test_sums_over_components() -> None:
     link = Link()
     for component, number in ((1, 0), (1, 2), (2, 7), (2, 8)):
-        link.add(3, component, number)
-    link.add(4, 1, 0)
+        link.add(3, component, number, 0)
+    link.add(4, 1, 0, 0)
     assert (link.of(3).received, link.of(3).lost) == (4, 1)
+
+
+def test_a_sender_that_begins_anew_repeats_no_message() -> None:
+    """The same numbers, other content."""
+    one = Sequence()
+    assert not any(one.add(k, 1) for k in range(100)) and not any(one.add(k, 2) for k in range(100))
+    assert one.received == 200 and one.duplicates == 0

@@ -1,0 +1,138 @@
+"""The twin that follows the aircraft message by message, from the newest measured state on.
+
+At each reading of the IMU the airframe is stepped to its time on the newest commands, in the steps
+of the FMUs; every horizon it is set to what was measured. Rotors, which nobody measures, go on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.component import substeps
+from twin.frames import AXES
+from twin.logs.columns import POS, QUAT, VEL, motor_columns
+from twin.logs.mavlink.samples import GROUPS, Sample
+from twin.residuals.running.equations import Equations
+from twin.residuals.teacher_forced import GRID_S
+
+Array = NDArray[np.float64]
+_POSE = {
+    "pos": POS,
+    "vel": VEL,
+    "q": QUAT,
+    "gyro": tuple(f"omega_{a}" for a in AXES),
+}
+"""States of the airframe that a signal measures."""
+_LONGEST_US = 500_000
+"""After a longer pause the twin is set to what was measured, not stepped to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What the twin reads; SI, NED, FRD."""
+
+    acc_b: Sequence[float]
+    gyro_b: Sequence[float]
+    position_n: Sequence[float]
+    velocity_n: Sequence[float]
+    q_nb: Sequence[float]
+    omega_b: Sequence[float]
+
+
+class FollowingTwin:
+    """Airframe and IMU that follow an aircraft.
+
+    Attributes:
+        started: Whether it has a state: attitude, velocity and body rates have come, and commands.
+    """
+
+    def __init__(self, equations: Equations, horizon_s: float) -> None:
+        """Nothing has come.
+
+        Args:
+            equations: Of the vehicle.
+            horizon_s: It is set to what was measured that often.
+        """
+        body, sensor = equations.airframe, equations.imu
+        self._p = body.parameter_values({"ground.enabled": 0.0})
+        self._u = body.input_values()
+        self._inputs = {name: i for i, name in enumerate(body.input_names)}
+        names = [s.name for s in body.states]
+        self._index = {g: [names.index(n) for n in states] for g, states in _POSE.items()}
+        x, u = ca.SX.sym("x", len(names)), ca.SX.sym("u", len(self._u))
+        n, h = substeps(GRID_S, body.max_step_s)
+        after = x
+        for _ in range(n):
+            after = body.step(after, u, self._p, h)
+        self._step = ca.Function("step", [x, u], [ca.densify(after)])
+        outputs = body.outputs(x, u, self._p)
+        place = {name: i for i, name in enumerate(body.output_names)}
+        felt = ca.vertcat(*[outputs[place[name]] for name in sensor.input_names])
+        p = sensor.parameter_values()
+        shown = sensor.outputs(sensor.initial(felt, p), felt, p)
+        pose = ca.vertcat(*[x[self._index[g]] for g in ("pos", "vel", "q", "gyro")])
+        self._read = ca.Function("read", [x, u], [ca.densify(ca.vertcat(shown[:6], pose))])
+        self._start = body
+        self._x: Array | None = None
+        self._measured: dict[str, tuple[float, ...]] = {}
+        self._has_commands = False
+        self._horizon_us = round(1e6 * horizon_s)
+        self._t_us = self._set_us = 0
+
+    @property
+    def started(self) -> bool:
+        """See the class."""
+        return self._x is not None
+
+    def take(self, sample: Sample) -> bool:
+        """Take a sample; returns whether the twin was stepped to its time."""
+        if sample.group in self._index:
+            self._measured[sample.group] = sample.values
+        elif sample.group in ("cmd", "rotor", "vbat_v"):
+            names = GROUPS.get(sample.group) or motor_columns(sample.group, len(sample.values))
+            for name, value in zip(names, sample.values, strict=True):
+                if name in self._inputs:
+                    self._u[self._inputs[name]] = value
+                    self._has_commands |= sample.group != "vbat_v"
+        if sample.group != "gyro" or not self._has_commands:
+            return False
+        if not {"q", "vel", "gyro"} <= set(self._measured):
+            return False
+        self._go_on(sample.t_us)
+        return True
+
+    def read(self) -> Reading:
+        """What it reads now."""
+        assert self._x is not None
+        values = np.asarray(self._read(self._x, self._u), dtype=np.float64).ravel().tolist()
+        edges = (0, 3, 6, 9, 12, 16, 19)
+        return Reading(*(values[a:b] for a, b in pairwise(edges)))
+
+    def _go_on(self, t_us: int) -> None:
+        """Step to a time."""
+        pause_us = t_us - self._t_us
+        if self._x is None or not 0 <= pause_us <= _LONGEST_US:
+            start = self._start.initial(self._u, self._p)
+            self._x = np.asarray(start, dtype=np.float64).ravel()
+            self._set(t_us)
+            return
+        steps = round(1e-6 * pause_us / GRID_S)
+        x: Any = self._x
+        for _ in range(steps):
+            x = self._step(x, self._u)
+        self._x = np.asarray(x, dtype=np.float64).ravel()
+        self._t_us += round(1e6 * GRID_S) * steps
+        if t_us - self._set_us >= self._horizon_us:
+            self._set(t_us)
+
+    def _set(self, t_us: int) -> None:
+        """Be where the aircraft was measured."""
+        x = np.array(self._x, dtype=np.float64).ravel()
+        for group, values in self._measured.items():
+            x[self._index[group]] = values
+        self._x, self._t_us, self._set_us = x, t_us, t_us
