@@ -68,7 +68,9 @@ class ClockWatch:
         # Answers are few: their line has the slope of the other one.
         level = 0.0 if math.isnan(slope) else slope
         least = max(-y + level * (now - x) for x, y in self._below.values())
-        return ClockEstimate(now, (high + least) / 2, _ppm(slope), "TIMESYNC", high - least)
+        return ClockEstimate(
+            now, (high + least) / 2, _ppm(slope), "TIMESYNC", max(high - least, 0.0)
+        )
 
     def _forget(self) -> None:
         oldest = math.floor((self._now_s - KEPT_S) / _BIN_S) if math.isfinite(self._now_s) else 0
