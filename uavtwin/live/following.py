@@ -28,6 +28,7 @@ _POSE = {
     "gyro": tuple(f"omega_{a}" for a in AXES),
 }
 """States of the airframe that a signal measures."""
+_TOGETHER = 16
 _LONGEST_US = 500_000
 """After a longer pause the twin is set to what was measured, not stepped to it."""
 
@@ -77,6 +78,7 @@ class FollowingTwin:
         shown = sensor.outputs(sensor.initial(felt, p), felt, p)
         pose = ca.vertcat(*[x[self._index[g]] for g in ("pos", "vel", "q", "gyro")])
         self._read = ca.Function("read", [x, u], [ca.densify(ca.vertcat(shown[:6], pose))])
+        self._several: dict[int, ca.Function] = {}
         self._start = body
         self._x: Array | None = None
         self._measured: dict[str, tuple[float, ...]] = {}
@@ -122,13 +124,23 @@ class FollowingTwin:
             self._set(t_us)
             return
         steps = round(1e-6 * pause_us / GRID_S)
-        x: Any = self._x
-        for _ in range(steps):
-            x = self._step(x, self._u)
-        self._x = np.asarray(x, dtype=np.float64).ravel()
+        for count in (*[_TOGETHER] * (steps // _TOGETHER), steps % _TOGETHER):
+            if count:
+                x: Any = self._steps(count)(self._x, self._u)
+                self._x = np.asarray(x, dtype=np.float64).ravel()
         self._t_us += round(1e6 * GRID_S) * steps
         if t_us - self._set_us >= self._horizon_us:
             self._set(t_us)
+
+    def _steps(self, count: int) -> ca.Function:
+        """So many steps in one call."""
+        if count not in self._several:
+            start, u = (ca.MX.sym(n, self._step.numel_in(i)) for i, n in enumerate("xu"))
+            x = start
+            for _ in range(count):
+                x = self._step(x, u)
+            self._several[count] = ca.Function("steps", [start, u], [x])
+        return self._several[count]
 
     def _set(self, t_us: int) -> None:
         """Be where the aircraft was measured."""

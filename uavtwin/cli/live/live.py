@@ -92,10 +92,13 @@ def live(
         """A line each second."""
         STDERR.print(told.line(), markup=False)
 
-    for name in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(name, end)
+    before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     STDERR.print(f"listening at {where}", markup=False)
-    told = session.run(lambda: ended, say)
+    try:
+        told = session.run(lambda: ended, say)
+    finally:
+        for name, handler in before.items():
+            signal.signal(name, handler)
     if as_json:
         print_json(told.json())
     else:

@@ -1,0 +1,132 @@
+"""The twin that follows the aircraft, and what is published of it."""
+
+import json
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sample_logs import flown_table
+
+from twin.logs.mavlink.dialect import Message, parser
+from twin.logs.mavlink.samples import Sample
+from twin.residuals.running.equations import Equations
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from uavtwin.live.address import Address
+from uavtwin.live.following import FollowingTwin
+from uavtwin.live.publisher import Publisher
+from uavtwin.live.recording import Recording
+from uavtwin.live.worker import Batch, Worker
+
+
+@pytest.fixture(scope="module")
+def copter() -> Vehicle:
+    return load_vehicle("copter_default")
+
+
+@dataclass(frozen=True)
+class SaidAlarm:
+    """An alarm of somebody who looks for a battery."""
+
+    effect: str = "battery_sag"
+    since_s: float = 1.5
+    raised_s: float = 3.0
+    closed_s: float | None = None
+    probability: float = 0.97
+    sentence: str = (
+        "battery_sag since 1.5 s: the battery sags by more than it used to <b>(97 %)</b>"
+    )
+
+
+@dataclass
+class Listener:
+    """Evidence that raises an alarm when it has seen three seconds."""
+
+    seen: list[float] = field(default_factory=list)
+    opened: Sequence[SaidAlarm] = ()
+    closed: Sequence[SaidAlarm] = ()
+
+    def update(self, rows: pd.DataFrame) -> "Listener":
+        before = self.seen[-1] if self.seen else 0.0
+        self.seen += rows["time"].tolist()
+        self.opened = [SaidAlarm()] if before < 3.0 <= self.seen[-1] else []
+        return self
+
+
+def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
+    """From a measured state on: the airframe's own step, however readings come."""
+    equations = Equations.of(copter, "command")
+    twin, body = FollowingTwin(equations, 10.0), equations.airframe
+    measured = {"pos": (1.0, 2.0, -3.0), "vel": (0.5, 0.0, 0.0), "q": (1.0, 0.0, 0.0, 0.0)}
+    command = Sample("cmd", "x", 0, (0.5, 0.52, 0.5, 0.52))
+    assert not twin.take(command)
+    for group, values in measured.items():
+        assert not twin.take(Sample(group, "x", 0, values))
+    assert not twin.started
+    for t_us in (1_000_000, 1_005_000, 1_027_000, 1_100_000):
+        assert twin.take(Sample("gyro", "x", t_us, (0.1, 0.0, 0.0)))
+    u = body.input_values({f"cmd_{i}": v for i, v in enumerate(command.values, 1)})
+    p = body.parameter_values({"ground.enabled": 0.0})
+    x = np.asarray(body.initial(u, body.parameter_values({"ground.enabled": 0.0})), float).ravel()
+    names = [s.name for s in body.states]
+    for name, value in zip(
+        ("pos_x", "pos_y", "pos_z", "vel_x", "q_w", "omega_x"),
+        (1.0, 2.0, -3.0, 0.5, 1.0, 0.1),
+        strict=True,
+    ):
+        x[names.index(name)] = value
+    for _ in range(100):
+        x = body.advance(x, u, p, 1e-3)
+    read = twin.read()
+    place = [names.index(f"pos_{a}") for a in "xyz"]
+    np.testing.assert_allclose(read.position_n, x[place], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(read.omega_b[0], x[names.index("omega_x")], atol=1e-12)
+
+
+def test_it_is_set_to_what_was_measured_every_horizon(copter: Vehicle) -> None:
+    twin = FollowingTwin(Equations.of(copter, "command"), 0.1)
+    twin.take(Sample("cmd", "x", 0, (0.0,) * 4))
+    twin.take(Sample("vel", "x", 0, (0.0,) * 3))
+    twin.take(Sample("q", "x", 0, (1.0, 0.0, 0.0, 0.0)))
+    fallen = []
+    for k in range(25):
+        twin.take(Sample("gyro", "x", 10_000 * k, (0.0,) * 3))
+        fallen.append(twin.read().velocity_n[2])
+    assert fallen[0] == fallen[10] == fallen[20] == 0.0
+    assert 0.5 < fallen[9] < fallen[19] < 0.95  # the rotors slow down all the while
+
+
+def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_path: Path) -> None:
+    """Evidence sees each row once, in order; its alarms are a line, a text and a number."""
+    listener, recording = Listener(), Recording(tmp_path / "rec", 4)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
+        station.bind(("127.0.0.1", 0))
+        station.settimeout(1.0)
+        publisher = Publisher(Address("127.0.0.1", station.getsockname()[1]), 4)
+        worker = Worker(copter, recording, 0.5, evidence=lambda: listener, on_alarm=publisher.alarm)
+        table = flown_table().iloc[:400]
+        for first in range(0, 400, 50):
+            part = table.iloc[first : first + 50]
+            worker.add(Batch({str(c): part[c].to_numpy() for c in part}, {}, ()))
+        worker.close()
+        recording.close()
+        publisher.tick(2)  # the aircraft has the id that the twin would have
+        publisher.close()
+        reader = parser()
+        heard: list[Message] = []
+        while len(heard) < 4:
+            heard += reader.parse_buffer(station.recv(1000)) or ()
+    assert listener.seen == table["time"].tolist()
+    (line,) = (tmp_path / "rec" / "alarms.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(line)["effect"] == "battery_sag" and json.loads(line)["section"] == 1
+    assert [m.get_type() for m in heard] == [
+        *("HEARTBEAT", "STATUSTEXT", "STATUSTEXT"),
+        "NAMED_VALUE_FLOAT",
+    ]
+    assert heard[0].get_srcSystem() == 3
+    assert heard[1].text + heard[2].text == SaidAlarm().sentence
+    assert heard[3].name == "battery_sa" and heard[3].value == pytest.approx(0.97)
