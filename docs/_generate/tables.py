@@ -18,6 +18,7 @@ from learning.model.registry import FAMILIES
 from twin.component import Component, Enumeration, Variable
 from twin.effects import EFFECTS, EffectParameter
 from twin.effects.priors import (
+    BEGINNINGS,
     CHANGES,
     COMMON,
     LAST,
@@ -30,6 +31,7 @@ from twin.effects.priors import (
     prior_of,
 )
 from twin.explain.model.model import has_mean
+from twin.explain.running.settings import RUNNING
 from twin.explain.settings import DEFAULT, Setting
 from twin.explain.settings.group import numbers
 from twin.flight.assembly import CONTROLLERS, flying_twin
@@ -257,6 +259,10 @@ def priors() -> str:
             f"Nothing else changes. Only more, never less: {only_more}.",
             "",
             *_priors(CHANGES),
+            "",
+            "## Of a beginning in flight",
+            "",
+            *_priors({name: p for name, p in BEGINNINGS.items() if has_mean(EFFECTS[name])}),
         ]
     )
 
@@ -293,9 +299,9 @@ def _expected(normal: Normal, parameter: EffectParameter, model: Vehicle) -> tup
 
 
 def settings() -> str:
-    """Numbers that decide what `explain` says, a table per group."""
+    """Numbers that decide what `explain` and running alarms say, a table per group."""
     groups: dict[str, list[Setting]] = {}
-    for s in DEFAULT.every():
+    for s in (*DEFAULT.every(), *RUNNING.every("running.")):
         groups.setdefault(s.name.rpartition(".")[0], []).append(s)
     head = ("setting", "value", "unit", "meaning", "origin")
     return "\n\n".join(
