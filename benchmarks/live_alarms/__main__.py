@@ -34,7 +34,6 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=4, help="of each effect, of medium size")
     parser.add_argument("--tuning", action="store_true", help="the flights of the tuning")
     parser.add_argument("--data", type=Path, help="recorded flights; without it, simulated alone")
-    parser.add_argument("--vehicles", type=Path, help="folder of vehicle files, NAME.toml")
     parser.add_argument("--page", type=Path, help="write the page of what is there, and no more")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -43,7 +42,9 @@ def main() -> int:
         given.page.write_text(page(rows), "utf-8")
         return 0
     if given.data:
-        for name, flight, vehicle in real_flights(given.data, given.vehicles):
+        for name, flight, vehicle in real_flights(given.data):
+            if file_of(given.out, name).exists():
+                continue
             row = {"name": name, "magnitude": "real", "effect": "", **looked(flight, vehicle)}
             write_row(given.out, name, row)
         return 0

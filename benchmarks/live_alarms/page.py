@@ -13,7 +13,7 @@ HEAD = """# Alarms while it flies
 
 Written by `python -m benchmarks.live_alarms --out OUT --page docs/results/live_alarms.md`; the
 flights by `python -m benchmarks.live_alarms --out OUT --jobs 2 --seeds SEEDS`, the recorded ones
-by `--data DATA --vehicles FOLDER`.
+by `--data DATA`.
 
 `twin.explain.running.RunningEvidence` gets a flight second by second and says which effect has
 begun, since when, by how much and with which probability. Flown by the three built-in vehicles in
@@ -144,8 +144,9 @@ def _quiet(quiet: Sequence[Row]) -> Iterator[str]:
 
 def _recorded(real: Sequence[Row]) -> Iterator[str]:
     yield (
-        "Vehicles calibrated on other flights of the same aircraft (`uavtwin calibrate`). Nobody "
-        "knows what begins in these flights; each alarm is counted as false.\n"
+        "Each held against its aircraft as its other flights tell it, by the numbers of "
+        "[real flights](real_flights.md): no days, no clocks, no smoothing of the pose. Nobody "
+        "knows of anything that begins in these flights; each alarm is counted as false.\n"
     )
     yield "| flight | seconds looked at | alarms |"
     yield "|---|---|---|"

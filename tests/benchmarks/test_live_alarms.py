@@ -1,0 +1,72 @@
+"""What counts as named right, and where the numbers of recorded flights come from."""
+
+import numpy as np
+import pytest
+
+from benchmarks.live_alarms.flights import SIZES, Case, aircraft, numbers
+from benchmarks.live_alarms.page import outcome, page
+from benchmarks.live_alarms.real import told_without, with_numbers
+from twin.effects import EFFECTS
+from twin.effects.priors import BEGINNINGS
+from twin.explain.running.hypotheses import FEARED
+from twin.vehicle.file import load_vehicle
+
+
+def alarm(told_s: float, *names: str) -> dict[str, object]:
+    history = [[told_s + k, n] for k, n in enumerate(names)]
+    return {"told_s": told_s, "effect": names[0], "since_s": told_s - 1, "names": history}
+
+
+def row(*alarms: dict[str, object]) -> dict[str, object]:
+    return {
+        "name": "mass_offset_medium_1000",
+        "effect": "mass_offset",
+        "magnitude": "medium",
+        "aircraft": "crazyflie",
+        "begins_s": 25.0,
+        "seconds": 30.0,
+        "cost_s": 0.05,
+        "alarms": [*alarms],
+    }
+
+
+def test_a_name_that_comes_later_counts_from_then_on() -> None:
+    found = outcome(row(alarm(20.0, "motor_lag"), alarm(27.0, "steady_wind", "mass_offset")))
+    assert (found.right, found.at_once, found.false, found.further) == (True, False, 1, 0)
+    assert found.delay_s == 3.0
+
+
+def test_another_name_by_the_end_is_wrong() -> None:
+    found = outcome(row(alarm(27.0, "mass_offset", "steady_wind")))
+    assert not found.right
+    assert found.name == "steady_wind"
+    assert np.isinf(found.delay_s)
+    assert not outcome(row()).right
+
+
+def test_page_counts() -> None:
+    text = page([row(alarm(27.0, "mass_offset")), row()])
+    assert "| named right, medium | 90 % | 1 of 2 (50%) |" in text
+    assert "| 3 s | more than half are not named |" in text
+    assert "| `mass_offset` | medium | crazyflie | 1000 | nothing within 15 s |" in text
+
+
+@pytest.mark.parametrize("effect", SIZES)
+def test_every_case_has_the_numbers_of_its_effect(effect: str) -> None:
+    assert effect in BEGINNINGS
+    assert effect in FEARED
+    vehicle = aircraft("copter_default")
+    size = SIZES[effect][1]
+    drawn = numbers(effect, size, vehicle, Case(effect, "medium", 1000).rng)
+    assert drawn.keys() <= EFFECTS[effect].starts(vehicle).keys()
+
+
+def test_recorded_flights_are_held_against_what_the_others_tell() -> None:
+    told = told_without("RflySimDT, real flights")
+    assert [*told] == ["real_1", "real_2", "real_3"]
+    assert told["real_1"]["mag_hard_iron.x_t"] == pytest.approx(-78.9e-6)
+    assert "command_delay.delay_s" not in told["real_1"]
+    vehicle = with_numbers(load_vehicle("feisi_x150"), told["real_1"])
+    assert vehicle.effects["thrust_scale"]["scale"] == pytest.approx(1.63)
+    assert vehicle.effects["rotor_efficiency_loss"]["loss_1"] == 0
+    assert not {"vibration", "pose_smoothing"} & vehicle.effects.keys()
