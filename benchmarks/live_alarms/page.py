@@ -28,6 +28,17 @@ Sizes are those of the [hidden effects](hidden_effects.md). Settings were chosen
 - *delay*: from the beginning to the first alarm that has the name, over those that are right,
   with the second of a block and all buffers in it
 """
+LIMITS = """
+## What it cannot
+
+- One change at a time: what begins within 15 s after another is not told apart from it.
+- What the standing model lacks and a flight shows only later counts as begun by then. Ground effect
+  is not in it: a landing may raise an alarm.
+- A slower motor shows in manoeuvres alone, and is named once there are some.
+- The strength of a vibration is told to a factor of two: the phases of the rotors are not known.
+- Plant and model of the simulated flights are the same but for what begins. Recorded flights, where
+  they are not, are few here, and short.
+"""
 
 
 @dataclass(frozen=True)
@@ -74,7 +85,7 @@ def page(rows: Sequence[Row]) -> str:
     parts += ["", "## Nothing begins\n", *_quiet([r for r in rows if r["magnitude"] == "none"])]
     if real := [r for r in rows if r["magnitude"] == "real"]:
         parts += ["", "## Recorded flights\n", *_recorded(real)]
-    return "\n".join(parts) + "\n"
+    return "\n".join([*parts, LIMITS.rstrip()]) + "\n"
 
 
 def _summary(rows: Sequence[Row], begun: Sequence[Row]) -> Iterator[str]:
