@@ -322,10 +322,10 @@
   function scene(div, figure) {
     var f = given(div), svg = document.createElementNS(SVG, "svg"), turn = f.turn || -0.6, tilt = f.tilt || 0.5;
     div.append(svg);
-    var centre = [0, 1, 2].map(function (k) { return (f.low[k] + f.high[k]) / 2; });
-    var reach = Math.max(0.1, Math.hypot.apply(null, [0, 1, 2].map(function (k) { return f.high[k] - f.low[k]; })));
 
     function paint() {
+      var centre = [0, 1, 2].map(function (k) { return (f.low[k] + f.high[k]) / 2; });
+      var reach = Math.max(0.1, Math.hypot.apply(null, [0, 1, 2].map(function (k) { return f.high[k] - f.low[k]; })));
       var w = div.clientWidth, h = div.clientHeight, scale = 0.86 * Math.min(w, h * 1.25) / reach;
       var c = Math.cos(turn), s = Math.sin(turn), ct = Math.cos(tilt), st = Math.sin(tilt);
       svg.setAttribute("viewBox", "0 0 " + w + " " + h);
@@ -441,6 +441,14 @@
   function begin() {
     window.drawAll = all;
     copies();
+    window.liveFigures = { // for a page whose numbers go on
+      ids: function () { return Array.from(figures.keys(), function (div) { return div.id; }); },
+      given: function (id) { return given(document.getElementById(id)); },
+      show: function (id) { // draws it anew, where it was drawn
+        var div = document.getElementById(id), figure = figures.get(div);
+        if (figure.drawn) { if (figure.scene) figure.paint(); else draw(div); }
+      }
+    };
     window.addEventListener("beforeprint", function () { printing = true; all(); redraw(); });
     window.addEventListener("afterprint", function () { printing = false; redraw(); });
     prefersDark.addEventListener("change", redraw);
