@@ -17,9 +17,10 @@ from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
 from .address import Address, listening
-from .alarms import Evidence
+from .alarms import Alarm, Evidence
 from .clock import ClockWatch
 from .following import FollowingTwin
+from .page.feed import PageFeed
 from .publisher import DEFAULT_SYSTEM, Publisher
 from .receiver import Receiver, Sender
 from .recording import Recording
@@ -96,6 +97,7 @@ class LiveSession:
         vehicle: Vehicle,
         options: LiveOptions,
         evidence: Callable[[], Evidence | None] = lambda: None,
+        page: PageFeed | None = None,
     ) -> None:
         """Listen, and begin to record.
 
@@ -103,11 +105,12 @@ class LiveSession:
             vehicle: The twin.
             options: How.
             evidence: Makes evidence for a flight section; None: no alarms.
+            page: Gets what the page shows; None: nobody looks.
 
         Raises:
             TwinError: The address or the folder cannot be used.
         """
-        self.options, self._vehicle = options, vehicle
+        self.options, self._vehicle, self._page = options, vehicle, page
         self._motors = vehicle.rotors.count
         self._socket = listening(options.listen)
         try:
@@ -128,8 +131,10 @@ class LiveSession:
             if options.publish is None
             else Publisher(options.publish, self._motors, options.publish_system)
         )
-        tell = (lambda _: None) if self._publisher is None else self._publisher.alarm
-        self.worker = Worker(vehicle, self._recording, options.horizon_s, evidence, on_alarm=tell)
+        on_block = (lambda _: None) if page is None else page.block
+        self.worker = Worker(
+            vehicle, self._recording, options.horizon_s, evidence, on_block, self._alarm
+        )
         self._twin = FollowingTwin(self.worker.equations, options.horizon_s)
 
     def _begin(self) -> None:
@@ -181,6 +186,13 @@ class LiveSession:
             self._close()
         return self.known((time.process_time() - began_cpu) / (time.monotonic() - began))
 
+    def _alarm(self, alarm: Alarm) -> None:
+        """Tell an alarm, in the thread of the twin."""
+        if self._publisher is not None:
+            self._publisher.alarm(alarm)
+        if self._page is not None:
+            self._page.alarm(alarm, self.worker.sections)
+
     def _is_over(self, now: float, began: float) -> bool:
         options = self.options
         if options.duration_s is not None and now - began >= options.duration_s:
@@ -222,6 +234,8 @@ class LiveSession:
             if message.get_type() == "TIMESYNC":
                 self._timesync(message, at_s)
                 continue
+            if message.get_type() == "STATUSTEXT" and self._page is not None:
+                self._page.said(int(message.severity), str(message.text))
             for sample in self._decoder.samples(message):
                 if not self._take_sample(sample, at_s):
                     break
@@ -238,9 +252,22 @@ class LiveSession:
         if sample.group in _CLOCKED:
             self._clock.came(sample.t_us * 1e-6, at_s)
         self._rows.add(sample)
-        if self._publisher is not None and self._twin.take(sample):
+        if self._publisher is None and self._page is None:
+            return True
+        flies = self._twin.take(sample)
+        if flies and self._publisher is not None:
             self._publisher.reading(sample.t_us, self._twin, at_s)
+        if self._page is not None:
+            self._show(self._page, sample, flies, at_s)
         return True
+
+    def _show(self, page: PageFeed, sample: Sample, flies: bool, at_s: float) -> None:
+        """Hand the page what is new, at readings of the gyroscope."""
+        page.sample(sample)
+        zero_us = self._rows.zero_us
+        if sample.group == "gyro" and zero_us is not None and page.is_due(at_s):
+            reading = self._twin.read() if flies else None
+            page.state(1e-6 * (sample.t_us - zero_us), reading, at_s)
 
     def _new_section(self) -> None:
         """The aircraft's clock began anew: what came before is a flight of its own."""

@@ -110,6 +110,10 @@ class Browser:
 
     def open(self, page: Path, view: View) -> None:
         """Open a page and wait until all its figures are drawn."""
+        self.visit(page.resolve().as_uri(), view)
+
+    def visit(self, address: str, view: View) -> None:
+        """Open an address and wait until it is loaded."""
         self.complaints.clear()
         self.requests.clear()
         self._ask(
@@ -123,7 +127,7 @@ class Browser:
         feature = [{"name": "prefers-color-scheme", "value": scheme}]
         self._ask("Emulation.setEmulatedMedia", features=feature)
         self._loaded = False
-        self._ask("Page.navigate", url=page.resolve().as_uri())
+        self._ask("Page.navigate", url=address)
         deadline = time.monotonic() + _PATIENCE_S
         while not self._loaded:
             self._note(self._next(deadline))

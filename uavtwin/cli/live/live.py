@@ -1,6 +1,7 @@
 """`uavtwin live`: the twin beside a flying aircraft."""
 
 import signal
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +14,8 @@ from ..options import Exit, Json, VehicleName
 from ..printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
+    from ...live.page.opened import OpenPage
+    from ...live.session import LiveSession
     from ...live.told import LiveTold
 
 
@@ -52,6 +55,16 @@ def live(
         typer.Option(help="Send the twin as an aircraft of its own: udpout:HOST:PORT."),
     ] = None,
     publish_system: Annotated[int, typer.Option(help="System id of the twin, 1 to 255.")] = 2,
+    serve: Annotated[
+        str | None,
+        typer.Option(help="Serve a page that shows both: HOST:PORT, 127.0.0.1:8080."),
+    ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="What viewers of the page must know: ?token=TEXT. Needed beyond loopback."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
@@ -60,6 +73,7 @@ def live(
     questions for its time (TIMESYNC), unless --request-rates is given.
     """
     from ...live.address import address
+    from ...live.page.opened import open_page
     from ...live.session import LiveOptions, LiveSession
     from ...vehicles import load_vehicle
 
@@ -80,7 +94,24 @@ def live(
         None if publish is None else address(publish, "udpout", "--publish"),
         publish_system,
     )
-    session = LiveSession(load_vehicle(vehicle), options)
+    twin = load_vehicle(vehicle)
+    with ExitStack() as opened:
+        shown = None
+        if serve is not None:
+            shown = opened.enter_context(open_page(serve, token, twin, horizon))
+        session = LiveSession(twin, options, page=None if shown is None else shown.feed)
+        STDERR.print(f"listening at {where}", markup=False)
+        told = _run(session, shown)
+    if as_json:
+        print_json(told.json())
+    else:
+        _print(told, record)
+    if told.link.system is None or told.waits_for:
+        raise typer.Exit(Exit.FINDINGS)
+
+
+def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
+    """Fly until it ends; a line each second."""
     ended = False
 
     def end(_: int, __: FrameType | None) -> None:
@@ -89,22 +120,18 @@ def live(
         ended = True
 
     def say(told: "LiveTold") -> None:
-        """A line each second."""
         STDERR.print(told.line(), markup=False)
+        if shown is not None:
+            shown.feed.known(told)
 
+    if shown is not None:
+        STDERR.print(f"page: {shown.url}", markup=False)
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
-    STDERR.print(f"listening at {where}", markup=False)
     try:
-        told = session.run(lambda: ended, say)
+        return session.run(lambda: ended, say)
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)
-    if as_json:
-        print_json(told.json())
-    else:
-        _print(told, record)
-    if told.link.system is None or told.waits_for:
-        raise typer.Exit(Exit.FINDINGS)
 
 
 def _print(told: "LiveTold", record: Path | None) -> None:

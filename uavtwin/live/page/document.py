@@ -27,6 +27,8 @@ _MOTOR_COLOURS = ("#1f5fd0", "#e07b1a", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b6
 _NONE = np.zeros(0)
 MEASURED_LINE = {"color": BLACK, "width": 1.3}
 TWIN_LINE = {"color": BLUE, "width": 1.3}
+BOTH = (("", "measured", MEASURED_LINE), ("twin.", "twin", TWIN_LINE))
+"""Both aircraft: what stands before their columns, name, line."""
 TABLE: Sequence[tuple[str, str, Sequence[str], int]] = (
     ("acceleration", "m/s²", ACC, 2),
     ("body rates", "rad/s", GYRO, 3),
@@ -110,10 +112,7 @@ def _measured_plots() -> list[Plot]:
         panels = Panels([_LOW_PX] * 3, "live")
         for k, column in enumerate(three):
             axes = panels.add(f"{column}, {unit}")
-            for prefix, who, line in (
-                ("", "measured", MEASURED_LINE),
-                ("twin.", "twin", TWIN_LINE),
-            ):
+            for prefix, who, line in BOTH:
                 more = {"legendgroup": who, "showlegend": k == 0}
                 panels.line(axes, _NONE, _NONE, who, line, **more)
                 _follow(panels, "now.t", f"now.{prefix}{column}")
@@ -149,7 +148,7 @@ def _tracks() -> list[Plot]:
         words = "north, m" if up == "pos_x" else "up, m"
         scale = {"scaleanchor": "x", "scaleratio": 1}
         axes = panels.add(words, {"title": {"text": "east, m"}, "nticks": 6}, scale)
-        for prefix, who, line in (("", "measured", MEASURED_LINE), ("twin.", "twin", TWIN_LINE)):
+        for prefix, who, line in BOTH:
             panels.line(axes, _NONE, _NONE, who, line)
             _follow(panels, f"track.{prefix}pos_y", f"track.{prefix}{up}")
         found.append(plot(f"track-{name}", f"Track {label}: measured and twin", panels.figure))

@@ -74,8 +74,7 @@ class PageFeed:
         self._hub = hub
         self._measured: dict[str, tuple[float, ...]] = {}
         self._next_s, self._count = 0.0, 0
-        self._bands, self._section = ExpectedBands(), 1
-        self._alarms = 0
+        self._bands, self._until_s = ExpectedBands(), -math.inf
         hub.tell("about", {"vehicle": vehicle, "horizon_s": horizon_s}, key="about")
 
     # -- of the thread that receives ----------------------------------------------------------
@@ -98,7 +97,7 @@ class PageFeed:
         """
         self._next_s, self._count = at_s + EVERY_S, self._count + 1
         told: dict[str, Any] = {"t": round(t_s, 4), "at": _ms(at_s)}
-        measured = {f"{n}": v for n, v in self._named().items()}
+        measured = self._named()
         told |= {n: _short(v) for n, v in measured.items()}
         if reading is not None:
             twin = _twin_named(reading)
@@ -126,6 +125,9 @@ class PageFeed:
     def block(self, block: ResidualBlock) -> None:
         """New residuals, as `gap` defines them."""
         channels = (*block.channels, *block.short)
+        if block.end_s < self._until_s:  # a new flight: nothing is expected of it yet
+            self._bands = ExpectedBands()
+        self._until_s = block.end_s
         self._bands.add(channels)
         told = [
             {
@@ -141,13 +143,8 @@ class PageFeed:
         content = {"at": _ms(), "until": block.end_s, "channels": told}
         self._hub.tell("residuals", content)
 
-    def new_section(self) -> None:
-        """A new flight: nothing is expected of it yet."""
-        self._bands, self._section = ExpectedBands(), self._section + 1
-
     def alarm(self, alarm: Alarm, section: int) -> None:
         """An alarm that was raised, or has ended."""
-        self._alarms += alarm.closed_s is None
         key = f"alarm {section} {alarm.effect} {alarm.raised_s:.3f}"
         content = {**alarm_json(alarm, section), "at": _ms(), "id": key}
         self._hub.tell("alarm", content, key=key)

@@ -1,0 +1,256 @@
+"""The server of the live page, asked over real sockets."""
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from twin.errors import TwinError
+from twin.residuals.gap import Channel
+from uavtwin.live.address import Address
+from uavtwin.live.page.band import LEARNT_S, ExpectedBands
+from uavtwin.live.page.document import document
+from uavtwin.live.page.doors import page_address
+from uavtwin.live.page.hub import MOST_VIEWERS, QUEUE, Hub
+from uavtwin.live.page.server import PageServer
+
+TOKEN = "correct horse"
+ANY_PORT = Address("127.0.0.1", 0)
+
+
+@contextmanager
+def served(token: str | None = None, hub: Hub | None = None) -> Iterator[tuple[Hub, PageServer]]:
+    hub = hub or Hub()
+    with PageServer(ANY_PORT, hub, document(4), token) as server:
+        yield hub, server
+
+
+def get(server: PageServer, path: str = "/", **headers: str) -> tuple[int, str, dict[str, str]]:
+    connection = HTTPConnection("127.0.0.1", server.where.port, timeout=20)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    told = answer.status, answer.read().decode(), {k.lower(): v for k, v in answer.getheaders()}
+    connection.close()
+    return told
+
+
+def looked(server: PageServer, query: str = "", **more: Any) -> ClientConnection:
+    url = f"ws://127.0.0.1:{server.where.port}/live{query}"
+    return connect(url, proxy=None, compression=None, open_timeout=20, **more)
+
+
+def messages(viewer: ClientConnection, count: int) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    while len(found) < count:
+        found += json.loads(viewer.recv(timeout=20))
+    return found
+
+
+def test_the_page_is_one_document_that_may_load_nothing() -> None:
+    with served() as (_, server):
+        status, text, headers = get(server)
+        assert status == 200 and "Twin beside the flight" in text
+        policy = headers["content-security-policy"]
+        assert "default-src 'none'" in policy and "frame-ancestors 'none'" in policy
+        scripts = policy.partition("script-src ")[2].partition(";")[0].split()
+        assert len(scripts) == 3 and all(s.startswith("'sha256-") for s in scripts)
+        assert get(server, "/elsewhere")[0] == 404
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("127.0.0.1:{}", 200),
+        ("localhost:{}", 200),
+        ("[::1]:{}", 200),
+        ("192.0.2.7:{}", 200),  # nobody's name resolves to a literal address
+        ("rebound.example:{}", 403),
+        ("127.0.0.1.rebound.example:{}", 403),
+        ("", 403),
+        ("127.0.0.1:{}/", 403),
+    ],
+)
+def test_names_of_others_are_refused(host: str, status: int) -> None:
+    with served() as (_, server):
+        assert get(server, Host=host.format(server.where.port))[0] == status
+
+
+def test_pages_of_others_open_no_socket() -> None:
+    with served() as (_, server):
+        own = f"http://127.0.0.1:{server.where.port}"
+        with looked(server, origin=own):  # type: ignore[arg-type]
+            pass
+        for origin in ("http://evil.example", "null", "http://127.0.0.1", f"{own}.evil.example"):
+            with pytest.raises(InvalidStatus) as refused:
+                looked(server, origin=origin)
+            assert refused.value.response.status_code == 403
+
+
+def test_the_token_is_asked_for_everywhere() -> None:
+    with served(TOKEN) as (_, server):
+        assert [get(server, p)[0] for p in ("/", "/?token=", "/?token=correct", "/live")] == [
+            403
+        ] * 4
+        assert get(server, "/?token=correct%20horse")[0] == 200
+        assert get(server, **{"X-Uavtwin-Token": TOKEN})[0] == 200
+        assert get(server, "/?token=%F0%9F%90%8E")[0] == 403
+        for query in ("", "?token=wrong%20horse"):
+            with pytest.raises(InvalidStatus):
+                looked(server, query)
+        with looked(server, "?token=correct%20horse"):
+            pass
+
+
+@pytest.mark.parametrize(
+    ("serve", "token", "said"),
+    [
+        ("8080", None, "write HOST:PORT"),
+        ("127.0.0.1:99999", None, "write HOST:PORT"),
+        ("0.0.0.0:8080", None, "Give --token TEXT"),
+        ("192.0.2.7:8080", None, "Give --token TEXT"),
+        ("[::]:8080", None, "Give --token TEXT"),
+        ("ground.example:8080", None, "Give --token TEXT"),
+        ("0.0.0.0:8080", "short", "at least 8"),
+    ],
+)
+def test_addresses_that_others_reach_need_a_token(serve: str, token: str | None, said: str) -> None:
+    with pytest.raises(TwinError, match=said):
+        page_address(serve, token)
+
+
+def test_addresses() -> None:
+    assert page_address("127.0.0.1:8080", None).pair == ("127.0.0.1", 8080)
+    assert page_address("[::1]:8080", None).pair == ("::1", 8080)
+    assert page_address("0.0.0.0:8080", TOKEN).pair == ("0.0.0.0", 8080)
+
+
+def test_a_taken_port_is_named() -> None:
+    with served() as (hub, server), pytest.raises(TwinError, match="Choose another port"):
+        PageServer(server.where, hub, document(4), None)
+
+
+def test_three_viewers_get_the_same_and_one_who_is_late_the_past() -> None:
+    with served() as (hub, server):
+        hub.tell("health", {"n": -2}, key="health")
+        hub.tell("health", {"n": -1}, key="health")
+        with looked(server) as a, looked(server) as b, looked(server) as c:
+            first = [messages(v, 1) for v in (a, b, c)]
+            assert first == [[{"kind": "health", "n": -1}]] * 3
+            for n in range(30):
+                hub.tell("now", {"n": n, "x": float("nan")})
+            told = [messages(v, 30) for v in (a, b, c)]
+            assert told[0] == told[1] == told[2]
+            assert [m["n"] for m in told[0]] == list(range(30)) and told[0][0]["x"] is None
+            with looked(server) as late:
+                assert [m["n"] for m in messages(late, 31)] == [-1, *range(30)]
+        until = time.monotonic() + 20
+        while hub.viewers and time.monotonic() < until:
+            time.sleep(0.01)
+        assert hub.viewers == 0
+
+
+def test_the_past_ends() -> None:
+    """By time, and of each key but the newest."""
+    now = 0.0
+    hub = Hub(kept_s=10.0, clock=lambda: now)
+    for n in range(20):
+        now = float(n)
+        hub.tell("now", {"n": n})
+        hub.tell("now", {"n": -n}, keep=False)
+        hub.tell("alarm", {"n": 100 + n}, key="one")
+    viewer = hub.join(lambda: None)
+    assert viewer is not None
+    assert [m["n"] for m in json.loads(viewer.take())] == [119, *range(9, 20)]
+    assert viewer.take() == b""
+
+
+def test_too_many_viewers_are_turned_away() -> None:
+    hub = Hub()
+    viewers = [hub.join(lambda: None) for _ in range(MOST_VIEWERS)]
+    assert None not in viewers and hub.join(lambda: None) is None
+    assert viewers[0] is not None
+    hub.leave(viewers[0])
+    assert hub.join(lambda: None) is not None
+
+
+def slow_viewer(server: PageServer) -> socket.socket:
+    """One that opens the WebSocket and never reads."""
+    opened = socket.socket()
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    opened.settimeout(20)
+    opened.connect(server.where.pair)
+    host = f"127.0.0.1:{server.where.port}"
+    opened.sendall(
+        f"GET /live HTTP/1.1\r\nHost: {host}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    assert b"101" in opened.recv(64)
+    return opened
+
+
+@pytest.mark.slow
+def test_a_slow_viewer_loses_messages_and_slows_nobody() -> None:
+    text, count = "x" * 20_000, 1500  # 30 MB: more than kernel and server take for it
+    with served() as (hub, server):
+        slow = slow_viewer(server)
+        with looked(server, max_queue=None) as quick:
+            until = time.monotonic() + 20
+            while hub.viewers < 2 and time.monotonic() < until:
+                time.sleep(0.01)
+            there = list(hub._viewers)
+            longest, got = 0.0, 0
+            for n in range(count):
+                began = time.perf_counter()
+                hub.tell("said", {"n": n, "text": text}, keep=False)
+                longest = max(longest, time.perf_counter() - began)
+                if n % 30 == 29:  # the quick one keeps up
+                    found = messages(quick, 30)
+                    assert [m["n"] for m in found] == list(range(n - 29, n + 1))
+                    got += len(found)
+            dropped = sorted(v.dropped for v in there)
+            assert got == count and dropped[0] == 0
+            assert count / 4 < dropped[1] < count
+            assert max(len(v._queue) for v in there) <= QUEUE
+            assert longest < 1.0
+        slow.close()
+
+
+def test_a_viewer_may_ask_for_the_time_and_nothing_else() -> None:
+    with served() as (_, server):
+        with looked(server) as viewer:
+            before = 1e3 * time.time()
+            viewer.send(json.dumps({"ping": 12.5}))
+            answer = messages(viewer, 1)[0]
+            assert answer["kind"] == "pong" and answer["ping"] == 12.5
+            assert before - 1 <= answer["at"] <= 1e3 * time.time() + 1
+        for wrong in ("{}", "hello", b"\0", '{"ping": ' + " " * 2000 + "1}"):
+            with looked(server) as viewer:
+                viewer.send(wrong)
+                with pytest.raises(ConnectionClosed):
+                    viewer.recv(timeout=20)
+        assert get(server)[0] == 200
+
+
+def channel(t_s: np.ndarray[Any, Any], residual: np.ndarray[Any, Any]) -> Channel:
+    phase = np.full(len(t_s), "")
+    return Channel("acc_x", "m/s^2", 0.0, t_s, residual, np.zeros(len(t_s)), phase)
+
+
+def test_the_expected_band_is_that_of_the_first_seconds() -> None:
+    """95 % of a normal residual about 3; what comes later does not move it."""
+    rng, bands = np.random.default_rng(1), ExpectedBands()
+    for second in range(60):
+        t_s = second + np.arange(100) / 100
+        sd = 1.0 if second <= LEARNT_S else 50.0
+        assert bool(bands.bands) == (second > LEARNT_S)
+        bands.add([channel(t_s, 3 + sd * rng.standard_normal(100))])
+    low, high = bands.bands["acc_x", 0.0]
+    assert low == pytest.approx(3 - 1.96, abs=0.15) and high == pytest.approx(3 + 1.96, abs=0.15)

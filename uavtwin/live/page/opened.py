@@ -1,0 +1,64 @@
+"""The page of a live flight, open for viewers."""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Self
+
+from twin.errors import TwinError
+from twin.vehicle import Vehicle
+
+from .feed import PageFeed
+from .hub import Hub
+
+if TYPE_CHECKING:
+    from .server import PageServer
+
+NEEDED = ("starlette", "uvicorn", "websockets")
+
+
+@dataclass(frozen=True, slots=True)
+class OpenPage:
+    """A page that is served.
+
+    Attributes:
+        feed: Takes what it shows.
+        server: Serves it.
+    """
+
+    feed: PageFeed
+    server: "PageServer"
+
+    @property
+    def url(self) -> str:
+        """For a browser."""
+        return self.server.url
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.close()
+
+
+def open_page(serve: str, token: str | None, vehicle: Vehicle, horizon_s: float) -> OpenPage:
+    """Serve the page of a live flight.
+
+    Args:
+        serve: HOST:PORT.
+        token: What viewers must know; None: nothing.
+        vehicle: The twin.
+        horizon_s: Short horizon of the residuals.
+
+    Raises:
+        TwinError: The address is none, is taken, or needs a token; or packages are missing.
+    """
+    if lacking := [n for n in NEEDED if find_spec(n) is None]:
+        raise TwinError(f"--serve needs {', '.join(lacking)}: pip install 'uavtwin[live]'.")
+    from .document import document
+    from .doors import page_address
+    from .server import PageServer
+
+    where = page_address(serve, token)
+    hub = Hub()
+    feed = PageFeed(hub, vehicle.name, horizon_s)
+    return OpenPage(feed, PageServer(where, hub, document(vehicle.rotors.count), token))
