@@ -213,12 +213,17 @@ def faults(opened: Browser, page: Path, view: View, picture: Path | None = None)
         picture: PNG to write; None: none is kept.
     """
     opened.open(page, view)
-    found = [str(f) for f in opened.run(_MEASURE)]
+    found = faults_shown(opened)
     if picture is not None:
         picture.parent.mkdir(parents=True, exist_ok=True)
         opened.picture(picture, 6000)
     found += [f"on the console: {c}" for c in opened.complaints]
     return found + [f"asks for {r}" for r in opened.requests]
+
+
+def faults_shown(opened: Browser) -> list[str]:
+    """What is wrong with the page that is open, as somebody sees it; all its figures are drawn."""
+    return [str(f) for f in opened.run(_MEASURE)]
 
 
 _MEASURE = (Path(__file__).with_name("measure_page.js")).read_text("utf-8")

@@ -44,7 +44,8 @@ def get(server: PageServer, path: str = "/", **headers: str) -> tuple[int, str, 
 
 def looked(server: PageServer, query: str = "", **more: Any) -> ClientConnection:
     url = f"ws://127.0.0.1:{server.where.port}/live{query}"
-    return connect(url, proxy=None, compression=None, open_timeout=20, **more)
+    viewer: ClientConnection = connect(url, proxy=None, compression=None, open_timeout=20, **more)
+    return viewer
 
 
 def messages(viewer: ClientConnection, count: int) -> list[dict[str, Any]]:
@@ -86,7 +87,7 @@ def test_names_of_others_are_refused(host: str, status: int) -> None:
 def test_pages_of_others_open_no_socket() -> None:
     with served() as (_, server):
         own = f"http://127.0.0.1:{server.where.port}"
-        with looked(server, origin=own):  # type: ignore[arg-type]
+        with looked(server, origin=own):
             pass
         for origin in ("http://evil.example", "null", "http://127.0.0.1", f"{own}.evil.example"):
             with pytest.raises(InvalidStatus) as refused:

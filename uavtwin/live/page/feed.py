@@ -107,7 +107,7 @@ class PageFeed:
                 for n, v in twin.items()
                 if n in measured
             }
-        self._hub.tell("now", told, keep=self._count % _KEPT_EACH == 0)
+        self._hub.tell("now", told, keep=self._count % _KEPT_EACH == 1)
 
     def said(self, severity: int, text: str) -> None:
         """What the aircraft says of itself (STATUSTEXT)."""

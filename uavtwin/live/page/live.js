@@ -14,7 +14,7 @@
 
   function forget() {
     columns = {}; bands = {}; alarms.clear(); newest = shownAt = until = null;
-    id("said").replaceChildren(); id("alarms").replaceChildren(); id("until").textContent = "–";
+    id("said").replaceChildren(element("p", "Nothing yet.", "dim")); id("alarms").replaceChildren(); id("until").textContent = "–";
     cells.forEach(function (c) { c.textContent = "–"; });
     touch();
   }
@@ -114,7 +114,8 @@
   }
 
   function showSaid(m) {
-    var place = id("said"), at = new Date(m.at).toLocaleTimeString();
+    var place = id("said"), none = place.querySelector(".dim"), at = new Date(m.at).toLocaleTimeString();
+    if (none) none.remove();
     place.prepend(element("p", at + "  " + m.severity + ": " + m.text));
     while (place.childElementCount > MOST_SAID) place.lastElementChild.remove();
   }

@@ -140,7 +140,7 @@ class PageServer:
             for task in (sender, hearer):
                 task.cancel()
             await asyncio.gather(sender, hearer, return_exceptions=True)
-            with contextlib.suppress(RuntimeError):  # it is closed already
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):  # it is closed already
                 await websocket.close()
 
 

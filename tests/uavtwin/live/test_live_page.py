@@ -1,0 +1,260 @@
+"""The live page as a real browser shows it."""
+
+import math
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_rigs.browser import (
+    VIEWS,
+    Browser,
+    View,
+    browser,
+    faults_shown,
+    needs_browser,
+    pictures,
+)
+from sample_logs import flown_table
+
+from twin.logs import Flight
+from twin.logs.mavlink.dialect import dialect
+from twin.logs.mavlink.samples import Sample
+from twin.residuals.gap import Channel
+from twin.vehicle.file import load_vehicle
+from uavtwin.live.address import Address
+from uavtwin.live.page.document import document
+from uavtwin.live.page.feed import PageFeed
+from uavtwin.live.page.hub import Hub
+from uavtwin.live.page.server import PageServer
+from uavtwin.live.replay import Replay
+from uavtwin.live.session import LiveOptions, LiveSession
+from uavtwin.live.streams import missing
+
+pytestmark = [pytest.mark.slow, needs_browser]
+WIDE = View(1300, False)
+HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
+PATIENCE_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    acc_b: tuple[float, ...] = (0.0, 0.0, -9.0)
+    gyro_b: tuple[float, ...] = (0.0, 0.0, 0.0)
+    position_n: tuple[float, ...] = (1.0, 2.0, -3.0)
+    velocity_n: tuple[float, ...] = (0.0, 0.0, 0.0)
+    q_nb: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    closed_s: float | None
+    effect: str = "rotor_thrust"
+    since_s: float = 12.0
+    raised_s: float = 14.5
+    probability: float = 0.97
+    sentence: str = "Rotor 3 gives less thrust."
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("browser")) as there:
+        yield there
+
+
+def feed_of(hub: Hub) -> PageFeed:
+    return PageFeed(hub, "copter_default", 0.5)
+
+
+def fly(feed: PageFeed, t_s: float, acc_z: float = -9.8) -> None:
+    """One state of an aircraft on a circle, and its twin."""
+    east, north = math.sin(t_s), math.cos(t_s)
+    feed.sample(Sample("acc", "HIGHRES_IMU", 0, (0.1, -0.2, acc_z)))
+    feed.sample(Sample("gyro", "HIGHRES_IMU", 0, (0.0, 0.0, 1.0)))
+    feed.sample(Sample("pos", "ODOMETRY", 0, (north, east, -2.0)))
+    feed.sample(Sample("vel", "ODOMETRY", 0, (-east, north, 0.0)))
+    feed.sample(Sample("q", "ODOMETRY", 0, (math.cos(0.05), math.sin(0.05), 0.0, 0.0)))
+    feed.sample(Sample("cmd", "ACTUATOR_OUTPUT_STATUS", 0, (0.5, 0.6, 0.7, 0.8)))
+    feed.sample(Sample("vbat_v", "BATTERY_STATUS", 0, (15.25,)))
+    feed.state(t_s, Reading(position_n=(north + 0.1, east, -2.1)), time.monotonic())
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    channels: tuple[Channel, ...]
+    short: tuple[Channel, ...]
+    end_s: float
+
+
+def residuals(until_s: float) -> Block:
+    """Half a minute of all channels that the page draws."""
+    rng = np.random.default_rng(1)
+    t_s = np.arange(0.0, until_s, 0.05)
+    phase = np.full(len(t_s), "")
+
+    def channel(name: str, unit: str, horizon_s: float) -> Channel:
+        noise = rng.standard_normal(len(t_s))
+        return Channel(name, unit, horizon_s, t_s, noise, np.zeros(len(t_s)), phase)
+
+    forced = [channel(f"{n}_{a}", "", 0.0) for n in ("acc", "gyro_rate") for a in "xyz"]
+    short = [channel(f"{n}_{a}", "", 0.5) for n in ("vel", "att") for a in "xyz"]
+    return Block(tuple(forced), tuple(short), until_s)
+
+
+def text(there: Browser, selector: str) -> str:
+    return str(there.run(f"document.querySelector({selector!r}).textContent"))
+
+
+def until(there: Browser, expression: str) -> None:
+    """Until something is true in the page."""
+    end = time.monotonic() + PATIENCE_S
+    while not there.run(f"Boolean({expression})"):
+        assert time.monotonic() < end, f"never true: {expression}; state {text(there, '#state')}"
+        time.sleep(0.05)
+
+
+def shows(there: Browser, column: str, value: str) -> None:
+    until(there, f"document.querySelector('[data-now=\"{column}\"]').textContent === '{value}'")
+
+
+def test_numbers_change_pause_holds_text_is_text(opened: Browser) -> None:
+    hub = Hub()
+    feed = feed_of(hub)
+    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+        opened.visit(server.url, WIDE)
+        until(opened, "document.querySelector('#state').dataset.state === 'silent'")
+        assert text(opened, "#alarms") == "No alarm."
+        fly(feed, 1.0, -9.81)
+        shows(opened, "acc_z", "-9.81")
+        shows(opened, "twin.acc_z", "-9.00")
+        shows(opened, "gap.acc_z", "-0.81")
+        shows(opened, "roll", "5.7")
+        fly(feed, 1.1, -9.5)
+        shows(opened, "acc_z", "-9.50")
+        opened.run("document.querySelector('#pause').click()")
+        for k in range(20):
+            fly(feed, 1.2 + 0.1 * k, -8.0 + 0.01 * k)
+        feed.said(4, HOSTILE)
+        until(opened, "document.querySelector('#state').dataset.state === 'paused'")
+        time.sleep(0.5)
+        assert text(opened, "[data-now=acc_z]") == "-9.50" and text(opened, "#time") == "1.1"
+        opened.run("document.querySelector('#pause').click()")
+        shows(opened, "acc_z", "-7.81")
+        until(opened, "document.querySelector('#said').textContent.includes('onerror')")
+        assert text(opened, "#said p").endswith(f"warning: {HOSTILE}")
+        assert opened.run("document.querySelectorAll('#said img, #said script').length") == 0
+        assert opened.run("document.title") == "Live: copter_default"
+        # what a page of others would do with a hole in it is stopped by the policy as well
+        opened.run(
+            "document.querySelector('#said').innerHTML = '<img src=x onerror=\"window.bad=1\">'"
+        )
+        time.sleep(0.2)
+        assert opened.run("window.bad === undefined")
+        assert [c for c in opened.complaints if "Content Security Policy" not in c] == []
+        assert {r for r in opened.requests if not r.startswith(server.url)} == set()
+
+
+def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
+    hub = Hub()
+    feed = feed_of(hub)
+    fly(feed, 15.0)
+    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+        opened.visit(server.url, WIDE)
+        feed.alarm(Alarm(None), 1)
+        until(opened, "document.querySelector('#alarms .alarm') !== null")
+        told = "Rotor 3 gives less thrust. Since 12.0 s, probability 97 %, told at 14.5 s"
+        assert text(opened, "#alarms") == f"{told}."
+        feed.alarm(Alarm(20.0), 1)
+        until(opened, "document.querySelector('#alarms .over') !== null")
+        assert text(opened, "#alarms") == f"{told}; over at 20.0 s."
+        opened.visit(server.url, WIDE)  # one who comes later
+        until(opened, "document.querySelector('#alarms .over') !== null")
+        assert opened.complaints == []
+
+
+def test_it_comes_back_after_a_restart(opened: Browser) -> None:
+    hub = Hub()
+    fly(feed_of(hub), 1.0, -9.81)
+    server = PageServer(Address("127.0.0.1", 0), hub, document(4), None)
+    where = server.where
+    try:
+        opened.visit(server.url, WIDE)
+        shows(opened, "acc_z", "-9.81")
+    finally:
+        server.close()
+    until(opened, "document.querySelector('#state').dataset.state === 'lost'")
+    assert text(opened, "#state").startswith("disconnected; next try in ")
+    assert text(opened, "[data-now=acc_z]") == "-9.81"
+    hub = Hub()
+    with PageServer(where, hub, document(4), None):
+        feed = feed_of(hub)
+        until(opened, "document.querySelector('#state').dataset.state !== 'lost'")
+        fly(feed, 2.0, -7.25)
+        shows(opened, "acc_z", "-7.25")
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
+    """Nothing overlaps or is cut, all is drawn, narrow and wide, light and dark."""
+    hub = Hub()
+    feed = feed_of(hub)
+    for k in range(320):
+        fly(feed, 0.1 * k)
+    feed.block(residuals(30.0))  # type: ignore[arg-type]
+    feed.alarm(Alarm(None), 1)
+    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+        opened.visit(server.url, view)
+        until(opened, "document.querySelector('#alarms .alarm') !== null && window.drawAll")
+        opened.run("window.drawAll()")
+        for figure in opened.run("window.liveFigures.ids()"):  # each is filled when it is seen
+            opened.run(f"document.getElementById('{figure}').scrollIntoView()")
+            curves = "svg .scatterlayer .js-line, svg .track:not([d=''])"
+            until(opened, f"document.querySelector('#{figure}').querySelector({curves!r}) !== null")
+        band = "document.querySelector('#residuals-imu .shapelayer path') !== null"
+        until(opened, band)
+        assert faults_shown(opened) == []
+        if view == WIDE:
+            opened.run("window.scrollTo(0, 0)")
+        opened.picture(pictures(tmp_path) / f"live-{view}.png", 6000)
+
+
+def test_a_real_flight_over_mavlink_is_seen(opened: Browser) -> None:
+    """The session hands the page what comes over the socket, words of the aircraft among it."""
+    vehicle = load_vehicle("copter_default")
+    hub, stop, flown = Hub(), threading.Event(), flown_table().iloc[:800]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_port:
+        any_port.bind(("127.0.0.1", 0))
+        listen = Address("127.0.0.1", int(any_port.getsockname()[1]))
+    feed = PageFeed(hub, vehicle.name, 0.5)
+    with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
+        opened.visit(server.url, WIDE)
+        session = LiveSession(vehicle, LiveOptions(listen), page=feed)
+        thread = threading.Thread(target=lambda: session.run(stop.is_set, feed.known))
+        thread.start()
+        aircraft = Replay(listen)
+        try:
+            aircraft.play(Flight("flown", flown))
+            words = dialect.MAVLink_statustext_message(4, b"<b>check</b> mag #1")
+            aircraft._send(words, None)
+            aircraft._deliver()
+            until(opened, "Number(document.querySelector('#until').textContent) > 2")
+            until(
+                opened, "document.querySelector('[data-now=\"twin.acc_z\"]').textContent.length > 3"
+            )
+            until(opened, "document.querySelector('#said').textContent.includes('check')")
+            until(opened, "document.querySelector('#health').textContent.includes('system 1 at')")
+            seen = {n: float(text(opened, f"[data-now={n}]")) for n in ("acc_z", "pos_z", "vel_x")}
+        finally:
+            aircraft.close()
+            stop.set()
+            thread.join()
+    assert text(opened, "#said p").endswith("warning: <b>check</b> mag #1")
+    assert text(opened, "#missing") == missing(session.known().sources)["vbat_v"]
+    for name, value in seen.items():  # the newest that was told is one of the last
+        told = flown[name].to_numpy()[-30:]
+        assert np.nanmin(told) - 0.01 <= value <= np.nanmax(told) + 0.01, name
+    assert opened.complaints == []
