@@ -141,7 +141,7 @@
 
   function showClaim() {
     var claim = id("claim"), open = Number(claim.dataset.open || 0), vehicle = claim.dataset.vehicle || "twin";
-    var text = !claim.dataset.heard ? vehicle + ": nothing heard yet" : open ? vehicle + ": " + open + (open > 1 ? " alarms" : " alarm") : vehicle + ": no alarm";
+    var text = !claim.dataset.heard && !newest ? vehicle + ": nothing heard yet" : open ? vehicle + ": " + open + (open > 1 ? " alarms" : " alarm") : vehicle + ": no alarm";
     if (claim.textContent !== text) claim.textContent = text;
   }
 
