@@ -443,6 +443,7 @@
     copies();
     window.liveFigures = { // for a page whose numbers go on
       ids: function () { return Array.from(figures.keys(), function (div) { return div.id; }); },
+      isHidden: function (id, trace) { return figures.get(document.getElementById(id)).hidden.has(keyOf(trace)); },
       given: function (id) { return given(document.getElementById(id)); },
       show: function (id) { // draws it anew, where it was drawn
         var div = document.getElementById(id), figure = figures.get(div);

@@ -4,6 +4,7 @@
   var KEPT_S = 300, FIRST_WAIT_MS = 500, LONGEST_WAIT_MS = 8000, DEAD_MS = 6000, SILENT_MS = 2000, AGES = 2000;
   var MOST_SAID = 200;
   var id = function (name) { return document.getElementById(name); };
+  var darkOf = JSON.parse(id("dark-colours").textContent);
   var cells = Array.from(document.querySelectorAll("[data-now]"));
   var columns = {}, alarms = new Map(), bands = {}, lost = 0;
   var newest = null, shownAt = null, until = null, paused = false, connected = false;
@@ -265,21 +266,106 @@
     return box.bottom > -100 && box.top < window.innerHeight + 100;
   }
 
+  // While it goes on a figure is painted onto a canvas over it, which takes a hundredth of the time that the
+  // plot takes, during which no number would change; when it pauses the plot is drawn, to be zoomed and pointed at.
+
+  function colour(name) { return getComputedStyle(document.documentElement).getPropertyValue(name).trim(); }
+
+  function round(low, high, most) { // where an axis is marked
+    var raw = (high - low) / most, power = Math.pow(10, Math.floor(Math.log10(raw))), found = [];
+    var step = power * [1, 2, 5, 10].find(function (m) { return m * power >= raw; });
+    for (var v = Math.ceil(low / step) * step; v <= high + step / 1e6; v += step) found.push(Math.abs(v) < step / 1e6 ? 0 : v);
+    return { at: found, digits: Math.max(0, -Math.floor(Math.log10(step) + 1e-9)) };
+  }
+
+  function extent(traces, key) {
+    var low = Infinity, high = -Infinity;
+    traces.forEach(function (t) { t[key].forEach(function (v) { if (v !== null && v < low) low = v; if (v !== null && v > high) high = v; }); });
+    if (!isFinite(low)) return [-1, 1];
+    var pad = 0.06 * (high - low) || 0.05 * Math.abs(high) || 0.5;
+    return [low - pad, high + pad];
+  }
+
+  function panel(pen, box, traces, bandsHere, x, y, labels) {
+    var px = function (v) { return box[0] + (v - x[0]) / (x[1] - x[0]) * box[2]; };
+    var py = function (v) { return box[1] + box[3] - (v - y[0]) / (y[1] - y[0]) * box[3]; };
+    pen.lineWidth = 1; pen.font = "11px system-ui, sans-serif"; pen.fillStyle = labels.dim; pen.strokeStyle = labels.grid;
+    var marks = round(y[0], y[1], 4), along = round(x[0], x[1], Math.max(2, box[2] / 90));
+    pen.textAlign = "right"; pen.textBaseline = "middle";
+    marks.at.forEach(function (v) { line(pen, box[0], py(v), box[0] + box[2], py(v)); pen.fillText(v.toFixed(marks.digits), box[0] - 5, py(v)); });
+    pen.textAlign = "center"; pen.textBaseline = "top";
+    along.at.forEach(function (v) { line(pen, px(v), box[1], px(v), box[1] + box[3]); if (labels.x) pen.fillText(v.toFixed(along.digits), px(v), box[1] + box[3] + 5); });
+    pen.fillStyle = labels.ink;
+    if (labels.x) pen.fillText(labels.x, box[0] + box[2] / 2, box[1] + box[3] + 22);
+    pen.save(); pen.translate(box[0] - 52, box[1] + box[3] / 2); pen.rotate(-Math.PI / 2); pen.fillText(labels.y, 0, 0); pen.restore();
+    pen.save(); pen.beginPath(); pen.rect(box[0], box[1], box[2], box[3]); pen.clip();
+    bandsHere.forEach(function (s) {
+      if (s.type === "rect") { pen.globalAlpha = 0.16; pen.fillStyle = s.fillcolor; pen.fillRect(box[0], py(s.y1), box[2], py(s.y0) - py(s.y1)); pen.globalAlpha = 1; }
+      else { pen.strokeStyle = labels.of(s.line.color); pen.setLineDash([2, 3]); line(pen, px(s.x0), box[1], px(s.x0), box[1] + box[3]); pen.setLineDash([]); }
+    });
+    traces.forEach(function (t) {
+      pen.strokeStyle = labels.of(t.line.color); pen.lineWidth = t.line.width; pen.beginPath();
+      for (var i = 0, down = false; i < t.x.length; i++) {
+        if (t.x[i] === null || t.y[i] === null || t.y[i] === undefined) { down = false; continue; }
+        if (down) pen.lineTo(px(t.x[i]), py(t.y[i])); else pen.moveTo(px(t.x[i]), py(t.y[i]));
+        down = true;
+      }
+      pen.stroke();
+    });
+    pen.restore();
+    pen.strokeStyle = labels.line; pen.lineWidth = 1; line(pen, box[0], box[1], box[0], box[1] + box[3]); line(pen, box[0], box[1] + box[3], box[0] + box[2], box[1] + box[3]);
+  }
+
+  function line(pen, x0, y0, x1, y1) { pen.beginPath(); pen.moveTo(x0, y0); pen.lineTo(x1, y1); pen.stroke(); }
+
+  function paint(name, figure) {
+    var div = id(name), canvas = div.parentNode.querySelector("canvas"), ratio = window.devicePixelRatio || 1;
+    if (!canvas) { canvas = document.createElement("canvas"); div.parentNode.append(canvas); }
+    var w = div.clientWidth, h = div.clientHeight, left = 62, layout = figure.layout, margin = layout.margin;
+    canvas.width = w * ratio; canvas.height = h * ratio;
+    canvas.style.cssText = "left:" + div.offsetLeft + "px;top:" + div.offsetTop + "px;width:" + w + "px;height:" + h + "px";
+    var pen = canvas.getContext("2d"), dark = window.matchMedia("(prefers-color-scheme: dark)").matches;
+    pen.scale(ratio, ratio);
+    var labels = { ink: colour("--ink"), dim: colour("--dim"), grid: colour("--grid"), line: colour("--line"),
+      of: function (c) { return dark ? darkOf[c] || c : c; } };
+    var shown = figure.data.filter(function (t) { return !window.liveFigures.isHidden(name, t); }), full = h - margin.t - margin.b;
+    Object.keys(layout).filter(function (k) { return /^yaxis\d*$/.test(k); }).forEach(function (k) {
+      var number = k.slice(5), across = layout["xaxis" + number], along = layout[k];
+      var traces = shown.filter(function (t) { return t.yaxis === "y" + number; });
+      var box = [left, margin.t + (1 - along.domain[1]) * full, w - left - 14, (along.domain[1] - along.domain[0]) * full];
+      var here = layout.shapes.filter(function (s) { return s.visible !== false && (s.yref === "paper" || s.yref === "y" + number); });
+      var rects = here.filter(function (s) { return s.type === "rect"; }).map(function (s) { return { y: [s.y0, s.y1] }; });
+      var x = across.range || extent(traces, "x"), y = extent(traces.concat(rects), "y");
+      if (along.scaleanchor) { // one scale for both
+        var scale = Math.max((x[1] - x[0]) / box[2], (y[1] - y[0]) / box[3], 0.5 / box[3]);
+        var xm = (x[0] + x[1]) / 2, ym = (y[0] + y[1]) / 2;
+        x = [xm - scale * box[2] / 2, xm + scale * box[2] / 2]; y = [ym - scale * box[3] / 2, ym + scale * box[3] / 2];
+      }
+      labels.x = (across.title || {}).text; labels.y = along.title.text;
+      panel(pen, box, traces, here, x, y, labels);
+    });
+  }
+
+  function unpaint(name) {
+    var canvas = id(name).parentNode.querySelector("canvas");
+    if (canvas) canvas.remove();
+  }
+
   function drawNext() { // one figure at a time, in a quarter of the time at most
     var started = performance.now(), figures = window.liveFigures;
-    if (figures && !paused && started >= drawnUntil && newest) {
-      var name = Array.from(stale).find(isSeen);
-      if (name) {
-        stale.delete(name);
-        var figure = figures.given(name), span = Number(id("span").value), times = columns["now.t"] || [];
-        var end = times.length ? times[times.length - 1] : 0;
-        if (figure.lines) inSpace(figure, end, span);
-        else if (/^track/.test(name)) flown(figure, end, span);
-        else timed(figure, end, span);
-        figures.show(name);
-        drawnUntil = performance.now() + 3 * (performance.now() - started);
-      }
-    }
+    if (!figures || started < drawnUntil || !newest) return;
+    var name = Array.from(stale).find(isSeen);
+    if (!name) return;
+    stale.delete(name);
+    var figure = figures.given(name), span = Number(id("span").value), times = columns["now.t"] || [];
+    var end = times.length ? times[times.length - 1] : 0;
+    if (figure.lines) inSpace(figure, end, span);
+    else if (/^track/.test(name)) flown(figure, end, span);
+    else timed(figure, end, span);
+    if (figure.lines) figures.show(name);
+    else if (paused) { unpaint(name); figures.show(name); }
+    else paint(name, figure);
+    drawnUntil = performance.now() + 3 * (performance.now() - started);
   }
 
   // ---- the connection
@@ -315,14 +401,15 @@
     paused = !paused;
     id("pause").textContent = paused ? "Go on" : "Pause";
     id("pause").setAttribute("aria-pressed", String(paused));
-    if (!paused) { held.forEach(take); held = []; shownAt = null; showNow(); touch(); }
+    if (!paused) { held.forEach(take); held = []; shownAt = null; showNow(); }
+    touch();
     showState();
   });
   id("span").addEventListener("change", touch);
   window.live = { ages: function () { return ages; }, clearAges: function () { ages = []; } }; // for measurements
   setInterval(showState, 100);
   setInterval(drawNext, 50);
-  setInterval(touch, 500);
+  setInterval(function () { if (!paused) touch(); }, 200);
   setInterval(ping, 2000);
   connect();
 })();

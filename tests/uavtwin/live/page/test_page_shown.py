@@ -39,6 +39,9 @@ pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)
 HOSTILE = "<img src=x onerror=\"document.title='taken'\"><script>document.title='taken'</script>"
 PATIENCE_S = 60.0
+INKED = """(c => new Set(new Uint32Array(
+    c.getContext("2d").getImageData(0, 0, c.width, c.height).data.buffer)).size > 3)"""
+"""Whether more colours than three are on a canvas."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +213,9 @@ def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
         opened.visit(server.url, view)
         until(opened, "document.querySelector('#alarms .alarm') !== null && window.drawAll")
         opened.run("window.drawAll()")
+        canvas = "document.querySelector('#measured-acc_x').parentNode.querySelector('canvas')"
+        until(opened, f"{canvas} && {INKED}({canvas})")  # while it goes on
+        opened.run("document.querySelector('#pause').click()")
         for figure in opened.run("window.liveFigures.ids()"):  # each is filled when it is seen
             opened.run(f"document.getElementById('{figure}').scrollIntoView()")
             curves = "svg .scatterlayer .js-line, svg .track:not([d=''])"
