@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from twin.errors import TwinError
 from twin.logs.flight import Finding
@@ -17,7 +18,7 @@ from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
 from .address import Address, listening
-from .alarms import Alarm, Evidence
+from .alarms import Alarm, Evidence, alarm_json
 from .clock import ClockWatch
 from .following import FollowingTwin
 from .page.feed import PageFeed
@@ -123,6 +124,7 @@ class LiveSession:
         self._receiver = Receiver(options.system)
         self._packer = parser(255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._jumps, self._asked_ns = ClockJumps(), 0
+        self._alarms: dict[tuple[int, str, float], dict[str, Any]] = {}
         self._late = 0
         self._requested = False
         self._begin()
@@ -187,7 +189,9 @@ class LiveSession:
         return self.known((time.process_time() - began_cpu) / (time.monotonic() - began))
 
     def _alarm(self, alarm: Alarm) -> None:
-        """Tell an alarm, in the thread of the twin."""
+        """Tell an alarm that was raised or has ended, in the thread of the twin."""
+        told = alarm_json(alarm, self.worker.sections)
+        self._alarms[told["section"], alarm.effect, alarm.raised_s] = told
         if self._publisher is not None:
             self._publisher.alarm(alarm)
         if self._page is not None:
@@ -379,4 +383,5 @@ class LiveSession:
             dict(worker.units),
             busy,
             math.nan if self._publisher is None else self._publisher.age_p99_s,
+            tuple(list(self._alarms.values())),
         )

@@ -60,6 +60,7 @@ class LiveTold:
         busy: Share of one core that this process takes.
         published_age_p99_s: Of what the twin publishes, 99 in 100: from when the message came that
             it was made of; NaN: nothing was published.
+        alarms: Each as it was told last, `alarms.alarm_json`.
     """
 
     link: LinkTold
@@ -73,6 +74,7 @@ class LiveTold:
     units: Mapping[str, str] = field(default_factory=dict)
     busy: float = 0.0
     published_age_p99_s: float = math.nan
+    alarms: tuple[Mapping[str, Any], ...] = ()
 
     def json(self) -> dict[str, Any]:
         """As JSON has it: null for what is not a finite number."""
@@ -96,6 +98,8 @@ class LiveTold:
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
         return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

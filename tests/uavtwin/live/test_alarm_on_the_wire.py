@@ -1,0 +1,55 @@
+"""A rotor that loses thrust in flight, sent as MAVLink by one process and named by another."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.live_alarms.flights import Case, aircraft, flown
+from twin.logs import write_flight
+from uavtwin.vehicles import Vehicle
+
+LATEST_S = 3.0
+"""After it began; the goal of the median."""
+UAVTWIN = (sys.executable, "-c", "from uavtwin.cli.main import main; main()")
+ADDRESS = "127.0.0.1:14781"
+
+
+@pytest.mark.slow
+def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
+    case = Case("rotor_efficiency_loss", "medium", 0)
+    flight, begins_s = flown(case)
+    write_flight(flight, tmp_path / "flight.parquet")
+    Vehicle.of(aircraft(case.aircraft)).save(tmp_path / "vehicle.toml")
+    listening = subprocess.Popen(
+        [
+            *(*UAVTWIN, "live", "--vehicle", tmp_path / "vehicle.toml", "--record", tmp_path / "r"),
+            *("--listen", f"udpin:{ADDRESS}", "--until-silent", "5", "--json"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert listening.stderr is not None
+        assert "listening" in listening.stderr.readline()
+        subprocess.run(
+            [
+                *(*UAVTWIN, "replay", tmp_path / "flight.parquet", "--to", f"udpout:{ADDRESS}"),
+                *("--speed", "max"),
+            ],
+            check=True,
+            capture_output=True,
+            timeout=200,
+        )
+        out, _ = listening.communicate(timeout=200)
+    finally:
+        listening.kill()
+    (alarm,) = json.loads(out)["alarms"]
+    assert alarm["effect"] == "rotor_efficiency_loss"
+    assert begins_s < alarm["raised_s"] < begins_s + LATEST_S
+    assert alarm["since_s"] == pytest.approx(begins_s, abs=1.0)
+    (line,) = (tmp_path / "r" / "alarms.jsonl").read_text("utf-8").splitlines()
+    assert json.loads(line)["effect"] == alarm["effect"]
