@@ -21,8 +21,6 @@ from .settings import RUNNING, RunningSettings
 from .silent import Shaking, Sign, StandStill
 
 Array = NDArray[np.float64]
-LEAST_FRAMES = 2
-"""Frames that a change has to last: a bump is over by then."""
 LEAST_SHARE = 0.05
 """Probability from which on another effect is worth a mention."""
 
@@ -149,7 +147,7 @@ class RunningEvidence:
             np.concatenate([self._library.standing, constants]),
             float(np.exp(-FRAME_S / s.forget_s)),
             round(s.oldest_s / FRAME_S),
-            LEAST_FRAMES,
+            s.least_frames,
         )
 
     def _look(self, frame: Frame) -> None:

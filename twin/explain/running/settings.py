@@ -76,6 +76,18 @@ class RunningSettings(Group):
     repeats: int = setting(
         6, "samples", "all the same, from which on a reading is kept out of the evidence", "made up"
     )
+    repeat_nats: float = setting(
+        0.3, "nats", "for a reading that stands still, of one more sample just as before", "made up"
+    )
+    least_frames: int = setting(
+        2, "frames", "that a change has to last: a bump is over by then", "made up"
+    )
+    loudest: float = setting(
+        30.0, "1", "power over that of the quiet start that counts in full", "made up"
+    )
+    level_nats: float = setting(
+        3.0, "nats", "that a level costs which is estimated, per sub-band that is louder", "made up"
+    )
     louder: float = setting(
         2.0, "1", "power over that of the quiet start from which on a shake is one", _TUNED
     )

@@ -16,15 +16,9 @@ from .channels import FRAME_S, Frame
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]
-NATS_PER_REPEAT = 0.3
-"""What one more sample that is just as before says for a reading that stands still."""
 CELL = 6.0
 """Degrees of freedom of the power of a reading in a sub-band of a frame: ten bins under a Hann
 window."""
-CLIP = 30.0
-"""Power over that of the quiet start that counts in full."""
-PRICE = 3.0
-"""Nats for a level that is estimated, per sub-band that is louder."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +44,7 @@ class StandStill:
     """Readings of the IMU that repeat themselves while their neighbours go on."""
 
     def __init__(self, settings: RunningSettings) -> None:
-        self._least = settings.repeats
+        self._settings = settings
         self._usual: dict[str, int] = {}
         self._frames: dict[str, int] = {}  # since when, first frame
 
@@ -70,7 +64,7 @@ class StandStill:
             limit = DEFAULT.stochastic.stuck.longer
             goes_on = any(limit * m <= n for m in beside)
             usual = self._usual.get(column, 1)
-            if n >= max(self._least, 3 * usual) and n > 2 * min(beside, default=n):
+            if n >= max(self._settings.repeats, 3 * usual) and n > 2 * min(beside, default=n):
                 suspect.add(signal)
             if n == whole and goes_on and n >= 3 * usual and n > 1:
                 self._frames.setdefault(column, frame.number)
@@ -86,7 +80,7 @@ class StandStill:
         found = []
         for column, start in sorted(self._frames.items(), key=lambda kv: kv[1])[:1]:
             rate = frame.samples[column.partition("_")[0]]
-            evidence = NATS_PER_REPEAT * rate * (frame.number + 1 - start)
+            evidence = self._settings.repeat_nats * rate * (frame.number + 1 - start)
             number = 1.0 + IMU_CHANNELS.index(column)
             told = (
                 Told(effect.seen_as.channel, number, 0.0, "1"),
@@ -115,7 +109,7 @@ class Shaking:
         if self._usual is None or not frame.loud.size:
             self._past.clear()
             return
-        over = np.minimum(frame.loud / self._usual, CLIP)
+        over = np.minimum(frame.loud / self._usual, self._settings.loudest)
         self._past.append((frame.number, over, frame.loud - self._usual))
         if float(np.median(over)) < self._settings.louder:
             share = FRAME_S / self._settings.forget_s
@@ -131,7 +125,7 @@ class Shaking:
         mean = np.cumsum(over[::-1], axis=0)[::-1] / counts
         least = np.minimum.accumulate(over[::-1], axis=0)[::-1]
         n = self._settings.tempered * CELL * counts
-        gain = 0.5 * n * (mean - 1 - np.log(mean)) - PRICE
+        gain = 0.5 * n * (mean - 1 - np.log(mean)) - self._settings.level_nats
         heard = (least > self._settings.louder) & (gain > 0)
         evidence = np.where(heard, gain, 0.0).sum(axis=(1, 2))[:-2]
         best = int(np.argmax(evidence))
