@@ -293,8 +293,15 @@ SAYS = {
 }
 
 
+LONG = {"five_minutes.py"}
+"""Examples that repeat what the test of the README's Python does."""
+SCRIPTS = sorted(p.name for p in (ROOT / "examples").glob("*.py"))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("script", sorted(p.name for p in (ROOT / "examples").glob("*.py")))
+@pytest.mark.parametrize(
+    "script", [pytest.param(s, marks=pytest.mark.long) if s in LONG else s for s in SCRIPTS]
+)
 def test_examples_run(script: str) -> None:
     result = subprocess.run(
         [sys.executable, "-W", "error", ROOT / "examples" / script, *SHORT.get(script, [])],

@@ -34,6 +34,8 @@ AUTOENCODERS = [
     for n in SYSTEMS
     if family_row(n).load().system.autoencoder  # type: ignore[attr-defined]
 ]
+DIFFUSING = ("tdm", "timeddpm")
+"""They take three times as long as the others."""
 BY_CRITIC = ("wgan", "tsgan")
 """Without a term that says how far off a residual is."""
 
@@ -47,7 +49,15 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("model", [n for n in SYSTEMS if n not in BY_CRITIC], indirect=True)
+@pytest.mark.parametrize(
+    "model",
+    [
+        pytest.param(n, marks=pytest.mark.long) if n in DIFFUSING else n
+        for n in SYSTEMS
+        if n not in BY_CRITIC
+    ],
+    indirect=True,
+)
 def test_a_known_sequence_is_learned(model: SystemModel, tmp_path: Path) -> None:
     """What is left of another flight is a tenth of what is left after one epoch, and less."""
     begun = small(model.name, "reconstruct", 1, tmp_path, **FAST.get(model.name, {}))

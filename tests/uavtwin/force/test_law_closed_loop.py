@@ -60,7 +60,7 @@ def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     empty: ForceLaw, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from uavtwin.report.evidence.steady import varies
 from uavtwin.report.page import plot
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_effect_without_a_mean_has_a_picture() -> None:
     seen = unsteady("stuck_sensor")
     plots, how = unsteady_evidence(
