@@ -311,6 +311,23 @@ BEGINNINGS: dict[str, Prior] = {
     "sensor_noise_level": Prior(RARE, "a sensor that fails", {"": Normal(0.0, 1.0)}),
 }
 """What may begin within a second in flight, as changes of numbers, whatever the weather."""
+BESIDE = (
+    "thrust_scale",
+    "thrust_curve",
+    "yaw_torque_scale",
+    "inertia_error",
+    "rotor_drag",
+    "parasitic_drag",
+    "imu_lever_arm",
+    "accel_scale",
+    "gyro_scale",
+    "heading_offset",
+)
+"""By which a calibrated model may be a little off all the time; they do not begin in flight."""
+SHOWN_BY_CHANGE = {"battery_sag": 0.1}
+"""Effects that show only once something else has changed, such as the voltage: what a quiet start
+does not tell counts as begun by then, and the standing model as good, to so much of the usual
+share."""
 ONLY_MORE = ("rotor_efficiency_loss", "mass_offset", "inertia_error", "slung_load")
 """What broke or was strapped on only adds."""
 

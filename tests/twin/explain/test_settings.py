@@ -89,7 +89,7 @@ LOCAL = {
         "inference.constants.FAST_RAD_S",
         "inference.refit.KAPPAS",
         "inference.refit.BEFORE",
-        "running.hypotheses.SHOWN_BY_CHANGE",
+        "running.hypotheses.FEARED",
     },
     "frequencies in which channels are taken apart": {
         "inference.coherence.WINDOW",

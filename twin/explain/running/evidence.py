@@ -8,13 +8,14 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from ...effects import EFFECTS
+from ...effects import EFFECTS, Repeats
+from ...effects.priors import BESIDE
 from ...representation import short_repr
 from ...vehicle import Vehicle
 from .alarms import Alarm, Told, Verdict
 from .channels import FRAME_S, Frame, Framing
 from .feed import Feed
-from .hypotheses import BESIDE, FEARED, library_of
+from .hypotheses import FEARED, library_of
 from .jumps import Jump, Jumps
 from .noise import Levels
 from .settings import RUNNING, RunningSettings
@@ -316,7 +317,7 @@ class RunningEvidence:
     def _follow_silent(self, frame: Frame) -> None:
         """Alarms of what changes no mean, each by itself."""
         signs: list[Sign] = []
-        if "stuck_sensor" in self._library.silent:
+        if any(isinstance(EFFECTS[e].seen_as, Repeats) for e in self._library.silent):
             signs += self._still.signs(frame)
         signs += self._shaking.signs(self._library.silent)
         price = np.log(self._settings.every_s / FRAME_S)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Equation
-from ...effects.priors import BEGINNINGS, PRIORS, Prior
+from ...effects.priors import BEGINNINGS, PRIORS, SHOWN_BY_CHANGE, Prior
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle
@@ -16,39 +16,8 @@ from ..model.numbers import Number, numbers_of
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]
-FEARED = (
-    "rotor_efficiency_loss",
-    "battery_sag",
-    "mass_offset",
-    "cog_offset",
-    "motor_lag",
-    "steady_wind",
-    "accel_bias",
-    "gyro_bias",
-    "mag_hard_iron",
-    "baro_bias",
-    "stuck_sensor",
-    "vibration",
-    "sensor_noise_level",
-)
+FEARED = tuple(BEGINNINGS)
 """What a pilot fears, and is told while it flies."""
-BESIDE = (
-    "thrust_scale",
-    "thrust_curve",
-    "yaw_torque_scale",
-    "inertia_error",
-    "rotor_drag",
-    "parasitic_drag",
-    "imu_lever_arm",
-    "accel_scale",
-    "gyro_scale",
-    "heading_offset",
-)
-"""By which a calibrated model may be a little off all the time, and which do not begin."""
-SHOWN_BY_CHANGE = {"battery_sag": 0.1}
-"""Effects that show only once something else has changed, such as the voltage: what a quiet start
-does not tell counts as begun by then, and the standing model as good, to so much of the usual
-share."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Repeats
 from ...effects.inertial import IMU_CHANNELS
+from ...effects.seen import Lines, NoiseFloor
 from ...representation import short_repr
 from ..settings import DEFAULT
 from .alarms import Told
@@ -19,6 +20,11 @@ Array = NDArray[np.float64]
 CELL = 6.0
 """Degrees of freedom of the power of a reading in a sub-band of a frame: ten bins under a Hann
 window."""
+
+
+def _seen_as(kind: type[object]) -> str:
+    """The effect of the library that is seen so."""
+    return next(name for name, effect in EFFECTS.items() if isinstance(effect.seen_as, kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +81,7 @@ class StandStill:
 
     def signs(self, frame: Frame) -> list[Sign]:
         """Readings that stand still now, the one that does so for longest."""
-        effect = EFFECTS["stuck_sensor"]
+        effect = EFFECTS[_seen_as(Repeats)]
         assert isinstance(effect.seen_as, Repeats)
         found = []
         for column, start in sorted(self._frames.items(), key=lambda kv: kv[1])[:1]:
@@ -131,7 +137,7 @@ class Shaking:
         best = int(np.argmax(evidence))
         if evidence[best] <= 0:
             return []
-        effect = "vibration" if _uneven(mean[best]) else "sensor_noise_level"
+        effect = _seen_as(Lines if _uneven(mean[best]) else NoiseFloor)
         if effect not in wanted:
             return []
         added = np.mean([a for _, _, a in self._past][best + 1 :], axis=0)
@@ -145,7 +151,8 @@ class Shaking:
             across = float(added[rows : rows + 2].sum(axis=1).mean())
             # Four rotors, each a circle in the plane of the rotors: 2 A^2 along each axis, while
             # their phases are by chance.
-            size = np.sqrt(across / 2) if effect == "vibration" else np.sqrt(2.7 * across)
+            lines = isinstance(EFFECTS[effect].seen_as, Lines)
+            size = np.sqrt(across / 2) if lines else np.sqrt(2.7 * across)
             found.append(Told(name, float(size), 0.5 * float(size), unit))
         return tuple(found)
 
