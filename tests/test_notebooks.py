@@ -28,8 +28,16 @@ def test_stored_without_output(path: Path) -> None:
             assert cell.execution_count is None
 
 
+LONG = {"find_and_add_an_effect"}
+"""What the Python of the README does, and is tested for, in other words."""
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=pytest.mark.long) if p.stem in LONG else p for p in NOTEBOOKS],
+    ids=lambda p: p.stem,
+)
 def test_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Cells assert what they show; the first that fails ends the test with its traceback."""
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
