@@ -59,6 +59,16 @@ Csv = Annotated[bool, typer.Option("--csv", help="Series as CSV, not Parquet.")]
 Mcap = Annotated[
     bool, typer.Option("--mcap", help="Series as MCAP, for Foxglove and PlotJuggler, not Parquet.")
 ]
+Wind = Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")]
+Gusts = Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")]
+Controller = Annotated[str, typer.Option(help="lqr or px4.")]
+Effects = Annotated[
+    list[str] | None,
+    typer.Option("--effect", help="Effect to switch on; may be given several times."),
+]
+Starts = Annotated[list[str] | None, typer.Option("--start", help="Start value PART.NAME=VALUE.")]
+CallLimit = Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")]
+MemoryLimit = Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")]
 VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
 """Of the environment: the vehicle where a command names none."""
 VehicleName = Annotated[

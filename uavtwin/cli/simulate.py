@@ -10,12 +10,19 @@ from twin.errors import TwinError
 
 from .options import (
     VEHICLE_VARIABLE,
+    CallLimit,
+    Controller,
     Csv,
+    Effects,
     Exit,
     Force,
+    Gusts,
     Json,
     Mcap,
+    MemoryLimit,
     Out,
+    Starts,
+    Wind,
     start_values,
     vehicle_named,
 )
@@ -30,6 +37,9 @@ Aircraft = Annotated[
         f"{VEHICLE_VARIABLE} in the environment, else {_VEHICLE}; of an .ssp its own parts."
     ),
 ]
+ScenarioName = Annotated[
+    str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
+]
 Trust = Annotated[
     Path | None,
     typer.Option(help="Hashes by sha256sum, of an .ssp or all its FMUs: run in this process."),
@@ -40,18 +50,14 @@ if TYPE_CHECKING:
 
 
 def simulate(
-    scenario: Annotated[
-        str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
-    ],
+    scenario: ScenarioName,
     vehicle: Aircraft = None,
-    wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
-    gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
+    wind: Wind = "0,0,0",
+    gusts: Gusts = False,
     seed: Annotated[int, typer.Option(min=0, help="Of every noise.")] = 0,
-    controller: Annotated[str, typer.Option(help="lqr or px4.")] = "lqr",
-    effect: Annotated[
-        list[str] | None, typer.Option(help="Effect to switch on; may be given several times.")
-    ] = None,
-    start: Annotated[list[str] | None, typer.Option(help="Start value PART.NAME=VALUE.")] = None,
+    controller: Controller = "lqr",
+    effect: Effects = None,
+    start: Starts = None,
     stop: Annotated[float | None, typer.Option(help="Stop time, s.")] = None,
     step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
     interval: Annotated[float | None, typer.Option(help="Time between recorded rows, s.")] = None,
@@ -59,9 +65,9 @@ def simulate(
     fused: Annotated[bool, typer.Option("--fused", help="Run the twin as one FMU.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="As fast as the clock.")] = False,
     trust: Trust = None,
-    call_limit: Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")] = 60.0,
+    call_limit: CallLimit = 60.0,
     time_limit: Annotated[float, typer.Option(help="Of a run of foreign FMUs, s.")] = 3600.0,
-    memory_limit: Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")] = 4.0,
+    memory_limit: MemoryLimit = 4.0,
     csv: Csv = False,
     mcap: Mcap = False,
     out: Out = Path("simulation"),
@@ -79,8 +85,7 @@ def simulate(
 
     check_folder(out, force)
     forms = chosen_forms(csv, mcap)
-    own_parts = scenario.endswith(".ssp") and vehicle in (None, _VEHICLE)
-    vehicle = _VEHICLE if own_parts else vehicle_named(vehicle, _VEHICLE)
+    vehicle, own_parts = aircraft_of(scenario, vehicle)
     plan = Scenario(
         scenario,
         None if own_parts else load_vehicle(vehicle),
@@ -178,6 +183,13 @@ def _end(run: "Run", out: Path) -> NoReturn:
         raise KeyboardInterrupt from run.ended
     STDERR.print(f"error: {text}", style="red", markup=False)
     raise typer.Exit(Exit.FINDINGS)
+
+
+def aircraft_of(scenario: str, given: str | None) -> tuple[str, bool]:
+    """Name of the vehicle that flies; and whether an `.ssp` flies its own parts instead."""
+    if scenario.endswith(".ssp") and given in (None, _VEHICLE):
+        return _VEHICLE, True
+    return vehicle_named(given, _VEHICLE), False
 
 
 def three_numbers(text: str, option: str) -> tuple[float, float, float]:

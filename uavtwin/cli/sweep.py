@@ -1,22 +1,38 @@
 """`uavtwin sweep`: many runs of a scenario."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from .options import Exit, Force, Json, Out, start_values, vehicle_named
+from .options import (
+    CallLimit,
+    Controller,
+    Effects,
+    Exit,
+    Force,
+    Gusts,
+    Json,
+    MemoryLimit,
+    Out,
+    Starts,
+    Wind,
+    start_values,
+)
 from .printing import STDOUT, print_json, progress
-from .simulate import Aircraft, three_numbers
+from .simulate import Aircraft, ScenarioName, aircraft_of, three_numbers
 
-_VEHICLE = "copter_default"
+if TYPE_CHECKING:
+    from ..sweeps.result import SweepResult
+
 Method = Literal["latin_hypercube", "sobol", "random", "grid", "saltelli"]
+EngineOption = Annotated[
+    Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
+]
 
 
 def sweep(
-    scenario: Annotated[
-        str, typer.Argument(help="hover, takeoff, tour, forward, land, or an .ssp file.")
-    ],
+    scenario: ScenarioName,
     vary: Annotated[
         list[str] | None,
         typer.Option(
@@ -33,18 +49,14 @@ def sweep(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of points and noise.")] = None,
     vehicle: Aircraft = None,
-    wind: Annotated[str, typer.Option(help="Velocity of the air NED, m/s: 5,0,0.")] = "0,0,0",
-    gusts: Annotated[bool, typer.Option("--gusts", help="Dryden turbulence.")] = False,
-    controller: Annotated[str, typer.Option(help="lqr or px4.")] = "lqr",
-    effect: Annotated[
-        list[str] | None, typer.Option(help="Effect to switch on; may be given several times.")
-    ] = None,
-    start: Annotated[list[str] | None, typer.Option(help="Start value PART.NAME=VALUE.")] = None,
+    wind: Wind = "0,0,0",
+    gusts: Gusts = False,
+    controller: Controller = "lqr",
+    effect: Effects = None,
+    start: Starts = None,
     duration: Annotated[float | None, typer.Option(help="Of each run, s.")] = None,
     step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
-    engine: Annotated[
-        Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
-    ] = "local",
+    engine: EngineOption = "local",
     workers: Annotated[
         int | None, typer.Option(help="Processes of the local engine. Default: one per core.")
     ] = None,
@@ -52,9 +64,9 @@ def sweep(
     recordings: Annotated[
         bool, typer.Option("--recordings", help="Keep every output of every run.")
     ] = False,
-    call_limit: Annotated[float, typer.Option(help="Of one call into an FMU, s.")] = 60.0,
+    call_limit: CallLimit = 60.0,
     time_limit: Annotated[float, typer.Option(help="Of one run, s.")] = 3600.0,
-    memory_limit: Annotated[float, typer.Option(help="Of one process of FMUs, GiB.")] = 4.0,
+    memory_limit: MemoryLimit = 4.0,
     out: Out = Path("sweep"),
     force: Force = False,
     as_json: Json = False,
@@ -65,56 +77,62 @@ def sweep(
     """
     from cosim.limits import Limits
 
-    from ..output import write_run
+    from ..simulation import Scenario
     from ..sweeps.design import factor_of
-    from ..sweeps.sweep import sweep as run_sweep
+    from ..sweeps.sweep import Work, chosen_design, run_sweep
+    from ..vehicles import load_vehicle
 
-    own_parts = scenario.endswith(".ssp") and vehicle in (None, _VEHICLE)
-    vehicle = _VEHICLE if own_parts else vehicle_named(vehicle, _VEHICLE)
-    given = dict(map(factor_of, vary or ()))
-    with progress("flying") as done:
-        result = run_sweep(
-            scenario,
-            None if own_parts else vehicle,
-            out=out,
-            vary=given,
-            design=design,
-            runs=runs,
-            method=method,
-            seed=seed,
-            wind=three_numbers(wind, "--wind"),
-            gusts=gusts,
-            controller=controller,
-            effects=tuple(effect or ()),
-            starts=start_values(start),
-            duration=duration,
-            step=step,
-            engine=engine,
-            workers=workers,
-            scheduler=scheduler,
-            recordings=recordings,
-            limits=Limits(call_limit, time_limit, memory_limit),
-            force=force,
-            progress=done,
-        )
-    options: dict[str, Any] = {
-        "scenario": Path(scenario).name,
-        "vehicle": Path(vehicle).name,
-        "vary": vary or [],
-        "design": None if design is None else design.name,
-        "runs": len(result.table),
-        "method": result.design.method,
-        "wind": wind,
-        "gusts": gusts,
-        "controller": controller,
-        "effect": effect or [],
-        "start": start or [],
-        "duration": duration,
-        "step": step,
+    vehicle, own_parts = aircraft_of(scenario, vehicle)
+    base = Scenario(
+        scenario,
+        None if own_parts else load_vehicle(vehicle),
+        controller,
+        three_numbers(wind, "--wind"),
+        gusts,
+        effects=tuple(effect or ()),
+        starts=start_values(start),
+    )
+    points = chosen_design(design, dict(map(factor_of, vary or ())), runs, method, seed)
+    limits = Limits(call_limit, time_limit, memory_limit)
+    work = Work(engine, workers, scheduler, recordings, limits)
+    options = {
+        **{"wind": wind, "gusts": gusts, "controller": controller, "effect": effect or []},
+        **{"start": start or [], "duration": duration, "step": step, "vary": vary or []},
         "recordings": recordings,
     }
-    inputs = [p for p in (Path(scenario), Path(vehicle), design) if p is not None and p.is_file()]
-    write_run(out, "sweep", options, inputs, result.design.seed)
+    inputs = (Path(scenario), Path(vehicle), *([] if design is None else [design]))
+    named = "" if own_parts else vehicle
+    with progress("flying") as done:
+        result = run_sweep(
+            *(base, points, out, work, duration, step, named, force, done),
+            lambda r: _note(r, out, Path(vehicle).name, options, inputs),
+        )
+    _say(result, out, as_json)
+
+
+def _note(
+    result: "SweepResult",
+    out: Path,
+    vehicle: str,
+    options: dict[str, Any],
+    given: tuple[Path, ...],
+) -> None:
+    """Write `run.json`; of the engine and its workers it says nothing, since nothing depends on
+    them."""
+    from ..output import write_run
+
+    about = {
+        "scenario": result.name,
+        "vehicle": vehicle,
+        "runs": len(result.table),
+        "method": result.design.method,
+    }
+    inputs = [p for p in given if p.is_file()]
+    write_run(out, "sweep", {**about, **options}, inputs, result.design.seed)
+
+
+def _say(result: "SweepResult", out: Path, as_json: bool) -> None:
+    """What came of it; ends the verb where a run failed."""
     if as_json:
         print_json(result.json())
     else:

@@ -3,58 +3,11 @@
 `twin.explain.running.RunningEvidence` is meant; a flight without evidence raises no alarms.
 """
 
-from collections.abc import Sequence
 from typing import Any, Protocol
 
 import pandas as pd
 
-
-class Alarm(Protocol):
-    """Something that has begun in flight."""
-
-    @property
-    def effect(self) -> str:
-        """Identifier of the effect library."""
-        ...
-
-    @property
-    def since_s(self) -> float:
-        """When it began, s of the flight."""
-        ...
-
-    @property
-    def raised_s(self) -> float:
-        """When it was told."""
-        ...
-
-    @property
-    def closed_s(self) -> float | None:
-        """When it ended; None: it goes on."""
-        ...
-
-    @property
-    def probability(self) -> float:
-        """0..1."""
-        ...
-
-    @property
-    def sentence(self) -> str:
-        """For a pilot."""
-        ...
-
-
-class Verdict(Protocol):
-    """What is new."""
-
-    @property
-    def opened(self) -> Sequence[Alarm]:
-        """Alarms raised since the last one."""
-        ...
-
-    @property
-    def closed(self) -> Sequence[Alarm]:
-        """Alarms that ended since the last one."""
-        ...
+from twin.explain.running.alarms import Alarm, Verdict
 
 
 class Evidence(Protocol):

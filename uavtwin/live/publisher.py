@@ -8,12 +8,12 @@ from queue import Empty, SimpleQueue
 import numpy as np
 
 from twin.errors import TwinError
+from twin.explain.running.alarms import Alarm
 from twin.logs.columns import ACC, GYRO
 from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 
 from .address import Address, sending
-from .alarms import Alarm
 from .following import FollowingTwin, Reading
 
 DEFAULT_SYSTEM = 2
@@ -98,7 +98,7 @@ class Publisher:
         """As text, in pieces, and as a number."""
         over = alarm.closed_s is not None
         severity = dialect.MAV_SEVERITY_NOTICE if over else dialect.MAV_SEVERITY_WARNING
-        text = alarm.sentence.encode("ascii", "replace")
+        text = alarm.sentence.replace("±", "+/-").encode("ascii", "replace")
         pieces = [text[k : k + _TEXT] for k in range(0, len(text), _TEXT)]
         number = self.sent % 65535 + 1 if len(pieces) > 1 else 0
         for k, piece in enumerate(pieces):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from twin.errors import TwinError
+from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.logs.mavlink.decoder import MavlinkDecoder
 from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
@@ -18,7 +19,7 @@ from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
 from .address import Address, listening
-from .alarms import Alarm, Evidence, alarm_json
+from .alarms import Evidence, alarm_json
 from .clock import ClockWatch
 from .following import FollowingTwin
 from .page.feed import PageFeed
@@ -72,6 +73,9 @@ class LiveOptions:
         request_rates: Whether the aircraft is asked for streams, the one command that is sent.
         publish: Where the twin is sent to as an aircraft of its own; None: nowhere.
         publish_system: System id of the twin.
+
+    Raises:
+        TwinError: A number is out of bounds.
     """
 
     listen: Address
@@ -84,6 +88,13 @@ class LiveOptions:
     request_rates: bool = False
     publish: Address | None = None
     publish_system: int = DEFAULT_SYSTEM
+
+    def __post_init__(self) -> None:
+        steps = 1e3 * self.horizon_s
+        if not 0.01 <= self.horizon_s <= 60 or abs(steps - round(steps)) > 1e-6:
+            raise TwinError(f"--horizon {self.horizon_s:g}: a multiple of 1 ms of at least 10 ms.")
+        if not 0 <= self.hold_s <= 10:
+            raise TwinError(f"--hold {self.hold_s:g}: 0 to 10 s.")
 
 
 class LiveSession:

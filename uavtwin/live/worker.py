@@ -11,12 +11,13 @@ from queue import Queue
 
 import pandas as pd
 
+from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.residuals.running.equations import Equations
 from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
 from twin.vehicle import Vehicle
 
-from .alarms import Alarm, Evidence, alarm_json
+from .alarms import Evidence, alarm_json
 from .recording import Recording
 from .rows import Columns
 

@@ -58,11 +58,6 @@ class Design:
         if self.runs is not None and not 1 <= self.runs <= MOST_RUNS:
             raise TwinError(f"runs = {self.runs}: needs an integer of 1 to {MOST_RUNS}.")
 
-    @property
-    def continuous(self) -> bool:
-        """Whether points are drawn, and not counted."""
-        return self.method != "grid"
-
     def points(self) -> list[dict[str, Value]]:
         """The factors of each run, in order.
 

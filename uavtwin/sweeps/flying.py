@@ -2,8 +2,6 @@
 
 import contextlib
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -74,17 +72,6 @@ class Flyer:
         if master is not None:
             with contextlib.suppress(FmuError):  # the outcome is known already
                 master.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def _nothing() -> Recording:

@@ -1,11 +1,11 @@
 """What a sweep has done so far: a line per run, so that it goes on from there after a kill."""
 
+import fcntl
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Self
+from typing import Any
 
 from twin.errors import TwinError
 
@@ -29,47 +29,58 @@ class Journal:
             sweep: Hash of all that decides the outcomes.
 
         Raises:
-            TwinError: It is of another sweep, or not ours.
+            TwinError: It is of another sweep, not ours, or another process writes it.
         """
         self._path = path
         self.done: set[int] = set()
-        if path.exists():
-            end = self._look(sweep)
-            os.truncate(path, end)  # a kill in the middle of a line
-        if not path.exists() or not path.stat().st_size:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps({"sweep": sweep}) + "\n", "utf-8")
-        self._file = path.open("a", encoding="utf-8")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("a+b")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            os.truncate(path, self._look(sweep))  # a kill in the middle of a line
+        except BlockingIOError as error:
+            self._file.close()
+            raise TwinError(
+                f"{path}: another sweep is writing it. Wait for it, or choose another --out."
+            ) from error
+        except BaseException:
+            self._file.close()
+            raise
+        if not path.stat().st_size:
+            self._write({"sweep": sweep})
 
     def _look(self, sweep: str) -> int:
         """Take the runs that are done; bytes of whole lines."""
         end = 0
-        with self._path.open("rb") as file:
-            for number, line in enumerate(file):
-                if not line.endswith(b"\n"):
-                    break
-                try:
-                    content = json.loads(line)
-                    found = content["sweep"] if number == 0 else int(content["run"])
-                except (ValueError, KeyError, TypeError) as error:
-                    raise TwinError(
-                        f"{self._path}: line {number + 1} is not of a sweep. Choose another --out, "
-                        f"or delete the file to begin anew."
-                    ) from error
-                if number:
-                    self.done.add(found)
-                elif found != sweep:
-                    raise TwinError(
-                        f"{self._path}: is of another sweep, which was not finished (other "
-                        f"scenario, design, seed, files or version). Choose another --out, or "
-                        f"delete the file to begin anew."
-                    )
-                end += len(line)
+        self._file.seek(0)
+        for number, line in enumerate(self._file):
+            if not line.endswith(b"\n"):
+                break
+            try:
+                content = json.loads(line)
+                found = content["sweep"] if number == 0 else Outcome(**content).run
+            except (ValueError, KeyError, TypeError) as error:
+                raise TwinError(
+                    f"{self._path}: line {number + 1} is not of a sweep. Choose another --out, or "
+                    f"delete the file to begin anew."
+                ) from error
+            if number:
+                self.done.add(found)
+            elif found != sweep:
+                raise TwinError(
+                    f"{self._path}: is of another sweep, which was not finished (other scenario, "
+                    f"design, seed, files or version). Choose another --out, or delete the file to "
+                    f"begin anew."
+                )
+            end += len(line)
         return end
 
     def add(self, outcome: Outcome) -> None:
         """Write a run down; a kill after this does not lose it."""
-        self._file.write(json.dumps(outcome.json(), allow_nan=False) + "\n")
+        self._write(outcome.json())
+
+    def _write(self, content: Mapping[str, Any]) -> None:
+        self._file.write(json.dumps(content, allow_nan=False).encode() + b"\n")
         self._file.flush()
 
     def outcomes(self) -> Iterator[Outcome]:
@@ -80,17 +91,9 @@ class Journal:
                 yield Outcome(**json.loads(line))
 
     def remove(self) -> None:
-        """Close and delete it: the results are in their place."""
-        self._file.close()
+        """Delete it: the results are in their place."""
         self._path.unlink()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def close(self) -> None:
+        """Another may go on with it."""
         self._file.close()

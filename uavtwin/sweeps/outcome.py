@@ -33,6 +33,9 @@ FIGURES = {
     "end_pos_z_m": "m",
 }
 """Of a flight, and their units."""
+POSITION, SETPOINT = "airframe.pos", "mission.setpoint_pos"
+RISEN = 0.5
+"""Share of the height that was wanted, from which on an aircraft has taken off."""
 AT_LIMIT = 1e-3
 """A command as close as that to 0 or 1 is at its limit."""
 How = Literal["flown", "lost", "run", "failed"]
@@ -97,10 +100,20 @@ def outcome_of(run: int, recording: Recording, arm_m: float | None, why: str = "
     }
     if why:
         return Outcome(run, "failed", why, time_s, figures)
-    problem = (
-        "" if arm_m is None else lost(figures["tracking_worst_m"], figures["tilt_worst_rad"], arm_m)
-    )
+    problem = _stayed_down(recording)
+    if arm_m is not None:
+        problem = problem or lost(figures["tracking_worst_m"], figures["tilt_worst_rad"], arm_m)
     return Outcome(run, "lost" if problem else "flown", problem, time_s, figures)
+
+
+def _stayed_down(recording: Recording) -> str:
+    """That it did not rise by half of what was wanted; "" where it did."""
+    names = [n.removeprefix("twin.") for n in recording.names]
+    down = {n: recording.values[:, names.index(f"{n}_z")] for n in (POSITION, SETPOINT)}
+    rose, wanted = (float(z[0] - z.min()) for z in down.values())
+    if rose >= RISEN * wanted:
+        return ""
+    return f"stayed down: rose {rose:.2f} m of the {wanted:.2f} m that were wanted"
 
 
 def _saturated(recording: Recording) -> float:

@@ -187,6 +187,7 @@ def _of_twin(twin: Assembly) -> Check:
     plain = {name: v.start for name, (_, v) in known.items()}
 
     def check(run: int, scenario: Scenario) -> dict[str, float]:
+        """Start values that differ from those of the twin."""
         starts = shaping_starts(twin, scenario)
         for name, value in starts.items():
             if name not in known:
@@ -203,7 +204,8 @@ def _of_system(first: Scenario) -> Check:
     interfaces = {name: read_interface(path) for name, path in system.fmus.items()}
 
     def check(run: int, scenario: Scenario) -> Mapping[str, float]:
-        del run
+        """Start values of slaves."""
+        del run  # the FMU says at its start what it does not take
         for name in scenario.starts:
             slave, variable = system.split(name)
             interfaces[slave].scalar(variable)

@@ -5,8 +5,8 @@ import json
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import asdict
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +31,25 @@ EngineName = Literal["local", "dask"]
 RECORDINGS = "recordings"
 _BUILDING = 0.05
 """Share of the work that building takes, about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """How runs are flown; the outcomes do not depend on it.
+
+    Attributes:
+        engine: `local`, or `dask` with a scheduler.
+        workers: Processes of the local engine; None: one per core.
+        scheduler: Address of a Dask scheduler.
+        recordings: Whether every output of every run is kept.
+        limits: Of the processes that FMUs run in; the time as a whole is that of one run.
+    """
+
+    engine: EngineName = "local"
+    workers: int | None = None
+    scheduler: str | None = None
+    recordings: bool = False
+    limits: Limits = field(default_factory=Limits)
 
 
 def sweep(
@@ -74,18 +93,10 @@ def sweep(
         runs: How many; default: as the design says, else 100.
         method: `latin_hypercube`, `sobol`, `random`, `grid` or `saltelli`.
         seed: Of the points; run k has noise of the seed after k more.
-        wind: Of all runs, as for `simulate`.
-        gusts: As for `simulate`.
-        controller: As for `simulate`.
-        effects: As for `simulate`.
-        starts: As for `simulate`.
+        wind, gusts, controller, effects, starts: Of all runs, as for `simulate`.
         duration: Of each run, s.
         step: Communication step, s.
-        engine: `local`, or `dask` with a scheduler.
-        workers: Processes of the local engine; default: one per core.
-        scheduler: Address of a Dask scheduler.
-        recordings: Whether every output of every run is kept.
-        limits: Of the processes that FMUs run in; the time as a whole is that of one run.
+        engine, workers, scheduler, recordings, limits: See `Work`.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
 
@@ -107,29 +118,70 @@ def sweep(
         effects if isinstance(effects, Mapping) else tuple(effects),
         dict(starts or {}),
     )
-    chosen = chosen_design(design, vary, runs, method, seed)
-    folder, used = Path(out), limits or Limits()
-    if not (folder / JOURNAL).exists():
-        check_folder(folder, force)
+    return run_sweep(
+        base,
+        chosen_design(design, vary, runs, method, seed),
+        Path(out),
+        Work(engine, workers, scheduler, recordings, limits or Limits()),
+        duration,
+        step,
+        named,
+        force,
+        progress,
+    )
+
+
+def run_sweep(
+    base: Scenario,
+    design: Design,
+    out: Path,
+    work: Work,
+    duration_s: float | None = None,
+    step_s: float | None = None,
+    vehicle: str = "",
+    force: bool = False,
+    progress: Progress = lambda _: None,
+    beside: Callable[[SweepResult], None] = lambda _: None,
+) -> SweepResult:
+    """Plan a sweep, fly what is not done of it, and write what came of it.
+
+    Args:
+        base: What all runs share.
+        design: What they differ in.
+        out: Folder.
+        work: How runs are flown.
+        duration_s: Of each run.
+        step_s: Communication step.
+        vehicle: Name or file of what flies, for commands; "" for the usual one.
+        force: Whether files in the folder may be replaced.
+        progress: Called with the share done, 0..1.
+        beside: Writes what else belongs into the folder; a kill before it has ended costs nothing.
+
+    Raises:
+        TwinError: As `sweep`.
+    """
+    if not (out / JOURNAL).exists():
+        check_folder(out, force)
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as scratch:
         plan = plan_of(
             base,
-            chosen,
+            design,
             Path(scratch),
-            duration,
-            step,
-            recordings,
+            duration_s,
+            step_s,
+            work.recordings,
             lambda done: progress(_BUILDING * done),
         )
-        key = sweep_key(plan, recordings)
-        with Journal(folder / JOURNAL, key) as journal:
-            with _engine(engine, key, used, workers, scheduler, recordings) as flying:
-                _fly(plan, flying, journal, folder, progress)
+        key = sweep_key(plan, work.recordings)
+        with closing(Journal(out / JOURNAL, key)) as journal:
+            with _engine(work, key) as engine:
+                _fly(plan, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
-            result = SweepResult(base.name, table, chosen, plan.scenarios, named)
-            result.save(folder / "runs.parquet")
-            result.report(folder / "report.html")
-            write_json(folder / "sweep.json", result.json())
+            result = SweepResult(base.name, table, design, plan.scenarios, vehicle)
+            result.save(out / "runs.parquet")
+            result.report(out / "report.html")
+            write_json(out / "sweep.json", result.json())
+            beside(result)
             journal.remove()
     return result
 
@@ -183,33 +235,23 @@ def sweep_key(plan: Plan, recordings: bool) -> str:
 
 
 @contextmanager
-def _engine(
-    name: str,
-    key: str,
-    limits: Limits,
-    workers: int | None,
-    scheduler: str | None,
-    keep: bool,
-) -> Iterator[Engine]:
-    """The engine of that name."""
-    if name == "dask":
+def _engine(work: Work, key: str) -> Iterator[Engine]:
+    """The engine that flies."""
+    if work.engine == "dask":
         from .engine.dask import DaskEngine
 
-        if scheduler is None:
+        if work.scheduler is None:
             raise TwinError("--engine dask: give --scheduler tcp://HOST:8786.")
-        remote = DaskEngine(scheduler, key, limits, keep)
-        try:
+        with closing(DaskEngine(work.scheduler, key, work.limits, work.recordings)) as remote:
             yield remote
-        finally:
-            remote.close()
         return
-    if scheduler is not None:
+    if work.scheduler is not None:
         raise TwinError("--scheduler: goes with --engine dask.")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    count = (cores or 1) if workers is None else workers
+    count = (cores or 1) if work.workers is None else work.workers
     if not 1 <= count <= 1024:
-        raise TwinError(f"workers = {count}: needs 1 to 1024.")
-    yield LocalEngine(count, limits, keep)
+        raise TwinError(f"--workers {count}: needs 1 to 1024.")
+    yield LocalEngine(count, work.limits, work.recordings)
 
 
 def _fly(plan: Plan, engine: Engine, journal: Journal, folder: Path, progress: Progress) -> None:

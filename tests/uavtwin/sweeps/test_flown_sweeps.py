@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pandas as pd
@@ -19,7 +20,7 @@ import uavtwin as ut
 from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
-from uavtwin.sweeps.journal import JOURNAL
+from uavtwin.sweeps.journal import JOURNAL, Journal
 
 pytestmark = pytest.mark.slow
 VARY = {
@@ -111,6 +112,22 @@ def test_a_killed_sweep_goes_on_and_loses_nothing(tmp_path: Path) -> None:
 
 def _lines(path: Path) -> int:
     return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def test_an_aircraft_that_cannot_carry_itself_is_lost(tmp_path: Path) -> None:
+    made = ut.sweep("hover", out=tmp_path, vary={"airframe.mass": [1.4, 9.0]}, method="grid")
+    assert made.table["outcome"].tolist() == ["flown", "lost"]
+    assert made.table.loc[1, "why"].startswith("stayed down: rose 0.")
+    assert made.worst()["run"].tolist() == [1, 0]
+
+
+def test_two_sweeps_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    with (
+        closing(Journal(tmp_path / JOURNAL, "one")),
+        pytest.raises(TwinError, match="another sweep is writing it"),
+    ):
+        Journal(tmp_path / JOURNAL, "one")
+    Journal(tmp_path / JOURNAL, "one").close()  # what has ended goes on
 
 
 def test_another_sweep_does_not_go_on_there(tmp_path: Path) -> None:

@@ -58,10 +58,11 @@ class Alarm:
     def sentence(self) -> str:
         """For people."""
         told = ", ".join(str(n) for n in self.numbers)
-        text = f"{self.effect} since {self.since_s:.1f} s: {EFFECTS[self.effect].meaning}"
+        name = self.effect.replace("_", " ")
+        text = f"{name} since {self.since_s:.1f} s: {EFFECTS[self.effect].meaning}"
         text += f" ({told}; {self.probability:.0%})" if told else f" ({self.probability:.0%})"
         if self.others:
-            known = " or ".join(f"{e} ({p:.0%})" for e, p in self.others.items())
+            known = " or ".join(f"{e.replace('_', ' ')} ({p:.0%})" for e, p in self.others.items())
             text += f"; cannot be told from {known}"
         if self.closed_s is not None:
             text += f"; over since {self.closed_s:.1f} s"

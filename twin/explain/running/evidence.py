@@ -1,6 +1,6 @@
 """Running evidence: which effect has begun, since when, by how much, second by second."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -361,8 +361,3 @@ def _shares(weighed: Sequence[Weighed]) -> dict[str, float]:
     for w, p in zip(weighed, share, strict=True):
         found[w.effect] = found.get(w.effect, 0.0) + float(p)
     return found
-
-
-def known_effects() -> Mapping[str, str]:
-    """Effects that can be told while flying, and what each means."""
-    return {name: EFFECTS[name].meaning for name in FEARED}

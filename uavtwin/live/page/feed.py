@@ -7,12 +7,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from twin.explain.running.alarms import Alarm
 from twin.frames import AXES, to_euler
 from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
 from twin.logs.mavlink.samples import Sample
 from twin.residuals.running.residuals import ResidualBlock
 
-from ..alarms import Alarm, alarm_json
+from ..alarms import alarm_json
 from ..told import LiveTold
 from .band import ExpectedBands
 from .hub import Hub

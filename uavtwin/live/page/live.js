@@ -104,8 +104,7 @@
     var all = Array.from(alarms.values()).sort(function (a, b) { return isOver(a) - isOver(b) || b.raised_s - a.raised_s; });
     var open = all.filter(function (a) { return !isOver(a); });
     id("alarms").replaceChildren.apply(id("alarms"), all.length ? all.slice(0, 30).map(function (a) {
-      var words = a.text + " Since " + a.since_s.toFixed(1) + " s, probability " + (100 * a.probability).toFixed(0) + " %, told at " +
-        a.raised_s.toFixed(1) + " s" + (isOver(a) ? "; over at " + a.closed_s.toFixed(1) + " s." : ".");
+      var words = a.text + "; told at " + a.raised_s.toFixed(1) + " s.";
       var e = element("p", words, isOver(a) ? "alarm over" : "alarm");
       e.dataset.effect = a.effect;
       return e;

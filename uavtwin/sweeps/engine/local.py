@@ -37,7 +37,7 @@ class LocalEngine:
         def work() -> None:
             """Until there is nothing more to do, or nobody who wants it."""
             try:
-                with Flyer(self._limits, self._keep) as flyer:
+                with contextlib.closing(Flyer(self._limits, self._keep)) as flyer:
                     while (job := waiting.get()) is not None and not ended.is_set():
                         done.put(flyer.fly(job, stands[job.stand]))
             except BaseException as error:

@@ -5,7 +5,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from page_rigs.browser import (
 )
 from sample_logs import flown_table
 
+from twin.explain.running.alarms import Alarm, Told
 from twin.logs import Flight
 from twin.logs.mavlink.dialect import dialect
 from twin.logs.mavlink.samples import Sample
@@ -53,14 +54,9 @@ class Reading:
     q_nb: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class Alarm:
-    closed_s: float | None
-    effect: str = "rotor_thrust"
-    since_s: float = 12.0
-    raised_s: float = 14.5
-    probability: float = 0.97
-    sentence: str = "Rotor 3 gives less thrust."
+WEAK = Alarm(
+    "rotor_efficiency_loss", (Told("loss_3", 0.1, 0.004, "1"),), 12.0, 14.5, 0.97, 0.01, {}
+)
 
 
 @pytest.fixture(scope="module")
@@ -167,13 +163,14 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
     fly(feed, 15.0)
     with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
         opened.visit(server.url, WIDE)
-        feed.alarm(Alarm(None), 1)
+        feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
-        told = "Rotor 3 gives less thrust. Since 12.0 s, probability 97 %, told at 14.5 s"
-        assert text(opened, "#alarms") == f"{told}."
-        feed.alarm(Alarm(20.0), 1)
+        assert text(opened, "#alarms") == f"{WEAK.sentence}; told at 14.5 s."
+        feed.alarm(replace(WEAK, closed_s=20.0), 1)
         until(opened, "document.querySelector('#alarms .over') !== null")
-        assert text(opened, "#alarms") == f"{told}; over at 20.0 s."
+        over = replace(WEAK, closed_s=20.0).sentence
+        assert "over since 20.0 s" in over
+        assert text(opened, "#alarms") == f"{over}; told at 14.5 s."
         opened.visit(server.url, WIDE)  # one who comes later
         until(opened, "document.querySelector('#alarms .over') !== null")
         assert opened.complaints == []
@@ -208,7 +205,7 @@ def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
     for k in range(320):
         fly(feed, 0.1 * k)
     feed.block(residuals(30.0))  # type: ignore[arg-type]
-    feed.alarm(Alarm(None), 1)
+    feed.alarm(WEAK, 1)
     with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
         opened.visit(server.url, view)
         until(opened, "document.querySelector('#alarms .alarm') !== null && window.drawAll")
