@@ -26,31 +26,31 @@ class ToldSlave(Slave):
         super().bind(inputs, outputs, sent, received)
         self._moves_in, self._moves_out = _bare(self._setters), _bare(self._getters)
         doing = cast(Told, self._step.call)
-        self._doing = doing.number, doing.bare
+        self._doing = doing.number, -doing.number, doing.bare
 
     def write_inputs(self) -> None:
         """See `Slave.write_inputs`."""
-        slot = self._slot
-        for number, set_, buffer, positions in self._moves_in:
+        slot, returned = self._slot, self._slot[0]
+        for number, returned, set_, buffer, positions in self._moves_in:
             if positions is not None:
                 buffer[:] = self.inputs[positions]
             slot[0] = number
-            status = set_()
-            slot[0] = -number
-            if status:
+            if status := set_():
+                slot[0] = returned
                 self.judge(status, "set inputs")
+        slot[0] = returned
 
     def read_outputs(self) -> None:
         """See `Slave.read_outputs`."""
-        slot = self._slot
-        for number, get, buffer, positions in self._moves_out:
+        slot, returned = self._slot, self._slot[0]
+        for number, returned, get, buffer, positions in self._moves_out:
             slot[0] = number
-            status = get()
-            slot[0] = -number
-            if status:
+            if status := get():
+                slot[0] = returned
                 self.judge(status, "get outputs")
             if positions is not None:
                 self.outputs[positions] = buffer
+        slot[0] = returned
 
     def step(self, time_s: float, step_s: float) -> None:
         """See `Slave.step`.
@@ -59,12 +59,12 @@ class ToldSlave(Slave):
             FmuError: The FMU failed, or changed how this process calculates.
         """
         step, slot = self._step, self._slot
-        number, call = self._doing
+        number, returned, call = self._doing
         step.time_s.value = time_s
         step.step_s.value = step_s
         slot[0] = number
         status = call()
-        slot[0] = -number
+        slot[0] = returned
         if not self._rounds():
             assert self._board is not None
             raise self._board.spoilt(self._who, f"fmi{self.interface.fmi}DoStep")
@@ -72,6 +72,9 @@ class ToldSlave(Slave):
             self._judge_step(status)
 
 
-def _bare(moves: Sequence[Any]) -> list[tuple[int, Any, NDArray[Any], NDArray[Any] | None]]:
-    """Numbers and bare calls of what moves values."""
-    return [(call.number, call.bare, buffer, positions) for call, buffer, positions in moves]
+def _bare(moves: Sequence[Any]) -> list[tuple[int, int, Any, NDArray[Any], NDArray[Any] | None]]:
+    """What to write before and after, and the bare call, of what moves values."""
+    return [
+        (call.number, -call.number, call.bare, buffer, positions)
+        for call, buffer, positions in moves
+    ]

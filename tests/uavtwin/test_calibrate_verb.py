@@ -77,14 +77,14 @@ def written(
             {"x_m": 0.004, "y_m": -0.002, "z_m": 0.0},
             "its centre of mass has moved 4 mm forward and 2 mm left",
         ),
-        ("slung_load", {"mass_kg": 0.2}, "0.2 kg hang below it on a rope"),
+        ("slung_load", {"mass_kg": 0.2}, "a load of 0.2 kg hangs below it on a rope"),
         (
             "command_delay",
             {"delay_s": 0.012},
-            "its motors get their commands 12 ms later than then",
+            "its motors get their commands 12 ms later than they did",
         ),
-        ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by 10° more"),
-        ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more forward than then"),
+        ("heading_offset", {"yaw_rad": np.pi / 18}, "its heading is off by another 10°"),
+        ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more in x than it did"),
         ("parasitic_drag", {"c_1_m": 0.1}, "parasitic drag (c_1_m 0.1 1/m)"),
     ],
 )
@@ -96,10 +96,10 @@ def test_a_change_is_said_as_a_pilot_says_it(
 
 def test_a_number_of_this_aircraft_is_held_against_its_file() -> None:
     assert said("thrust_scale", {"scale": -0.07}, COPTER, since=False) == (
-        "its rotors give 7 % less than its file says"
+        "its rotors give 7 % less thrust than the model"
     )
     assert said("inertia_error", {"scale_x": 0.2, "scale_y": 0.19}, COPTER, since=False) == (
-        "its inertia is 20 % more in roll and 19 % more in pitch than its file says"
+        "its inertia is 20 % larger in roll and 19 % larger in pitch than that of the model"
     )
 
 
@@ -280,7 +280,7 @@ def loaded(calibrated: dict[str, Any], folder: Path) -> ut.ExplainResult:
 def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
     assert loaded.effects == ("mass_offset",)
     told = re.fullmatch(
-        r"Since the calibration on one, two and three: it carries (0\.\d+) kg more, sure to .*",
+        r"Since the calibration on one, two and three: it carries (0\.\d+) kg more \(.* sure\).*",
         loaded.sentence,
     )
     assert told is not None, loaded.sentence

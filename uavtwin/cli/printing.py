@@ -1,5 +1,6 @@
 """What the command line prints: results on stdout, progress and warnings on stderr."""
 
+import os
 import sys
 import tempfile
 import time
@@ -46,6 +47,8 @@ STDOUT = _Terminal(highlight=False, soft_wrap=True)
 STDERR = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
+WIDTH = 160
+"""Characters in a line of a table where nobody says how many there are."""
 EVERY_S = 10.0
 """Time between two lines of progress where stderr is no terminal."""
 
@@ -133,12 +136,14 @@ def print_json(content: Any) -> None:
 
 
 def print_table(table: "TextTable", unbroken: str = "") -> None:
-    """A table as wide as it needs; the column named `unbroken` keeps its lines."""
-    columns = (Column(name, no_wrap=True) if name == unbroken else name for name in table.header)
+    """A table as wide as it needs; what does not fit goes on in the next line, and the column named
+    `unbroken` keeps its lines."""
+    columns = (Column(n, no_wrap=n == unbroken, overflow="fold") for n in table.header)
     printed = Table(*columns, box=None)
     for row in table.rows:
         printed.add_row(*row)
-    STDOUT.print(printed)
+    known = STDOUT.is_terminal or "COLUMNS" in os.environ
+    STDOUT.print(printed, width=None if known else WIDTH)
 
 
 def print_sections(sections: "Iterable[str | TextTable]") -> None:
@@ -156,7 +161,8 @@ def print_explanation(found: "ExplainResult") -> None:
         STDERR.print(warning, style="yellow", markup=False)
     STDOUT.print(found.sentence, style="bold", markup=False)
     if found.effects:
-        print_table(found.candidates_table())
+        table = found.candidates_table()
+        print_table(table, unbroken=table.header[0])
     if found.details.next_manoeuvre is not None:
         STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}", markup=False)
     if found.details.comparison is not None:

@@ -16,7 +16,13 @@ Clause = Callable[[Changes, Vehicle, bool], str]
 """A change of an effect as a clause; whether it is one since a calibration."""
 SMALL = 0.25
 """Share of the largest change of its kind below which one is not spoken of."""
-AXES = (("x", "forward", "backward"), ("y", "right", "left"), ("z", "down", "up"))
+AXES = (("x", "forward", "back"), ("y", "right", "left"), ("z", "down", "up"))
+PLACES = (
+    ("x", "further forward", "further back"),
+    ("y", "further right", "further left"),
+    ("z", "lower", "higher"),
+)
+"""Which way a positive and a negative number point, body frame, FRD."""
 
 
 def said(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
@@ -31,6 +37,11 @@ def said(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
     """
     clause = _CLAUSES.get(effect)
     return clause(change, vehicle, since) if clause else _plain(effect, change)
+
+
+def has_clause(effect: str) -> bool:
+    """Whether there are words for what an effect amounts to, not its numbers alone."""
+    return effect in _CLAUSES
 
 
 def told_number(effect: str, name: str, value: float) -> str:
@@ -71,7 +82,7 @@ def _rotors(change: Changes, _: Vehicle, since: bool) -> str:
         + (
             f"has {'lost' if v > 0 else 'gained'} {percent(abs(v))} of its thrust"
             if since
-            else f"gives {percent(abs(v))} {'less' if v > 0 else 'more'} thrust than its map says"
+            else f"gives {percent(abs(v))} {'less' if v > 0 else 'more'} thrust than the model"
         )
         for k, v in sorted(_large(losses).items(), key=lambda item: -abs(item[1]))
     ]
@@ -82,41 +93,41 @@ def _mass(change: Changes, _: Vehicle, since: bool) -> str:
     kg = change.get("mass_kg", 0.0)
     if since:
         return f"it carries {number(kg)} kg more" if kg > 0 else f"it is {number(-kg)} kg lighter"
-    return f"it is {number(abs(kg))} kg {'heavier' if kg > 0 else 'lighter'} than its file says"
+    return f"it is {number(abs(kg))} kg {'heavier' if kg > 0 else 'lighter'} than the model"
 
 
 def _place(change: Changes, _: Vehicle, since: bool) -> str:
     parts = []
-    for axis, ahead, back in AXES:
+    for axis, *ways in AXES if since else PLACES:
         shift = _large(change).get(f"{axis}_m", 0.0)
         if shift:
-            parts.append(f"{number(1e3 * abs(shift))} mm {ahead if shift > 0 else back}")
-    verb = "has moved" if since else "sits"
-    more = "" if since else " of where its file has it"
-    return f"its centre of mass {verb} {joined(parts)}{more}"
+            parts.append(f"{number(1e3 * abs(shift))} mm {ways[0 if shift > 0 else 1]}")
+    if since:
+        return f"its centre of mass has moved {joined(parts)}"
+    return f"its centre of mass is {joined(parts)} than in the model"
 
 
 def _load(change: Changes, _: Vehicle, since: bool) -> str:
     del since
-    return f"{number(change.get('mass_kg', 0.0))} kg hang below it on a rope"
+    return f"a load of {number(change.get('mass_kg', 0.0))} kg hangs below it on a rope"
 
 
 def _wind(change: Changes, _: Vehicle, since: bool) -> str:
-    more = "more " if since else ""
-    speed = float(np.linalg.norm(list(change.values())))
-    return f"{more}wind blows: {number(speed)} m/s"
+    speed = f"{number(float(np.linalg.norm(list(change.values()))))} m/s"
+    return f"the wind has changed by {speed}" if since else f"a wind of {speed}"
 
 
 def _reads(what: str, unit: str) -> Clause:
     def clause(change: Changes, _: Vehicle, since: bool) -> str:
         """See `Clause`."""
+        more, less = ("more", "less") if since else ("too much", "too little")
         parts = []
-        for axis, ahead, _back in AXES:
-            v = next((v for k, v in _large(change).items() if k.startswith(f"{axis}_")), 0.0)
+        large = _large(change)
+        for axis in "xyz":
+            v = next((v for k, v in large.items() if k.startswith(f"{axis}_")), 0.0)
             if v:
-                more = "more" if v > 0 else "less"
-                parts.append(f"{number(abs(v))} {unit} {more} {ahead}")
-        return f"its {what} reads {joined(parts)}" + (" than then" if since else " than is there")
+                parts.append(f"{number(abs(v))} {unit} {more if v > 0 else less} in {axis}")
+        return f"its {what} reads {joined(parts)}" + (" than it did" if since else "")
 
     return clause
 
@@ -126,25 +137,23 @@ def _late(what: str) -> Clause:
         """See `Clause`."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
-        return f"{what} {number(1e3 * abs(delay))} ms {way} than " + (
-            "then" if since else "the log and its file say"
-        )
+        than = "they did" if what.endswith("s") else "it did"
+        return f"{what} {number(1e3 * abs(delay))} ms {way} than {than if since else 'modelled'}"
 
     return clause
 
 
 def _heading(change: Changes, _: Vehicle, since: bool) -> str:
     turn = np.degrees(max(change.values(), key=abs, default=0.0))
-    return f"its heading is off by {number(float(turn))}°" + (" more" if since else "")
+    return f"its heading is off by {'another ' * since}{number(float(turn))}°"
 
 
-def _factor(what: str, verb: str) -> Clause:
+def _factor(what: str, noun: str) -> Clause:
     def clause(change: Changes, _: Vehicle, since: bool) -> str:
         """See `Clause`."""
         v = max(change.values(), key=abs, default=0.0)
-        return f"{what} {verb} {percent(abs(v))} {'more' if v > 0 else 'less'} than " + (
-            "then" if since else "its file says"
-        )
+        more = "more" if v > 0 else "less"
+        return f"{what} {percent(abs(v))} {more} {noun} than {'before' if since else 'the model'}"
 
     return clause
 
@@ -152,22 +161,22 @@ def _factor(what: str, verb: str) -> Clause:
 def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
     axes = {"scale_x": "roll", "scale_y": "pitch", "scale_z": "yaw"}
     parts = [
-        f"{percent(abs(v))} {'more' if v > 0 else 'less'} in {axes[k]}"
+        f"{percent(abs(v))} {'larger' if v > 0 else 'smaller'} in {axes[k]}"
         for k, v in _large(change).items()
     ]
-    return f"its inertia is {joined(parts)} than " + ("then" if since else "its file says")
+    return f"its inertia is {joined(parts)} than {'before' if since else 'that of the model'}"
 
 
 def _drag(change: Changes, _: Vehicle, since: bool) -> str:
     k = change.get("k_xy_1_s", 0.0)
     if abs(k) <= 0:
         return _plain("rotor_drag", change)
-    return f"drag brakes it by {number(k)} m/s² per m/s" + (" more" if since else "")
+    return f"it brakes by {number(k)} m/s²{' more' * since} for each m/s of airspeed"
 
 
 def _sag(change: Changes, _: Vehicle, since: bool) -> str:
-    del since
-    return f"a battery 1 % lower costs {number(change.get('slope', 0.0))} % of its thrust"
+    slope = change.get("slope", 0.0)
+    return f"each 1 % of battery voltage costs {number(slope)} %{' more' * since} thrust"
 
 
 _CLAUSES: dict[str, Clause] = {
@@ -179,12 +188,12 @@ _CLAUSES: dict[str, Clause] = {
     "accel_bias": _reads("accelerometer", "m/s²"),
     "gyro_bias": _reads("gyroscope", "rad/s"),
     "imu_delay": _late("its IMU reads"),
-    "position_delay": _late("its position comes"),
+    "position_delay": _late("its position arrives"),
     "command_delay": _late("its motors get their commands"),
     "motor_lag": _late("its rotors follow"),
     "heading_offset": _heading,
-    "thrust_scale": _factor("its rotors", "give"),
-    "yaw_torque_scale": _factor("its yaw torque", "is"),
+    "thrust_scale": _factor("its rotors give", "thrust"),
+    "yaw_torque_scale": _factor("its rotors give", "yaw torque"),
     "inertia_error": _inertia,
     "rotor_drag": _drag,
     "battery_sag": _sag,

@@ -21,10 +21,11 @@ from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Naming
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, InferenceSettings
+from twin.vehicle import Vehicle
 
 from .figures import pretty_unit
 from .gap import number, percent
-from .spoken import joined, said
+from .spoken import has_clause, joined, said
 
 TOLD_BY_PRIOR = "told by the prior"
 
@@ -48,14 +49,14 @@ def claim(found: Explanation) -> str:
         return f"Since the calibration on {joined(list(found.since))}: {_since(found, naming)}"
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        return f"The model lacks nothing that these flights can show, sure to {sure}."
+        return f"The model lacks nothing that these flights can show ({sure} sure)."
     if found.verdict == "named":
         effects = [e for e in listed_effects(found) if e not in undecided(found)]
         first, later = headline(effects)
         most = MOST_NUMBERS if len(first) == 1 else 1
         parts = [f"{title(e)}{_sizes(found, e, most)}" for e in first]
         return (
-            f"The model lacks {joined(parts)}, {_sure(found, first)}{later}"
+            f"The model lacks {'; '.join(parts)} {_sure(found, first)}{later}"
             f"{_what_else(found, effects)}{_doubts(found, effects)}"
         )
     if found.verdict == "unnamed":
@@ -74,9 +75,9 @@ def _candidates(found: Explanation) -> list[str]:
 
 
 def _sure(found: Explanation, effects: Sequence[str]) -> str:
-    """How sure names are, a clause that ends in a stop: of several the least sure one counts."""
+    """How sure names are, in brackets and with a stop: of several the least sure one counts."""
     least = certainty(min(probability_of(found, e) for e in effects))
-    return f"sure to {least}." if len(effects) == 1 else f"each sure to {least} or more."
+    return f"({least} sure)." if len(effects) == 1 else f"(each {least} sure or more)."
 
 
 def _outside(found: Explanation) -> str:
@@ -96,7 +97,7 @@ def _since(found: Explanation, naming: Naming) -> str:
     """What has changed since the calibration, a clause that ends in a stop."""
     if found.verdict == "nothing":
         sure = certainty(nothing_probability(naming))
-        return f"nothing has changed that these flights can show, sure to {sure}."
+        return f"nothing has changed that these flights can show ({sure} sure)."
     if found.verdict == "unnamed":
         return f"something has changed {_outside(found)}."
     if found.verdict == "named":
@@ -109,7 +110,7 @@ def _since(found: Explanation, naming: Naming) -> str:
             for e in first
         ]
         return (
-            f"{joined(parts)}, {_sure(found, first)}{later}{_what_else(found, effects)}"
+            f"{joined(parts)} {_sure(found, first)}{later}{_what_else(found, effects)}"
             f"{_doubts(found, effects)}"
         )
     tied = []
@@ -217,7 +218,8 @@ def _doubts(found: Explanation, named: Sequence[str]) -> str:
     """What speaks against a name or its numbers all the same; begins with a blank."""
     said = ""
     if vague := [title(e) for e in named if may_be_none(found, e)]:
-        said += f" How large {joined(vague)} is, these flights do not say: it may be next to none."
+        verb = "is" if len(vague) == 1 else "are"
+        said += f" These flights do not tell how large {joined(vague)} {verb}, if not next to none."
     if lost := [m.name for m in found.missions if not m.stable]:
         said += f" The model with it does not fly {joined(lost)} in closed loop."
     return said
@@ -234,11 +236,11 @@ def meaning(effect: str) -> str:
 
 
 def _sizes(found: Explanation, effect: str, most: int) -> str:
-    """The numbers of an effect, with a colon before them; nothing where it has none."""
+    """What an effect amounts to, with a colon before it; nothing where it has no numbers."""
     beside = beside_mean(found, effect)
     if beside is None:
         assert found.naming is not None
-        return f": {sizes(found.naming.told, effect, most)}"
+        return f": {sizes(found.naming.told, effect, found.vehicle, most)}"
     texts = [
         f"{t.number.name} = {number(t.value)}{_unit(t.number)}" for t in estimates_of(found, effect)
     ]
@@ -250,8 +252,24 @@ def _unit(of: Number) -> str:
     return "" if of.about.unit == "1" else f" {pretty_unit(of.about.unit)}"
 
 
-def sizes(fitted: Fit, effect: str, most: int = MOST_NUMBERS) -> str:
-    """The numbers of an effect that stand out, `most` of them, each with unit and meaning."""
+def sizes(fitted: Fit, effect: str, vehicle: Vehicle, most: int = MOST_NUMBERS) -> str:
+    """What an effect amounts to by its numbers that stand out: a clause where there is one and the
+    vehicle has nothing of it, else `most` of the numbers, each with unit and meaning."""
+    clear = _standing_out(fitted, effect)
+    moved = [n for n in clear if not n.shape]
+    if has_clause(effect) and all(n.now == n.about.neutral for n in moved):
+        return said(effect, {n.name: fitted.values[n.full] - n.now for n in moved}, vehicle, False)
+    texts = []
+    for n in clear[:most]:
+        index = n.name.removeprefix(n.about.name).lstrip("_")
+        which = f" of rotor {index}" if n.about.per_rotor else ""
+        value = number(fitted.values[n.full])
+        texts.append(f"{value}{_unit(n)} ({n.about.description}{which})")
+    return joined(texts)
+
+
+def _standing_out(fitted: Fit, effect: str) -> list[Number]:
+    """The numbers of an effect that differ from none, or all; the clearest first."""
     own = [n for n in fitted.numbers if n.effect == effect]
     width = {n.full: float(w) for n, w in zip(fitted.numbers, fitted.half_widths, strict=True)}
     away = {n.full: abs(fitted.values[n.full] - n.now) for n in own}
@@ -261,14 +279,7 @@ def sizes(fitted: Fit, effect: str, most: int = MOST_NUMBERS) -> str:
     clear = [
         n for n in own if away[n.full] > max(CLEAR * width[n.full], SMALL * largest[n.about.unit])
     ]
-    clear = sorted(clear or own, key=lambda n: -away[n.full] / max(width[n.full], 1e-300))
-    texts = []
-    for n in clear[:most]:
-        index = n.name.removeprefix(n.about.name).lstrip("_")
-        which = f" of rotor {index}" if n.about.per_rotor else ""
-        value = number(fitted.values[n.full])
-        texts.append(f"{value}{_unit(n)} ({n.about.description}{which})")
-    return joined(texts)
+    return sorted(clear or own, key=lambda n: -away[n.full] / max(width[n.full], 1e-300))
 
 
 def certainty(probability: float) -> str:
