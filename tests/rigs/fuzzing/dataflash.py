@@ -105,7 +105,7 @@ class DataFlash:
         steady = [t for t in STEADY if t in topics]
         moving = [t for t in SENSED if t in topics and "XKQ" in topics]
         if rng.random() < 0.35 or len(steady) < 2:  # one alone contradicts nothing
-            return draw_bytes(rng, blob)
+            return _within_messages(draw_bytes(rng, blob), blob)
         names = ["stamp_add", "stamp_times", "gap", "absurd", "back", "redefine", "unit"]
         name = rng.choice([*names, "any_field", "length", *(["freeze"] if moving else [])])
         given: dict[str, Any] = {"topic": rng.choice(steady)}
@@ -179,6 +179,14 @@ class DataFlash:
     def read(self, path: Path) -> Seen:
         """As a flight."""
         return read(path)
+
+
+def _within_messages(step: Step, blob: bytes) -> Step:
+    """A cut between two messages leaves a log that is whole: it is moved into the second."""
+    name, given = step
+    if name == "cut" and blob.startswith(MARK, given["at"]):
+        return name, {"at": given["at"] + 1}
+    return step
 
 
 def _stamped(blob: bytes, place: Messages, name: str, given: dict[str, Any]) -> bytes:

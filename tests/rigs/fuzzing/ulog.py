@@ -1,6 +1,7 @@
 """PX4 ULogs: stamps, fields and whole messages of a topic changed where they stand."""
 
 import random
+import re
 import struct
 from functools import lru_cache
 from pathlib import Path
@@ -66,11 +67,11 @@ def layout(blob: bytes) -> dict[str, Layout]:
         offset = 0
         for field in formats.get(name, []):
             kind_of, _, label = field.partition(" ")
-            base, _, count = kind_of.partition("[")
-            if base not in _TYPES:
-                break
-            element = np.dtype(_TYPES[base])
-            for k in range(int(count.rstrip("]") or 1)):
+            written = re.fullmatch(r"(\w+)(?:\[(\d{1,3})\])?", kind_of)
+            if written is None or written[1] not in _TYPES:
+                break  # nested, or damaged by an earlier change
+            element, count = np.dtype(_TYPES[written[1]]), written[2]
+            for k in range(int(count or 1)):
                 columns[f"{label}[{k}]" if count else label] = (offset, element)
                 offset += element.itemsize
         if "timestamp" in columns and len(places.get(number, ())) > 9:

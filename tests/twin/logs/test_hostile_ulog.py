@@ -217,3 +217,11 @@ def test_absurd_commands_are_told(tmp_path: Path, value: float) -> None:
     control[700:703, 1] = value
     flight = read(tmp_path, changed("actuator_motors", control=control))
     assert said(flight, "cmd", "actuator_motors beyond 3 set to 0 or 1") == 3
+
+
+def test_a_motor_whose_commands_are_all_infinite_is_still_one(tmp_path: Path) -> None:
+    control = np.asarray(moving_topics()["actuator_motors"]["control"]).copy()
+    control[:, 1] = np.inf
+    flight = read(tmp_path, changed("actuator_motors", control=control))
+    assert said(flight, "cmd", "actuator_motors beyond 3 set to 0 or 1") == len(control)
+    assert "cmd_4" in flight.table

@@ -28,7 +28,7 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
         return None
     fields = [f"control[{k}]" for k in range(12) if topic.has(f"control[{k}]")]
     control = topic.columns(fields)
-    used = [k for k in range(len(fields)) if np.isfinite(control[:, k]).any()]
+    used = [k for k in range(len(fields)) if not np.isnan(control[:, k]).all()]
     if len(used) < 3:
         log.note("warning", "cmd", f"actuator_motors has values for {len(used)} motors: not used")
         return None
