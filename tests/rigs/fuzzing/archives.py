@@ -89,7 +89,7 @@ class Archives:
         """Most of them know the format."""
         members = _members(blob)
         if not members or rng.random() < 0.15:
-            return draw_bytes(rng, blob or b"\0")
+            return draw_bytes(rng, blob)
         chance = rng.random()
         nested = [n for n in members if n.endswith(".fmu")]
         if nested and chance < 0.3:
@@ -243,10 +243,15 @@ def _drawn_xml(rng: random.Random, member: str, content: bytes) -> Step:
     return name, given
 
 
+def _tree(content: bytes) -> Any:
+    """Of any size and depth."""
+    return etree.fromstring(content, etree.XMLParser(resolve_entities=False, huge_tree=True))
+
+
 def _changed_xml(content: bytes, name: str, given: dict[str, Any]) -> bytes:
     """One change to the tree; what is no XML any more is left."""
     try:
-        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, huge_tree=True))
+        root = _tree(content)
     except etree.XMLSyntaxError:
         return content
     elements = list(root.iter("*"))
@@ -263,7 +268,7 @@ def _changed_xml(content: bytes, name: str, given: dict[str, Any]) -> bytes:
         case "copy" if (parent := element.getparent()) is not None:
             text = etree.tostring(element)
             if len(text) * given["times"] < 2**22:
-                parent.extend([etree.fromstring(text) for _ in range(given["times"])])
+                parent.extend([_tree(text) for _ in range(given["times"])])
         case "rename":
             space = etree.QName(element).namespace
             element.tag = f"{{{space}}}{given['to']}" if space else given["to"]

@@ -35,7 +35,9 @@ def read(path: Path) -> Seen:
 
 
 def draw_bytes(rng: random.Random, blob: bytes) -> Step:
-    """Damage that knows nothing of the format."""
+    """Damage that knows nothing of the format; an earlier change may have left nothing."""
+    if not blob:
+        return "repeat", {"at": 0, "count": 1}
     end = len(blob) if rng.random() < 0.5 else min(len(blob), 60_000)
     at = rng.randrange(end)
     match rng.choice(("flip", "cut", "repeat", "remove")):
@@ -58,7 +60,7 @@ def apply_bytes(blob: bytes, step: Step) -> bytes:
     name, given = step
     if name == "flip":
         rng, out = random.Random(given["seed"]), bytearray(blob)
-        for _ in range(given["count"]):
+        for _ in range(given["count"] if out else 0):
             out[rng.randrange(min(given["end"], len(out)))] = rng.randrange(256)
         return bytes(out)
     at = given["at"]
