@@ -292,6 +292,8 @@ def _kernels(component: Component, exchange: bool) -> list[ca.Function]:
     for shortcut in component.shortcuts:
         functions += [shortcut.holds, shortcut.step, shortcut.outputs]
         functions += [] if shortcut.update is None else [shortcut.update]
+        if shortcut.signals is not None and component.sampling and component.sampling.lines:
+            functions.append(shortcut.signals)
     return functions
 
 

@@ -33,44 +33,41 @@ void NAMED(delays)(const Part* p, double* seconds);
 #define OUTPUTS (p->v + FIRST_OUTPUT)
 
 /* Call a kernel: KERNEL, where its result goes, its arguments. Work space is on the stack. */
-#define CALL(KERNEL, RESULT, ...)                         \
-    do {                                                  \
-        const double* arg[N_ARGUMENTS] = {__VA_ARGS__};   \
-        double* res[N_RESULTS] = {RESULT};                \
-        int iw[N_INTEGERS];                               \
-        double w[N_WORK];                                 \
-        KERNEL(arg, res, iw, w, 0);                       \
+#define CALL(KERNEL, RESULT, ...)                       \
+    do {                                                \
+        const double* arg[N_ARGUMENTS] = {__VA_ARGS__}; \
+        double* res[N_RESULTS] = {RESULT};              \
+        int iw[N_INTEGERS];                             \
+        double w[N_WORK];                               \
+        KERNEL(arg, res, iw, w, 0);                     \
     } while (0)
 
 void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
 
-/* SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each. Calls by
- * name: through a table of kernels a step takes 8 % longer. */
+/* SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which is
+ * taken if it holds over the next H seconds. Calls by name: through a table of kernels a step takes
+ * 8 % longer. */
+#define IF_HOLDS(I, H, KERNEL, RESULT, ...)                \
+    do {                                                   \
+        double holds;                                      \
+        const double ahead = H;                            \
+        CALL(holds_##I, &holds, p->x, PARAMETERS, &ahead); \
+        if (holds) {                                       \
+            CALL(KERNEL##_##I, RESULT, __VA_ARGS__);       \
+            return;                                        \
+        }                                                  \
+    } while (0);
+
 void NAMED(step)(const Part* p, double h, double* x_next) {
-#define TRY(I)                                                      \
-    CALL(holds_##I, &holds, p->x, PARAMETERS, &h);                  \
-    if (holds) {                                                    \
-        CALL(cheap_step_##I, x_next, p->x, INPUTS, PARAMETERS, &h); \
-        return;                                                     \
-    }
-    double holds = 0;
+#define TRY(I) IF_HOLDS(I, h, cheap_step, x_next, p->x, INPUTS, PARAMETERS, &h)
     SHORTCUTS(TRY)
-    (void)holds;
 #undef TRY
     CALL(step, x_next, p->x, INPUTS, PARAMETERS, &h);
 }
 
 void NAMED(outputs)(Part* p) {
-#define TRY(I)                                                      \
-    CALL(holds_##I, &holds, p->x, PARAMETERS, &now);                \
-    if (holds) {                                                    \
-        CALL(cheap_outputs_##I, OUTPUTS, p->x, INPUTS, PARAMETERS); \
-        return;                                                     \
-    }
-    double holds = 0;
-    const double now = 0;
+#define TRY(I) IF_HOLDS(I, 0, cheap_outputs, OUTPUTS, p->x, INPUTS, PARAMETERS)
     SHORTCUTS(TRY)
-    (void)holds, (void)now;
 #undef TRY
     CALL(outputs, OUTPUTS, p->x, INPUTS, PARAMETERS);
 }
@@ -96,16 +93,8 @@ int NAMED(rests)(const Part* p) {
 
 #ifdef SAMPLED
 void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next) {
-#define TRY(I)                                                                         \
-    CALL(holds_##I, &holds, p->x, PARAMETERS, &now);                                   \
-    if (holds) {                                                                       \
-        CALL(cheap_update_##I, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);      \
-        return;                                                                        \
-    }
-    double holds = 0;
-    const double now = 0;
+#define TRY(I) IF_HOLDS(I, 0, cheap_update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed)
     SHORTCUTS(TRY)
-    (void)holds, (void)now;
 #undef TRY
     CALL(update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);
 }
@@ -113,7 +102,12 @@ void NAMED(update)(const Part* p, const double* noise, const double* delayed, do
 void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, PARAMETERS); }
 #endif
 #if N_LINES > 0
-void NAMED(signals)(const Part* p, double* now) { CALL(signals, now, p->x, INPUTS, PARAMETERS); }
+void NAMED(signals)(const Part* p, double* now) {
+#define TRY(I) IF_HOLDS(I, 0, cheap_signals, now, p->x, INPUTS, PARAMETERS)
+    SHORTCUTS(TRY)
+#undef TRY
+    CALL(signals, now, p->x, INPUTS, PARAMETERS);
+}
 void NAMED(delays)(const Part* p, double* seconds) { CALL(delays, seconds, PARAMETERS); }
 #endif
 #endif

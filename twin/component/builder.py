@@ -212,15 +212,17 @@ class ComponentBuilder:
             on, off = list(switches), [ca.SX(0.0)] * len(switches)
             dx, cheap_y = ca.substitute([rates, y], on, off)
             cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
-            update = None
+            update = signals = None
             if sampling is not None:
-                (after,) = ca.substitute([self._after()], on, off)
+                after, now = ca.substitute([self._after(), self._signals()], on, off)
                 update = self._update(f"cheap_update_{i}", after, x, u, p)
+                signals = ca.Function(f"cheap_signals_{i}", [x, u, p], [ca.cse(now)])
             return Shortcut(
                 holds=ca.Function(f"holds_{i}", [x, p, length], [condition]),
                 step=_rk4(f"cheap_step_{i}", cheap, project),
                 outputs=ca.Function(f"cheap_outputs_{i}", [x, u, p], [ca.cse(cheap_y)]),
                 update=update,
+                signals=signals,
                 derivatives=cheap,
             )
 
@@ -258,7 +260,7 @@ class ComponentBuilder:
             if self._updates or self._noise or self._delayed:
                 raise ModelError(f"{self._name}: updates need a sample period: call sampled().")
             return None
-        signals = _column(signal for _, signal, _, _ in self._delayed)
+        signals = self._signals()
         delays = _column(delay for _, _, delay, _ in self._delayed)
         sizes = _column(size for _, size in self._noise)
         return Sampling(
@@ -272,6 +274,10 @@ class ComponentBuilder:
             delays=ca.Function("delays", [p], [ca.cse(delays)], ["p"], ["s"]),
             update=self._update("update", self._after(), x, u, p),
         )
+
+    def _signals(self) -> ca.SX:
+        """What enters the delay lines."""
+        return _column(signal for _, signal, _, _ in self._delayed)
 
     def _after(self) -> ca.SX:
         """States after a sample instant."""

@@ -50,6 +50,7 @@ class Shortcut:
         outputs: `(x, u, p) -> y`, the same numbers as the full outputs then.
         update: `(x, u, p, w, d) -> x`, the same numbers as the full update then, h = 0; None: the
             component is not sampled.
+        signals: `(x, u, p) -> s`, the same numbers as the full signals then, h = 0; None likewise.
         derivatives: `(x, u, p) -> dx/dt`, the same numbers as the full ones then, h = 0.
     """
 
@@ -57,6 +58,7 @@ class Shortcut:
     step: ca.Function = field(repr=False)
     outputs: ca.Function = field(repr=False)
     update: ca.Function | None = field(repr=False)
+    signals: ca.Function | None = field(repr=False)
     derivatives: ca.Function = field(repr=False)
 
 

@@ -1,9 +1,10 @@
 """Missions: smooth setpoints for a controller as a function of the mission's clock.
 
 A mission starts and ends standing on the ground. It is a list of legs, each a displacement that
-begins at zero with its part of the time; the setpoint is the sum of all displacements, and its
-velocity and acceleration are the derivatives of that sum. Straight legs are minimum-jerk
-polynomials; circle, eight and cruise ramp their speed up and down by the same polynomial.
+begins at zero with its part of the time; the setpoint is what the legs so far have come to and the
+displacement of the leg under way, its velocity and acceleration are the derivatives. Straight legs
+are minimum-jerk polynomials; circle, eight and cruise ramp their speed up and down by the same
+polynomial. Legs of one shape are one equation, with the numbers of the one under way.
 
 | mission | after the takeoff | duration |
 |---|---|---|
@@ -14,8 +15,9 @@ polynomials; circle, eight and cruise ramp their speed up and down by the same p
 | `tour` | waypoints with changes of heading, circle, figure eight, lands | 51 s |
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -43,6 +45,11 @@ _NED = ("north", "east", "down")
 _TURN = 2 * np.pi
 
 
+Shape = Callable[..., list[ca.SX]]
+"""Time since the start of a leg (s) and its numbers -> displacement north, east, down (m) and
+change of heading (rad); none at time 0."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Leg:
     """One part of a mission.
@@ -50,13 +57,16 @@ class _Leg:
     Attributes:
         phase: Name of its phase.
         duration: s.
-        move: Time since its start, within its duration -> displacement north, east, down (m) and
-            change of heading (rad).
+        shape: How it moves; None: not at all.
+        numbers: Of its shape.
+        whole: What it comes to.
     """
 
     phase: str
     duration: ca.SX
-    move: Callable[[ca.SX], list[ca.SX]]
+    shape: Shape | None = None
+    numbers: tuple[ca.SX, ...] = ()
+    whole: tuple[ca.SX, ...] = (ca.SX(0),) * 4
 
 
 def mission(vehicle: Vehicle, name: str) -> Component:
@@ -79,16 +89,22 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     clock = m.state("clock", "s", "Time since the start of the mission", 0.0)
     m.derivative("clock", 1.0)
 
-    where, phase, begin = rest, ca.SX(PHASES["ground"]), ca.SX(0)
-    armed = clock >= legs[0].duration
-    for leg, before in zip(legs, [None, *legs], strict=False):
-        since = ca.fmin(ca.fmax(clock - begin, 0.0), leg.duration)
-        where = [w + d for w, d in zip(where, leg.move(since), strict=True)]
-        change = PHASES[leg.phase] - PHASES[before.phase if before else "ground"]
+    ends = list(accumulate(leg.duration for leg in legs))
+    begins = [ca.SX(0), *ends[:-1]]
+    phase, armed = ca.SX(PHASES["ground"]), clock >= ends[0]
+    for leg, before, begin in zip(legs[1:], legs, begins[1:], strict=False):
+        change = PHASES[leg.phase] - PHASES[before.phase]
         phase = phase + ca.if_else(clock >= begin, change, 0.0)
-        if leg is legs[-1] and lands:
-            armed = ca.logic_and(armed, clock < begin)
-        begin = begin + leg.duration
+    if lands:
+        armed = ca.logic_and(armed, clock < begins[-1])
+    where = [ca.SX(r) for r in rest]
+    for leg, end in zip(legs, ends, strict=True):
+        where = [
+            w + ca.if_else(clock >= end, d, 0.0) for w, d in zip(where, leg.whole, strict=True)
+        ]
+    for shape in dict.fromkeys(leg.shape for leg in legs if leg.shape):
+        own = [row for row in zip(legs, begins, ends, strict=True) if row[0].shape is shape]
+        where = [w + d for w, d in zip(where, _under_way(clock, shape, own), strict=True)]
     speed = [ca.jacobian(w, clock) for w in where]
     for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
         m.output(f"setpoint_pos_{a}", "m", f"Position setpoint, NED {d}", where[i])
@@ -107,6 +123,29 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     m.output("phase", "1", "Phase of the flight", phase, kind=kind)
     m.output("phase_code", "1", "Its code, for tools without enumerations", phase, kind="integer")
     return m.build()
+
+
+def _under_way(
+    clock: ca.SX, shape: Shape, legs: Sequence[tuple[_Leg, ca.SX, ca.SX]]
+) -> list[ca.SX]:
+    """Displacement of that leg of one shape that is under way; none where none is.
+
+    Args:
+        clock: Time since the start of the mission.
+        shape: Of all of them.
+        legs: Each with its begin and end.
+    """
+    now = [ca.logic_and(clock >= begin, clock < end) for _, begin, end in legs]
+    idle = ca.logic_not(ca.sum1(ca.vertcat(*now)))
+    since = sum(
+        (ca.if_else(on, clock - begin, 0.0) for on, (_, begin, _) in zip(now, legs, strict=True)),
+        start=ca.SX(0),
+    )
+    numbers = []
+    for column in zip(*(leg.numbers for leg, _, _ in legs), strict=True):
+        chosen = (ca.if_else(on, n, 0.0) for on, n in zip(now, column, strict=True))
+        numbers.append(sum(chosen, start=ca.if_else(idle, column[0], 0.0)))  # all but one are 0
+    return shape(since, *numbers)
 
 
 def mission_names() -> tuple[str, ...]:
@@ -181,11 +220,9 @@ def _forward(size: _Sizes) -> list[_Leg]:
 
     def cruise(sign: float) -> _Leg:
         """Out with +1, back with -1."""
-
-        def move(t: ca.SX) -> list[ca.SX]:
-            return [sign * ramped_way(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
-
-        return _Leg("forward", distance / speed + ramp, move)
+        numbers = (ca.SX(sign), distance, speed, ramp)
+        whole = (sign * distance, ca.SX(0), ca.SX(0), ca.SX(0))
+        return _Leg("forward", distance / speed + ramp, _cruise, numbers, whole)
 
     return [pause, cruise(1.0), pause, turn, cruise(-1.0), pause]
 
@@ -210,13 +247,10 @@ def _tour(size: _Sizes) -> list[_Leg]:
         legs.append(_straight("tour", way, ca.fmax(ca.fmax(FASTEST * far / speed, fast), 0.1)))
         before = here
     rate = speed / radius
-    circle = _Leg(
-        "tour", _TURN / rate + ramp, lambda t: _circle(ramped_way(t, _TURN, rate, ramp), radius)
-    )
     # The eight is fastest in its middle, sqrt(2) times the radius per radian.
-    slow = rate / np.sqrt(2)
-    eight = _Leg(
-        "tour", _TURN / slow + ramp, lambda t: _eight(ramped_way(t, _TURN, slow, ramp), radius)
+    circle, eight = (
+        _Leg("tour", _TURN / r + ramp, _curve, (r, ramp, radius, ca.SX(is_eight)))
+        for r, is_eight in ((rate, 0), (rate / np.sqrt(2), 1))
     )
     home = [-b for b in before]
     return [*legs, pause, circle, pause, eight, pause, _straight("tour", home, ca.SX(TURN_S))]
@@ -232,18 +266,26 @@ _MISSIONS: dict[str, tuple[Callable[[_Sizes], list[_Leg]], bool]] = {
 
 
 def _hold(phase: str, duration: ca.SX) -> _Leg:
-    return _Leg(phase, duration, lambda t: [ca.SX(0)] * 4)
+    return _Leg(phase, duration)
 
 
-def _straight(phase: str, way: list[ca.SX], duration: ca.SX) -> _Leg:
-    return _Leg(phase, duration, lambda t: [minimum_jerk(t / duration) * w for w in way])
+def _straight(phase: str, way: Sequence[ca.SX], duration: ca.SX) -> _Leg:
+    return _Leg(phase, duration, _straight_on, (duration, *way), tuple(way))
 
 
-def _circle(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
-    """To the right, starting north."""
-    return [radius * sine(angle), radius * (1 - cosine(angle)), ca.SX(0), ca.SX(0)]
+def _straight_on(t: ca.SX, duration: ca.SX, *way: ca.SX) -> list[ca.SX]:
+    share = minimum_jerk(t / duration)
+    return [share * w for w in way]
 
 
-def _eight(angle: ca.SX, radius: ca.SX) -> list[ca.SX]:
-    """Lemniscate of Gerono along north, from its middle."""
-    return [radius * sine(angle), radius * sine(angle) * cosine(angle), ca.SX(0), ca.SX(0)]
+def _cruise(t: ca.SX, sign: ca.SX, distance: ca.SX, speed: ca.SX, ramp: ca.SX) -> list[ca.SX]:
+    return [sign * ramped_way(t, distance, speed, ramp), ca.SX(0), ca.SX(0), ca.SX(0)]
+
+
+def _curve(t: ca.SX, rate: ca.SX, ramp: ca.SX, radius: ca.SX, is_eight: ca.SX) -> list[ca.SX]:
+    """A circle to the right, or a lemniscate of Gerono along north from its middle; both start
+    north and end where they began."""
+    angle = ramped_way(t, _TURN, rate, ramp)
+    sin, cos = sine(angle), cosine(angle)
+    east = ca.if_else(is_eight, radius * sin * cos, radius * (1 - cos))
+    return [radius * sin, east, ca.SX(0), ca.SX(0)]
