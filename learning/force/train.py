@@ -50,6 +50,7 @@ class Prepared:
         seen: By flight.
         designs: By flight.
         size: Of each feature, by which those of the designs are divided, shape (k,).
+        own: What the airframe itself takes of the energy of motion about hover, as `power`.
     """
 
     vehicle: Vehicle
@@ -57,6 +58,7 @@ class Prepared:
     seen: tuple[Instants, ...]
     designs: tuple[Design, ...]
     size: Array
+    own: Array
 
     __repr__ = short_repr
 
@@ -74,7 +76,7 @@ class Prepared:
         weights = np.stack([c.weights for c in chosen]) / self.size
         n = len(FEATURES)
         law = replace(self.empty, linear=weights[:, :n], waves=weights[:, n:])
-        law, taken = made_passive(law, self.vehicle)
+        law, taken = made_passive(law, self.own)
         return replace(law, most=BEYOND * self.largest(law)), taken
 
     def largest(self, law: ForceLaw) -> Array:
@@ -99,9 +101,11 @@ def prepare(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> Prepared:
     Raises:
         LogError: A flight is too short.
     """
-    empty = _empty(seen, vehicle, seed)
+    per_push, per_motion = _slopes(vehicle)
+    empty = _empty(seen, np.asarray(np.linalg.inv(per_push)), seed)
     size = np.std(np.vstack([_features(f, empty)[1] for f in seen]), axis=0)
-    unsized = Prepared(vehicle, empty, tuple(seen), (), np.where(size > TRIFLE, size, 1.0))
+    sizes, own = np.where(size > TRIFLE, size, 1.0), _symmetric(empty.units @ per_motion)
+    unsized = Prepared(vehicle, empty, tuple(seen), (), sizes, own)
     prepared = replace(unsized, designs=tuple(unsized.design(f) for f in seen))
     for design, flight in zip(prepared.designs, seen, strict=True):
         if not design.moments[0].rows:
@@ -127,7 +131,7 @@ def without_waves(law: ForceLaw) -> ForceLaw:
     return replace(law, waves=np.zeros((6, 0)), frequencies=frequencies, phases=np.zeros(0))
 
 
-def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
+def _empty(seen: Sequence[Instants], units: Array, seed: int) -> ForceLaw:
     """A law that says nothing yet: where the flights have been, and the random features."""
     rng = np.random.default_rng(seed)
     places = [inputs_of(f) for f in seen]
@@ -144,22 +148,25 @@ def _empty(seen: Sequence[Instants], vehicle: Vehicle, seed: int) -> ForceLaw:
         whitening=envelope.whitening,
         reach=envelope.reach,
         most=np.zeros(len(OUTPUTS)),
-        units=np.asarray(np.linalg.inv(_agility(vehicle))),
+        units=units,
     )
 
 
-def made_passive(law: ForceLaw, vehicle: Vehicle) -> tuple[ForceLaw, float]:
+def made_passive(law: ForceLaw, own: Array) -> tuple[ForceLaw, float]:
     """The law without what would feed energy in about hover, beyond what the airframe takes.
 
     What couples one motion with a force along another, and what the waves say, is lessened until
     nothing is fed in; a push against its own motion, which feeds nothing in, stays. Velocities
     count by the root of the mass, body rates by that of the inertia.
 
+    Args:
+        law: As it was fitted.
+        own: What the airframe itself takes, as `power`.
+
     Returns:
         The law, and the largest rate at which it would have fed energy in, 1/s; 0: it did not.
     """
-    own = _own_power(vehicle)
-    back = np.linalg.inv(np.linalg.cholesky((law.units + law.units.T) / 2))
+    back = np.linalg.inv(np.linalg.cholesky(_symmetric(law.units)))
 
     def fed(lessened: ForceLaw) -> float:
         """Largest rate at which energy is fed in, 1/s."""
@@ -186,20 +193,14 @@ def _lessened(law: ForceLaw, share: float) -> ForceLaw:
     return replace(law, linear=linear, waves=share * law.waves)
 
 
-def _agility(vehicle: Vehicle) -> Array:
-    """Specific force and angular acceleration per force and moment from outside, (6, 6)."""
-    return _slopes(vehicle, [f"{kind}_{a}" for kind, a in OUTPUTS], of_inputs=True)
+def _symmetric(form: Array) -> Array:
+    """The symmetric part."""
+    return np.asarray((form + form.T) / 2)
 
 
-def _own_power(vehicle: Vehicle) -> Array:
-    """What the airframe itself takes of the energy of motion about hover, as `power`."""
-    states = [f"vel_{a}" for a in AXES] + [f"omega_{a}" for a in AXES]
-    per_motion = np.linalg.solve(_agility(vehicle), _slopes(vehicle, states, of_inputs=False))
-    return np.asarray((per_motion + per_motion.T) / 2)
-
-
-def _slopes(vehicle: Vehicle, names: Sequence[str], of_inputs: bool) -> Array:
-    """Slopes of specific force and angular acceleration in hover, shape (6, len(names))."""
+def _slopes(vehicle: Vehicle) -> tuple[Array, Array]:
+    """Slopes of specific force and angular acceleration in hover: by force and moment from outside,
+    and by velocity and body rates, shape (6, 6) each."""
     body = airframe(vehicle)
     p, u0 = body.parameter_values({"ground.enabled": 0.0}), body.input_values()
     x0 = body.initial(u0, p)
@@ -207,7 +208,9 @@ def _slopes(vehicle: Vehicle, names: Sequence[str], of_inputs: bool) -> Array:
     y = body.outputs(x, u, p)
     stems = ("specific_force", "angular_acceleration")
     felt = ca.vertcat(*[y[body.output_names.index(f"{s}_{a}")] for s in stems for a in AXES])
-    known = list(body.input_names) if of_inputs else [s.name for s in body.states]
-    columns = [known.index(n) for n in names]
-    slopes = ca.Function("slopes", [x, u], [ca.jacobian(felt, u if of_inputs else x)[:, columns]])
-    return np.asarray(slopes(x0, u0), dtype=np.float64)
+    states = [s.name for s in body.states]
+    pushes = [body.input_names.index(f"{kind}_{a}") for kind, a in OUTPUTS]
+    motions = [states.index(f"{stem}_{a}") for stem in ("vel", "omega") for a in AXES]
+    by = [ca.jacobian(felt, u)[:, pushes], ca.jacobian(felt, x)[:, motions]]
+    per_push, per_motion = ca.Function("slopes", [x, u], by)(x0, u0)
+    return np.asarray(per_push, dtype=np.float64), np.asarray(per_motion, dtype=np.float64)

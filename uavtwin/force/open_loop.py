@@ -74,6 +74,7 @@ class Replay:
         whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
         self._names = [n for n in whole.dtype.names or () if n != "time"]
         self._given = np.column_stack([whole[n] for n in self._names])
+        self._restart = self._names.index(f"{PREFIX}restart")
         self._changes = _changes(self._names, self._given)
         self._there = true_motion(vehicle, aligned)
         self._steps = [round(h / GRID_S) for h in horizons_s]
@@ -100,6 +101,7 @@ class Replay:
         whole = driving_inputs(flight, vehicle, aligned, np.flatnonzero(clear(aligned)))
         other._names = [n for n in whole.dtype.names or () if n != "time"]
         other._given = np.column_stack([whole[n] for n in other._names])
+        other._restart = other._names.index(f"{PREFIX}restart")
         other._changes = _changes(other._names, other._given)
         return other
 
@@ -190,7 +192,7 @@ class Replay:
     def _step(self, slave: Slave, row: int, steps: int, follow: bool) -> None:
         """From a row to a later one, with the inputs of the first."""
         slave.inputs[:] = self._given[row]
-        slave.inputs[self._names.index(f"{PREFIX}restart")] *= follow
+        slave.inputs[self._restart] *= follow
         slave.write_inputs()
         slave.step(row * GRID_S, steps * GRID_S)
 

@@ -18,7 +18,7 @@ from twin.logs import write_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli import main
 from uavtwin.demo.flights import fly
-from uavtwin.force import open_loop
+from uavtwin.force import closed_loop, open_loop
 from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over_explained
 
 COPTER = load_vehicle("copter_default")
@@ -40,10 +40,11 @@ def _run(*arguments: object) -> None:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _left_alone_each_second() -> Iterator[None]:
-    """A quarter of the starts: nothing here hangs on how many there are."""
+def _fewer_flights() -> Iterator[None]:
+    """A quarter of the starts, a sixth of the missions: nothing hangs on their number."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(open_loop, "EVERY_S", 1.0)
+        patch.setattr(closed_loop, "FLIGHTS", 2 * len(closed_loop.MISSIONS))
         yield
 
 

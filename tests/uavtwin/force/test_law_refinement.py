@@ -9,7 +9,7 @@ from learning.data.envelope import BEYOND
 from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NO_OBSERVER
 from learning.force.instants import inputs_of, instants
-from learning.force.train import Prepared
+from learning.force.train import Prepared, prepare
 from twin.physics.residual_force import FEATURES, OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle.file import load_vehicle
@@ -35,8 +35,8 @@ def lesson(tmp_path_factory: pytest.TempPathFactory) -> tuple[Lesson, Replay]:
     plant = replace(COPTER, drag_linear_n_s_m=COPTER.drag_linear_n_s_m + more)
     flight = fly(COPTER, plant, 1, "one", ROUND)
     fmu = tmp_path_factory.mktemp("twin") / "twin.fmu"
-    seen = [instants(flight, COPTER)]
-    taught = Lesson.of(seen, COPTER, choose_drive(flight, COPTER), 0, fmu)
+    prepared = prepare([instants(flight, COPTER)], COPTER, 0)
+    taught = Lesson(prepared, [], choose_drive(flight, COPTER), fmu)
     return taught, Replay(flight, COPTER, AHEAD_S)
 
 

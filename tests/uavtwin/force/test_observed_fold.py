@@ -9,6 +9,7 @@ import pytest
 from learning.force.candidates import Candidate
 from learning.force.forecast import AHEAD_S, NEVER_S, NO_OBSERVER, Observer
 from learning.force.instants import instants
+from learning.force.train import prepare
 from twin.physics.residual_force import OUTPUTS
 from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle import Vehicle
@@ -33,14 +34,16 @@ ROUND: Waypoints = (
 )
 
 
-def _fold(plant: Vehicle, observers: list[Observer], place: Path) -> Fold:
-    """A flight of a plant, and a twin of COPTER with these observers."""
+def _fold(plant: Vehicle, observer: Observer, place: Path) -> Fold:
+    """A flight of a plant, and a twin of COPTER with this observer of every output."""
     flight = fly(COPTER, plant, 1, "one", ROUND)
     seen = instants(flight, COPTER)
-    lesson = Lesson.of([seen], COPTER, choose_drive(flight, COPTER), 0, place / "twin.fmu")
-    nothing = np.zeros(len(lesson.prepared.size))
-    fitted = [{"none": Candidate("none", 0.0, nothing, 0.0, o)} for o in observers]
-    return Fold(Replay(flight, COPTER, AHEAD_S), seen, replace(lesson, fitted=fitted))
+    prepared = prepare([seen], COPTER, 0)
+    fitted = [{"none": Candidate("none", 0.0, np.zeros(len(prepared.size)), 0.0, observer)}]
+    lesson = Lesson(
+        prepared, len(OUTPUTS) * fitted, choose_drive(flight, COPTER), place / "twin.fmu"
+    )
+    return Fold(Replay(flight, COPTER, AHEAD_S), seen, lesson)
 
 
 def _used(lesson: Lesson) -> list[str]:
@@ -55,7 +58,7 @@ def _used(lesson: Lesson) -> list[str]:
 
 @pytest.mark.slow
 def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(tmp_path: Path) -> None:
-    fold = _fold(DRAGGED, [QUICK] * len(OUTPUTS), tmp_path)
+    fold = _fold(DRAGGED, QUICK, tmp_path)
     (kept,), lesson, flown = chosen_observers([fold], fold.lesson, lambda _: None)
     assert "force x" in _used(lesson) == _used(kept.lesson)
     assert not [name for name in _used(lesson) if name.startswith("moment")]
@@ -65,7 +68,7 @@ def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(tmp_path: Path
 
 @pytest.mark.slow
 def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path) -> None:
-    fold = _fold(COPTER, [QUICK] * len(OUTPUTS), tmp_path)
+    fold = _fold(COPTER, QUICK, tmp_path)
     _, lesson, _ = chosen_observers([fold], fold.lesson, lambda _: None)
     assert _used(lesson) == []
 
@@ -73,7 +76,7 @@ def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> None:
     """But not where a law has faded before."""
-    fold = _fold(DRAGGED, [NO_OBSERVER] * len(OUTPUTS), tmp_path)
+    fold = _fold(DRAGGED, NO_OBSERVER, tmp_path)
     narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 2.6)
     lesson = replace(fold.lesson, prepared=replace(fold.lesson.prepared, empty=narrow))
     wide = lesson.running([fold.replay])
