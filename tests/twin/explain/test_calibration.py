@@ -1,19 +1,16 @@
 """Normal flights calibrate an aircraft; what has changed since has a name, and nothing else has."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 
 import numpy as np
 import pytest
+from search_rigs.library import library
 
 from twin.effects import EFFECTS
 from twin.effects.priors import CHANGES
 from twin.errors import LogError, ModelError
-from twin.explain import calibration
 from twin.explain.calibration import Calibrated, calibrate
 from twin.explain.explanation import Explanation, explain
-from twin.explain.inference import selection
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -36,16 +33,7 @@ FEW = (
     "gyro_bias",
     "command_delay",
 )
-"""Candidates here: all of them take many times as long."""
-
-
-@contextmanager
-def library() -> Iterator[None]:
-    """The search knows few effects."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (calibration, selection):
-            patch.setattr(module, "candidates", lambda _: [EFFECTS[e] for e in FEW])
-        yield
+"""Candidates here."""
 
 
 def legs(n: int) -> Waypoints:
@@ -66,14 +54,14 @@ def flown(plant: Vehicle, n: int) -> Flight:
 
 @cache
 def calibrated() -> Calibrated:
-    with library():
+    with library(FEW):
         return calibrate([flown(TRUE, n) for n in range(3)], COPTER)
 
 
 def since(plant: Vehicle, n: int) -> Explanation:
     """What a later flight says."""
     flights = [flown(plant, n), flown(plant, n + 1)]
-    with library():
+    with library(FEW):
         return explain(flights[:1], flights[1:], calibrated().vehicle, missions=[], since=True)
 
 

@@ -1,18 +1,16 @@
 """The designer of experiments: its manoeuvres, what they separate, and that they do."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from search_rigs.hypotheses import fit_set
+from search_rigs.library import library
 
-from twin.effects import EFFECTS
 from twin.explain.design.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
 from twin.explain.design.manoeuvres import hover_height_m, manoeuvres, plan
 from twin.explain.design.rehearsal import rehearse
-from twin.explain.inference import selection as search
 from twin.explain.inference.fit import fit_of
 from twin.explain.inference.selection import Naming, name_effects
 from twin.explain.inference.whitening import Block
@@ -79,14 +77,6 @@ def flown(name: str, vehicle: Vehicle, plant: Vehicle, like: Flight) -> Flight:
         columns = [c for c in table if c.startswith(f"{stem}_")]
         table[columns] += noise * rng.standard_normal((len(table), len(columns)))
     return replace(flight, name=name, table=table)
-
-
-@contextmanager
-def library(names: Sequence[str]) -> Iterator[None]:
-    """The search knows these effects alone."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search, "candidates", lambda _: [EFFECTS[e] for e in names])
-        yield
 
 
 def tie(flight: Flight, vehicle: Vehicle, names: Sequence[str]) -> Naming:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from search_rigs.library import library
 
 from twin.effects import EFFECTS
 from twin.errors import ModelError
@@ -300,9 +301,9 @@ def test_a_name_that_held_out_flights_gainsay_is_taken_back() -> None:
     weak = COPTER.with_effects({"thrust_scale": {"scale": 0.85}})
     seen = fly(COPTER, weak, 1, "weak", LEGS)
     for other, verdict in ((weak, "named"), (COPTER, "cannot_tell")):
-        found = explain(
-            [seen], [fly(COPTER, other, 2, "held", LEGS)], COPTER, missions=(), suggest=False
-        )
+        held = fly(COPTER, other, 2, "held", LEGS)
+        with library(("thrust_scale", "thrust_curve", "rotor_drag", "accel_bias", "accel_scale")):
+            found = explain([seen], [held], COPTER, missions=(), suggest=False)
         assert listed_effects(found)[0] == "thrust_scale"
         assert found.verdict == verdict
         assert (found.added is None) == bool(found.refuted) == (verdict == "cannot_tell")

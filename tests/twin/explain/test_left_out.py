@@ -66,8 +66,13 @@ class StopError(Exception):
     """The search was reached."""
 
 
-@pytest.mark.parametrize("kind", BAD)
-@pytest.mark.parametrize("side", ["fit", "holdout"])
+@pytest.mark.parametrize(
+    ("kind", "side"),
+    [
+        *((kind, "fit") for kind in BAD),
+        *((kind, "holdout") for kind in ("no commands", "IMU lost")),
+    ],
+)
 def test_the_run_goes_on_without_it(
     kind: str, side: str, good: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:

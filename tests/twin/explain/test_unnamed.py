@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from search_rigs.hypotheses import against, fit_set
+from search_rigs.library import library
 
 from twin.component.sampled import noiseless_outputs
 from twin.explain.explanation import explain
@@ -180,5 +181,6 @@ def test_what_is_too_small_for_a_name_is_no_equation_either() -> None:
         field = noiseless_outputs(sensor, rows, 0.005) + np.array([8e-7, -8e-7, 4e-7])
         noisy = field + 5e-8 * rng.standard_normal(field.shape)
         flights.append(replace(flight, table=table.assign(**dict(zip(MAG, noisy.T, strict=True)))))
-    found = explain(flights[:1], flights[1:], COPTER, missions=(), suggest=False)
+    with library((*LIBRARY, "mag_hard_iron", "mag_soft_iron", "heading_offset")):
+        found = explain(flights[:1], flights[1:], COPTER, missions=(), suggest=False)
     assert found.verdict == "nothing"

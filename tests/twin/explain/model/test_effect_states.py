@@ -75,6 +75,11 @@ WARMING_GYRO = Effect(
     "made up for this test",
     _warming_gyro,
 )
+RIVALS = {
+    "airframe": ("thrust_scale", "mass_offset", "accel_scale"),
+    "imu": ("gyro_bias", "gyro_scale", "cog_offset"),
+}
+"""By where an effect acts, what else its sensors might show."""
 
 
 @pytest.fixture(params=[HEAT_DROOP, WARMING_GYRO], ids=lambda e: e.name)
@@ -96,10 +101,10 @@ def planted(effect: Effect) -> Vehicle:
 @pytest.mark.slow
 def test_a_new_effect_with_a_state_is_the_best_explanation(added: Effect) -> None:
     flight = flown(planted(added))
-    problem = against(flight, COPTER)
+    rivals = RIVALS[added.component]
+    problem = against(flight, COPTER, added.name, *rivals)
     nothing = nothing_of(problem)
     found = fit_set(problem, [added.name], nothing)
-    rivals = ("thrust_scale", "mass_offset", "accel_scale", "gyro_bias", "gyro_scale", "cog_offset")
     for rival in rivals:
         assert found.gain > fit_set(problem, [rival], nothing).gain + 5, rival
     size = added.parameters[0]
