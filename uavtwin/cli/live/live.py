@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..options import Exit, Json, VehicleName
+from twin.errors import TwinError
+
+from ..options import VEHICLE_VARIABLE, Exit, Json
 from ..printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
@@ -16,56 +18,84 @@ if TYPE_CHECKING:
     from ...live.session import LiveOptions, LiveSession
     from ...live.told import LiveTold
 
+_DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
+
+Vehicle = Annotated[
+    str | None,
+    typer.Option(
+        "--vehicle",
+        envvar=VEHICLE_VARIABLE,
+        help="Vehicle file (TOML), or the name of a built-in vehicle. With --demo it may be left "
+        f"out: {_DEMO_VEHICLE}.",
+    ),
+]
+Demo = Annotated[
+    bool,
+    typer.Option(
+        "--demo",
+        help="Without an aircraft: a simulated one is sent to --listen in real time, a rotor of "
+        "which is damaged in mid-flight; with the page.",
+    ),
+]
+Listen = Annotated[str, typer.Option(help="Where the aircraft sends to: udpin:HOST:PORT.")]
+System = Annotated[
+    int | None, typer.Option(help="System id of the aircraft. Default: the first that is heard.")
+]
+Record = Annotated[
+    Path | None,
+    typer.Option(help="Folder for raw.tlog, flight.parquet, residuals.parquet, alarms.jsonl."),
+]
+Duration = Annotated[float | None, typer.Option(help="End after so long, s.")]
+UntilSilent = Annotated[
+    float | None, typer.Option(help="End when the aircraft is silent for so long, s.")
+]
+Horizon = Annotated[
+    float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
+]
+Hold = Annotated[
+    float, typer.Option(help="So long samples wait for others that were overtaken, s.")
+]
+RequestRates = Annotated[
+    bool,
+    typer.Option(
+        "--request-rates",
+        help="Ask the aircraft for the streams that are needed (SET_MESSAGE_INTERVAL), the one "
+        "command that is ever sent.",
+    ),
+]
+Publish = Annotated[
+    str | None, typer.Option(help="Send the twin as an aircraft of its own: udpout:HOST:PORT.")
+]
+PublishSystem = Annotated[int, typer.Option(help="System id of the twin, 1 to 255.")]
+Serve = Annotated[
+    str | None,
+    typer.Option(help=f"Serve a page that shows both: HOST:PORT, {_DEMO_PAGE}, that of --demo."),
+]
+Token = Annotated[
+    str | None,
+    typer.Option(help="What viewers of the page must know: ?token=TEXT. Needed beyond loopback."),
+]
+Alarms = Annotated[
+    bool, typer.Option(help="Say which effect begins in flight; costs some 5 % of a core.")
+]
+
 
 def live(
-    vehicle: VehicleName,
-    listen: Annotated[
-        str, typer.Option(help="Where the aircraft sends to: udpin:HOST:PORT.")
-    ] = "udpin:127.0.0.1:14550",
-    system: Annotated[
-        int | None,
-        typer.Option(help="System id of the aircraft. Default: the first that is heard."),
-    ] = None,
-    record: Annotated[
-        Path | None,
-        typer.Option(help="Folder for raw.tlog, flight.parquet, residuals.parquet, alarms.jsonl."),
-    ] = None,
-    duration: Annotated[float | None, typer.Option(help="End after so long, s.")] = None,
-    until_silent: Annotated[
-        float | None, typer.Option(help="End when the aircraft is silent for so long, s.")
-    ] = None,
-    horizon: Annotated[
-        float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
-    ] = 0.5,
-    hold: Annotated[
-        float, typer.Option(help="So long samples wait for others that were overtaken, s.")
-    ] = 0.15,
-    request_rates: Annotated[
-        bool,
-        typer.Option(
-            "--request-rates",
-            help="Ask the aircraft for the streams that are needed (SET_MESSAGE_INTERVAL), the one "
-            "command that is ever sent.",
-        ),
-    ] = False,
-    publish: Annotated[
-        str | None,
-        typer.Option(help="Send the twin as an aircraft of its own: udpout:HOST:PORT."),
-    ] = None,
-    publish_system: Annotated[int, typer.Option(help="System id of the twin, 1 to 255.")] = 2,
-    serve: Annotated[
-        str | None,
-        typer.Option(help="Serve a page that shows both: HOST:PORT, 127.0.0.1:8080."),
-    ] = None,
-    token: Annotated[
-        str | None,
-        typer.Option(
-            help="What viewers of the page must know: ?token=TEXT. Needed beyond loopback."
-        ),
-    ] = None,
-    alarms: Annotated[
-        bool, typer.Option(help="Say which effect begins in flight; costs some 5 % of a core.")
-    ] = True,
+    vehicle: Vehicle = None,
+    demo: Demo = False,
+    listen: Listen = "udpin:127.0.0.1:14550",
+    system: System = None,
+    record: Record = None,
+    duration: Duration = None,
+    until_silent: UntilSilent = None,
+    horizon: Horizon = 0.5,
+    hold: Hold = 0.15,
+    request_rates: RequestRates = False,
+    publish: Publish = None,
+    publish_system: PublishSystem = 2,
+    serve: Serve = None,
+    token: Token = None,
+    alarms: Alarms = True,
     as_json: Json = False,
 ) -> None:
     """Listen to a flying aircraft, fly the twin beside it, tell and record where they differ.
@@ -76,6 +106,8 @@ def live(
     from ...live.address import address
     from ...live.session import LiveOptions
 
+    if vehicle is None and not demo:
+        raise TwinError("--vehicle: which aircraft is it? Give its vehicle file, or --demo.")
     options = LiveOptions(
         address(listen, "udpin", "--listen"),
         system,
@@ -83,32 +115,64 @@ def live(
         horizon,
         hold,
         duration,
-        until_silent,
+        _DEMO_SILENT_S if demo and until_silent is None else until_silent,
         request_rates,
         None if publish is None else address(publish, "udpout", "--publish"),
         publish_system,
     )
-    told = _fly(vehicle, options, serve, token, alarms)
+    if demo and serve is None:
+        serve = _demo_page()
+    told = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo)
     if as_json:
         print_json(told.json())
     else:
         _print(told, record)
+    if demo:
+        _tell_truth(told)
     if told.link.system is None or told.waits_for:
         raise typer.Exit(Exit.FINDINGS)
 
 
+def _demo_page() -> str | None:
+    """Where the page of a demonstration is served; None, with a word, where it cannot be."""
+    from ...live.page.opened import lacking
+
+    if lacking():
+        STDERR.print("no page: it needs pip install 'uavtwin[live]'", style="yellow", markup=False)
+        return None
+    return _DEMO_PAGE
+
+
+def _tell_truth(told: "LiveTold") -> None:
+    """What was wrong with the aircraft of a demonstration, once it has been."""
+    from ...demo.in_flight import BEGINS_S, ending
+
+    if told.flight_s > BEGINS_S:
+        STDERR.print(ending(), markup=False)
+
+
 def _fly(
-    name: str, options: "LiveOptions", serve: str | None, token: str | None, alarms: bool
+    name: str,
+    options: "LiveOptions",
+    serve: str | None,
+    token: str | None,
+    alarms: bool,
+    demo: bool,
 ) -> "LiveTold":
     """Open the page where one is wanted, and listen."""
     from twin.explain.running.evidence import RunningEvidence
 
+    from ...demo.in_flight import DemoAircraft, damaged_flight
     from ...live.page.opened import open_page
     from ...live.session import LiveSession
     from ...vehicles import load_vehicle
 
     twin = load_vehicle(name)
     with ExitStack() as opened:
+        flight = None
+        if demo:
+            STDERR.print(f"simulating a flight of {twin.name}, some seconds", markup=False)
+            flight = damaged_flight(twin)
         shown = None
         if serve is not None:
             shown = opened.enter_context(open_page(serve, token, twin, options.horizon_s))
@@ -119,6 +183,8 @@ def _fly(
             None if shown is None else shown.feed,
         )
         STDERR.print(f"listening at {options.listen}", markup=False)
+        if flight is not None:
+            opened.enter_context(DemoAircraft(flight, options.listen))
         return _run(session, shown)
 
 

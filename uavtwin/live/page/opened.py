@@ -40,6 +40,11 @@ class OpenPage:
         self.server.close()
 
 
+def lacking() -> list[str]:
+    """Packages that the page needs and that are not installed."""
+    return [n for n in NEEDED if find_spec(n) is None]
+
+
 def open_page(serve: str, token: str | None, vehicle: Vehicle, horizon_s: float) -> OpenPage:
     """Serve the page of a live flight.
 
@@ -52,8 +57,8 @@ def open_page(serve: str, token: str | None, vehicle: Vehicle, horizon_s: float)
     Raises:
         TwinError: The address is none, is taken, or needs a token; or packages are missing.
     """
-    if lacking := [n for n in NEEDED if find_spec(n) is None]:
-        raise TwinError(f"--serve needs {', '.join(lacking)}: pip install 'uavtwin[live]'.")
+    if missing := lacking():
+        raise TwinError(f"--serve needs {', '.join(missing)}: pip install 'uavtwin[live]'.")
     from .document import document
     from .doors import page_address
     from .server import PageServer

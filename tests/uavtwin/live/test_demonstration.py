@@ -1,0 +1,114 @@
+"""`uavtwin live --demo`: one command from nothing to a named alarm."""
+
+import json
+import re
+import socket
+import subprocess
+import sys
+import time
+from urllib.request import urlopen
+
+import numpy as np
+import pandas as pd
+import pytest
+from cli_rig import run
+
+from twin.logs import Flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, DemoAircraft, damaged_flight, waypoints
+from uavtwin.live.address import Address
+
+NEWCOMER_S = 60.0
+"""Within which an alarm is on the screen."""
+
+
+def free_port(kind: socket.SocketKind) -> int:
+    with socket.socket(socket.AF_INET, kind) as any_port:
+        any_port.bind(("127.0.0.1", 0))
+        return int(any_port.getsockname()[1])
+
+
+@pytest.mark.slow
+def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
+    """Sent over the loopback, heard, shown on the page, named; ended by the command itself."""
+    page = free_port(socket.SOCK_STREAM)
+    began = time.monotonic()
+    demo = subprocess.Popen(
+        [
+            *(sys.executable, "-c", "from uavtwin.cli.main import main; main()", "live", "--demo"),
+            *("--listen", f"udpin:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"),
+            *("--serve", f"127.0.0.1:{page}", "--duration", str(BEGINS_S + 8), "--json"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert demo.stderr is not None
+        for line in demo.stderr:
+            if line.startswith("ALARM"):
+                break
+        alarmed_s = time.monotonic() - began
+        with urlopen(f"http://127.0.0.1:{page}/", timeout=10) as answer:
+            assert b"<title>" in answer.read()
+        out, err = demo.communicate(timeout=60)
+    finally:
+        demo.kill()
+    assert demo.returncode == 0
+    lost = re.search(rf"rotor efficiency loss .*loss_{ROTOR} \+([0-9.]+)", line)
+    assert lost is not None and float(lost[1]) == pytest.approx(LOSS, abs=0.02), line
+    assert alarmed_s < NEWCOMER_S
+    told = json.loads(out)
+    (alarm,) = told["alarms"]
+    assert alarm["since_s"] == pytest.approx(BEGINS_S, abs=1.0)
+    assert told["link"]["lost"] == 0 and not told["missing"]
+    assert f"in this flight rotor {ROTOR} lost 10 % of its thrust at 20 s" in err
+
+
+@pytest.mark.slow
+def test_before_it_begins_the_rotor_is_whole() -> None:
+    """The same flight up to then, whatever begins; and from then on that rotor works harder."""
+    vehicle = load_vehicle("crazyflie")
+    whole, damaged = (damaged_flight(vehicle, 12.0, loss, 16.0) for loss in (0.0, 0.1))
+    drives = [c for c in whole.table if c.startswith(("cmd_", "rotor_"))]
+    before = whole.table["time"] < 12.0
+    np.testing.assert_array_equal(whole.table[drives][before], damaged.table[drives][before])
+    late = whole.table["time"] > 13.0
+    more = damaged.table[drives][late].mean() / whole.table[drives][late].mean()
+    assert more.iloc[ROTOR - 1] == max(more) > 1.02
+
+
+def test_small_aircraft_fly_small_squares() -> None:
+    far = {
+        name: max(abs(x) for _, _, (x, _, _) in waypoints(load_vehicle(name)))
+        for name in ("crazyflie", "copter_default")
+    }
+    assert far == {"crazyflie": 1.5, "copter_default": 5.0}
+
+
+def test_the_aircraft_of_a_demonstration_ends_at_once() -> None:
+    """Whoever listened has gone; the sender's thread is over before the block is."""
+    table = level_flight()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.bind(("127.0.0.1", 0))
+        listener.settimeout(2.0)
+        with DemoAircraft(table, Address("127.0.0.1", listener.getsockname()[1])) as aircraft:
+            assert listener.recv(1000)
+            began = time.monotonic()
+        assert time.monotonic() - began < 1.0
+        assert not aircraft._thread.is_alive()
+
+
+def level_flight() -> Flight:
+    """Ten minutes in which nothing is told but the attitude."""
+    t = np.arange(0.0, 600.0, 0.1)
+    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+    return Flight("level", pd.DataFrame({"time": t, **level}))
+
+
+def test_a_live_flight_wants_a_vehicle(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("UAVTWIN_VEHICLE", raising=False)
+    code, _, err = run(capsys, "live")
+    assert code == 2 and "or --demo" in err

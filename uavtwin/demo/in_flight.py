@@ -1,0 +1,146 @@
+"""What `uavtwin live --demo` listens to: a built-in aircraft that is damaged in mid-flight.
+
+It is flown in closed loop beforehand and then sent over the loopback in real time by the sender of
+`uavtwin replay`; nothing of what listens knows that it is no real aircraft.
+"""
+
+import threading
+from types import TracebackType
+from typing import Self
+
+from twin.effects.propulsion import ROTOR_EFFICIENCY_LOSS
+from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
+from twin.logs import Flight
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
+from twin.vehicle import Vehicle
+
+from ..live.address import Address
+from ..live.replay import Replay
+from .flights import (
+    ACC_NOISE_M_S2,
+    ATT_NOISE,
+    GYRO_NOISE_RAD_S,
+    IMU_S,
+    POS_NOISE_M,
+    POSE_S,
+    VEL_NOISE_M_S,
+    Waypoints,
+    setpoints_along,
+)
+
+BEGINS_S = 20.0
+"""After the start of the flight: what listens has by then learned what is usual."""
+LOSS, ROTOR = 0.1, 3
+"""Share of its thrust that a rotor loses, and which. Made up: a chipped blade."""
+SECONDS = 60.0
+_BATTERY_S, _BATTERY_NOISE = 0.1, 1e-3
+_LEG_S = 3.0
+_SQUARE = ((1.0, 0.0, -1.5), (1.0, 0.8, -2.0), (0.0, 0.8, -1.5), (0.0, 0.0, -1.5))
+"""Corners, over the longest leg."""
+_REACH_M, _SMALL_REACH_M, _SMALL_ARM_M = 5.0, 1.5, 0.06
+
+
+def waypoints(vehicle: Vehicle, seconds: float = SECONDS) -> Waypoints:
+    """Take-off, a hover, and squares until the time is over; it does not land.
+
+    Args:
+        vehicle: That flies: a small one flies smaller squares.
+        seconds: How long.
+    """
+    reach = _SMALL_REACH_M if vehicle.arm_m < _SMALL_ARM_M else _REACH_M
+    start = (0.0, 0.0, -1.5)
+    legs = [("ground", 1.0, (0.0, 0.0, 0.0)), ("takeoff", 3.0, start), ("hover", 4.0, start)]
+    while sum(leg[1] for leg in legs) < seconds:
+        legs += [("forward", _LEG_S, (reach * x, reach * y, z)) for x, y, z in _SQUARE]
+        legs.append(("hover", 2.0, start))
+    return tuple(legs)
+
+
+def damaged_flight(
+    vehicle: Vehicle,
+    begins_s: float = BEGINS_S,
+    loss: float = LOSS,
+    seconds: float = SECONDS,
+    seed: int = 1,
+) -> Flight:
+    """A flight in which a rotor loses thrust.
+
+    Args:
+        vehicle: That flies, and for which its controller is designed.
+        begins_s: Since when, s.
+        loss: Share of its thrust.
+        seconds: How long the flight is, to the next whole square.
+        seed: Of the noise of the sensors.
+
+    Raises:
+        ModelError: The vehicle cannot hover.
+    """
+    setpoints, phases = setpoints_along(vehicle, waypoints(vehicle, seconds))
+    drives = motor_columns("cmd" if vehicle.drive == "command" else "rotor", vehicle.rotors.count)
+    numbers = {f"loss_{i}": loss * (i == ROTOR) for i in range(1, vehicle.rotors.count + 1)}
+    streams = (
+        Stream(drives, IMU_S),
+        Stream(ACC, IMU_S, ACC_NOISE_M_S2),
+        Stream(GYRO, IMU_S, GYRO_NOISE_RAD_S),
+        Stream(POS, POSE_S, POS_NOISE_M),
+        Stream(VEL, POSE_S, VEL_NOISE_M_S),
+        Stream(QUAT, POSE_S, ATT_NOISE),
+        Stream(("vbat_v",), _BATTERY_S, _BATTERY_NOISE * vehicle.voltage_v),
+    )
+    return simulate_flight(
+        setpoints,
+        phases,
+        vehicle,
+        vehicle,
+        Recorder(streams, 1 / IMU_S, 1 / IMU_S, seed),
+        "demo",
+        later=Later({ROTOR_EFFICIENCY_LOSS.name: numbers | {"torque_share": 1.0}}, begins_s),
+    )
+
+
+def ending(begins_s: float = BEGINS_S, loss: float = LOSS) -> str:
+    """The truth about such a flight."""
+    return f"in this flight rotor {ROTOR} lost {100 * loss:.0f} % of its thrust at {begins_s:g} s"
+
+
+class DemoAircraft:
+    """A flight that is sent in the background; a context manager that ends it."""
+
+    def __init__(self, flight: Flight, to: Address) -> None:
+        """Open the way there; it is sent from `__enter__` on.
+
+        Args:
+            flight: To send, in real time.
+            to: Who listens.
+        """
+        self._flight, self._sender = flight, Replay(to)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._play, name="demo aircraft", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._sender.close()
+
+    def _play(self) -> None:
+        try:
+            self._sender.play(self._flight, self._go_on)
+        except _EndedError:
+            return
+
+    def _go_on(self, _: float) -> None:
+        if self._stop.is_set():
+            raise _EndedError
+
+
+class _EndedError(Exception):
+    """Nobody listens any more."""
