@@ -29,6 +29,7 @@ from .export import export
 from .flights.convert import convert
 from .flights.generate import generate
 from .gap import gap
+from .live.hil import hil
 from .live.live import live
 from .live.replay import replay
 from .options import Exit
@@ -58,7 +59,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
     *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep),
-    *(live, replay, train, evaluate, generate, bench, version),
+    *(live, replay, hil, train, evaluate, generate, bench, version),
 )
 
 app = typer.Typer(

@@ -1,4 +1,5 @@
-"""Where MAVLink is sent to and listened for: `udpout:HOST:PORT`, `udpin:HOST:PORT`."""
+"""Where MAVLink is sent to and listened for: `udpout:HOST:PORT`, `udpin:HOST:PORT`; simulators are
+connected to at `tcpin:HOST:PORT`."""
 
 import contextlib
 import re
@@ -7,7 +8,9 @@ from dataclasses import dataclass
 
 from twin.errors import TwinError
 
-_FORM = re.compile(r"(udpin|udpout):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
+_FORM = re.compile(r"(udpin|udpout|tcpin):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
+USUAL_PORTS = {"udpin": 14550, "udpout": 14550, "tcpin": 4560}
+"""Of ground stations, and of PX4's simulators."""
 _FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
 _BUFFER = 8 << 20
 """Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
@@ -34,7 +37,7 @@ def address(text: str, direction: str, option: str) -> Address:
 
     Args:
         text: As given.
-        direction: `udpin` or `udpout`.
+        direction: A member of `USUAL_PORTS`.
         option: By which it was given.
 
     Raises:
@@ -42,9 +45,8 @@ def address(text: str, direction: str, option: str) -> Address:
     """
     match = _FORM.fullmatch(text)
     if match is None or match.group(1) != direction or not 0 < int(match.group(3)) < 65536:
-        raise TwinError(
-            f"{option} {text}: write {direction}:HOST:PORT, {direction}:127.0.0.1:14550."
-        )
+        example = f"{direction}:127.0.0.1:{USUAL_PORTS[direction]}"
+        raise TwinError(f"{option} {text}: write {direction}:HOST:PORT, {example}.")
     return Address(match.group(2).strip("[]"), int(match.group(3)))
 
 

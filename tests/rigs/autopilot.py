@@ -1,0 +1,141 @@
+"""A stand-in for PX4 at the simulator's socket: our controller behind real MAVLink messages.
+
+It reads the true motion of HIL_STATE_QUATERNION, as an estimator without errors would, and answers
+each HIL_SENSOR with HIL_ACTUATOR_CONTROLS of its time, as PX4 does in lockstep.
+"""
+
+import math
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.component.component import Run
+from twin.flight.closed_loop import SETPOINTS, STEP_S
+from twin.flight.control.lqr_cascade import controller
+from twin.frames import AXES
+from twin.logs.mavlink.dialect import Message, dialect, parser
+from twin.logs.mavlink.encode import heartbeat
+from twin.logs.mavlink.simulator import Controls, hil_controls
+from twin.vehicle import Vehicle
+from twin.vehicle.geodesy import A_M, F
+from uavtwin.demo.flights import Waypoints, setpoints_along
+from uavtwin.hil.session import PLACE
+from uavtwin.live.address import Address
+
+Array = NDArray[np.float64]
+PERIOD_US = 4000
+HOP: Waypoints = (
+    ("ground", 0.5, (0.0, 0.0, 0.0)),
+    ("takeoff", 2.0, (0.0, 0.0, -1.5)),
+    ("forward", 3.0, (2.0, 1.0, -2.0)),
+    ("hover", 1.5, (2.0, 1.0, -2.0)),
+)
+"""Seven seconds."""
+
+
+def ned_of_geodetic(place: Sequence[float], origin: Sequence[float] = PLACE) -> Array:
+    """North, east, down from an origin, m; both as latitude, longitude, rad, and height, m."""
+
+    def earth_fixed(latitude: float, longitude: float, height_m: float) -> Array:
+        e2 = F * (2.0 - F)
+        radius = A_M / math.sqrt(1.0 - e2 * math.sin(latitude) ** 2)
+        across = (radius + height_m) * math.cos(latitude)
+        up = (radius * (1.0 - e2) + height_m) * math.sin(latitude)
+        return np.array([across * math.cos(longitude), across * math.sin(longitude), up])
+
+    (latitude, longitude, _), off = origin, earth_fixed(*place) - earth_fixed(*origin)
+    s, c = math.sin(latitude), math.cos(latitude)
+    sl, cl = math.sin(longitude), math.cos(longitude)
+    rows = np.array([[-s * cl, -s * sl, c], [-sl, cl, 0.0], [-c * cl, -c * sl, -s]])
+    return rows @ off
+
+
+@dataclass
+class Pilot:
+    """Our controller along waypoints, once per HIL_SENSOR."""
+
+    vehicle: Vehicle
+    waypoints: Waypoints = HOP
+    asked: list[tuple[float, ...]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        control = controller(self.vehicle)
+        self._setpoints, _ = setpoints_along(self.vehicle, self.waypoints)
+        self._u, self._names = control.input_values(), control.input_names
+        self._run = Run(control, self._u, control.parameter_values())
+
+    @property
+    def seconds(self) -> float:
+        return STEP_S * len(self._setpoints)
+
+    def controls(self, t_us: int, motion: dict[str, float]) -> Controls:
+        """What it answers at a time to a motion: `pos_x`, `vel_x`, `q_w`, `omega_x` and so on."""
+        row = self._setpoints[min(t_us // 1000, len(self._setpoints) - 1)]
+        known = motion | dict(zip(SETPOINTS, row.tolist(), strict=True))
+        self._u[:] = [known[n] for n in self._names]
+        asked = tuple(self._run.outputs(self._u).tolist())
+        self._run.step(1e-6 * t_us, 1e-6 * PERIOD_US, self._u)
+        self.asked.append(asked)
+        return Controls(t_us, asked, bool(known["armed"]), lockstep=True)
+
+
+def motion_of(state: Message) -> dict[str, float]:
+    """The motion that HIL_STATE_QUATERNION tells."""
+    place = math.radians(1e-7 * state.lat), math.radians(1e-7 * state.lon), 1e-3 * state.alt
+    vectors: dict[str, Sequence[float]] = {
+        "pos": ned_of_geodetic(place).tolist(),
+        "vel": [1e-2 * v for v in (state.vx, state.vy, state.vz)],
+        "omega": (state.rollspeed, state.pitchspeed, state.yawspeed),
+    }
+    told = {
+        f"{n}_{a}": v for n, values in vectors.items() for a, v in zip(AXES, values, strict=True)
+    }
+    return told | dict(zip(("q_w", "q_x", "q_y", "q_z"), state.attitude_quaternion, strict=True))
+
+
+@dataclass
+class StandIn:
+    """An autopilot that connects, flies, and notes what it was told.
+
+    Attributes:
+        pilot: Who flies.
+        heard: Messages by kind.
+        answers: Made of a controls message before it is sent; None: it is not.
+    """
+
+    pilot: Pilot
+    heard: dict[str, list[Message]] = field(default_factory=dict)
+    answers: Callable[[Controls], Controls | None] = lambda controls: controls
+
+    def fly(self, where: Address) -> None:
+        """Until the simulator hangs up."""
+        with socket.create_connection(where.pair, timeout=20) as wire:
+            self._fly(wire)
+
+    def _fly(self, wire: socket.socket) -> None:
+        packer, reader = parser(1, 1), parser()
+
+        def send(message: Any) -> None:
+            wire.sendall(message.pack(packer))
+            packer.seq = (packer.seq + 1) % 256
+
+        send(heartbeat(4, armed=False))
+        send(
+            dialect.MAVLink_command_long_message(
+                *(0, 0, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0),
+                *(dialect.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 5e3, 0, 0, 0, 0, 0),
+            )
+        )
+        while octets := wire.recv(65536):
+            for message in reader.parse_buffer(octets) or ():
+                self.heard.setdefault(message.get_type(), []).append(message)
+                if message.get_type() != "HIL_SENSOR":
+                    continue
+                motion = motion_of(self.heard["HIL_STATE_QUATERNION"][-1])
+                answer = self.answers(self.pilot.controls(message.time_usec, motion))
+                if answer is not None:
+                    send(hil_controls(answer))

@@ -1,0 +1,187 @@
+"""An autopilot's closed loop over the socket is the same loop in process."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from autopilot import HOP, PERIOD_US, Pilot, StandIn, motion_of, ned_of_geodetic
+from numpy.typing import NDArray
+
+from twin.errors import TwinError
+from twin.frames import AXES
+from twin.logs.mavlink.dialect import Message, parser
+from twin.logs.mavlink.simulator import Controls, controls_of, hil_controls
+from twin.vehicle import Vehicle
+from twin.vehicle.file import load_vehicle
+from twin.vehicle.geodesy import geodetic_of_ned
+from uavtwin.hil.flying import Flown, FlyingTwin, flying_twin_of
+from uavtwin.hil.session import PLACE, HilOptions, HilSession
+from uavtwin.live.address import Address
+
+Array = NDArray[np.float64]
+ANY_PORT = Address("127.0.0.1", 0)
+ROUNDED_M = 0.0056
+"""HIL_STATE_QUATERNION tells 1e-7 degrees: 11 mm northwards, rounded to half of it."""
+STEPS = round(1e6 * sum(leg[1] for leg in HOP) / PERIOD_US)
+
+
+@pytest.fixture(scope="module")
+def copter() -> Vehicle:
+    return load_vehicle("copter_default")
+
+
+@pytest.fixture
+def twin(copter: Vehicle, tmp_path: Path) -> Iterator[FlyingTwin]:
+    with flying_twin_of(copter, tmp_path) as flying:
+        yield flying
+
+
+def wired(message: Message) -> Message:
+    (read,) = parser().parse_buffer(message.pack(parser(1, 1)))
+    return read
+
+
+def in_process(vehicle: Vehicle, twin: FlyingTwin, rounded: bool) -> tuple[Array, Array]:
+    """Positions and commands of the loop without a socket.
+
+    Args:
+        vehicle: That flies.
+        twin: At its start.
+        rounded: Whether motion and commands are those of messages, or float64 throughout.
+    """
+    pilot, simulator = Pilot(vehicle), HilSession(vehicle, twin, HilOptions(ANY_PORT))
+    controls: Controls | None = None
+    places, commands = [], []
+    for k in range(1, STEPS + 1):
+        commands.append(simulator.commands(controls))
+        flown = twin.fly(commands[-1], k * PERIOD_US / 1e6)
+        motion = true_motion(flown)
+        if rounded:
+            sent = {m.get_type(): wired(m) for m in simulator.messages(k, flown)}
+            motion = motion_of(sent["HIL_STATE_QUATERNION"])
+        controls = pilot.controls(k * PERIOD_US, motion)
+        if rounded:
+            controls = controls_of(wired(hil_controls(controls)))
+        places.append(flown["pos"])
+    simulator.link.close()
+    return np.array(places), np.array(commands)
+
+
+def true_motion(flown: Flown) -> dict[str, float]:
+    vectors = {n: flown[n] for n in ("pos", "vel", "omega")}
+    told = {
+        f"{n}_{a}": v for n, values in vectors.items() for a, v in zip(AXES, values, strict=True)
+    }
+    return told | dict(zip(("q_w", "q_x", "q_y", "q_z"), flown["q"], strict=True))
+
+
+class Watched(FlyingTwin):
+    """Notes where it has been and on what."""
+
+    places: list[list[float]]
+    commands: list[list[float]]
+
+    def fly(self, commands: object, until_s: float) -> Flown:
+        flown = super().fly(commands, until_s)  # type: ignore[arg-type]
+        self.places.append(flown["pos"])
+        self.commands.append(list(commands))  # type: ignore[call-overload]
+        return flown
+
+
+def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, StandIn, HilSession]:
+    with flying_twin_of(vehicle, folder) as twin:
+        twin.__class__ = Watched
+        assert isinstance(twin, Watched)
+        twin.places, twin.commands = [], []
+        options = HilOptions(ANY_PORT, speed=float("inf"), duration_s=STEPS * PERIOD_US / 1e6)
+        session, stand_in = HilSession(vehicle, twin, options), StandIn(Pilot(vehicle))
+        where = Address("127.0.0.1", session.link.port)
+        autopilot = threading.Thread(target=stand_in.fly, args=(where,))
+        autopilot.start()
+        told = session.run()
+        autopilot.join()
+        assert told.fine and told.ended == "the duration is over" and told.lockstep
+        assert told.clipped == told.unknown == 0 and told.answers >= STEPS - 1
+        return np.array(twin.places), np.array(twin.commands), stand_in, session
+
+
+@pytest.mark.slow
+def test_the_loop_through_the_socket_is_the_loop_in_process(
+    copter: Vehicle, twin: FlyingTwin, tmp_path: Path
+) -> None:
+    """With the same messages in memory: to the last bit. Without any: what they round off.
+
+    A position is rounded by 6 mm; what is rounded changes from step to step, and the loop, which
+    is far slower, feels its mean (measured: 0.9 mm off at most).
+    """
+    (tmp_path / "wire").mkdir()
+    (tmp_path / "exact").mkdir()
+    places, commands, stand_in, _ = over_the_socket(copter, tmp_path / "wire")
+    assert np.linalg.norm(places[-1] - (2.0, 1.0, -2.0 - copter.leg_height_m)) < 0.3
+    same_places, same_commands = in_process(copter, twin, rounded=True)
+    np.testing.assert_array_equal(places, same_places)
+    np.testing.assert_array_equal(commands, same_commands)
+    with flying_twin_of(copter, tmp_path / "exact") as again:
+        exact, _ = in_process(copter, again, rounded=False)
+    off_m = np.linalg.norm(places - exact, axis=1)
+    print(
+        f"off by at most {1e3 * off_m.max():.1f} mm, rms {1e3 * np.sqrt(np.mean(off_m**2)):.1f} mm"
+    )
+    assert 0.0 < off_m.max() < ROUNDED_M
+    check_rates(stand_in)
+
+
+def check_rates(stand_in: StandIn) -> None:
+    """250 Hz of HIL_SENSOR, with magnetometer and barometer at 50, the receiver at 10."""
+    heard = stand_in.heard
+    times = np.array([m.time_usec for m in heard["HIL_SENSOR"]])
+    assert len(times) == STEPS and np.all(np.diff(times) == PERIOD_US)
+    updated = [m.fields_updated for m in heard["HIL_SENSOR"]]
+    assert sum(bool(u & 0x1000) for u in updated) == pytest.approx(STEPS / 5, abs=1)
+    assert all(u & 0x3F == 0x3F for u in updated)
+    assert len(heard["HIL_GPS"]) == pytest.approx(STEPS / 25, abs=1)
+    assert len(heard["HEARTBEAT"]) == pytest.approx(STEPS / 250, abs=1)
+    assert len(heard["HIL_STATE_QUATERNION"]) == STEPS
+
+
+@pytest.mark.slow
+def test_effects_of_the_vehicle_fly(copter: Vehicle, tmp_path: Path) -> None:
+    """A rotor that gives 15 % less thrust has to be asked for more."""
+    loss = {f"loss_{i}": 0.15 * (i == 2) for i in range(1, 5)} | {"torque_share": 1.0}
+    damaged = copter.with_effects({"rotor_efficiency_loss": loss})
+    held = {}
+    for name, vehicle in (("whole", copter), ("damaged", damaged)):
+        (tmp_path / name).mkdir()
+        with flying_twin_of(vehicle, tmp_path / name) as flying:
+            _, commands = in_process(copter, flying, rounded=False)
+        held[name] = commands[-250:].mean(axis=0)
+    more = held["damaged"] / held["whole"]
+    assert more.argmax() == 1 and more[1] > 1.05
+
+
+def test_places_are_those_of_the_ellipsoid() -> None:
+    """The stand-in's own way back from latitude and longitude, against the way there."""
+    rng = np.random.default_rng(1)
+    for off in rng.uniform(-2000.0, 2000.0, (20, 3)):
+        place = geodetic_of_ned(off[None], *PLACE)[0]
+        np.testing.assert_allclose(ned_of_geodetic(place.tolist()), off, atol=1e-5)
+
+
+def test_motors_that_are_not_armed_stand_still(copter: Vehicle, twin: FlyingTwin) -> None:
+    session = HilSession(copter, twin, HilOptions(ANY_PORT))
+    asked = (0.5, float("nan"), 1.2, -0.1)
+    assert session.commands(None) == [0.0] * 4
+    assert session.commands(Controls(1, asked, False, True)) == [0.0] * 4
+    assert session.commands(Controls(1, asked, True, True)) == [0.5, 0.0, 1.0, 0.0]
+    told = session.known()
+    assert (told.clipped, told.unknown) == (2, 1)
+    session.link.close()
+
+
+def test_a_vehicle_known_by_rotor_speed_is_refused(copter: Vehicle, tmp_path: Path) -> None:
+    spun = replace(copter, rotors=replace(copter.rotors, speed_rad_s=()))
+    with pytest.raises(TwinError, match="an autopilot gives motor commands"):
+        flying_twin_of(spun, tmp_path)

@@ -1,0 +1,191 @@
+"""The aircraft that an autopilot flies: the whole twin as one FMU, driven from outside."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.slave.slave import Slave
+from cosim.whole_twin import COMPENSATOR, PHASE, fused_model
+from fmus import build
+from fmus.compensator import NetworkFile, native_model
+from twin.errors import TwinError
+from twin.flight.assembly import Assembly, connected_by_name
+from twin.frames import AXES
+from twin.logs.columns import ACC, GYRO, MAG
+from twin.physics.battery import battery
+from twin.vehicle import Vehicle
+
+from ..exports.parts import LearnedForce, twin
+from ..simulation import Scenario, shaping_starts
+
+Array = NDArray[np.float64]
+_MOTION = {
+    "pos": [f"airframe.pos_{a}" for a in AXES],
+    "vel": [f"airframe.vel_{a}" for a in AXES],
+    "q": [f"airframe.q_{a}" for a in "wxyz"],
+    "omega": [f"airframe.omega_{a}" for a in AXES],
+    "force": [f"airframe.specific_force_{a}" for a in AXES],
+    "wind": [f"environment.wind_{a}" for a in AXES],
+    "gps_pos": [f"position.meas_pos_{a}" for a in AXES],
+    "gps_vel": [f"position.meas_vel_{a}" for a in AXES],
+}
+_READINGS = {
+    "acc": ("imu", ACC),
+    "gyro": ("imu", GYRO),
+    "mag": ("magnetometer", MAG),
+    "baro": ("barometer", ("baro_pa",)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """The twin at one instant, SI, NED, FRD.
+
+    Attributes:
+        t_s: Simulated time.
+        values: By signal: `acc`, `gyro`, `mag`, `baro` as the sensors read them, corrected where
+            there is a compensator; `gps_pos`, `gps_vel` of the receiver; `pos`, `vel`, `q`,
+            `omega`, `force` (specific force) of the true motion; `wind`.
+    """
+
+    t_s: float
+    values: Mapping[str, Array]
+
+    def __getitem__(self, signal: str) -> list[float]:
+        """One signal."""
+        numbers: list[float] = self.values[signal].tolist()
+        return numbers
+
+
+class FlyingTwin:
+    """One instance of the fused FMU; a context manager that frees it."""
+
+    def __init__(self, fmu: Path, starts: Mapping[str, float], corrected: Sequence[str]) -> None:
+        """Load it, standing on the ground at time 0.
+
+        Args:
+            fmu: Of `build_twin`.
+            starts: Start values of its variables.
+            corrected: Readings that its compensator corrects, by column.
+        """
+        self._slave = Slave("twin", fmu)
+        names: dict[str, list[str]] = dict(_MOTION)
+        for signal, (part, columns) in _READINGS.items():
+            names[signal] = [
+                f"{COMPENSATOR}.corrected.{c}" if c in corrected else f"{part}.{c}" for c in columns
+            ]
+        ports = self._slave.ports
+        drives = [n for n in ports if n.startswith("airframe.cmd_")]
+        self.motors = len(drives)
+        outputs = [n for several in names.values() for n in several]
+        edges = np.cumsum([0, *(len(several) for several in names.values())])
+        self._parts = {n: slice(*edges[k : k + 2]) for k, n in enumerate(names)}
+        self._commands, self._read = np.zeros(self.motors), np.zeros(len(outputs))
+        try:
+            self._slave.bind(drives, outputs, self._commands, self._read)
+            self._slave.initialize(0.0, starts)
+            self._slave.finish_initialization()
+            self._slave.read_outputs()
+        except BaseException:
+            self._slave.close()
+            raise
+        self._t_s = 0.0
+
+    def fly(self, commands: Sequence[float], until_s: float) -> Flown:
+        """Go on with commands held.
+
+        Args:
+            commands: Of the motors, 0..1, shape (motors,).
+            until_s: Simulated time to reach.
+
+        Raises:
+            TwinError: The twin gave what is no finite number, or gave up.
+        """
+        self._commands[:] = commands
+        self._slave.write_inputs()
+        self._slave.step(self._t_s, until_s - self._t_s)
+        self._slave.read_outputs()
+        if not np.isfinite(self._read).all():
+            raise TwinError(
+                f"the twin has no finite state any more at {until_s:g} s: it was flown out of what "
+                f"its equations hold for."
+            )
+        self._t_s = until_s
+        return self.now()
+
+    def now(self) -> Flown:
+        """As it is."""
+        read = self._read.copy()
+        return Flown(self._t_s, {name: read[part] for name, part in self._parts.items()})
+
+    def close(self) -> None:
+        """Free the instance."""
+        self._slave.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def flying_twin_of(
+    vehicle: Vehicle,
+    folder: Path,
+    scenario: Scenario | None = None,
+    compensator: NetworkFile | None = None,
+    force: LearnedForce | None = None,
+    starts: Mapping[str, float] | None = None,
+) -> FlyingTwin:
+    """Build and load the twin of a vehicle, its effects on.
+
+    Args:
+        vehicle: Whose twin.
+        folder: For its FMU.
+        scenario: Wind, gusts, seed, effects, start values; None: still air.
+        compensator: Of its sensors, trained to see no measurement.
+        force: Learned force and moment inside its equations.
+        starts: More start values, "part.variable" -> value.
+
+    Raises:
+        TwinError: The vehicle has no motor commands, or what was learned is of another vehicle or
+            needs the readings of an aircraft.
+    """
+    if vehicle.drive != "command":
+        raise TwinError(
+            f"{vehicle.name}: an autopilot gives motor commands, this vehicle is known by rotor "
+            f"speed alone. Give it a map from commands: docs/guide/vehicle.md."
+        )
+    if compensator is not None and compensator.sees_measurements:
+        raise TwinError(
+            f"{compensator.path.parent}: this compensator corrects by what the aircraft measured a "
+            f"while ago (protocol {compensator.protocol}); here no aircraft flies. Train one that "
+            f"sees none: uavtwin train --protocol free, or --protocol force."
+        )
+    whole = twin(vehicle, compensator=compensator, drive="command", force=force)
+    assembly = _with_battery(whole.assembly, vehicle)
+    network = whole.compensator
+    model = fused_model(assembly, vehicle.name, None if network is None else native_model(network))
+    given = shaping_starts(assembly, scenario or Scenario("hil", vehicle)) | dict(starts or {})
+    if network is not None and f"{COMPENSATOR}.{PHASE}" in model.input_names:
+        given[f"{COMPENSATOR}.{PHASE}"] = float(max(network.phases.values()))  # unknown
+    corrected = () if compensator is None else compensator.channels
+    return FlyingTwin(build(model, folder / f"{model.name}.fmu"), given, corrected)
+
+
+def _with_battery(assembly: Assembly, vehicle: Vehicle) -> Assembly:
+    """The same with the vehicle's battery, where its file has one."""
+    if vehicle.battery is None:
+        return assembly
+    parts = {**assembly.parts, "battery": battery(vehicle)}
+    return replace(assembly, parts=parts, connections=connected_by_name(parts))

@@ -1,0 +1,176 @@
+"""The TCP connection on which one autopilot talks to the simulator."""
+
+import contextlib
+import select
+import socket
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from twin.errors import TwinError
+from twin.logs.mavlink.dialect import BAD, MARKERS, Message, dialect, parser
+
+from ..live.address import Address
+
+SYSTEM = 1
+"""System id of the simulator: that of the aircraft, as PX4's own simulators have it."""
+_WAIT_S = 0.1
+_LONGEST = 65536
+_MOST_GARBAGE = 65536
+"""Bytes without a single message after which who connected speaks something else."""
+
+
+class ConnectionEndedError(TwinError):
+    """The autopilot is no longer there, or never was one."""
+
+
+@dataclass(slots=True)
+class Counts:
+    """What came and went.
+
+    Attributes:
+        sent: Messages to the autopilot.
+        received: Messages of it.
+        garbage: Bytes that are no message.
+        wrong: Frames whose checksum or length is wrong.
+        refused: Connections that came while one was there.
+    """
+
+    sent: int = 0
+    received: int = 0
+    garbage: int = 0
+    wrong: int = 0
+    refused: int = 0
+
+
+class AutopilotLink:
+    """Waits for an autopilot, and keeps to the first that connects.
+
+    Attributes:
+        counts: What came and went.
+        peer: Who is connected, HOST:PORT; "": nobody.
+    """
+
+    def __init__(self, where: Address, patience_s: float) -> None:
+        """Listen.
+
+        Args:
+            where: Address of this machine.
+            patience_s: So long a message may wait until the autopilot takes it.
+
+        Raises:
+            TwinError: The address is none of this machine, or is taken.
+        """
+        self.counts, self.peer = Counts(), ""
+        self._where, self._patience_s = where, patience_s
+        self._packer = parser(SYSTEM, dialect.MAV_COMP_ID_AUTOPILOT1)
+        self._reader = parser()
+        self._peer: socket.socket | None = None
+        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+        self._door = socket.socket(family, socket.SOCK_STREAM)
+        try:
+            self._door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._door.bind(where.pair)
+            self._door.listen()
+        except OSError as error:
+            self._door.close()
+            raise TwinError(
+                f"{where}: cannot be served: {error.strerror}. Choose another port, or end the "
+                f"simulator that is there."
+            ) from None
+
+    @property
+    def port(self) -> int:
+        """Where it listens."""
+        return int(self._door.getsockname()[1])
+
+    def wait(self, stop: Callable[[], bool]) -> bool:
+        """Wait until an autopilot connects; returns whether one did before `stop` said so."""
+        while not stop():
+            if select.select([self._door], [], [], _WAIT_S)[0]:
+                peer, address = self._door.accept()
+                peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                peer.settimeout(self._patience_s)
+                self._peer, self.peer = peer, f"{address[0]}:{address[1]}"
+                return True
+        return False
+
+    def send(self, messages: Iterable[Message]) -> None:
+        """Send messages in one piece.
+
+        Raises:
+            ConnectionEndedError: The autopilot is not there any more, or takes nothing.
+        """
+        assert self._peer is not None
+        frames = b""
+        for message in messages:
+            frames += message.pack(self._packer)
+            self._packer.seq = (self._packer.seq + 1) % 256
+            self.counts.sent += 1
+        try:
+            self._peer.sendall(frames)
+        except TimeoutError:
+            raise ConnectionEndedError(
+                f"the autopilot at {self.peer} has read nothing for {self._patience_s:g} s"
+            ) from None
+        except OSError as error:
+            raise ConnectionEndedError(
+                f"the connection to the autopilot at {self.peer} is lost: {error.strerror}"
+            ) from None
+
+    def messages(self, wait_s: float) -> list[Message]:
+        """Messages of the autopilot that came, or come within a time.
+
+        Raises:
+            ConnectionEndedError: It has closed the connection, or speaks no MAVLink.
+        """
+        assert self._peer is not None
+        until = time.monotonic() + wait_s
+        while True:
+            left = max(until - time.monotonic(), 0.0)
+            ready = select.select([self._peer, self._door], [], [], left)[0]
+            if self._door in ready:
+                self._refuse()
+            if self._peer in ready:
+                return self._read(self._peer)
+            if left == 0.0 or not ready:
+                return []
+
+    def _read(self, peer: socket.socket) -> list[Message]:
+        try:
+            octets = peer.recv(_LONGEST)
+        except OSError as error:
+            raise ConnectionEndedError(
+                f"the connection to the autopilot at {self.peer} is lost: {error.strerror}"
+            ) from None
+        if not octets:
+            raise ConnectionEndedError(f"the autopilot at {self.peer} has closed the connection")
+        found = []
+        for message in self._reader.parse_buffer(octets) or ():
+            if message.get_type() != BAD:
+                found.append(message)
+                continue
+            frame = bytes(message.get_msgbuf())
+            is_frame = frame[:1] and frame[0] in MARKERS
+            self.counts.wrong += bool(is_frame)
+            self.counts.garbage += 0 if is_frame else len(frame)
+        self.counts.received += len(found)
+        if not self.counts.received and self.counts.garbage > _MOST_GARBAGE:
+            raise ConnectionEndedError(
+                f"{self.peer} has sent {self.counts.garbage} bytes and not one MAVLink message: it "
+                f"is no autopilot"
+            )
+        return found
+
+    def _refuse(self) -> None:
+        """One aircraft has one autopilot: whoever comes later is turned away."""
+        with contextlib.suppress(OSError):
+            late, _ = self._door.accept()
+            late.close()
+            self.counts.refused += 1
+
+    def close(self) -> None:
+        """Hang up, and listen no longer."""
+        if self._peer is not None:
+            self._peer.close()
+        self._door.close()
