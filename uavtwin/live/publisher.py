@@ -19,6 +19,8 @@ from .following import FollowingTwin, Reading
 DEFAULT_SYSTEM = 2
 _EVERY_US = 20_000
 _BEAT_S = 1.0
+ANOMALY = "anomaly"
+"""Name of the compensator's score."""
 _TEXT, _NAME = 50, 10
 """Characters of a STATUSTEXT, and of a NAMED_VALUE_FLOAT."""
 _AGES = 10_000
@@ -44,7 +46,7 @@ class Publisher:
         self._to, self._motors = to, motors
         self._socket = sending(to)
         self._packer = parser(system, AUTOPILOT)
-        self._alarms: SimpleQueue[Alarm] = SimpleQueue()
+        self._alarms: SimpleQueue[Alarm | float] = SimpleQueue()
         self._ages_s: deque[float] = deque(maxlen=_AGES)
         self._next_us, self._next_beat_s = 0, 0.0
         self._newest_us = 0
@@ -63,6 +65,10 @@ class Publisher:
         """Tell an alarm with the next messages; from any thread."""
         self._alarms.put(alarm)
 
+    def anomaly(self, score: float) -> None:
+        """Tell the compensator's score with the next messages; from any thread."""
+        self._alarms.put(score)
+
     def tick(self, aircraft: int | None) -> None:
         """What is due without a new reading.
 
@@ -77,7 +83,11 @@ class Publisher:
             self._next_beat_s = now + _BEAT_S
         with contextlib.suppress(Empty):
             while True:
-                self._tell(self._alarms.get_nowait())
+                found = self._alarms.get_nowait()
+                if isinstance(found, Alarm):
+                    self._tell(found)
+                else:
+                    self._number(ANOMALY, found)
 
     def reading(self, t_us: int, twin: FollowingTwin, came_s: float) -> None:
         """Publish what the twin reads, 50 times a second.
@@ -103,10 +113,13 @@ class Publisher:
         number = self.sent % 65535 + 1 if len(pieces) > 1 else 0
         for k, piece in enumerate(pieces):
             self._send(dialect.MAVLink_statustext_message(severity, piece, number, k))
-        name = alarm.effect.encode("ascii", "replace")[:_NAME]
-        probability = 0.0 if over else alarm.probability
+        self._number(alarm.effect, 0.0 if over else alarm.probability)
+
+    def _number(self, name: str, value: float) -> None:
+        """NAMED_VALUE_FLOAT."""
+        short = name.encode("ascii", "replace")[:_NAME]
         at_ms = self._newest_us // 1000 & 0xFFFFFFFF
-        self._send(dialect.MAVLink_named_value_float_message(at_ms, name, probability))
+        self._send(dialect.MAVLink_named_value_float_message(at_ms, short, value))
 
     def _send(self, message: Message) -> None:
         frame = message.pack(self._packer)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
@@ -30,6 +30,9 @@ from .rows import HOLD_S, ClockJumps, RowBuffer
 from .streams import missing
 from .told import LinkTold, LiveTold
 from .worker import Batch, Worker
+
+if TYPE_CHECKING:
+    from ..sensors.running import RunningCompensator
 
 HAND_OVER_S = 0.1
 """Between two times at which rows go on to the twin and to the disk."""
@@ -110,6 +113,7 @@ class LiveSession:
         options: LiveOptions,
         evidence: Callable[[], Evidence | None] = lambda: None,
         page: PageFeed | None = None,
+        compensator: "RunningCompensator | None" = None,
     ) -> None:
         """Listen, and begin to record.
 
@@ -118,6 +122,7 @@ class LiveSession:
             options: How.
             evidence: Makes evidence for a flight section; None: no alarms.
             page: Gets what the page shows; None: nobody looks.
+            compensator: Of the sensors; None: there is none.
 
         Raises:
             TwinError: The address or the folder cannot be used.
@@ -146,7 +151,14 @@ class LiveSession:
         )
         on_block = (lambda _: None) if page is None else page.block
         self.worker = Worker(
-            vehicle, self._recording, options.horizon_s, evidence, on_block, self._alarm
+            vehicle,
+            self._recording,
+            options.horizon_s,
+            evidence,
+            on_block,
+            self._alarm,
+            compensator,
+            (lambda _: None) if self._publisher is None else self._publisher.anomaly,
         )
         self._twin = FollowingTwin(self.worker.equations, options.horizon_s)
 
@@ -395,4 +407,5 @@ class LiveSession:
             busy,
             math.nan if self._publisher is None else self._publisher.age_p99_s,
             tuple(list(self._alarms.values())),
+            worker.model,
         )

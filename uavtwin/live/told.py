@@ -44,6 +44,28 @@ class LinkTold:
 
 
 @dataclass(frozen=True, slots=True)
+class ModelTold:
+    """The compensator beside the twin.
+
+    Attributes:
+        horizon_s: How old the newest residual is that it sees; infinite: it sees none.
+        until_s: Up to where of the flight it has told.
+        anomaly: How strange the last seconds were, the most; above 1 rarely on flights like those
+            of training.
+        unusual: Share of the flight so far above 1.
+        inside: Share of the flight so far where training has been.
+        rms: Of the residuals so far, by channel: of the twin, and with the correction.
+    """
+
+    horizon_s: float
+    until_s: float = 0.0
+    anomaly: float = math.nan
+    unusual: float = math.nan
+    inside: float = math.nan
+    rms: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
 class LiveTold:
     """A live flight.
 
@@ -61,6 +83,7 @@ class LiveTold:
         published_age_p99_s: Of what the twin publishes, 99 in 100: from when the message came that
             it was made of; NaN: nothing was published.
         alarms: Each as it was told last, `alarms.alarm_json`.
+        model: The compensator; None: there is none.
     """
 
     link: LinkTold
@@ -75,6 +98,7 @@ class LiveTold:
     busy: float = 0.0
     published_age_p99_s: float = math.nan
     alarms: tuple[Mapping[str, Any], ...] = ()
+    model: ModelTold | None = None
 
     def json(self) -> dict[str, Any]:
         """As JSON has it: null for what is not a finite number."""
@@ -90,6 +114,8 @@ class LiveTold:
         if self.clock is not None:
             told.append(f"clock {self.clock.offset_s:+.4f} s")
         told += [f"{n} {v:.3g} {self.units[n]}" for n, v in self.rms.items() if n.startswith("acc")]
+        if self.model is not None and math.isfinite(self.model.anomaly):
+            told.append(f"anomaly {self.model.anomaly:.2f}")
         if self.waits_for:
             told.append(f"the twin waits for {self.waits_for}")
         return "; ".join(told)

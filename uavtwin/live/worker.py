@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from queue import Queue
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
@@ -20,6 +21,10 @@ from twin.vehicle import Vehicle
 from .alarms import Evidence, alarm_json
 from .recording import Recording
 from .rows import Columns
+
+if TYPE_CHECKING:
+    from ..sensors.running import RunningCompensator
+    from .told import ModelTold
 
 EVERY_S = 1.0
 """Of flight, between two blocks of residuals."""
@@ -65,9 +70,12 @@ class Worker:
         evidence: Callable[[], Evidence | None] = lambda: None,
         on_block: Callable[[ResidualBlock], None] = lambda _: None,
         on_alarm: Callable[[Alarm], None] = lambda _: None,
+        compensator: "RunningCompensator | None" = None,
+        on_anomaly: Callable[[float], None] = lambda _: None,
     ) -> None:
         self._vehicle, self._recording, self._horizon_s = vehicle, recording, horizon_s
         self._new_evidence, self._on_block, self._on_alarm = evidence, on_block, on_alarm
+        self._compensator, self._on_anomaly = compensator, on_anomaly
         self._queue: Queue[Batch | _NewSection | _End] = Queue(_WAITING)
         self._thread = threading.Thread(target=self._work, name="twin", daemon=True)
         self.sections, self.flight_s = 1, 0.0
@@ -107,12 +115,19 @@ class Worker:
         """Of the residuals of this section so far, by channel."""
         return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
 
+    @property
+    def model(self) -> "ModelTold | None":
+        """What the compensator said of this section so far; None: there is none."""
+        return None if self._compensator is None else self._compensator.told
+
     def _begin(self) -> None:
         self._running = RunningResiduals(
             self._vehicle, horizon_s=self._horizon_s, equations=self.equations
         )
         self._evidence = self._new_evidence()
         self._sums = {}
+        if self._compensator is not None:
+            self._compensator.begin()
         self._updated_s: float | None = None
 
     def _work(self) -> None:
@@ -182,3 +197,7 @@ class Worker:
         if self._recording is not None:
             self._recording.add_residuals(block)
         self._on_block(block)
+        if self._compensator is not None:
+            said = self._compensator.update(block.flight, block.end_s)
+            if said is not None:
+                self._on_anomaly(float(said.anomaly.max()))

@@ -34,20 +34,11 @@ class CompiledCompensator:
     def run(self, flight: ResidualFlight) -> Corrected:
         """The whole flight; each span starts anew."""
         network, n = self.network, flight.virtual.shape[1]
-        channels = network.channels
         correction = np.zeros((len(flight.t_s), n))
         spread = np.tile(np.array(network.uncorrected_rms), (len(flight.t_s), 1))
         anomaly, inside = np.zeros(len(flight.t_s)), np.zeros(len(flight.t_s), dtype=np.bool_)
-        names = [*channels, *network.commands, "phase"]
-        known = np.isfinite(flight.virtual).any(axis=0)  # a twin reads the others, too
-        given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
-        if network.sees_measurements:
-            names += [f"measured.{c}" for c in channels]
-            names += [f"valid.{g}" for g in network.groups]
-            first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
-            given += [flight.virtual + flight.residual, flight.fresh[:, first]]
-        reads = [*(f"{kind}.{c}" for kind in _KINDS for c in channels), "anomaly", "inside"]
-        table, period = np.hstack(given).astype(np.float64), 1 / flight.rate_hz
+        names, table = fed(network, flight)
+        reads, period = outputs_of(network), 1 / flight.rate_hz
         slave = Slave("compensator", self.fmu)
         try:
             sent, received = np.zeros(len(names)), np.zeros(len(reads))
@@ -66,6 +57,32 @@ class CompiledCompensator:
         finally:
             slave.close()
         return Corrected(correction, spread, anomaly, inside)
+
+
+def fed(network: NetworkFile, flight: ResidualFlight | None) -> tuple[list[str], Array]:
+    """Inputs of a compensator's FMU, and their values along a flight, shape (n, inputs).
+
+    Args:
+        network: The compensator.
+        flight: None: the names alone.
+    """
+    names = [*network.channels, *network.commands, "phase"]
+    if network.sees_measurements:
+        names += [f"measured.{c}" for c in network.channels]
+        names += [f"valid.{g}" for g in network.groups]
+    if flight is None:
+        return names, np.zeros((0, len(names)))
+    known = np.isfinite(flight.virtual).any(axis=0)  # a twin reads the others, too
+    given = [np.where(known, flight.virtual, 0.0), flight.commands, flight.phase[:, None]]
+    if network.sees_measurements:
+        first = [network.group_of_channel.index(g) for g in range(len(network.groups))]
+        given += [flight.virtual + flight.residual, flight.fresh[:, first]]
+    return names, np.hstack(given).astype(np.float64)
+
+
+def outputs_of(network: NetworkFile) -> list[str]:
+    """Outputs that are read: corrections, spreads, `anomaly`, `inside`."""
+    return [*(f"{kind}.{c}" for kind in _KINDS for c in network.channels), "anomaly", "inside"]
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """`uavtwin live`: the twin beside a flying aircraft."""
 
 import signal
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +17,9 @@ from ..printing import STDERR, STDOUT, print_json
 if TYPE_CHECKING:
     from ...live.page.opened import OpenPage
     from ...live.session import LiveOptions, LiveSession
-    from ...live.told import LiveTold
+    from ...live.told import LiveTold, ModelTold
+    from ...sensors.running import RunningCompensator
+    from ...vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
 
@@ -75,6 +78,13 @@ Token = Annotated[
     str | None,
     typer.Option(help="What viewers of the page must know: ?token=TEXT. Needed beyond loopback."),
 ]
+Model = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder of a compensator of the sensors, of train: its correction and its anomaly "
+        "score each two seconds of flight."
+    ),
+]
 Alarms = Annotated[
     bool, typer.Option(help="Say which effect begins in flight; costs some 5 % of a core.")
 ]
@@ -82,6 +92,7 @@ Alarms = Annotated[
 
 def live(
     vehicle: Vehicle = None,
+    model: Model = None,
     demo: Demo = False,
     listen: Listen = "udpin:127.0.0.1:14550",
     system: System = None,
@@ -122,7 +133,7 @@ def live(
     )
     if demo and serve is None:
         serve = _demo_page()
-    told = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo)
+    told = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, model)
     if as_json:
         print_json(told.json())
     else:
@@ -143,6 +154,18 @@ def _demo_page() -> str | None:
     return _DEMO_PAGE
 
 
+def _print_model(model: "ModelTold", units: Mapping[str, str]) -> None:
+    """What the compensator said."""
+    STDOUT.print(
+        f"compensator, which sees residuals of {model.horizon_s:g} s ago: above 1 in "
+        f"{model.unusual:.1%} of the flight, inside its training in {model.inside:.0%}",
+        markup=False,
+    )
+    for name, (before, after) in model.rms.items():
+        text = f"  {name}: rms {before:.4g}, corrected {after:.4g} {units.get(name, '')}"
+        STDOUT.print(text.rstrip(), markup=False)
+
+
 def _tell_truth(told: "LiveTold") -> None:
     """What was wrong with the aircraft of a demonstration, once it has been."""
     from ...demo.in_flight import BEGINS_S, ending
@@ -158,6 +181,7 @@ def _fly(
     token: str | None,
     alarms: bool,
     demo: bool,
+    model: Path | None,
 ) -> "LiveTold":
     """Open the page where one is wanted, and listen."""
     from twin.explain.running.evidence import RunningEvidence
@@ -181,11 +205,32 @@ def _fly(
             options,
             (lambda: RunningEvidence(twin)) if alarms else lambda: None,
             None if shown is None else shown.feed,
+            None if model is None else opened.enter_context(_compensator(model, twin)),
         )
         STDERR.print(f"listening at {options.listen}", markup=False)
         if flight is not None:
             opened.enter_context(DemoAircraft(flight, options.listen))
         return _run(session, shown)
+
+
+@contextmanager
+def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompensator]":
+    """The compensator of a folder, held against the vehicle and built."""
+    from learning.force.model import is_force
+
+    from ...exports.parts import check_compensator
+    from ...sensors.compiled import compiled_compensator
+    from ...sensors.running import RunningCompensator
+
+    if is_force(folder):
+        raise TwinError(
+            f"--model {folder}: a learned force acts inside the equations and says nothing of "
+            f"readings; give a compensator of the sensors. uavtwin hil flies a learned force."
+        )
+    with compiled_compensator(folder) as compiled:
+        check_compensator(compiled.network, vehicle)
+        with RunningCompensator(compiled.fmu, compiled.network, vehicle) as running:
+            yield running
 
 
 def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
@@ -227,6 +272,8 @@ def _print(told: "LiveTold", record: Path | None) -> None:
         STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}", markup=False)
     for alarm in told.alarms:
         STDOUT.print(f"alarm: {alarm['text']}", markup=False)
+    if told.model is not None and told.model.rms:
+        _print_model(told.model, told.units)
     for text in told.missing.values():
         STDERR.print(text, style="yellow", markup=False)
     for who, count in told.link.others.items():

@@ -1,0 +1,185 @@
+"""A trained compensator of the sensors beside a flying aircraft, in the C of its FMU.
+
+What it is fed with is made by the functions that it was trained by, over the last seconds of the
+flight, so that a recording gives the same numbers (`CompiledCompensator`). They build their
+equations each time: half a second of processor, whence the long `EVERY_S`.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cosim.slave.slave import Slave
+from fmus.compensator import NetworkFile
+from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
+from twin.errors import LogError, TwinError
+from twin.logs import Flight
+from twin.vehicle import Vehicle
+
+from ..live.told import ModelTold
+from .compiled import fed, outputs_of
+
+Array = NDArray[np.float64]
+EVERY_S = 2.0
+"""Of flight, between two looks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What a compensator says of a part of a flight, a row per sample of its own rate.
+
+    Attributes:
+        t_s: Of the flight, shape (n,).
+        residual: Measured less twin, NaN where nothing was measured anew, shape (n, channels).
+        correction: To be added to what the twin reads, the same shape.
+        anomaly: How strange the newest residuals are that it sees, above 1 rarely, shape (n,).
+        inside: Whether the flight is where training has been, shape (n,).
+    """
+
+    t_s: Array
+    residual: Array
+    correction: Array
+    anomaly: Array
+    inside: NDArray[np.bool_]
+
+
+class RunningCompensator:
+    """One flight; a context manager that frees the FMU.
+
+    Attributes:
+        network: The compensator.
+        horizon_s: How old the newest residual is that it sees, s; infinite: it sees none.
+        told: What it said of the flight so far.
+    """
+
+    def __init__(self, fmu: Path, network: NetworkFile, vehicle: Vehicle) -> None:
+        """Nothing was flown yet.
+
+        Args:
+            fmu: Of the compensator.
+            network: That it was made from.
+            vehicle: The twin.
+
+        Raises:
+            TwinError: What it corrects is no sensor.
+        """
+        if network.groups and network.groups[0].startswith("left_"):
+            raise TwinError(
+                f"{network.path.parent}: adds to a law of force and has no readings to correct; "
+                f"give a compensator of the sensors."
+            )
+        self.network, self._vehicle = network, vehicle
+        old_s = network.horizon / network.rate_hz
+        self.horizon_s = old_s if network.sees_measurements else float("inf")
+        self._restart_s = restart_before_s(
+            network.protocol,  # type: ignore[arg-type]
+            network.horizon,
+            network.rate_hz,
+        )
+        self._slave = Slave("compensator", fmu)
+        names, reads, _ = self._table(None)
+        self._slave.bind(names, reads, np.zeros(len(names)), np.zeros(len(reads)))
+        self.begin()
+
+    def begin(self) -> None:
+        """A new flight."""
+        self._until_s = self._last_s = -np.inf
+        self._row = self._rows = self._unusual = self._inside = 0
+        n = len(self.network.channels)
+        self._samples, self._before, self._after = np.zeros(n), np.zeros(n), np.zeros(n)
+        self.told = ModelTold(self.horizon_s)
+
+    def update(self, flight: Flight, until_s: float) -> Correction | None:
+        """What it says of what is new; None: it is not time yet, or nothing was in the air.
+
+        Args:
+            flight: The last seconds, from at least two before what is new.
+            until_s: Up to where the flight is told.
+        """
+        if until_s - self._until_s < EVERY_S:
+            return None
+        after_s, self._until_s = self._until_s, until_s
+        try:
+            seen = residual_flight(flight, self._vehicle, self.network.rate_hz, self._restart_s)
+        except LogError:  # nothing in the air to compare
+            return None
+        rows = [
+            k
+            for a, b in seen.spans
+            for k in range(a, b)
+            if after_s + 1e-9 < seen.t_s[k] <= until_s + 1e-9
+        ]
+        if not rows:
+            return None
+        found = self._stepped(seen, np.array(rows, dtype=np.intp))
+        self._count(found)
+        return found
+
+    def _count(self, new: Correction) -> None:
+        """Take a part into what is told of the flight."""
+        known = np.isfinite(new.residual)
+        left = new.residual - new.correction
+        self._samples += known.sum(axis=0)
+        self._before += np.sum(np.where(known, new.residual, 0.0) ** 2, axis=0)
+        self._after += np.sum(np.where(known, left, 0.0) ** 2, axis=0)
+        self._rows += len(new.t_s)
+        self._unusual += int((new.anomaly > 1.0).sum())
+        self._inside += int(new.inside.sum())
+        rms = {
+            c: (float(np.sqrt(b / n)), float(np.sqrt(a / n)))
+            for c, n, b, a in zip(
+                self.network.channels, self._samples, self._before, self._after, strict=True
+            )
+            if n
+        }
+        self.told = ModelTold(
+            self.horizon_s,
+            float(new.t_s[-1]),
+            float(new.anomaly.max()),
+            self._unusual / self._rows,
+            self._inside / self._rows,
+            rms,
+        )
+
+    def _stepped(self, seen: ResidualFlight, rows: NDArray[np.intp]) -> Correction:
+        """Step it over rows, anew where they do not go on from the row before."""
+        period_s, n = 1 / self.network.rate_hz, len(self.network.channels)
+        _, _, table = self._table(seen)
+        said = np.zeros((len(rows), len(self._slave.outputs)))
+        for i, k in enumerate(rows):
+            if abs(seen.t_s[k] - self._last_s - period_s) > 0.1 * period_s:
+                self._slave.reset()
+                self._slave.initialize(0.0, {})
+                self._slave.finish_initialization()
+                self._row = 0
+            self._slave.inputs[:] = table[k]
+            self._slave.write_inputs()
+            self._slave.step(self._row * period_s, period_s)
+            self._slave.read_outputs()
+            said[i] = self._slave.outputs
+            self._row, self._last_s = self._row + 1, float(seen.t_s[k])
+        residual = np.where(seen.fresh[rows], seen.residual[rows], np.nan)
+        return Correction(seen.t_s[rows], residual, said[:, :n], said[:, 2 * n], said[:, -1] > 0)
+
+    def _table(self, seen: ResidualFlight | None) -> tuple[list[str], list[str], Array]:
+        names, table = fed(self.network, seen)
+        return names, outputs_of(self.network), table
+
+    def close(self) -> None:
+        """Free the FMU."""
+        self._slave.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
