@@ -119,5 +119,10 @@ class Receiver:
 
 
 def _is_vehicle(message: Message) -> bool:
-    """Whether a message is one of an aircraft, not of what stands on the ground."""
-    return bool(message.get_srcSystem()) and message.get_type() != "TIMESYNC"
+    """Whether a message is one of an aircraft, not of what stands on the ground.
+
+    One of an unknown kind has no checksum that could be tested: random bytes look like it.
+    """
+    kind = message.get_type()
+    known = not kind.startswith("UNKNOWN")
+    return bool(message.get_srcSystem()) and known and kind != "TIMESYNC"

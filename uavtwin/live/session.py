@@ -242,8 +242,9 @@ class LiveSession:
 
     def _receive(self) -> None:
         """Take what has come, for a while."""
-        if not select.select([self._socket], [], [], _WAIT_S)[0]:
-            self._receiver.silent = time.monotonic() - self._heard_s > SILENT_S
+        come = select.select([self._socket], [], [], _WAIT_S)[0]
+        self._receiver.silent = time.monotonic() - self._heard_s > SILENT_S
+        if not come:
             return
         for _ in range(_AT_ONCE):
             try:

@@ -1,0 +1,1 @@
+"""What a live flight bears: floods, hours, many aircraft at once."""
