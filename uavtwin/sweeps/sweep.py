@@ -4,30 +4,27 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from cosim.limits import Limits
-from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
+from ..jobs.engine import Engine, EngineName, opened_engine
 from ..output import check_folder, sha256, write_json
 from ..simulation import Scenario
 from ..vehicles import checked_vehicle, load_vehicle
 from .design import Design, read_design
 from .distributions import distribution_of
-from .engine import Engine
-from .engine.local import LocalEngine
-from .flying import Flown
+from .flying import Flown, Flying
 from .journal import JOURNAL, Journal
 from .plan import Plan, plan_of
 from .result import SweepResult, table_of
 
 Progress = Callable[[float], None]
-EngineName = Literal["local", "dask"]
 RECORDINGS = "recordings"
 _BUILDING = 0.05
 """Share of the work that building takes, about."""
@@ -174,8 +171,9 @@ def run_sweep(
         )
         key = sweep_key(plan, work.recordings)
         with closing(Journal(out / JOURNAL, key)) as journal:
-            with _engine(work, key) as engine:
-                _fly(plan, engine, journal, out, progress)
+            flying = Flying(key, plan.stands, work.limits, work.recordings)
+            with opened_engine(work.engine, work.workers, work.scheduler) as engine:
+                _fly(plan, flying, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
             result = SweepResult(base.name, table, design, plan.scenarios, vehicle)
             result.save(out / "runs.parquet")
@@ -234,32 +232,19 @@ def sweep_key(plan: Plan, recordings: bool) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-@contextmanager
-def _engine(work: Work, key: str) -> Iterator[Engine]:
-    """The engine that flies."""
-    if work.engine == "dask":
-        from .engine.dask import DaskEngine
-
-        if work.scheduler is None:
-            raise TwinError("--engine dask: give --scheduler tcp://HOST:8786.")
-        with closing(DaskEngine(work.scheduler, key, work.limits, work.recordings)) as remote:
-            yield remote
-        return
-    if work.scheduler is not None:
-        raise TwinError("--scheduler: goes with --engine dask.")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    count = (cores or 1) if work.workers is None else work.workers
-    if not 1 <= count <= 1024:
-        raise TwinError(f"--workers {count}: needs 1 to 1024.")
-    yield LocalEngine(count, work.limits, work.recordings)
-
-
-def _fly(plan: Plan, engine: Engine, journal: Journal, folder: Path, progress: Progress) -> None:
+def _fly(
+    plan: Plan,
+    flying: Flying,
+    engine: Engine,
+    journal: Journal,
+    folder: Path,
+    progress: Progress,
+) -> None:
     """Fly what is not done, those of one system after those of another."""
     left = [j for j in plan.jobs if j.run not in journal.done]
     left.sort(key=lambda j: (j.stand, j.run))
     done = len(plan.jobs) - len(left)
-    for flown in engine.fly(left, plan.stands):
+    for flown in engine.run(flying, left):
         _keep(flown, folder)
         journal.add(flown.outcome)
         done += 1
