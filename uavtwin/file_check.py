@@ -183,7 +183,20 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
             "holds": f"{len(columns)} columns PART.VARIABLE of {', '.join(parts)}",
         }
         return CheckReport(path.name, facts, (), (), (NO_TABLE,), ())
-    flight = open_flight(path)
+    return check_flight(open_flight(path), path.name, vehicle)
+
+
+def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -> CheckReport:
+    """Look at one flight that is read already.
+
+    Args:
+        flight: As `open_flight` gives it.
+        file: Name of its file.
+        vehicle: Whose hover is put beside that of the flight.
+
+    Raises:
+        LogError: The flight cannot be compared with the vehicle.
+    """
     hover = hover_of(flight)
     facts = {
         **aircraft_facts(flight, hover),
@@ -205,7 +218,7 @@ def _check_flight(path: Path, vehicle: Vehicle | None) -> CheckReport:
     told = told_by(flight)
     uses, useless = _uses(flight, hover)
     return CheckReport(
-        path.name,
+        file,
         facts,
         (*said("error"), *useless),
         said("warning"),

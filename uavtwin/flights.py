@@ -70,7 +70,7 @@ def _alike(paths: Sequence[Path], flights: Sequence[_F], rebuild: bool | None) -
     _check_distinct(paths, flights)
     several = _commands_alike(paths, flights) if rebuild is None else flights
     names = _distinct_names(paths, several)
-    told = [(n, _aircraft(f)) for n, f in zip(names, several, strict=True)]
+    told = [(n, aircraft_told(f)) for n, f in zip(names, several, strict=True)]
     return [
         replace(f, name=n, findings=(*f.findings, *_strangers(own, told)))
         for f, (n, own) in zip(several, told, strict=True)
@@ -82,7 +82,7 @@ def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F
     refused = [f for f in flights if "commands_not_rebuilt" in f.facts]
     found = list(flights)
     for k, flight in enumerate(flights):
-        others = [f.name for f in refused if _aircraft(f) == _aircraft(flight)]
+        others = [f.name for f in refused if aircraft_told(f) == aircraft_told(flight)]
         if others and "commands_match" in flight.facts:
             logged = read_flight(paths[k], rebuild_commands=False)
             assert isinstance(logged, type(flight))  # a log of an autopilot is read whole
@@ -92,7 +92,7 @@ def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F
     return found
 
 
-def _aircraft(flight: AnyFlight) -> tuple[str, ...]:
+def aircraft_told(flight: AnyFlight) -> tuple[str, ...]:
     """What its log tells of the aircraft."""
     return tuple(flight.facts.get(fact, "") for fact in ("aircraft", "airframe", "hardware"))
 
@@ -143,22 +143,22 @@ def _matching(pattern: str | Path) -> list[Path]:
     text = str(pattern)
     if not glob.has_magic(text) or Path(text).is_file():
         if not Path(text).exists():
-            raise LogError(f"{text}: there is no such file. {_instead(Path(text))}")
+            raise LogError(f"{text}: there is no such file. {what_is_there(Path(text))}")
         return [Path(text)]
     found = [Path(p) for p in glob.glob(text, recursive=True)]
-    files = sorted((p for p in found if p.is_file()), key=_counted)
+    files = sorted((p for p in found if p.is_file()), key=counted_key)
     if not files:
-        raise LogError(f"{text}: no flight matches this pattern. {_instead(Path(text))}")
+        raise LogError(f"{text}: no flight matches this pattern. {what_is_there(Path(text))}")
     return files
 
 
-def _counted(path: Path) -> list[tuple[int, str]]:
+def counted_key(path: str | Path) -> list[tuple[int, str]]:
     """Sort key in which 2 comes before 10."""
     parts = re.findall(r"\d+|\D+", str(path))
     return [(int(p), "") if p.isdigit() else (-1, p) for p in parts]
 
 
-def _instead(path: Path) -> str:
+def what_is_there(path: Path) -> str:
     """What is there instead of a file or pattern."""
     folder = path.parent
     while glob.has_magic(str(folder)):

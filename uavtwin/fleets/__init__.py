@@ -1,0 +1,1 @@
+"""Many logs of many aircraft: each checked, compared and explained, and what they say together."""

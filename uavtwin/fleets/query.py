@@ -1,0 +1,102 @@
+"""SQL over the dataset of a fleet: nothing but its tables can be read, nothing can be written."""
+
+import datetime
+import math
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import pyarrow.dataset as ds
+
+from twin.errors import TwinError
+
+from .columns import TABLES
+from .dataset import check_dataset, path_of
+
+_SETTINGS = {
+    "python_enable_replacements": False,
+    "autoinstall_known_extensions": False,
+    "autoload_known_extensions": False,
+}
+MOST_MEMORY = "4GB"
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Rows of a query.
+
+    Attributes:
+        names: Of the columns.
+        rows: A value per column: numbers, texts, None.
+    """
+
+    names: tuple[str, ...]
+    rows: tuple[tuple[Any, ...], ...]
+
+    def records(self) -> list[dict[str, Any]]:
+        """A mapping per row, as JSON can hold it."""
+        return [{n: _plain(v) for n, v in zip(self.names, row, strict=True)} for row in self.rows]
+
+
+def query(folder: str | Path, sql: str) -> Answer:
+    """Ask the dataset of a fleet.
+
+    Args:
+        folder: `--out` of `uavtwin fleet`.
+        sql: One SELECT over flights, channels, effects, findings, in the SQL of DuckDB.
+
+    Raises:
+        TwinError: The package is missing, it is no such folder, or DuckDB refuses the query.
+    """
+    folder = Path(folder)
+    try:
+        import duckdb
+    except ImportError as error:
+        raise TwinError("query: needs the package duckdb: pip install 'uavtwin[fleet]'.") from error
+    check_dataset(folder)
+    connection = duckdb.connect(":memory:", config=dict(_SETTINGS))
+    try:
+        for table in TABLES:
+            connection.register(table, ds.dataset(path_of(folder, table)))
+        connection.execute(f"SET memory_limit = '{MOST_MEMORY}'")
+        connection.execute("SET enable_external_access = false")
+        connection.execute("SET lock_configuration = true")
+        told = connection.extract_statements(sql)
+        if len(told) != 1 or told[0].type != duckdb.StatementType.SELECT:
+            raise TwinError(
+                f"query: {'no' if not told else 'this is not one'} SELECT: {sql.strip()[:100]!r}. "
+                f"Ask by one SELECT; the dataset is only read."
+            )
+        asked = connection.execute(told[0])
+        names = tuple(str(d[0]) for d in asked.description or ())
+        return Answer(names, tuple(asked.fetchall()))
+    except duckdb.Error as error:
+        raise TwinError(f"query: {_said(str(error))}") from error
+    finally:
+        connection.close()
+
+
+def _said(text: str) -> str:
+    """What DuckDB says, and what there is instead."""
+    first = text.split("\n\nLINE")[0].strip()
+    if "file system operations are disabled" in text:
+        return f"{first} A query reads nothing but {', '.join(TABLES)}."
+    if first.startswith("Catalog Error: Table"):
+        return f"{first.splitlines()[0]} There are {', '.join(TABLES)}."
+    return first
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON can hold it."""
+    if isinstance(value, Decimal):
+        value = float(value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, datetime.date | datetime.time | datetime.timedelta | bytes):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    return value if isinstance(value, str | int | bool | None) else str(value)

@@ -1,0 +1,48 @@
+"""`python -m uavtwin.jobs.child REQUESTS ANSWERS BYTES`: started by `process` alone.
+
+Numbers of two pipes, and of the bytes of memory that it may ask for. It ends with whoever has
+started it, in the middle of a job too.
+"""
+
+import os
+import pickle
+import queue
+import resource
+import sys
+import threading
+from multiprocessing.connection import Connection
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+"""Of libraries of linear algebra: of several threads the sums end in other bits."""
+
+
+def main(requests: int, answers: int, memory_bytes: int) -> None:
+    """Do jobs until nobody asks any more.
+
+    Args:
+        requests: Pipe on which jobs come.
+        answers: Pipe on which goes what comes of them.
+        memory_bytes: That this process may ask for.
+    """
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
+    coming: queue.Queue[bytes] = queue.Queue()
+    asked, answered = Connection(requests), Connection(answers)
+
+    def listen() -> None:
+        """Take requests; where there will be none, end at once."""
+        while True:
+            try:
+                coming.put(asked.recv_bytes())
+            except (EOFError, OSError):
+                os._exit(0)
+
+    threading.Thread(target=listen, daemon=True).start()
+    doer = pickle.loads(coming.get())
+    answered.send_bytes(b"")
+    while True:
+        answered.send_bytes(pickle.dumps(doer.do(pickle.loads(coming.get()))))
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))
