@@ -26,6 +26,8 @@ from .demo import demo
 from .evaluate import evaluate
 from .explain import explain
 from .export import export
+from .fleet.fleet import fleet
+from .fleet.query import query
 from .flights.convert import convert
 from .flights.generate import generate
 from .gap import gap
@@ -58,7 +60,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 """Read where numpy and scipy are imported, which the verbs do. Of several threads the sums come in
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
-    *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep),
+    *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep, fleet, query),
     *(live, replay, hil, train, evaluate, generate, bench, version),
 )
 

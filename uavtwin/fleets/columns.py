@@ -131,6 +131,7 @@ TABLES: Mapping[str, Sequence[Column]] = {
     "effects": (
         _text("log", "of which flight; empty where all flights of an aircraft were explained"),
         _AIRCRAFT,
+        _text("verdict", "of the explanation; one that lists no effect has one row without any"),
         _text("effect", "name"),
         Column("probability", "number", "1", "that it is missing in the vehicle file"),
         _text("number", "of the effect"),

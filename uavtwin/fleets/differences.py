@@ -18,7 +18,7 @@ MOST_SHARE = 1 / 3
 """Of the aircraft, that may differ; of more, nobody knows which are the usual ones."""
 
 
-def differing(value: Sequence[float], variance: Sequence[float]) -> Array:
+def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array) -> Array:
     """Probability that one as far from the others would be among so many that are alike.
 
     Args:

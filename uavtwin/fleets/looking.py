@@ -251,11 +251,17 @@ def _explain(
         _say(found, log, aircraft, "explain", "problem", text)
     for text in told.warnings:
         _say(found, log, aircraft, "explain", "warning", text)
-    for effect in listed_effects(told):
+    listed = listed_effects(told)
+    for effect in listed:
         _effect(told, effect, log, aircraft, found)
+    if not any(estimates_of(told, e) for e in listed):
+        found.add("effects", log=log, aircraft=aircraft, verdict=told.verdict)
     nothing = None if told.naming is None else nothing_probability(told.naming)
-    named = ", ".join(listed_effects(told))
-    return {"verdict": told.verdict, "nothing_probability": nothing, "named": named}
+    return {
+        "verdict": told.verdict,
+        "nothing_probability": nothing,
+        "named": ", ".join(listed),
+    }
 
 
 def _effect(told: Explanation, effect: str, log: str, aircraft: str, found: Found) -> None:
@@ -265,6 +271,7 @@ def _effect(told: Explanation, effect: str, log: str, aircraft: str, found: Foun
             "effects",
             log=log,
             aircraft=aircraft,
+            verdict=told.verdict,
             effect=effect,
             probability=probability_of(told, effect),
             number=e.number.name,

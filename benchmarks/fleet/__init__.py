@@ -1,0 +1,1 @@
+"""A fleet with planted drifts: are they found, and what does a log cost?"""

@@ -1,0 +1,103 @@
+"""`uavtwin fleet`: many logs of many aircraft."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ..options import VEHICLE_VARIABLE, Exit, Force, Indoor, Json, Out, vehicle_named
+from ..printing import STDOUT, print_json, progress
+
+if TYPE_CHECKING:
+    from ...fleets.fleet import Asked
+    from ...fleets.result import FleetResult
+
+EngineOption = Annotated[
+    Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
+]
+
+
+def fleet(
+    logs: Annotated[list[str], typer.Argument(help="Logs, patterns, or folders of logs.")],
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            help="Vehicle file of all aircraft, or the name of a built-in vehicle. "
+            f"Default: that of {VEHICLE_VARIABLE} in the environment."
+        ),
+    ] = None,
+    per_aircraft: Annotated[
+        Path | None,
+        typer.Option(help="Instead of --vehicle: folder with a vehicle file per aircraft."),
+    ] = None,
+    verbs: Annotated[
+        str, typer.Option(help="What is done with each log, of check, gap, explain.")
+    ] = "check,gap,explain",
+    each: Annotated[
+        Literal["flight", "aircraft"],
+        typer.Option(help="Explain each flight, or each aircraft with all its flights."),
+    ] = "flight",
+    indoor: Indoor = None,
+    engine: EngineOption = "local",
+    workers: Annotated[
+        int | None, typer.Option(help="Processes of the local engine. Default: one per core.")
+    ] = None,
+    scheduler: Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")] = None,
+    time_limit: Annotated[float, typer.Option(help="Of one log, or one aircraft, s.")] = 3600.0,
+    memory_limit: Annotated[
+        float, typer.Option(help="Of the process that looks at a log, GiB.")
+    ] = 4.0,
+    out: Out = Path("fleet"),
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Check, compare and explain many logs: which aircraft differs, what drifts, which log is bad.
+
+    One that was interrupted goes on where it was when the same command is given again. Ask the
+    tables that it leaves with `uavtwin query`.
+    """
+    from ...fleets.fleet import Asked, Work, run_fleet
+    from ...jobs.process import Allowed
+
+    named = None if per_aircraft else vehicle_named(vehicle, "") or None
+    listed: Any = tuple(v.strip() for v in verbs.split(",") if v.strip())
+    both = vehicle if per_aircraft else named
+    asked = Asked(both, per_aircraft, listed, each == "flight", indoor)
+    work = Work(engine, workers, scheduler, Allowed(time_limit, memory_limit))
+    with progress("looking") as done:
+        result = run_fleet(
+            list(logs), asked, out, work, force, done, lambda r: _note(r, out, asked)
+        )
+    _say(result, out, as_json)
+
+
+def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
+    """Write `run.json`; logs are told from others by their fingerprints in `flights`."""
+    from ...output import write_run
+
+    options = {
+        "vehicle": result.vehicle or None,
+        "per_aircraft": None if asked.per_aircraft is None else asked.per_aircraft.name,
+        "verbs": list(asked.verbs),
+        "each": "flight" if asked.alone else "aircraft",
+        "indoor": asked.indoors,
+        "logs": result.logs,
+    }
+    folder = asked.per_aircraft
+    given = [Path(asked.vehicle or "")] if folder is None else sorted(folder.glob("*.toml"))
+    write_run(out, "fleet", options, [p for p in given if p.is_file()])
+
+
+def _say(result: "FleetResult", out: Path, as_json: bool) -> None:
+    """What came of it; ends the verb where logs are bad or an effect is missing."""
+    if as_json:
+        print_json(result.json())
+    else:
+        STDOUT.print(str(result), markup=False)
+        STDOUT.print(
+            f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
+            f"vehicles/, fleet.json, run.json",
+            markup=False,
+        )
+    if result.bad or result.differing or result.drifting or result.spreads:
+        raise typer.Exit(Exit.FINDINGS)

@@ -1,0 +1,45 @@
+"""`uavtwin query`: SQL over the tables of a fleet."""
+
+import csv
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twin.errors import TwinError
+
+from ..options import Json
+from ..printing import print_json, print_table
+
+
+def query(
+    folder: Annotated[Path, typer.Argument(help="Folder that `uavtwin fleet` wrote.")],
+    sql: Annotated[
+        str, typer.Argument(help="One SELECT over flights, channels, effects, findings.")
+    ],
+    as_json: Json = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
+) -> None:
+    """Ask the tables of a fleet, in the SQL of DuckDB; nothing else is read, nothing is written."""
+    from ...fleets.query import query as asked
+    from ...shown import TextTable
+
+    if as_json and as_csv:
+        raise TwinError("query: --json and --csv are both given. Choose one.")
+    answer = asked(folder, sql)
+    if as_json:
+        print_json(answer.records())
+    elif as_csv:
+        writer = csv.writer(sys.stdout, lineterminator="\n")
+        writer.writerow(answer.names)
+        writer.writerows(["" if v is None else v for v in row] for row in answer.rows)
+    else:
+        print_table(TextTable(answer.names, tuple(tuple(map(_cell, r)) for r in answer.rows)))
+
+
+def _cell(value: object) -> str:
+    """As printed in a table."""
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,265 @@
+"""A fleet that was looked at: what its flights say together."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ..output import output_file
+from ..shown import Shown, TextTable
+from .dataset import read_table
+from .differences import FEWEST as FEWEST_AIRCRAFT
+from .estimates import Spread, explained_aircraft, spreads
+from .together import Difference, Drift, compared
+from .trends import FEWEST as FEWEST_FLIGHTS
+
+MOST_TOLD = 20
+"""Rows of a table that are printed."""
+BAD = ("unreadable", "failed", "refused", "findings")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class FleetResult(Shown):
+    """What came of a fleet.
+
+    Attributes:
+        folder: Of the dataset.
+        vehicle: Name of the vehicle file of all; "": each aircraft has its own.
+        statuses: How many logs are of which status.
+        aircraft: Flights by aircraft.
+        unnamed: Flights whose log does not name an aircraft.
+        dated: Flights with a date.
+        differences: Every aircraft beside the others, the clearest first.
+        drifts: Every number over time, the clearest first.
+        spreads: Numbers of effects over aircraft.
+        explained: Explanations by aircraft.
+    """
+
+    folder: Path
+    vehicle: str
+    statuses: Mapping[str, int]
+    aircraft: Mapping[str, int]
+    unnamed: int
+    dated: int
+    differences: tuple[Difference, ...]
+    drifts: tuple[Drift, ...]
+    spreads: tuple[Spread, ...]
+    explained: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def logs(self) -> int:
+        """How many."""
+        return sum(self.statuses.values())
+
+    @property
+    def bad(self) -> int:
+        """Logs that are damaged or of no use, copies left out."""
+        return sum(self.statuses.get(s, 0) for s in BAD)
+
+    @property
+    def differing(self) -> tuple[Difference, ...]:
+        """Differences that count."""
+        return tuple(d for d in self.differences if d.told)
+
+    @property
+    def drifting(self) -> tuple[Drift, ...]:
+        """Drifts that count."""
+        return tuple(d for d in self.drifts if d.told)
+
+    @property
+    def claim(self) -> str:
+        """What matters, in one sentence."""
+        differ = len({d.aircraft for d in self.differing})
+        drift = len({d.aircraft for d in self.drifting})
+        return (
+            f"{_many(self.logs, 'log')} of {_many(len(self.aircraft), 'aircraft', '')}: "
+            f"{differ or 'none'} {'differs' if differ == 1 else 'differ'} from the others, "
+            f"{drift or 'none'} {'drifts' if drift == 1 else 'drift'} over time, "
+            f"{_many(self.bad, 'log')} {'is' if self.bad == 1 else 'are'} damaged or of no use"
+        )
+
+    @property
+    def cannot(self) -> tuple[str, ...]:
+        """What could not be asked, and why."""
+        found = []
+        if len(self.aircraft) < FEWEST_AIRCRAFT:
+            found.append(
+                f"which aircraft differs: {_many(len(self.aircraft), 'aircraft', '')}, "
+                f"{FEWEST_AIRCRAFT} are needed"
+            )
+        if not self.drifts:
+            found.append(
+                f"what drifts: no aircraft has {FEWEST_FLIGHTS} flights whose logs have a date"
+            )
+        if self.unnamed:
+            found.append(
+                f"{_many(self.unnamed, 'flight')} of an aircraft that the log does not name: in "
+                f"the tables, in no comparison"
+            )
+        return tuple(found)
+
+    def bad_logs(self, most: int) -> pd.DataFrame:
+        """Logs that are damaged or of no use: log, status, error or its first problem."""
+        about = read_table(self.folder, "flights", ["log", "status", "error"])
+        rows = about[about["status"].isin([*BAD, "copy"])].head(most).copy()
+        damaged = rows[rows["status"] == "findings"]["log"].tolist()
+        if damaged:
+            first = read_table(
+                self.folder,
+                "findings",
+                ["log", "text"],
+                [("severity", "==", "problem"), ("log", "in", damaged)],
+            ).drop_duplicates("log")
+            text = dict(zip(first["log"], first["text"], strict=True))
+            rows["error"] = rows["error"].fillna(rows["log"].map(text))
+        return rows
+
+    def json(self) -> dict[str, Any]:
+        """The content of `fleet.json`."""
+        return {
+            "vehicle": self.vehicle or None,
+            "logs": self.logs,
+            "statuses": dict(self.statuses),
+            "aircraft": dict(self.aircraft),
+            "unnamed": self.unnamed,
+            "dated": self.dated,
+            "cannot": list(self.cannot),
+            "tests": {"differences": len(self.differences), "drifts": len(self.drifts)},
+            "differences": [_finite(asdict(d)) for d in self.differing],
+            "drifts": [_finite(asdict(d)) for d in self.drifting],
+            "effects": [_spread(s) for s in self.spreads],
+        }
+
+    def report(self, path: str | Path) -> Path:
+        """Write the page, one HTML file that opens offline; returns its path."""
+        from ..report.fleet import write_fleet_report
+
+        with output_file(Path(path)) as file:
+            write_fleet_report(self, file)
+        return Path(path)
+
+    def sections(self) -> Iterable[str | TextTable]:
+        """The claim, what differs, what drifts, effects, bad logs."""
+        yield self.claim
+        if self.differing:
+            head = ("differs", "number", "its median", "others", "unit", "q")
+            yield TextTable(
+                head,
+                tuple(
+                    (
+                        *(d.aircraft, d.number, _g(d.value)),
+                        *(f"{_g(d.others)} ± {_g(d.spread)}", d.unit, f"{d.q:.2g}"),
+                    )
+                    for d in self.differing[:MOST_TOLD]
+                ),
+            )
+        if self.drifting:
+            head = ("drifts", "number", "in 30 days", "95 % interval", "unit", "q")
+            yield TextTable(
+                head,
+                tuple(
+                    (
+                        *(d.aircraft, d.number, f"{d.trend.slope:+.3g}"),
+                        *(f"{d.trend.low:+.3g} to {d.trend.high:+.3g}", d.unit, f"{d.q:.2g}"),
+                    )
+                    for d in self.drifting[:MOST_TOLD]
+                ),
+            )
+        if self.spreads:
+            head = ("effect", "aircraft", "mean", "95 % interval", "between aircraft", "unit")
+            yield TextTable(
+                head,
+                tuple(
+                    (
+                        *(f"{s.effect}.{s.number}", f"{len(s.aircraft)} of {s.explained}"),
+                        *(_g(s.common.mean), _interval(s), _g(s.common.between), s.unit),
+                    )
+                    for s in self.spreads[:MOST_TOLD]
+                ),
+            )
+        bad = self.bad_logs(MOST_TOLD)
+        if len(bad):
+            rows = bad.fillna("").itertuples(index=False)
+            texts = tuple((str(a), str(b), str(c)[:160]) for a, b, c in rows)
+            yield TextTable(("log", "status", "why"), texts)
+        if self.cannot:
+            yield "Not told: " + "; ".join(self.cannot)
+
+    def brief(self) -> str:
+        """How many logs of how many aircraft."""
+        return f"{type(self).__name__}: {self.logs} logs of {len(self.aircraft)} aircraft"
+
+
+def result_of(folder: Path, vehicle: str) -> FleetResult:
+    """What a dataset says.
+
+    Args:
+        folder: Of the dataset.
+        vehicle: Name of the vehicle of all aircraft; "": each has its own.
+    """
+    about = read_table(folder, "flights", ["status", "aircraft", "date_year"])
+    read = about[about["aircraft"].notna() & (about["status"] != "copy")]
+    named = read[read["aircraft"] != ""]
+    differences, drifts = compared(folder)
+    explained = explained_aircraft(folder)
+    return FleetResult(
+        folder,
+        vehicle,
+        {str(k): int(v) for k, v in about["status"].value_counts().sort_index().items()},
+        {str(k): int(v) for k, v in named.groupby("aircraft").size().items()},
+        len(read) - len(named),
+        int(read["date_year"].notna().sum()),
+        tuple(differences),
+        tuple(drifts),
+        tuple(spreads(folder, explained)),
+        explained,
+    )
+
+
+def _spread(s: Spread) -> dict[str, Any]:
+    c = s.common
+    content: dict[str, Any] = _finite(
+        {
+            "effect": s.effect,
+            "number": s.number,
+            "unit": s.unit,
+            "of_type": s.of_type,
+            "mean": c.mean,
+            "sd": c.sd,
+            "low": c.low,
+            "high": c.high,
+            "between": c.between,
+            "explained": s.explained,
+            "aircraft": [
+                asdict(a) | {"own": float(c.own[i]), "own_sd": float(c.own_sd[i])}
+                for i, a in enumerate(s.aircraft)
+            ],
+        }
+    )
+    return content
+
+
+def _finite(value: Any) -> Any:
+    """Null for what JSON cannot hold."""
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def _interval(s: Spread) -> str:
+    if not np.isfinite(s.common.low):
+        return "one aircraft"
+    return f"{_g(s.common.low)} to {_g(s.common.high)}"
+
+
+def _g(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _many(count: int, one: str, plural: str = "s") -> str:
+    return f"{count} {one}{'' if count == 1 else plural}"

@@ -1,0 +1,199 @@
+"""What the flights of a fleet say together: which aircraft differs, which number drifts."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .columns import VITALS
+from .dataset import read_table
+from .differences import FEWEST as FEWEST_AIRCRAFT
+from .differences import differing
+from .discovery import FALSE_SHARE, adjusted
+from .trends import Trend, trend_of
+
+Array = NDArray[np.float64]
+WHOLE = "whole flight"
+MEAN_OF = "mean residual "
+"""Before the name of a channel: the mean of measured minus simulated over a flight."""
+NORMAL_MAD = 1.4826
+"""Standard deviation over the median absolute deviation, of a normal distribution."""
+MEDIAN_COST = np.pi / 2
+"""Variance of a median over that of a mean, of a normal distribution."""
+FEWEST_FLIGHTS = 3
+"""Of which an aircraft tells by itself how much its flights differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One number of all flights that have it.
+
+    Attributes:
+        name: Of a column of `flights`, or the mean residual of a channel.
+        unit: As printed.
+        table: A row per flight: `aircraft`, `date_year`, `value`.
+    """
+
+    name: str
+    unit: str
+    table: pd.DataFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """An aircraft beside the others, in one number.
+
+    Attributes:
+        number: Its name.
+        unit: As printed.
+        aircraft: Which.
+        value: Median of its flights.
+        others: Median over the other aircraft.
+        spread: Standard deviation of the other aircraft.
+        p: Probability of one as far out among so many that are alike.
+        q: Share of false discoveries among those that are at least as clear.
+        flights: Of this aircraft.
+    """
+
+    number: str
+    unit: str
+    aircraft: str
+    value: float
+    others: float
+    spread: float
+    p: float
+    q: float
+    flights: int
+
+    @property
+    def told(self) -> bool:
+        """Whether it counts."""
+        return self.q <= FALSE_SHARE
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """A number of an aircraft over time.
+
+    Attributes:
+        number: Its name.
+        unit: Of the number; slopes are per 30 days.
+        aircraft: Which.
+        trend: Its slope.
+        q: Share of false discoveries among those that are at least as clear.
+    """
+
+    number: str
+    unit: str
+    aircraft: str
+    trend: Trend
+    q: float
+
+    @property
+    def told(self) -> bool:
+        """Whether it counts."""
+        return self.q <= FALSE_SHARE
+
+
+def measures(folder: Path) -> Iterator[Measure]:
+    """Numbers of flights whose aircraft is known, one after another: memory holds one.
+
+    Args:
+        folder: Of the dataset.
+    """
+    about = ["log", "aircraft", "date_year"]
+    known = ~read_table(folder, "flights", ["aircraft"])["aircraft"].isin(["", None])
+    if not known.any():
+        return
+    for column in VITALS:
+        found = read_table(folder, "flights", [*about[1:], column.name])[known]
+        found = found.rename(columns={column.name: "value"}).dropna(subset=["value"])
+        if len(found):
+            yield Measure(column.name, column.unit, found)
+    dates = read_table(folder, "flights", about)[known].set_index("log")
+    rows = [("phase", "==", WHOLE), ("horizon_s", "==", 0.0)]
+    means = read_table(folder, "channels", ["log", "channel", "unit", "mean"], rows)
+    for (channel, unit), own in means.groupby(["channel", "unit"], sort=False):
+        found = own[own["log"].isin(dates.index)].dropna(subset=["mean"])
+        table = dates.loc[found["log"]].assign(value=found["mean"].to_numpy())
+        if len(table):
+            yield Measure(f"{MEAN_OF}{channel}", str(unit), table)
+
+
+def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
+    """Every aircraft beside the others, and over time, the clearest first.
+
+    Differences: within a number by Rosner's procedure over the aircraft, over numbers by
+    Benjamini and Hochberg. Drifts: by Benjamini and Hochberg over all numbers and aircraft.
+    """
+    differences: list[Difference] = []
+    smallest: dict[str, float] = {}
+    drifts: list[Drift] = []
+    for m in measures(folder):
+        own = _beside(m)
+        if own:
+            smallest[m.name] = min(d.p for d in own)
+        differences += own
+        drifts += list(_over_time(m))
+    differences = [_judged(d, smallest) for d in differences]
+    q = adjusted([d.trend.p for d in drifts])
+    drifts = [
+        Drift(d.number, d.unit, d.aircraft, d.trend, float(share))
+        for d, share in zip(drifts, q, strict=True)
+    ]
+    return (
+        sorted(differences, key=lambda d: (d.q, d.p, d.number, d.aircraft)),
+        sorted(drifts, key=lambda d: (d.q, d.trend.p, d.number, d.aircraft)),
+    )
+
+
+def _beside(m: Measure) -> list[Difference]:
+    """Each aircraft beside the others."""
+    names, flights, value, variance = per_aircraft(m.table)
+    if len(names) < FEWEST_AIRCRAFT:
+        return []
+    p = differing(value, variance)
+    usual = p > FALSE_SHARE
+    found = []
+    for i, name in enumerate(names):
+        rest = [k for k in range(len(names)) if k != i and usual[k]]
+        others, spread = float(np.median(value[rest])), float(np.std(value[rest], ddof=1))
+        sizes = (float(value[i]), others, spread, float(p[i]), 1.0, int(flights[i]))
+        found.append(Difference(m.name, m.unit, name, *sizes))
+    return found
+
+
+def per_aircraft(table: pd.DataFrame) -> tuple[list[str], NDArray[np.int64], Array, Array]:
+    """Aircraft, flights of each, median of each, and the variance of that median.
+
+    Args:
+        table: With `aircraft` and `value`.
+    """
+    grouped = table.groupby("aircraft", sort=True)["value"]
+    names = [str(n) for n in grouped.groups]
+    count = grouped.size().to_numpy()
+    middle = grouped.median().to_numpy(dtype=np.float64)
+    away = (table["value"] - grouped.transform("median")).abs()
+    within = (NORMAL_MAD * away.groupby(table["aircraft"], sort=True).median()).to_numpy() ** 2
+    told = count >= FEWEST_FLIGHTS
+    usual = float(np.median(within[told])) if told.any() else 0.0
+    variance = MEDIAN_COST * np.where(told, within, usual) / count
+    return names, count, middle, np.asarray(variance, dtype=np.float64)
+
+
+def _judged(d: Difference, smallest: dict[str, float]) -> Difference:
+    """The same with its share of false discoveries among all numbers."""
+    p = [d.p if name == d.number else other for name, other in smallest.items()]
+    q = float(adjusted(p)[list(smallest).index(d.number)])
+    sizes = (d.value, d.others, d.spread, d.p, q, d.flights)
+    return Difference(d.number, d.unit, d.aircraft, *sizes)
+
+
+def _over_time(m: Measure) -> Iterator[Drift]:
+    for aircraft, own in m.table.groupby("aircraft", sort=True):
+        trend = trend_of(own["date_year"].to_numpy(), own["value"].to_numpy())
+        if trend is not None:
+            yield Drift(m.name, m.unit, str(aircraft), trend, 1.0)

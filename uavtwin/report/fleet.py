@@ -1,0 +1,197 @@
+"""The page that `uavtwin fleet` leaves: which aircraft differs, what drifts, which logs are bad."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from .drawing.panels import Panels
+from .figures import pretty_unit
+from .gap import number
+from .page import BLUE, GREY, ORANGE, Plot, plot, render
+
+if TYPE_CHECKING:
+    from ..fleets.estimates import Spread
+    from ..fleets.result import FleetResult
+    from ..fleets.together import Drift, Measure
+
+Array = NDArray[np.float64]
+MOST_ROWS = 100
+"""Of a table."""
+MOST_DRIFTS = 8
+"""That are drawn."""
+MOST_NUMBERS = 12
+"""Numbers that are drawn by aircraft."""
+MOST_AIRCRAFT = 60
+"""Of a panel; of more, those that differ and every so many of the others."""
+MOST_POINTS = 400
+"""Flights of an aircraft that are drawn."""
+OUT = "#c23b66"
+_PX = 210
+
+
+def write_fleet_report(result: "FleetResult", path: Path) -> None:
+    """Write the page.
+
+    Args:
+        result: To show.
+        path: HTML file to write; an existing one is replaced.
+    """
+    from ..fleets.discovery import FALSE_SHARE
+
+    by_aircraft, over_time = _drawn(result)
+    bad = result.bad_logs(MOST_ROWS)
+    page = render(
+        "fleet.html.j2",
+        {"number": number, "unit": pretty_unit},
+        claim=result.claim,
+        vehicle=result.vehicle,
+        facts=_facts(result),
+        statuses=result.statuses,
+        cannot=result.cannot,
+        false_share=FALSE_SHARE,
+        tests={"differences": len(result.differences), "drifts": len(result.drifts)},
+        differing=result.differing[:MOST_ROWS],
+        drifting=result.drifting[:MOST_ROWS],
+        nearly=[d for d in result.drifts if not d.told][:5],
+        by_aircraft=by_aircraft,
+        over_time=over_time,
+        spreads=result.spreads[:MOST_ROWS],
+        effects=_effect_plots(result.spreads[:MOST_NUMBERS]),
+        bad=bad.fillna("").to_dict("records"),
+        most=MOST_ROWS,
+    )
+    path.write_text(page, encoding="utf-8")
+
+
+def _facts(result: "FleetResult") -> dict[str, str]:
+    """What the fleet is."""
+    return {
+        "logs": str(result.logs),
+        "aircraft": str(len(result.aircraft)),
+        "flights with a date": str(result.dated),
+        "vehicle": result.vehicle or "each aircraft has its own",
+    }
+
+
+def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
+    """Figures by aircraft, and over time; each number is read once."""
+    from ..fleets.together import measures
+
+    first = {d.number: k for k, d in reversed(list(enumerate(result.differences)))}
+    numbers = sorted(first, key=lambda n: first[n])[:MOST_NUMBERS]
+    drifts = result.drifting[:MOST_DRIFTS]
+    by_aircraft: dict[int, Plot] = {}
+    over_time: dict[int, Plot] = {}
+    for m in measures(result.folder):
+        if m.name in numbers:
+            out = {d.aircraft for d in result.differing if d.number == m.name}
+            by_aircraft[numbers.index(m.name)] = _beside(m, out)
+        for k, drift in enumerate(drifts):
+            if drift.number == m.name:
+                over_time[k] = _over_time(m, drift, k)
+    return (
+        [by_aircraft[k] for k in sorted(by_aircraft)],
+        [over_time[k] for k in sorted(over_time)],
+    )
+
+
+def _beside(m: "Measure", out: set[str]) -> Plot:
+    """A number of every flight, by aircraft."""
+    names = sorted({str(a) for a in m.table["aircraft"]})
+    if len(names) > MOST_AIRCRAFT:
+        every = -(-len(names) // MOST_AIRCRAFT)
+        names = sorted({*names[::every], *list(out)[:MOST_AIRCRAFT]})
+    ticks = {"tickmode": "array", "tickvals": [*range(len(names))], "ticktext": _short(names)}
+    panels = Panels((_PX,))
+    axis: dict[str, Any] = {**ticks, "range": [-0.6, len(names) - 0.4]}
+    axes = panels.add(f"{m.name}, {pretty_unit(m.unit)}", axis)
+    for told in (False, True):
+        own = [(i, n) for i, n in enumerate(names) if (n in out) is told]
+        if not own:
+            continue
+        parts = [_values(m.table, n) for _, n in own]
+        x = np.concatenate(
+            [np.full(len(y), float(i)) for (i, _), y in zip(own, parts, strict=True)]
+        )
+        colour = OUT if told else BLUE
+        marked = {"mode": "markers", "marker": {"color": colour, "size": 5, "opacity": 0.5}}
+        name = "differs" if told else "flights"
+        panels.line(axes, x, np.concatenate(parts), name, {"color": colour}, **marked)
+    return plot(f"by-{m.name}", f"{m.name} of every flight, by aircraft", panels.figure)
+
+
+def _values(table: pd.DataFrame, aircraft: str) -> Array:
+    """Of an aircraft, at most so many."""
+    own = table[table["aircraft"] == aircraft]["value"].to_numpy(dtype=np.float64)
+    return np.asarray(own[:: max(1, -(-len(own) // MOST_POINTS))])
+
+
+def _over_time(m: "Measure", drift: "Drift", k: int) -> Plot:
+    """A number of an aircraft against the date, with its slope."""
+    own = m.table[m.table["aircraft"] == drift.aircraft].dropna(subset=["date_year"])
+    own = own.iloc[:: -(-len(own) // MOST_POINTS)]
+    year, y = (own[c].to_numpy(dtype=np.float64) for c in ("date_year", "value"))
+    begin = float(year.min())
+    days = 365.25 * (year - begin)
+    panels = Panels((_PX,))
+    title = {"title": {"text": f"days since {begin:.2f}"}}
+    axes = panels.add(f"{m.name}, {pretty_unit(m.unit)}", title)
+    marked = {"mode": "markers", "marker": {"color": BLUE, "size": 5, "opacity": 0.6}}
+    panels.line(axes, days, y, "flights", {"color": BLUE}, **marked)
+    ends = np.array([days.min(), days.max()])
+    middle = float(np.median(days)), float(np.median(y))
+    for name, slope, line in (
+        ("median slope", drift.trend.slope, {"color": ORANGE, "width": 2}),
+        ("95 %", drift.trend.low, {"color": GREY, "width": 1, "dash": "dot"}),
+        ("95 %", drift.trend.high, {"color": GREY, "width": 1, "dash": "dot"}),
+    ):
+        panels.line(axes, ends, middle[1] + slope * (ends - middle[0]) / 30.0, name, line)
+    label = f"{m.name} of {drift.aircraft} against the date"
+    return plot(f"drift-{k}", label, panels.figure)
+
+
+def _effect_plots(spreads: "Sequence[Spread]") -> list[Plot]:
+    """Numbers of effects, an estimate per aircraft."""
+    return list(_effects(spreads))
+
+
+def _effects(spreads: "Sequence[Spread]") -> Iterator[Plot]:
+    for s in spreads:
+        several = s.aircraft[:MOST_AIRCRAFT]
+        if len(several) < 2:
+            continue
+        names = _short([a.aircraft for a in several])
+        ticks = {"tickmode": "array", "tickvals": [*range(len(names))], "ticktext": names}
+        panels = Panels((_PX,))
+        axes = panels.add(
+            f"{s.effect}.{s.number}, {pretty_unit(s.unit)}",
+            {**ticks, "range": [-0.6, len(names) - 0.4]},
+        )
+        panels.area(axes, s.common.low, s.common.high)
+        x = np.arange(len(several), dtype=np.float64)
+        value = np.array([a.value for a in several])
+        for i, a in enumerate(several):
+            ends = np.array([a.value - 1.96 * a.sd, a.value + 1.96 * a.sd])
+            line = {"color": BLUE, "width": 1.5}
+            panels.line(axes, np.full(2, float(i)), ends, "95 %", line, showlegend=False)
+        for name, y, colour in (
+            ("by its own flights", value, BLUE),
+            ("drawn to the type", s.common.own[: len(several)], ORANGE),
+        ):
+            marked = {"mode": "markers", "marker": {"color": colour, "size": 7}}
+            panels.line(axes, x, np.asarray(y), name, {"color": colour}, **marked)
+        label = f"{s.effect} {s.number} of each aircraft, the mean of the type grey"
+        yield plot(f"effect-{s.effect}-{s.number}", label, panels.figure)
+
+
+def _short(names: Sequence[str]) -> list[str]:
+    """Names that fit below an axis: their ends, where those tell them apart."""
+    ends = [n if len(n) <= 18 else f"\N{HORIZONTAL ELLIPSIS}{n[-17:]}" for n in names]
+    if len(set(ends)) == len(ends):
+        return ends
+    heads = [n if len(n) <= 18 else f"{n[:17]}\N{HORIZONTAL ELLIPSIS}" for n in names]
+    return heads if len(set(heads)) == len(heads) else list(names)
