@@ -151,7 +151,7 @@ def real(data: Path, folder: Path, options: Sequence[str]) -> dict[str, Any]:
     """The recorded flights, each aircraft against the vehicle of its scenario."""
     own, out = folder / "real_vehicles", folder / "real"
     own.mkdir(exist_ok=True)
-    for scenario in SCENARIOS:
+    for scenario in (s for s in SCENARIOS if s.change is None):
         vehicle = scenario.read_vehicle()
         for file in scenario.flights:
             path = data / file
@@ -160,7 +160,6 @@ def real(data: Path, folder: Path, options: Sequence[str]) -> dict[str, Any]:
             (flight,) = open_alike([path])
             stem = file_stem(aircraft_name(flight))
             Vehicle.of(vehicle).save(own / f"{stem}.toml")
-            break
     shutil.rmtree(out, ignore_errors=True)
     cost = looked([str(data), "--per-aircraft", str(own), "--out", str(out), *options], out, 0)
     told = json.loads((out / "fleet.json").read_text("utf-8"))

@@ -36,8 +36,8 @@ DRAG_1_S = 0.35
 """Rotor drag of the type, which its vehicle file lacks."""
 BETWEEN = {"drag_1_s": 0.03, "mass": 0.004, "gyro_rad_s": 5e-4, "ohm": 5e-4, "rotor": 0.003}
 """Standard deviations between aircraft; mass and rotors as shares."""
-OHM = 0.03
-AMPERE = 30.0
+OHM, FULL_V = 0.03, 16.4
+AMPERE = 40.0
 """Of all motors at full command."""
 BATTERY, ROTOR, GYROSCOPE, HEAVY = "A01", "A02", "A03", "A04"
 OHM_PER_30_D, LOSS_PER_30_D, GYRO_PER_30_D = 0.01, 0.05, 0.006
@@ -138,7 +138,7 @@ def flown(aircraft: Aircraft, days: float, seed: int, seconds: float = 18.0) -> 
     flight = simulate_flight(setpoints, phases, vehicle, plant, recorder, name, courses=wind)
     table = flight.table
     table[list(GYRO)] = table[list(GYRO)].to_numpy() + now.gyro_rad_s
-    table[["vbat_v", "ibat_a"]] = _battery(flight, now.ohm, vehicle.voltage_v, rng)
+    table[["vbat_v", "ibat_a"]] = _battery(flight, now.ohm, rng)
     place = Place(0.8, 0.2, 100.0, BEGIN_YEAR + days / YEAR_D)
     return replace(
         flight,
@@ -148,14 +148,14 @@ def flown(aircraft: Aircraft, days: float, seed: int, seconds: float = 18.0) -> 
     )
 
 
-def _battery(flight: Flight, ohm: float, full_v: float, rng: np.random.Generator) -> Array:
+def _battery(flight: Flight, ohm: float, rng: np.random.Generator) -> Array:
     """Voltage and current where the commands are known, ten times a second, shape (n, 2)."""
     commands = flight.table[list(motor_columns("cmd", 4))].to_numpy(dtype=np.float64)
     amps = AMPERE * np.mean(np.clip(commands, 0, 1) ** 1.5, axis=1)
     seen = np.zeros(len(amps), dtype=bool)
     seen[::20] = True
     seen &= np.isfinite(amps)
-    volts = full_v - 0.002 * flight.time_s - ohm * amps
+    volts = FULL_V - 0.002 * flight.time_s - ohm * amps
     both = np.column_stack([volts, amps])
     both += np.array([0.01, 0.1]) * rng.standard_normal(both.shape)
     return np.asarray(np.where(seen[:, None], both, np.nan))

@@ -14,7 +14,7 @@ from .columns import MOTORS
 Array = NDArray[np.float64]
 LEAST_S = 5.0
 """Flight of which a battery or a gyroscope is told."""
-LEAST_A = 0.05
+LEAST_A = 0.02
 """Share of its mean by which a current has to vary."""
 LEAST_V = 1.0
 """Below it no battery is connected."""
