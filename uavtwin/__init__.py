@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from .exports.parts import Twin, compensator, component, learned_force, replay, twin
     from .exports.write import export
     from .file_check import check_file as check
+    from .fleets.fleet import fleet
+    from .fleets.query import query
+    from .fleets.result import FleetResult
     from .flights import read_flights
     from .gaps import GapResult, gap
     from .learned import evaluate, generate, train
@@ -43,6 +46,7 @@ __all__ = [
     "CalibrateResult",
     "DraftResult",
     "ExplainResult",
+    "FleetResult",
     "Flight",
     "GapResult",
     "Run",
@@ -63,12 +67,14 @@ __all__ = [
     "evaluate",
     "explain",
     "export",
+    "fleet",
     "gap",
     "generate",
     "learned_force",
     "load_vehicle",
     "mission_names",
     "open_flight",
+    "query",
     "read_flight",
     "read_flights",
     "replay",
@@ -86,6 +92,7 @@ _HOME = {
     "DraftResult": "uavtwin.vehicle_draft",
     "EFFECTS": "twin.effects",
     "ExplainResult": "uavtwin.explanation",
+    "FleetResult": "uavtwin.fleets.result",
     "Flight": "twin.logs",
     "GapResult": "uavtwin.gaps",
     "Run": "uavtwin.run",
@@ -104,12 +111,14 @@ _HOME = {
     "evaluate": "uavtwin.learned",
     "explain": "uavtwin.explanation",
     "export": "uavtwin.exports.write",
+    "fleet": "uavtwin.fleets.fleet",
     "gap": "uavtwin.gaps",
     "generate": "uavtwin.learned",
     "learned_force": "uavtwin.exports.parts",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",
     "open_flight": "twin.logs",
+    "query": "uavtwin.fleets.query",
     "read_flight": "twin.logs",
     "read_flights": "uavtwin.flights",
     "replay": "uavtwin.exports.parts",

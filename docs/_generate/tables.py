@@ -43,6 +43,7 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
+from uavtwin.fleets.columns import TABLES
 from uavtwin.series.flight_mcap import TOPICS
 from uavtwin.series.foxglove import FOXGLOVE, MEANINGS
 from uavtwin.series.table import SIDES
@@ -102,6 +103,15 @@ def series() -> str:
             *rows(("before the point", "of", "meaning"), sides),
         ]
     )
+
+
+def fleet() -> str:
+    """Columns of the dataset of a fleet, a table per table."""
+    parts = []
+    for table, columns in TABLES.items():
+        lines = [(f"`{c.name}`", c.unit or "-", c.meaning) for c in columns]
+        parts.append("\n".join([f"### {table}", "", *rows(("column", "unit", "holds"), lines)]))
+    return "\n\n".join(parts)
 
 
 def compensator() -> str:
@@ -381,6 +391,7 @@ DOCUMENTS = {
     "guide/log_formats.md": log_formats,
     "guide/series.md": series,
     "guide/compensator.md": compensator,
+    "guide/fleet.md": fleet,
 }
 
 

@@ -2,7 +2,9 @@
 
 Source: Rosner, Technometrics 25 (1983) 165-172, the generalised extreme Studentised deviate: the
 one farthest from the rest is taken out, and again; an aircraft differs where its deviate, or that
-of one taken out after it, is more than the most extreme of so many would have.
+of one taken out after it, is more than the most extreme of so many would have. His critical values
+are for 25 and more; of fewer, one of several steps is beyond them more often than he says, so that
+here probabilities are multiplied by the number of steps.
 """
 
 from collections.abc import Sequence
@@ -33,11 +35,12 @@ def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array)
     p = np.ones(len(y))
     left = list(range(len(y)))
     taken: list[int] = []
-    for _ in range(int(MOST_SHARE * len(y)) if len(y) >= FEWEST else 0):
+    steps = int(MOST_SHARE * len(y)) if len(y) >= FEWEST else 0
+    for _ in range(steps):
         each = [_deviate(y, own, i, [k for k in left if k != i]) for i in left]
         far = int(np.argmax(np.abs(each)))
         beyond = 2 * float(student.sf(abs(each[far]), len(left) - 2))
-        p[left[far]] = min(1.0, len(left) * beyond)
+        p[left[far]] = min(1.0, steps * len(left) * beyond)
         taken.append(left.pop(far))
     for first, later in zip(reversed(taken[:-1]), reversed(taken[1:]), strict=True):
         p[first] = min(p[first], p[later])

@@ -43,7 +43,7 @@ class Common:
     own_sd: Array
 
 
-def common_of(value: Sequence[float], sd: Sequence[float]) -> Common:
+def common_of(value: Sequence[float] | Array, sd: Sequence[float] | Array) -> Common:
     """Random-effects estimate.
 
     Args:

@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import kendalltau, theilslopes
 
+Array = NDArray[np.float64]
 FEWEST = 6
 """Dated flights from which on a trend is looked for: of five, no order has a probability below
 1 %."""
@@ -39,8 +41,8 @@ class Trend:
     days: float
 
 
-def trend_of(date_year: Sequence[float], value: Sequence[float]) -> Trend | None:
-    """Robust slope of a number against the date: a third of the flights may be anything.
+def trend_of(date_year: Sequence[float] | Array, value: Sequence[float] | Array) -> Trend | None:
+    """Robust slope of a number against the date: 29 % of the flights may be anything.
 
     Args:
         date_year: Decimal years, shape (n,).

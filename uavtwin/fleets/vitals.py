@@ -87,7 +87,10 @@ def gyro_bias(flight: AnyFlight) -> Array | None:
     """Bias of a gyroscope, rad/s, body FRD, shape (3,): its mean over windows of half a second
     minus the rate at which the attitude turns over each, the median of all.
 
-    A twist within a window that is not about one axis is neglected; it has no sign of its own.
+    Turns about an axis that moves itself are counted to second order: the angle of a window is
+    a + 1/2 int (a(t) x da), a the integral of the rates from its begin on.
+
+    Source: Bortz, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 61-66.
 
     Returns:
         None: no attitude, no gyroscope, or too short.
@@ -105,7 +108,10 @@ def gyro_bias(flight: AnyFlight) -> Array | None:
     rate = (turned[:-1].inv() * turned[1:]).as_rotvec() / np.diff(t)[:, None]
     steps = np.diff(t_w)[:, None]
     angle = np.vstack([np.zeros(3), np.cumsum(0.5 * (omega[1:] + omega[:-1]) * steps, axis=0)])
-    at_edges = np.column_stack([np.interp(t, t_w, angle[:, k]) for k in range(3)])
-    mean = np.diff(at_edges, axis=0) / np.diff(t)[:, None]
+    twist = np.cross(0.5 * (angle[1:] + angle[:-1]), np.diff(angle, axis=0))
+    twist = np.vstack([np.zeros(3), np.cumsum(twist, axis=0)])
+    a, c = (np.column_stack([np.interp(t, t_w, x[:, k]) for k in range(3)]) for x in (angle, twist))
+    da = np.diff(a, axis=0)
+    mean = (da + 0.5 * (np.diff(c, axis=0) - np.cross(a[:-1], da))) / np.diff(t)[:, None]
     whole = np.diff(t) < 2 * WINDOW_S
     return np.asarray(np.median((mean - rate)[whole], axis=0)) if whole.sum() >= 10 else None

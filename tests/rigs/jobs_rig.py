@@ -1,0 +1,45 @@
+"""Jobs that harm their process, for the engines."""
+
+import os
+import signal
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from uavtwin.jobs.process import Allowed, ProcessWorker
+
+
+@dataclass(frozen=True)
+class Harm:
+    """Does what its job says."""
+
+    key: str = "harm"
+    allowed: Allowed = field(default_factory=Allowed)
+
+    def name(self, job: str) -> str:
+        return job
+
+    def worker(self) -> ProcessWorker[str, str]:
+        return ProcessWorker(self, self.lost, self.allowed)
+
+    def packed(self) -> "Harm":
+        return self
+
+    def unpacked(self, folder: Path) -> "Harm":
+        return self
+
+    def lost(self, job: str, why: str) -> str:
+        return f"{job}: lost, {why}"
+
+    def do(self, job: str) -> str:
+        what = job.partition(" ")[0]
+        if what == "crash":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        if what == "hang":
+            time.sleep(600)
+        if what == "hoard":
+            held = bytearray(3 * 2**30)
+            return f"{job}: {len(held)} bytes"
+        if what == "exit":
+            os._exit(3)
+        return f"{job}: {os.getpid()}"

@@ -1,0 +1,173 @@
+"""What the tables of a fleet say together: in rows in which something, or nothing, is planted."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from cli_rig import run
+from fleet_rig import AIRCRAFT, FLIGHTS, HEAVY, WORN, made_fleet
+from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
+
+from twin.errors import TwinError
+from uavtwin.fleets.columns import TABLES
+from uavtwin.fleets.query import query
+from uavtwin.fleets.result import FleetResult, result_of
+from uavtwin.fleets.vehicles import numbers_of_files, write_vehicles
+from uavtwin.vehicles import load_vehicle
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_fleet(tmp_path_factory.mktemp("fleet"))
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> FleetResult:
+    return result_of(folder, "copter_default")
+
+
+def test_what_is_planted_is_told_and_nothing_else(result: FleetResult) -> None:
+    assert {(d.aircraft, d.number) for d in result.differing} >= {(HEAVY, "carried")}
+    assert {d.aircraft for d in result.differing} <= {HEAVY, WORN}
+    assert [(d.aircraft, d.number) for d in result.drifting] == [(WORN, "battery_resistance_ohm")]
+    (drift,) = result.drifting
+    assert drift.trend.low < 0.01 < drift.trend.high
+    assert result.bad == 1
+    assert result.claim.startswith(f"{AIRCRAFT * FLIGHTS + 1} logs of {AIRCRAFT} aircraft: ")
+
+
+def test_of_a_fleet_without_a_plant_nothing_is_told(tmp_path: Path) -> None:
+    silent = result_of(made_fleet(tmp_path, planted=False), "copter_default")
+    assert not silent.differing
+    assert not silent.drifting
+    assert len(silent.drifts) == 4 * AIRCRAFT  # it was looked for
+
+
+def test_an_effect_of_most_is_of_the_type_and_one_of_one_its_own(
+    result: FleetResult, tmp_path: Path
+) -> None:
+    base = load_vehicle("copter_default")
+    files = numbers_of_files(result.spreads, list(result.explained), True)
+    written = write_vehicles(files, base, {}, tmp_path)
+    assert written == ["copter_default.toml", *(f"A{k:02d}.toml" for k in range(1, 9))]
+    shared, heavy, untold = (
+        load_vehicle(tmp_path / "vehicles" / f"{n}.toml") for n in ("copter_default", "A04", "A01")
+    )
+    (drag,) = (s for s in result.spreads if s.effect == "rotor_drag")
+    assert len(drag.aircraft) == AIRCRAFT - 1
+    key = "effects.rotor_drag.k_xy_1_s"
+    assert shared.effects["rotor_drag"]["k_xy_1_s"] == pytest.approx(drag.common.mean, rel=1e-5)
+    assert shared.effects["rotor_drag"]["k_xy_1_s"] == pytest.approx(0.35, abs=0.04)
+    assert "mass_offset" not in shared.effects
+    assert heavy.effects["mass_offset"]["mass_kg"] == pytest.approx(0.1, abs=0.02)
+    assert heavy.effects["rotor_drag"]["k_xy_1_s"] != shared.effects["rotor_drag"]["k_xy_1_s"]
+    assert untold.effects["rotor_drag"] == shared.effects["rotor_drag"]
+    share = {n: v.deviations[key].share for n, v in (("type", shared), ("untold", untold))}
+    assert share["untold"] > 1.5 * share["type"]  # the spread between aircraft is in it
+    assert "not told by its own flights" in untold.sources[key]
+    alone = numbers_of_files(result.spreads, list(result.explained), False)
+    assert not alone.of_type  # each aircraft against its own file
+    assert set(alone.of_aircraft["A01"]) == set()
+
+
+def test_tables_say_units_and_are_as_documented(folder: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "guide" / "fleet.md").read_text("utf-8")
+    for table, columns in TABLES.items():
+        schema = pq.read_schema(folder / f"{table}.parquet")
+        assert schema.names == [c.name for c in columns]
+        for c in columns:
+            told = schema.field(c.name).metadata
+            assert told == {b"unit": c.unit.encode(), b"meaning": c.meaning.encode()}
+            assert f"| `{c.name}` |" in page
+
+
+def test_a_query_joins_tables(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sql = (
+        "select aircraft, count(*) as n, avg(carried) as c from flights join effects using "
+        "(log, aircraft) where effect = 'mass_offset' group by aircraft"
+    )
+    ((aircraft, n, carried),) = query(folder, sql).rows
+    assert (aircraft, n) == (HEAVY, FLIGHTS)
+    assert carried == pytest.approx(1.08, abs=0.02)
+    code, out, _ = run(capsys, "query", folder, sql, "--json")
+    assert code == 0
+    assert json.loads(out) == [{"aircraft": HEAVY, "n": FLIGHTS, "c": carried}]
+    code, out, _ = run(capsys, "query", folder, sql, "--csv")
+    assert out.splitlines() == ["aircraft,n,c", f"{HEAVY},{FLIGHTS},{carried}"]
+    code, out, _ = run(capsys, "query", folder, sql)
+    assert HEAVY in out
+
+
+def test_a_query_gives_the_numbers_of_pandas(folder: Path) -> None:
+    rows = query(folder, "select log, carried from flights order by log").rows
+    flights = pd.read_parquet(folder / "flights.parquet").sort_values("log")
+    assert [r[0] for r in rows] == flights["log"].tolist()
+    assert [np.nan if r[1] is None else r[1] for r in rows] == pytest.approx(
+        flights["carried"].tolist(), nan_ok=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("sql", "says"),
+    [
+        ("select * from '/etc/passwd'", "There are flights, channels, effects, findings."),
+        ("select * from read_csv('/etc/passwd')", "reads nothing but flights"),
+        ("select * from read_parquet('{folder}/flights.parquet')", "reads nothing but flights"),
+        ("select * from glob('/*')", "reads nothing but flights"),
+        ("copy flights to '{folder}/stolen.csv'", "this is not one SELECT"),
+        ("attach '{folder}/new.db'", "this is not one SELECT"),
+        ("set enable_external_access = true", "this is not one SELECT"),
+        ("install httpfs", "this is not one SELECT"),
+        ("delete from flights", "this is not one SELECT"),
+        ("create table more as select 1", "this is not one SELECT"),
+        ("select 1; select 2", "this is not one SELECT"),
+        ("", "no SELECT"),
+        ("selct", "syntax error"),
+        ("select nothing from flights", '"nothing" not found'),
+        ("select * from runs", "There are flights, channels, effects, findings."),
+        ("select * from folder", "There are flights, channels, effects, findings."),
+    ],
+)
+def test_what_is_no_question_to_the_tables_is_refused(folder: Path, sql: str, says: str) -> None:
+    before = sorted(folder.iterdir())
+    with pytest.raises(TwinError) as caught:
+        query(folder, sql.format(folder=folder))
+    assert says in str(caught.value)
+    assert str(caught.value).startswith("query: ")
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_folder_without_tables_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, _, err = run(capsys, "query", tmp_path, "select 1")
+    assert code == 2
+    assert "lacks flights.parquet" in err
+    code, _, err = run(capsys, "query", tmp_path / "none", "select 1")
+    assert "is no folder" in err
+
+
+@needs_browser
+@pytest.mark.slow
+def test_the_page_of_a_fleet_is_fine_to_look_at(result: FleetResult, tmp_path: Path) -> None:
+    page = result.report(tmp_path / "report.html")
+    with browser(tmp_path / "browser") as opened:
+        for view in VIEWS:
+            assert faults(opened, page, view, pictures(tmp_path) / f"fleet_{view}.png") == []
+
+
+def test_the_page_says_how_many_were_tried_and_which_is_bad(
+    result: FleetResult, tmp_path: Path
+) -> None:
+    page = result.report(tmp_path / "report.html")
+    text = page.read_text("utf-8")
+    assert page.stat().st_size < 1_500_000
+    assert f"{len(result.differences)} comparisons" in text
+    assert "Benjamini and Hochberg" in text
+    assert "broken.ulg" in text
+    assert "cut off" in text
+    assert '<script src="' not in text
+    assert "http://" not in text.partition('id="plotly"')[0]
