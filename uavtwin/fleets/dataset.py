@@ -129,6 +129,17 @@ def read_table(
     return frame
 
 
+def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str, ...]]:
+    """Combinations of values of some columns of text, in order of appearance; memory holds a piece
+    of the table."""
+    found: dict[tuple[str, ...], None] = {}
+    with pq.ParquetFile(path_of(folder, table)) as file:
+        for piece in file.iter_batches(columns=list(columns)):
+            frame = piece.to_pandas().drop_duplicates()
+            found |= dict.fromkeys(frame[list(columns)].itertuples(index=False, name=None))
+    return list(found)
+
+
 def check_dataset(folder: Path) -> None:
     """Refuse a folder without the tables.
 

@@ -33,25 +33,38 @@ def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array)
     """
     y, own = np.asarray(value, dtype=np.float64), np.asarray(variance, dtype=np.float64)
     p = np.ones(len(y))
-    left = list(range(len(y)))
+    left = np.arange(len(y))
     taken: list[int] = []
     steps = int(MOST_SHARE * len(y)) if len(y) >= FEWEST else 0
     for _ in range(steps):
-        each = [_deviate(y, own, i, [k for k in left if k != i]) for i in left]
-        far = int(np.argmax(np.abs(each)))
-        beyond = 2 * float(student.sf(abs(each[far]), len(left) - 2))
+        each = np.abs(_deviates(y[left], own[left]))
+        far = int(np.argmax(each))
+        beyond = 2 * float(student.sf(each[far], len(left) - 2))
         p[left[far]] = min(1.0, steps * len(left) * beyond)
-        taken.append(left.pop(far))
+        taken.append(int(left[far]))
+        left = np.delete(left, far)
     for first, later in zip(reversed(taken[:-1]), reversed(taken[1:]), strict=True):
         p[first] = min(p[first], p[later])
     return p
 
 
-def _deviate(y: Array, own: Array, i: int, others: list[int]) -> float:
-    """Distance of one from the mean of others, over what it would be if it were one of them."""
-    rest = y[others]
-    spread = float(rest.var(ddof=1)) * (1 + 1 / len(rest))
-    wider = max(0.0, float(own[i] - own[others].mean()))
-    size = np.sqrt(spread + wider)
-    away = float(y[i] - rest.mean())
-    return away / size if size > 0 else (0.0 if away == 0 else np.copysign(np.inf, away))
+def _deviates(y: Array, own: Array) -> Array:
+    """Distance of each from the mean of the others, over what it would be if it were one of them.
+
+    Args:
+        y: Shape (n,).
+        own: Variances, shape (n,).
+
+    Returns:
+        Shape (n,); infinite for one that is apart from others that are all the same.
+    """
+    n = len(y)
+    centred = y - np.median(y)
+    mean = (centred.sum() - centred) / (n - 1)
+    squares = (centred @ centred - centred**2) - (n - 1) * mean**2
+    spread = np.maximum(squares, 0.0) / (n - 2) * (1 + 1 / (n - 1))
+    wider = np.maximum(0.0, own - (own.sum() - own) / (n - 1))
+    away, size = centred - mean, np.sqrt(spread + wider)
+    least = 1e-12 * float(np.abs(y).max(initial=0.0))
+    flat = np.where(np.abs(away) <= least, 0.0, np.inf)
+    return np.asarray(np.where(size > least, away / np.maximum(size, 1e-300), flat))

@@ -9,7 +9,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .columns import VITALS
-from .dataset import read_table
+from .dataset import distinct, read_table
 from .differences import FEWEST as FEWEST_AIRCRAFT
 from .differences import differing
 from .discovery import FALSE_SHARE, adjusted
@@ -99,7 +99,7 @@ class Drift:
 
 
 def measures(folder: Path) -> Iterator[Measure]:
-    """Numbers of flights whose aircraft is known, one after another: memory holds one.
+    """Numbers of flights whose aircraft is known, one after another: memory holds one of them.
 
     Args:
         folder: Of the dataset.
@@ -114,13 +114,18 @@ def measures(folder: Path) -> Iterator[Measure]:
         if len(found):
             yield Measure(column.name, column.unit, found)
     dates = read_table(folder, "flights", about)[known].set_index("log")
-    rows = [("phase", "==", WHOLE), ("horizon_s", "==", 0.0)]
-    means = read_table(folder, "channels", ["log", "channel", "unit", "mean"], rows)
-    for (channel, unit), own in means.groupby(["channel", "unit"], sort=False):
-        found = own[own["log"].isin(dates.index)].dropna(subset=["mean"])
+    for channel, unit in distinct(folder, "channels", ("channel", "unit")):
+        rows = [
+            ("channel", "==", channel),
+            ("unit", "==", unit),
+            ("phase", "==", WHOLE),
+            ("horizon_s", "==", 0.0),
+        ]
+        means = read_table(folder, "channels", ["log", "mean"], rows).dropna()
+        found = means[means["log"].isin(dates.index)]
         table = dates.loc[found["log"]].assign(value=found["mean"].to_numpy())
         if len(table):
-            yield Measure(f"{MEAN_OF}{channel}", str(unit), table)
+            yield Measure(f"{MEAN_OF}{channel}", unit, table)
 
 
 def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:

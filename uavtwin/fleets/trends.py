@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 FEWEST = 6
 """Dated flights from which on a trend is looked for: of five, no order has a probability below
 1 %."""
+MOST = 1000
+"""Points of a trend: of more flights, medians of so many groups of them in order of date, since the
+slopes are between all pairs."""
 DAYS = 30.0
 """Over which a slope is told."""
 YEAR_D = 365.25
@@ -56,9 +59,21 @@ def trend_of(date_year: Sequence[float] | Array, value: Sequence[float] | Array)
     t, y = t[known] * YEAR_D / DAYS, y[known]
     if len(t) < FEWEST or np.ptp(t) == 0:
         return None
+    flights, days = len(t), float(np.ptp(t)) * DAYS
     if np.ptp(y) == 0:
-        return Trend(0.0, 0.0, 0.0, 1.0, len(t), float(np.ptp(t)) * DAYS)
+        return Trend(0.0, 0.0, 0.0, 1.0, flights, days)
+    t, y = _grouped(t, y)
     found = theilslopes(y, t, alpha=0.95)
     p = float(kendalltau(t, y).pvalue)
     slope, low, high = (float(v) for v in (found.slope, found.low_slope, found.high_slope))
-    return Trend(slope, low, high, p, len(t), float(np.ptp(t)) * DAYS)
+    return Trend(slope, low, high, p, flights, days)
+
+
+def _grouped(t: Array, y: Array) -> tuple[Array, Array]:
+    """Medians of groups where there are many."""
+    if len(t) <= MOST:
+        return t, y
+    order = np.argsort(t, kind="stable")
+    parts = np.array_split(order, MOST)
+    middle = [(np.median(t[p]), np.median(y[p])) for p in parts]
+    return np.array([m[0] for m in middle]), np.array([m[1] for m in middle])
