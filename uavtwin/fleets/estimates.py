@@ -10,7 +10,7 @@ import pandas as pd
 from twin.effects import EFFECTS
 
 from .dataset import read_table
-from .hierarchy import Common, common_of
+from .statistics.hierarchy import Common, common_of
 
 SURE = 0.5
 """Probability from which on an effect of one explanation is taken for there."""

@@ -11,10 +11,10 @@ import pandas as pd
 from ..output import output_file
 from ..shown import Shown, TextTable
 from .dataset import read_table
-from .differences import FEWEST as FEWEST_AIRCRAFT
 from .estimates import Spread, explained_aircraft, spreads
+from .statistics.differences import FEWEST as FEWEST_AIRCRAFT
+from .statistics.trends import FEWEST as FEWEST_FLIGHTS
 from .together import Difference, Drift, compared
-from .trends import FEWEST as FEWEST_FLIGHTS
 
 MOST_TOLD = 20
 """Rows of a table that are printed."""

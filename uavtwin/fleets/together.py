@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from .columns import VITALS
 from .dataset import distinct, read_table
-from .differences import FEWEST as FEWEST_AIRCRAFT
-from .differences import differing
-from .discovery import FALSE_SHARE, adjusted
-from .trends import Trend, trend_of
+from .statistics.differences import FEWEST as FEWEST_AIRCRAFT
+from .statistics.differences import differing
+from .statistics.discovery import FALSE_SHARE, adjusted
+from .statistics.trends import Trend, trend_of
 
 Array = NDArray[np.float64]
 WHOLE = "whole flight"

@@ -40,7 +40,7 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
         result: To show.
         path: HTML file to write; an existing one is replaced.
     """
-    from ..fleets.discovery import FALSE_SHARE
+    from ..fleets.statistics.discovery import FALSE_SHARE
 
     by_aircraft, over_time = _drawn(result)
     bad = result.bad_logs(MOST_ROWS)

@@ -4,7 +4,7 @@ import os
 import time
 
 import pytest
-from jobs_rig import Harm
+from fleet_rigs.harm import Harm
 
 from twin.errors import TwinError
 from uavtwin.jobs.engine import opened_engine

@@ -8,7 +8,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from cli_rig import run
-from fleet_rig import AIRCRAFT, FLIGHTS, HEAVY, WORN, made_fleet
+from fleet_rigs.rows import AIRCRAFT, FLIGHTS, HEAVY, WORN, made_fleet
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 from twin.errors import TwinError

@@ -1,0 +1,1 @@
+"""Aircraft against each other, numbers against dates, many tests at once."""
