@@ -18,7 +18,7 @@ from .columns import TABLES, schema
 from .looking import Found, Look
 
 JOURNAL = "fleet.jsonl"
-PIECE = 2000
+PIECE = 500
 """Logs whose rows are in memory at once."""
 COPY = "holds the same flight as {}, which counts once"
 

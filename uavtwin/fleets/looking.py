@@ -289,7 +289,9 @@ def _say(found: Found, log: str, aircraft: str, verb: str, severity: str, text: 
 
 
 def _mistake(error: Exception) -> str:
-    """What a mistake of ours says."""
+    """What a mistake of ours says, or a limit that was met."""
+    if isinstance(error, MemoryError):
+        return "needs more memory than its process may use (--memory-limit)"
     said = " ".join(str(error).split())[:300]
     return f"{type(error).__name__}: {said} This is a mistake of uavtwin; please report it."
 

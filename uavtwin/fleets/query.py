@@ -5,7 +5,7 @@ import math
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow.dataset as ds
 
@@ -13,6 +13,9 @@ from twin.errors import TwinError
 
 from .columns import TABLES
 from .dataset import check_dataset, path_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _SETTINGS = {
     "python_enable_replacements": False,
@@ -33,6 +36,12 @@ class Answer:
 
     names: tuple[str, ...]
     rows: tuple[tuple[Any, ...], ...]
+
+    def frame(self) -> "pd.DataFrame":
+        """As a table of pandas."""
+        import pandas as pd
+
+        return pd.DataFrame(self.rows, columns=list(self.names))
 
     def records(self) -> list[dict[str, Any]]:
         """A mapping per row, as JSON can hold it."""

@@ -1,6 +1,7 @@
 """The page that `uavtwin fleet` leaves: which aircraft differs, what drifts, which logs are bad."""
 
 from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -189,9 +190,9 @@ def _effects(spreads: "Sequence[Spread]") -> Iterator[Plot]:
 
 
 def _short(names: Sequence[str]) -> list[str]:
-    """Names that fit below an axis: their ends, where those tell them apart."""
+    """Names that fit below an axis: their ends, where those tell them apart. They come from logs:
+    what plotly.js would take for a mark-up is escaped."""
     ends = [n if len(n) <= 18 else f"\N{HORIZONTAL ELLIPSIS}{n[-17:]}" for n in names]
-    if len(set(ends)) == len(ends):
-        return ends
     heads = [n if len(n) <= 18 else f"{n[:17]}\N{HORIZONTAL ELLIPSIS}" for n in names]
-    return heads if len(set(heads)) == len(heads) else list(names)
+    told_apart = (some for some in (ends, heads) if len(set(some)) == len(some))
+    return [escape(n) for n in next(told_apart, names)]

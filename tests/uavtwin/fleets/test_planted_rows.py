@@ -11,6 +11,7 @@ from cli_rig import run
 from fleet_rigs.rows import AIRCRAFT, FLIGHTS, HEAVY, WORN, made_fleet
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
+import uavtwin as ut
 from twin.errors import TwinError
 from uavtwin.fleets.columns import TABLES
 from uavtwin.fleets.query import query
@@ -105,6 +106,9 @@ def test_a_query_gives_the_numbers_of_pandas(folder: Path) -> None:
     rows = query(folder, "select log, carried from flights order by log").rows
     flights = pd.read_parquet(folder / "flights.parquet").sort_values("log")
     assert [r[0] for r in rows] == flights["log"].tolist()
+    counted = ut.query(folder, "select aircraft, count(*) as n from flights group by aircraft")
+    assert dict(counted.rows)[WORN] == FLIGHTS
+    assert counted.frame()["n"].sum() == len(flights)
     assert [np.nan if r[1] is None else r[1] for r in rows] == pytest.approx(
         flights["carried"].tolist(), nan_ok=True
     )
