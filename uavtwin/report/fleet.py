@@ -109,7 +109,7 @@ def _beside(m: "Measure", out: set[str]) -> Plot:
     ticks = {"tickmode": "array", "tickvals": [*range(len(names))], "ticktext": _short(names)}
     panels = Panels((_PX,))
     axis: dict[str, Any] = {**ticks, "range": [-0.6, len(names) - 0.4]}
-    axes = panels.add(f"{m.name}, {pretty_unit(m.unit)}", axis)
+    axes = panels.add(_axis(m.name, m.unit), axis)
     for told in (False, True):
         own = [(i, n) for i, n in enumerate(names) if (n in out) is told]
         if not own:
@@ -140,7 +140,7 @@ def _over_time(m: "Measure", drift: "Drift", k: int) -> Plot:
     days = 365.25 * (year - begin)
     panels = Panels((_PX,))
     title = {"title": {"text": f"days since {begin:.2f}"}}
-    axes = panels.add(f"{m.name}, {pretty_unit(m.unit)}", title)
+    axes = panels.add(_axis(m.name, m.unit), title)
     marked = {"mode": "markers", "marker": {"color": BLUE, "size": 5, "opacity": 0.6}}
     panels.line(axes, days, y, "flights", {"color": BLUE}, **marked)
     ends = np.array([days.min(), days.max()])
@@ -169,7 +169,7 @@ def _effects(spreads: "Sequence[Spread]") -> Iterator[Plot]:
         ticks = {"tickmode": "array", "tickvals": [*range(len(names))], "ticktext": names}
         panels = Panels((_PX,))
         axes = panels.add(
-            f"{s.effect}.{s.number}, {pretty_unit(s.unit)}",
+            _axis(f"{s.effect}.{s.number}", s.unit),
             {**ticks, "range": [-0.6, len(names) - 0.4]},
         )
         panels.area(axes, s.common.low, s.common.high)
@@ -187,6 +187,11 @@ def _effects(spreads: "Sequence[Spread]") -> Iterator[Plot]:
             panels.line(axes, x, np.asarray(y), name, {"color": colour}, **marked)
         label = f"{s.effect} {s.number} of each aircraft, the mean of the type grey"
         yield plot(f"effect-{s.effect}-{s.number}", label, panels.figure)
+
+
+def _axis(name: str, unit: str) -> str:
+    """Title of an axis."""
+    return name if unit in ("", "1") else f"{name}, {pretty_unit(unit)}"
 
 
 def _short(names: Sequence[str]) -> list[str]:
