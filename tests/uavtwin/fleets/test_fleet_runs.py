@@ -149,7 +149,7 @@ def test_what_an_aircraft_lacks_goes_into_its_file_and_is_gone_with_it(
     """With it, the gap shrinks."""
     log = tmp_path / "logs" / "one.parquet"
     log.parent.mkdir()
-    write_flight(flown(aircraft_of(5)[4], 0.0, 3, 10.0), log)
+    write_flight(flown(aircraft_of(5)[4], 0.0, 3, 12.0), log)
     first, second = tmp_path / "first", tmp_path / "second"
     each = ("--each", "aircraft", "--workers", "1")
     code, said, _ = run(
