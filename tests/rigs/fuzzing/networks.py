@@ -198,7 +198,7 @@ def _change_tensor(tensor: Any, given: dict[str, Any]) -> None:
             tensor.data_type = given["to"] % 2**31 % 40
         case "cut":
             tensor.raw_data = tensor.raw_data[: len(tensor.raw_data) // 2]
-        case "value":
+        case "value" if tensor.data_location != TensorProto.EXTERNAL:
             array = numpy_helper.to_array(tensor).copy()
             array.flat[0] = (math.nan, math.inf, 1e38, 0.0)[given["at"] % 4]
             tensor.CopyFrom(numpy_helper.from_array(array, tensor.name))
