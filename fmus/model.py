@@ -350,11 +350,25 @@ def _tangents(component: Component, exchange: bool) -> list[ca.Function]:
         dy = ca.jtimes(y, ca.vertcat(*known), ca.vertcat(*change))
         return ca.Function(name, arguments, [ca.cse(dy)])
 
+    if not (component.states or exchange):
+        always = tangent("tangent", x, [x, u, p, du, dp], [u, p], [du, dp])
+        return [always, _the_same("initial_tangent", always)]
     first, d = _first_state(component, u, p, w), [du, dp]
     starting = tangent("initial_tangent", first, [u, p, *d, w], [u, p], d)
     if exchange:
         return [tangent("tangent", x, [x, u, p, *d, dx], [u, p, x], [*d, dx]), starting]
     return [tangent("tangent", x, [x, u, p, *d], [u, p], d), starting]
+
+
+def _the_same(name: str, tangent: ca.Function) -> ca.Function:
+    """The tangent of a component without states as that of its start.
+
+    It is called, not written again: that of a learned force takes a compiler twenty seconds.
+    """
+    nothing, *arguments = [ca.MX.sym(n, tangent.size1_in(i)) for i, n in enumerate("xupcd")]
+    draws = ca.MX.sym("w", 0)
+    (dy,) = tangent.call([ca.MX(nothing.shape[0], 1), *arguments])
+    return ca.Function(name, [*arguments, draws], [dy])
 
 
 def _draws(component: Component) -> ca.SX:

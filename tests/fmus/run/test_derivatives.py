@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from instance import Array, Instance
+from instance import Array, Instance, unzip
 from kinds import COMPONENTS, component
 
-from twin.component import Variable
+from fmus import build, component_model
+from twin.component import ComponentBuilder, Variable
 
 Folder = Callable[[str, int], Path]
 STATES = 100
@@ -104,6 +105,23 @@ def test_before_initialization_ends_initial_states_count(fmu_folder: Folder, fmi
     assert before[outputs.index("vel_y")] == 3.0
     instance.leave()
     assert not derivative(instance, names, np.array([2.0, 3.0])).any()
+    instance.close()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_without_states_derivatives_at_the_start_are_those_of_any_instant(
+    fmi: int, tmp_path: Path
+) -> None:
+    m = ComponentBuilder("lift", "Lift of a wing")
+    speed = m.input("speed", "1", "Airspeed over that of a cruise", 2.0)
+    m.output("lift", "N", "Lift", m.parameter("c", 3.0, "N", "In a cruise") * speed * speed)
+    fmu = build(component_model(m.build()), tmp_path / "lift.fmu", fmi)
+    instance = Instance(unzip(fmu, tmp_path / "unpacked"))
+    instance.enter()
+    assert derivative(instance, ["speed", "c"], np.array([1.0, 0.5])) == [2 * 3 * 2 + 0.5 * 4]
+    instance.leave()
+    instance.set({"speed": 5.0})
+    assert derivative(instance, ["speed", "c"], np.array([1.0, 0.5])) == [2 * 3 * 5 + 0.5 * 25]
     instance.close()
 
 
