@@ -1,0 +1,54 @@
+"""What a live flight bears: `python -m benchmarks.live_load --out OUT --page FILE`.
+
+Measures the memory of a long flight at the highest speed, and the processor that several aircraft
+take in one process; one JSON file each in OUT, and what is there is not measured again.
+"""
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from .hours import growth
+from .many import aircraft_at_once
+from .page import page
+
+_SECONDS = 25.0
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--page", type=Path, help="write the page of what is there, and no more")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of the long flight")
+    parser.add_argument("--aircraft", type=int, nargs="*", default=[1, 3, 10], help="at once")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if given.page:
+        rows = {p.stem: json.loads(p.read_text()) for p in sorted(given.out.glob("*.json"))}
+        given.page.write_text(page(rows), "utf-8")
+        return 0
+    for count in given.aircraft:
+        for alarms in (True, False):
+            name = f"many_{count:02d}_{'alarms' if alarms else 'bare'}"
+            _once(given.out, name, partial(aircraft_at_once, count, _SECONDS, alarms))
+    _once(given.out, "growth", partial(growth, 60.0 * given.minutes))
+    return 0
+
+
+def _once(out: Path, name: str, measure: Callable[[], dict[str, Any]]) -> None:
+    """Measure what is not there yet."""
+    path = out / f"{name}.json"
+    if path.exists():
+        return
+    load = os.getloadavg()[0]
+    path.write_text(json.dumps({**measure(), "load_before": load}), "utf-8")
+    print(name, flush=True)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,83 @@
+"""Memory of a live flight that goes on and on, at the highest speed that it takes."""
+
+import multiprocessing
+import tempfile
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+
+from twin.explain.running.evidence import RunningEvidence
+from twin.logs import Flight, write_flight
+from twin.logs.read import read_flight
+from twin.vehicle.file import load_vehicle
+from uavtwin.live.address import Address
+from uavtwin.live.replay import MAX_SPEED, Replay
+from uavtwin.live.session import LiveOptions, LiveSession
+
+from .flights import long_flight
+from .ports import free_address
+
+_EVERY_S = 2.0
+MIB = 2.0**20
+
+
+def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, Any]:
+    """Fly so long, recorded, with evidence, and watch the memory of this process."""
+    vehicle = load_vehicle(vehicle_name)
+    with tempfile.TemporaryDirectory() as folder:
+        flight = long_flight(vehicle, seconds)
+        write_flight(flight, Path(folder, "long.parquet"))
+        lasted_s = float(flight.time_s[-1])
+        del flight
+        options = LiveOptions(free_address(), record=Path(folder, "rec"), until_silent_s=20.0)
+        session = LiveSession(vehicle, options, lambda: RunningEvidence(vehicle))
+        context = multiprocessing.get_context("spawn")
+        arguments = (Path(folder, "long.parquet"), options.listen)
+        sender = context.Process(target=_play, args=arguments, daemon=True)
+        memory: list[tuple[float, float]] = []
+        over = threading.Event()
+        watching = threading.Thread(target=_watch, args=(session, memory, over))
+        began = time.monotonic()
+        sender.start()
+        watching.start()
+        # The end of a recording is written anew as Parquet: that is not the growth in flight.
+        told = session.run(lambda: not sender.is_alive())
+        over.set()
+        watching.join()
+        sender.join()
+        wall_s = time.monotonic() - began
+        recorded = len(read_flight(Path(folder, "rec", "flight.parquet")).table)
+        sent = len(read_flight(Path(folder, "long.parquet")).table)
+    flown = np.array([m for m in memory if m[0] > 60.0 and m[0] < lasted_s - 2.0])
+    slope = np.polyfit(flown[:, 0], flown[:, 1], 1)[0] if len(flown) > 3 else np.nan
+    return {
+        "flight_s": told.flight_s,
+        "wall_s": wall_s,
+        "rows_sent": sent,
+        "rows_recorded": recorded,
+        "lost": told.link.lost,
+        "late": told.link.late,
+        "alarms": len(told.alarms),
+        "rss_after_a_minute_mib": float(flown[0, 1]),
+        "rss_at_the_end_mib": float(flown[-1, 1]),
+        "growth_mib_per_hour_of_flight": float(3600.0 * slope),
+        "memory": memory,
+    }
+
+
+def _watch(session: LiveSession, memory: list[tuple[float, float]], over: threading.Event) -> None:
+    """Time of the flight and resident memory, MiB, every two seconds."""
+    this = psutil.Process()
+    while not over.wait(_EVERY_S):
+        memory.append((session.worker.flight_s, this.memory_info().rss / MIB))
+
+
+def _play(path: Path, to: Address) -> None:
+    flight: Flight = read_flight(path)
+    aircraft = Replay(to, MAX_SPEED)
+    aircraft.play(flight)
+    aircraft.close()

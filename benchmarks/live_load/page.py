@@ -1,0 +1,92 @@
+"""The page of what was measured."""
+
+from typing import Any
+
+Rows = dict[str, dict[str, Any]]
+
+
+def page(rows: Rows) -> str:
+    """Markdown of all results.
+
+    Args:
+        rows: By name of the measurement.
+    """
+    return f"""# What a live flight bears
+
+Written by `python -m benchmarks.live_load --out OUT --page docs/results/live_load.md`, after the
+same without `--page`. The machine has two cores, and other computations ran beside (the load
+average before each run is in the tables): shares of processor are of this process alone; what was
+late may have been late for that.
+
+## Several aircraft in one process
+
+Each with a 200 Hz IMU, in real time, over the loopback, with its twin and its residuals; with and
+without running evidence for alarms.
+
+- *Wall*: in which 25 s of flight were sent; where that is more than a few seconds longer, the
+  sender did not get the processor that it needed, and what is behind says little.
+- *Per second*: processor per second of flight that the twins had seen by then, start included.
+- *Behind*: how much of the flight the slowest twin had not seen when the last message had been
+  sent; rows wait 0.15 s for others (`--hold`) and 0.1 s for the next batch.
+
+| aircraft | alarms | wall | share of a core | per second | lost | late | behind | load |
+|---|---|---|---|---|---|---|---|---|
+{_many(rows)}
+
+All of a process's Python shares one core: aircraft that need more than that together fall behind,
+beside other computations sooner. What comes meanwhile waits in the kernel and is not lost, up to
+8 MB each. Start a process for each few aircraft; ten in one process on two cores without one being
+late, the goal, are more than it does.
+
+## Memory over a long flight
+
+{_growth(rows.get("growth"))}
+
+## Beside a flood
+
+`pytest tests/uavtwin/live/test_under_load.py`: 1 MB/s of random bytes, of another aircraft's
+messages, of frames with a wrong checksum, beside an aircraft that is sent as fast as it is taken:
+no message lost, no sample late, residuals the same to 1e-6. Taking a flood apart costs some 0.3 s
+of processor per MB. An aircraft of MAVLink 1 is read from HIGHRES_IMU, ATTITUDE_QUATERNION,
+LOCAL_POSITION_NED and SERVO_OUTPUT_RAW: ODOMETRY and ACTUATOR_OUTPUT_STATUS have numbers that
+MAVLink 1 cannot tell.
+
+## Ground stations of others
+
+`pytest tests/uavtwin/live/test_ground_stations.py`, with UAVTWIN_GROUND_STATIONS set to the Python
+of an environment that has `pip install mavsdk MAVProxy`. Tried: MAVSDK 4.1.0, which is a native
+library and has no server of its own any more, and MAVProxy 1.8.75, on Linux. Both go online on the
+twin's system; MAVSDK's attitude, position and velocity, acceleration and body rates are what was
+sent, in float32, 50 times a second; so is MAVProxy's telemetry log. QGroundControl was not tried.
+"""
+
+
+def _many(rows: Rows) -> str:
+    found = [r for name, r in rows.items() if name.startswith("many_")]
+    return "\n".join(
+        f"| {r['aircraft']} | {'yes' if r['alarms_kept'] else 'no'} | {r['wall_s']:.0f} s | "
+        f"{100 * r['cpu_share']:.0f} % | {_per_second(r):.2f} s | "
+        f"{r['lost']} | {r['late']} | {r['most_behind_s']:.2f} s | {r['load_before']:.1f} |"
+        for r in found
+    )
+
+
+def _per_second(r: dict[str, Any]) -> float:
+    """Processor per second of flight that was seen, s; the slowest stands for all."""
+    seen_s = r["aircraft"] * max(r["seconds"] - r["most_behind_s"], 1e-3)
+    return float(r["cpu_share"] * r["wall_s"] / seen_s)
+
+
+def _growth(r: dict[str, Any] | None) -> str:
+    if r is None:
+        return "Not measured."
+    return (
+        f"{r['flight_s'] / 60:.1f} minutes of flight, recorded, with alarms, sent as fast as they "
+        f"were taken ({r['flight_s'] / r['wall_s']:.1f} times real time, load "
+        f"{r['load_before']:.1f} before): {r['lost']} messages lost, {r['late']} samples late, "
+        f"{r['rows_recorded']} of {r['rows_sent']} rows recorded, {r['alarms']} alarms. "
+        f"Resident memory {r['rss_after_a_minute_mib']:.0f} MiB after a minute of flight, "
+        f"{r['rss_at_the_end_mib']:.0f} MiB at its end: "
+        f"{r['growth_mib_per_hour_of_flight']:+.1f} MiB per hour of flight by a straight line. Two "
+        f"hours were not flown."
+    )

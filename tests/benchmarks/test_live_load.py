@@ -1,0 +1,29 @@
+"""The benchmark of what a live flight bears: its flight, its measurements, its page."""
+
+import numpy as np
+import pytest
+
+from benchmarks.live_load.flights import long_flight
+from benchmarks.live_load.many import aircraft_at_once
+from benchmarks.live_load.page import page
+from twin.vehicle.file import load_vehicle
+
+
+@pytest.mark.slow
+def test_a_long_flight_goes_on_without_a_break() -> None:
+    flight = long_flight(load_vehicle("copter_default"), 130.0)
+    t, position = flight.signal(["pos_x", "pos_y", "pos_z"])
+    assert flight.time_s[-1] >= 130.0
+    np.testing.assert_allclose(np.diff(flight.time_s), 0.005, atol=1e-6)
+    jumps = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    assert jumps.max() < 0.5, t[int(jumps.argmax())]
+    assert set(flight.table["phase"][t.searchsorted(20.0) :]) == {"forward", "hover"}
+
+
+@pytest.mark.slow
+def test_two_aircraft_at_once() -> None:
+    told = aircraft_at_once(2, 8.0, alarms=False)
+    assert told["lost"] == 0 and told["alarms"] == 0
+    assert 0.0 < told["cpu_share"] < 2.0 and told["most_behind_s"] < 5.0
+    text = page({"many_02_bare": {**told, "load_before": 1.0}})
+    assert f"| 2 | no | {100 * told['cpu_share']:.0f} % |" in text and "Not measured." in text
