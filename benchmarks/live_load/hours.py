@@ -31,7 +31,7 @@ def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, An
     with tempfile.TemporaryDirectory() as folder:
         flight = long_flight(vehicle, seconds)
         write_flight(flight, Path(folder, "long.parquet"))
-        lasted_s = float(flight.time_s[-1])
+        times_s = flight.time_s
         del flight
         options = LiveOptions(free_address(), record=Path(folder, "rec"), until_silent_s=20.0)
         session = LiveSession(vehicle, options, lambda: RunningEvidence(vehicle))
@@ -51,9 +51,8 @@ def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, An
         sender.join()
         wall_s = time.monotonic() - began
         recorded = len(read_flight(Path(folder, "rec", "flight.parquet")).table)
-        sent = len(read_flight(Path(folder, "long.parquet")).table)
-    flown = np.array([m for m in memory if m[0] > 60.0 and m[0] < lasted_s - 2.0])
-    slope = np.polyfit(flown[:, 0], flown[:, 1], 1)[0] if len(flown) > 3 else np.nan
+    sent = int((times_s <= told.flight_s + 1e-9).sum())  # the sender may have been ended early
+    flown = np.array([m for m in memory if 60.0 < m[0] < told.flight_s - 2.0])
     return {
         "flight_s": told.flight_s,
         "wall_s": wall_s,
@@ -64,7 +63,8 @@ def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, An
         "alarms": len(told.alarms),
         "rss_after_a_minute_mib": float(flown[0, 1]),
         "rss_at_the_end_mib": float(flown[-1, 1]),
-        "growth_mib_per_hour_of_flight": float(3600.0 * slope),
+        "rss_least_mib": float(flown[:, 1].min()),
+        "rss_most_mib": float(flown[:, 1].max()),
         "memory": memory,
     }
 

@@ -35,8 +35,9 @@ without running evidence for alarms.
 
 All of a process's Python shares one core: aircraft that need more than that together fall behind,
 beside other computations sooner. What comes meanwhile waits in the kernel and is not lost, up to
-8 MB each. Start a process for each few aircraft; ten in one process on two cores without one being
-late, the goal, are more than it does.
+8 MB each. At 0.2 to 0.3 s of processor per second of flight ten aircraft need more than the one core
+that a process has for its Python: the goal, ten in one process and none late, is not reached. Start
+a process for each few.
 
 ## Memory over a long flight
 
@@ -85,8 +86,8 @@ def _growth(r: dict[str, Any] | None) -> str:
         f"were taken ({r['flight_s'] / r['wall_s']:.1f} times real time, load "
         f"{r['load_before']:.1f} before): {r['lost']} messages lost, {r['late']} samples late, "
         f"{r['rows_recorded']} of {r['rows_sent']} rows recorded, {r['alarms']} alarms. "
-        f"Resident memory {r['rss_after_a_minute_mib']:.0f} MiB after a minute of flight, "
-        f"{r['rss_at_the_end_mib']:.0f} MiB at its end: "
-        f"{r['growth_mib_per_hour_of_flight']:+.1f} MiB per hour of flight by a straight line. Two "
-        f"hours were not flown."
+        f"Resident memory {r['rss_after_a_minute_mib']:.1f} MiB after a minute of flight, "
+        f"{r['rss_at_the_end_mib']:.1f} MiB at its end, between {r['rss_least_mib']:.1f} and "
+        f"{r['rss_most_mib']:.1f} MiB in between. Two hours were not flown: what grows by less "
+        f"than a MiB in these minutes would not be seen."
     )
