@@ -35,9 +35,9 @@ without running evidence for alarms.
 
 All of a process's Python shares one core: aircraft that need more than that together fall behind,
 beside other computations sooner. What comes meanwhile waits in the kernel and is not lost, up to
-8 MB each. At 0.2 to 0.3 s of processor per second of flight ten aircraft need more than the one core
-that a process has for its Python: the goal, ten in one process and none late, is not reached. Start
-a process for each few.
+8 MB each. At 0.2 to 0.3 s of processor per second of flight ten aircraft need more than the one
+core that a process has for its Python: the goal, ten in one process and none late, is not reached.
+Start a process for each few.
 
 ## Memory over a long flight
 

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 from learning_rigs.compensator_rig import compensator, exported, tiny
 
+from learning.force.forecast import NO_OBSERVER
+from learning.force.model import Checked, ForceModel, Output
 from twin.errors import TwinError
+from twin.physics.residual_force import FEATURES, INPUTS, OUTPUTS, ForceLaw
 from twin.vehicle.file import load_vehicle
+from uavtwin.exports.parts import LearnedForce
 from uavtwin.exports.parts import compensator as read_compensator
 from uavtwin.hil.flying import flying_twin_of
 
@@ -39,3 +43,46 @@ def test_a_compensator_that_sees_measurements_has_none_here(tmp_path: Path) -> N
     network = read_compensator(exported(model, tmp_path / "model"))
     with pytest.raises(TwinError, match=r"protocol track.*--protocol free, or --protocol force"):
         flying_twin_of(load_vehicle(VEHICLE), tmp_path, compensator=network)
+
+
+PUSH_M_S2 = 0.5
+
+
+def pushed_forward(mass_kg: float) -> ForceModel:
+    """A law that pushes forward by as much, wherever it is."""
+    n = len(INPUTS)
+    linear = np.zeros((len(OUTPUTS), len(FEATURES)))
+    linear[0, FEATURES.index("one")] = PUSH_M_S2
+    law = ForceLaw(
+        linear=linear,
+        waves=np.zeros((len(OUTPUTS), 0)),
+        frequencies=np.zeros((0, n)),
+        phases=np.zeros(0),
+        centre=np.zeros(n),
+        scale=np.ones(n),
+        whitening=np.eye(n),
+        reach=1e6,
+        most=np.full(len(OUTPUTS), 1e3),
+        units=mass_kg * np.eye(len(OUTPUTS)),
+    )
+    outputs = tuple(Output("linear" if i == 0 else "none", NO_OBSERVER) for i in range(6))
+    nothing = Checked.nothing()
+    return ForceModel(law, {}, outputs, nothing, 0.0, (), VEHICLE, "", 0)
+
+
+@pytest.mark.slow
+def test_a_learned_force_moves_the_aircraft(tmp_path: Path) -> None:
+    """Half a metre per second squared forward, in specific force and so in speed."""
+    vehicle, flown = load_vehicle(VEHICLE), {}
+    force = LearnedForce(pushed_forward(vehicle.mass_kg))
+    for name, given in (("plain", None), ("pushed", force)):
+        (tmp_path / name).mkdir()
+        with flying_twin_of(vehicle, tmp_path / name, force=given) as twin:
+            for k in range(1, 126):
+                flown[name] = twin.fly([0.9] * 4, 0.004 * k)
+    assert flown["plain"]["pos"][2] < -1.0, "it has left the ground"
+    more = np.subtract(flown["pushed"]["force"], flown["plain"]["force"])
+    # The ground is left a trifle sooner or later, and the air is thinner higher up.
+    np.testing.assert_allclose(more, (PUSH_M_S2, 0.0, 0.0), atol=1e-4)
+    assert flown["plain"]["vel"][0] == pytest.approx(0.0, abs=1e-9)
+    assert 0.1 < flown["pushed"]["vel"][0] < 0.5 * PUSH_M_S2
