@@ -16,6 +16,7 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
+from fmus.names import shown
 from twin.errors import FmuError
 
 from ..slave.interface import Interface, Port, read_interface
@@ -332,10 +333,14 @@ class _Reader:
         inside = PurePosixPath(unquote(parts.path))
         outside = parts.scheme or parts.netloc or inside.is_absolute() or ".." in inside.parts
         if not source or outside or parts.fragment:
-            raise self.error(f"{what} refers to {source!r}, which is not inside the archive.")
+            raise self.error(f"{what} refers to {shown(source)}, which is not inside the archive.")
         file = self.folder / inside
-        if not file.is_file():
-            raise self.error(f"{what} refers to {source!r}, which is not in the archive.")
+        try:
+            found = file.is_file()
+        except OSError:  # no file can have such a name
+            found = False
+        if not found:
+            raise self.error(f"{what} refers to {shown(source)}, which is not in the archive.")
         return file
 
     def number(self, text: str, what: str) -> float:

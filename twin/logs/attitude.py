@@ -1,14 +1,41 @@
-"""Attitude given as Euler angles: turned into the quaternion of the flight table at reading."""
+"""Attitude as logs have it: quaternions of unit norm, Euler angles turned into them."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..frames import from_euler, rotation_vector
 from .columns import EULER, QUAT, Columns
-from .flight import Array, Finding
+from .flight import Array, Finding, Noted
 
+NORM_DOUBT = 1e-3
+"""Distance of a norm from 1 beyond which that a quaternion was normalised is said."""
+_LEAST_NORM, _MOST_NORM = 0.5, 2.0
 _FARTHEST_RAD = 2 * np.pi
 _APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of axes
+
+
+def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Logged quaternions normalised, those left out whose norm is far from 1; both are told.
+
+    Args:
+        log: Which has them; gets the findings.
+        q: Shape (n, 4).
+
+    Returns:
+        Which are used, shape (n,), and these, shape (m, 4).
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged logs hold any number
+        norm = np.linalg.norm(q, axis=1)
+    usable = np.isfinite(norm) & (norm > _LEAST_NORM) & (norm < _MOST_NORM)
+    off = usable & (np.abs(norm - 1.0) > NORM_DOUBT)
+    if not usable.all():
+        count = int(np.count_nonzero(~usable))
+        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
+    if off.any():
+        message = f"quaternions off unit norm by over {NORM_DOUBT:g}, normalised"
+        log.note("warning", "q", message, int(off.sum()))
+    return usable, q[usable] / norm[usable, None]
 
 
 def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:

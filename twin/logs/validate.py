@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from .agreement import signals
+from .attitude import NORM_DOUBT
 from .columns import (
     ACC,
     ACC_NED,
@@ -38,7 +39,6 @@ _TINY = 1e-6
 _OVERFLOW = 0.5
 """Commands may be so far outside 0..1 and count as overflow, where less than `_MOSTLY` are."""
 _MOSTLY = 0.2
-_NORM_DOUBT = 1e-3
 
 
 NO_TABLE = (
@@ -285,7 +285,7 @@ def _unit_quaternions(name: str, table: Columns) -> tuple[dict[str, Array], list
     for column in QUAT:
         norm += np.square(table[column])
     norm = np.sqrt(norm, out=norm)
-    off = np.abs(norm - 1.0) > _NORM_DOUBT
+    off = np.abs(norm - 1.0) > NORM_DOUBT
     wrong = np.flatnonzero(np.abs(norm - 1.0) > 0.1)
     if len(wrong):
         k = int(wrong[0])

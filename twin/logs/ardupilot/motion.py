@@ -7,6 +7,7 @@ import numpy as np
 
 from ...frames import from_euler
 from ..assemble import Rows
+from ..attitude import unit_quaternions
 from ..columns import POS, QUAT, VEL
 from ..flight import Array
 from .estimator import Primary
@@ -15,7 +16,6 @@ from .signals import add, si
 
 _Q = ("Q1", "Q2", "Q3", "Q4")
 _ANGLES = ("Roll", "Pitch", "Yaw")
-_NORM_DOUBT = 1e-3
 _FASTER = 2.0
 _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
@@ -42,17 +42,8 @@ def _add_attitude(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
     topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
     angles = log.topic("ATT", None, *_ANGLES)
     if topic is not None and (angles is None or angles.rate_hz < _FASTER * topic.rate_hz):
-        q = si(log, topic, "q", _Q, "1")
-        norm = np.linalg.norm(q, axis=1)
-        usable = np.isfinite(norm) & (norm > 0.5) & (norm < 2.0)
-        off = usable & (np.abs(norm - 1.0) > _NORM_DOUBT)
-        if not usable.all():
-            message = "samples left out, the quaternion is far from unit norm"
-            log.note("error", "q", message, int(np.count_nonzero(~usable)))
-        if off.any():
-            message = "quaternions off unit norm by over 0.001, normalised"
-            log.note("warning", "q", message, int(off.sum()))
-        add(log, rows, "q", QUAT, topic.t_us[usable], q[usable] / norm[usable, None])
+        usable, unit = unit_quaternions(log, si(log, topic, "q", _Q, "1"))
+        add(log, rows, "q", QUAT, topic.t_us[usable], unit)
         return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
     if angles is None:
         log.note("warning", "q", "no attitude in the log. Set LOG_BITMASK bit 0 or 1")

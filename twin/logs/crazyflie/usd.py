@@ -18,6 +18,7 @@ from ...frames import from_euler
 from ...vehicle.layouts import frame
 from ..airframe import Airframe, Told
 from ..assemble import Rows, add_signal, lay_out
+from ..attitude import unit_quaternions
 from ..clock import advancing, filter_delay_us, told_dropped
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight, Noted
@@ -47,10 +48,8 @@ def _turned(factor: float) -> Callable[[Array], Array]:
 
 def _attitude(values: Array) -> Array:
     """Of a quaternion x, y, z, w; both frames are turned about x, so that y and z change sign."""
-    length = np.linalg.norm(values, axis=1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        unit = values / length
-    return np.asarray(unit[:, [3, 0, 1, 2]] * (1.0, 1.0, -1.0, -1.0))
+    with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
+        return np.asarray(values[:, [3, 0, 1, 2]] * (1.0, 1.0, -1.0, -1.0))
 
 
 def _from_angles(values: Array) -> Array:
@@ -209,6 +208,9 @@ def _add(log: _Log, rows: Rows, signal: _Signal) -> bool:
         )
         t_us = t_us - delay_us
     values = signal.convert(events.values(signal.variables)[keep])
+    if signal.columns == QUAT:
+        usable, values = unit_quaternions(log, values)
+        t_us = t_us[usable]
     add_signal(log, rows, signal.where, signal.columns, t_us, values)
     return True
 

@@ -35,13 +35,11 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
     control = control[:, used]
     stopped = np.isnan(control)
     alone = int(stopped[~stopped.all(axis=1)].sum())
-    for severity, whose, count in (
-        ("warning", ", while other motors have values,", alone),
-        ("info", "", int(stopped.sum()) - alone),
-    ):
-        if count:
-            text = f"values NaN in actuator_motors{whose} mean stopped, taken as 0"
-            log.note(severity, "cmd", text, count)
+    if alone:
+        text = "values NaN in actuator_motors, while other motors have some, mean stopped: taken as 0"
+        log.note("warning", "cmd", text, alone)
+    if together := int(stopped.sum()) - alone:
+        log.note("info", "cmd", "values NaN in actuator_motors mean stopped, taken as 0", together)
     cmd = _clipped(log, np.where(stopped, 0.0, control), "actuator_motors")
     return MotorCommands(topic.t_us, cmd, {"commands": f"actuator_motors, {topic.rate_hz:.0f} Hz"})
 

@@ -7,6 +7,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ..assemble import Rows, add_signal, lay_out
+from ..attitude import unit_quaternions
 from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
@@ -27,7 +28,6 @@ _LONGEST_WINDOW_US = 100_000
 _FARTHEST_US = 30_000  # between accelerometer and gyro of one message; sound logs: under 5 ms
 _EARLIEST_US = 2**62
 _OVERLAP = 1.5
-_NORM_DOUBT = 1e-3
 
 
 def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -237,19 +237,9 @@ def _estimate(log: Px4Log, rows: Rows) -> None:
     if topic is None:
         log.note("warning", "q", "no vehicle_attitude in the log: no attitude")
         return
-    q = topic.array("q", 4)
-    norm = np.linalg.norm(q, axis=1)
-    usable = np.isfinite(norm) & (norm > 0.5) & (norm < 2.0)
-    off = usable & (np.abs(norm - 1.0) > _NORM_DOUBT)
-    if not usable.all():
-        count = int(np.count_nonzero(~usable))
-        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
-    if off.any():
-        log.note(
-            "warning", "q", "quaternions off unit norm by over 0.001, normalised", int(off.sum())
-        )
+    usable, unit = unit_quaternions(log, topic.array("q", 4))
     _resets(log, "q", topic, ("quat_reset_counter",))
-    add_signal(log, rows, "q", QUAT, topic.t_us[usable], q[usable] / norm[usable, None])
+    add_signal(log, rows, "q", QUAT, topic.t_us[usable], unit)
 
 
 def _position(log: Px4Log, rows: Rows, topic: Topic) -> None:
