@@ -223,7 +223,7 @@ def test_a_motor_that_stops_alone_is_told(tmp_path: Path) -> None:
     control = np.asarray(moving_topics()["actuator_motors"]["control"]).copy()
     control[700:900, 1] = np.nan
     flight = read(tmp_path, changed("actuator_motors", control=control))
-    assert said(flight, "cmd", "while other motors have some, mean stopped") == 200
+    assert said(flight, "cmd", "while others have some, mean stopped") == 200
 
 
 def test_a_motor_whose_commands_are_all_infinite_is_still_one(tmp_path: Path) -> None:
