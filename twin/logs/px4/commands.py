@@ -36,9 +36,7 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
     stopped = np.isnan(control)
     alone = int(stopped[~stopped.all(axis=1)].sum())
     if alone:
-        text = (
-            "values NaN in actuator_motors, while others have some, mean stopped: taken as 0"
-        )
+        text = "values NaN in actuator_motors, while others have some, mean stopped: taken as 0"
         log.note("warning", "cmd", text, alone)
     if together := int(stopped.sum()) - alone:
         log.note("info", "cmd", "values NaN in actuator_motors mean stopped, taken as 0", together)
