@@ -8,6 +8,7 @@ import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from twin.errors import FmuError
 from twin.scratch import scratch_file
 
 from .archive import is_unsafe
-from .cache import cache_folder, keep, kept
+from .cache import cache_folder, keep, kept, kept_or_made
 from .description import build_description, model_description
 from .documentation import documentation
 from .model import FmuModel
@@ -145,17 +146,22 @@ def _compile(
     with tempfile.TemporaryDirectory() as folder:
         for source, text in sources.items():
             Path(folder, source).write_text(text)
-        # Relative names and a fixed order: nothing of this machine enters the binary.
-        objects = []
-        for source in compiled:
-            part = _entry(source, compiler, _included(source, sources), ".o")
-            objects.append(f"{Path(source).stem}.o")
-            made = Path(folder, objects[-1])
-            if (before := kept(part)) is not None:
-                made.write_bytes(before)
-            else:
+
+        def compile_one(source: str) -> str:
+            """Name of its object. Relative names: nothing of this machine enters the binary."""
+            made = Path(folder, f"{Path(source).stem}.o")
+
+            def make() -> bytes:
+                """By the compiler."""
                 _run(name, [*compiler.command, *CFLAGS, "-c", source, "-o", made.name], folder)
-                keep(part, made.read_bytes())
+                return made.read_bytes()
+
+            part = _entry(source, compiler, _included(source, sources), ".o")
+            made.write_bytes(kept_or_made(part, make))
+            return made.name
+
+        with ThreadPoolExecutor(max_workers=os.cpu_count()) as several:
+            objects = list(several.map(compile_one, compiled))
         _run(name, [*compiler.command, "-shared", "-s", "-o", file, *objects, "-lm"], folder)
         binary = Path(folder, file).read_bytes()
     keep(whole, binary)

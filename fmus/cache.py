@@ -3,9 +3,12 @@
 An entry that is cut or was replaced does not fit its hash, counts as absent and is written anew.
 """
 
+import fcntl
 import hashlib
 import os
 import stat
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import platformdirs
@@ -52,6 +55,33 @@ def kept(name: str) -> bytes | None:
         return None
     digest, content = entry[:_HASH_BYTES], entry[_HASH_BYTES:]
     return content if hashlib.sha256(content).digest() == digest else None
+
+
+def kept_or_made(name: str, make: Callable[[], bytes]) -> bytes:
+    """What was kept under a name, else what is made and kept now; of several processes that want
+    the same at once one makes it, and the others wait."""
+    if (before := kept(name)) is not None:
+        return before
+    with _alone(name):
+        if (meanwhile := kept(name)) is not None:
+            return meanwhile
+        content = make()
+        keep(name, content)
+    return content
+
+
+@contextmanager
+def _alone(name: str) -> Iterator[None]:
+    """While nobody else, another thread included, makes this.
+
+    Names with the same first two letters share a lock, so that there are few files of them. A lock
+    ends with its process, however that ends. Who holds one asks for no other.
+    """
+    folder = cache_folder() / "locks"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    with open(folder / name[:2], "wb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def keep(name: str, content: bytes) -> None:

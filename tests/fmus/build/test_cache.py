@@ -1,6 +1,8 @@
 """What was compiled before is taken from the cache only where it is what was put there."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import pytest
 from kinds import model
 
 from fmus import build
-from fmus.cache import keep, kept
+from fmus.cache import keep, kept, kept_or_made
 from twin.errors import FmuError
 
 Damage = Callable[[bytes, bytes], bytes]
@@ -60,6 +62,44 @@ def test_what_is_kept_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         assert kept("a.so") is None
         first.write_bytes(whole)
     assert (tmp_path / "deep" / "cache").stat().st_mode & 0o777 == 0o700
+
+
+_MAKER = """
+import pathlib, sys, time
+from fmus.cache import kept_or_made
+
+def make():
+    with open(sys.argv[1], "a") as calls:
+        calls.write("made\\n")
+    time.sleep(0.5)
+    return b"content"
+
+assert kept_or_made("ab" * 32 + ".o", make) == b"content"
+"""
+
+
+def test_of_processes_that_want_the_same_at_once_one_makes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "cache"))
+    command = [sys.executable, "-c", _MAKER, str(tmp_path / "calls")]
+    several = [subprocess.Popen(command) for _ in range(3)]
+    assert [p.wait() for p in several] == [0, 0, 0]
+    assert (tmp_path / "calls").read_text() == "made\n"
+
+
+def test_what_cannot_be_made_is_asked_for_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "cache"))
+
+    def fails() -> bytes:
+        """As a compiler that finds a mistake."""
+        raise FmuError("no")
+
+    with pytest.raises(FmuError, match="no"):
+        kept_or_made("cd.o", fails)
+    assert kept_or_made("cd.o", lambda: b"mended") == b"mended"
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o1777, 0o722])
