@@ -30,27 +30,29 @@ class ToldSlave(Slave):
 
     def write_inputs(self) -> None:
         """See `Slave.write_inputs`."""
-        slot, returned = self._slot, self._slot[0]
-        for number, returned, set_, buffer, positions in self._moves_in:
+        slot, moves = self._slot, self._moves_in
+        for number, returned, set_, buffer, positions in moves:
             if positions is not None:
                 buffer[:] = self.inputs[positions]
             slot[0] = number
             if status := set_():
                 slot[0] = returned
                 self.judge(status, "set inputs")
-        slot[0] = returned
+        if moves:
+            slot[0] = returned  # from the last of them
 
     def read_outputs(self) -> None:
         """See `Slave.read_outputs`."""
-        slot, returned = self._slot, self._slot[0]
-        for number, returned, get, buffer, positions in self._moves_out:
+        slot, moves = self._slot, self._moves_out
+        for number, returned, get, buffer, positions in moves:
             slot[0] = number
             if status := get():
                 slot[0] = returned
                 self.judge(status, "get outputs")
             if positions is not None:
                 self.outputs[positions] = buffer
-        slot[0] = returned
+        if moves:
+            slot[0] = returned  # from the last of them
 
     def step(self, time_s: float, step_s: float) -> None:
         """See `Slave.step`.
