@@ -43,12 +43,12 @@ class _Terminal(Console):
         return super().render_str(_visible(text), **options)
 
 
-STDOUT = _Terminal(highlight=False, soft_wrap=True)
+WIDTH = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 160
+"""Characters in a line of a table where nobody says how many there are."""
+STDOUT = _Terminal(highlight=False, soft_wrap=True, width=WIDTH)
 STDERR = _Terminal(stderr=True, highlight=False, soft_wrap=True)
 
 
-WIDTH = 160
-"""Characters in a line of a table where nobody says how many there are."""
 EVERY_S = 10.0
 """Time between two lines of progress where stderr is no terminal."""
 
@@ -136,14 +136,16 @@ def print_json(content: Any) -> None:
 
 
 def print_table(table: "TextTable", unbroken: str = "") -> None:
-    """A table as wide as it needs; what does not fit goes on in the next line, and the column named
-    `unbroken` keeps its lines."""
-    columns = (Column(n, no_wrap=n == unbroken, overflow="fold") for n in table.header)
+    """A table as wide as it needs; what does not fit goes on in the next line, but in the first
+    column and in that named `unbroken`."""
+    columns = (
+        Column(name, no_wrap=not i or name == unbroken, overflow="fold")
+        for i, name in enumerate(table.header)
+    )
     printed = Table(*columns, box=None)
     for row in table.rows:
         printed.add_row(*row)
-    known = STDOUT.is_terminal or "COLUMNS" in os.environ
-    STDOUT.print(printed, width=None if known else WIDTH)
+    STDOUT.print(printed)
 
 
 def print_sections(sections: "Iterable[str | TextTable]") -> None:
@@ -152,7 +154,7 @@ def print_sections(sections: "Iterable[str | TextTable]") -> None:
         if isinstance(section, str):
             STDOUT.print(section, style="bold" if i == 0 else None, markup=False)
         else:
-            print_table(section, unbroken=section.header[0])
+            print_table(section)
 
 
 def print_explanation(found: "ExplainResult") -> None:
@@ -161,15 +163,14 @@ def print_explanation(found: "ExplainResult") -> None:
         STDERR.print(warning, style="yellow", markup=False)
     STDOUT.print(found.sentence, style="bold", markup=False)
     if found.effects:
-        table = found.candidates_table()
-        print_table(table, unbroken=table.header[0])
+        print_table(found.candidates_table())
     if found.details.next_manoeuvre is not None:
         STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}", markup=False)
     if found.details.comparison is not None:
         table = found.gap_table()
         print_table(table, unbroken=table.header[-1])
     for table in found.beside():
-        print_table(table, unbroken=table.header[0])
+        print_table(table)
 
 
 def print_damage(flights: "Sequence[AnyFlight]") -> int:
