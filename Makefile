@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # A worker per core: further threads for its small matrices would only wait for each other.
 PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
-.PHONY: setup cross-tools demo test test-long fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
+.PHONY: setup cross-tools ground-stations demo test test-long fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
 
 setup: $(STAMP)
 
@@ -19,6 +19,9 @@ cross-tools:  ## what runs FMUs of other platforms and looks at pages in the tes
 	if [ "$$(id -u)" != 0 ]; then echo 'run as root: sudo make cross-tools' >&2; exit 1; fi
 	apt-get update -qq
 	apt-get install -y -qq --no-install-recommends qemu-user libc6-arm64-cross wine wine64 chromium
+
+ground-stations: setup  ## MAVProxy, which hears the twin in a test; without its maps and graphs, half a GB
+	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --no-deps MAVProxy pyserial
 
 demo: setup  ## find the effect hidden in built-in flights and write out/demo/report.html
 	$(BIN)/uavtwin demo --out out/demo --force

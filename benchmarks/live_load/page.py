@@ -54,11 +54,11 @@ MAVLink 1 cannot tell.
 
 ## Ground stations of others
 
-`pytest tests/uavtwin/live/test_ground_stations.py`, with UAVTWIN_GROUND_STATIONS set to the Python
-of an environment that has `pip install mavsdk MAVProxy`. Tried: MAVSDK 4.1.0, which is a native
-library and has no server of its own any more, and MAVProxy 1.8.75, on Linux. Both go online on the
-twin's system; MAVSDK's attitude, position and velocity, acceleration and body rates are what was
-sent, in float32, 50 times a second; so is MAVProxy's telemetry log. QGroundControl was not tried.
+`pytest tests/uavtwin/live/test_ground_stations.py`, after `make ground-stations`. Tried: MAVSDK
+4.1.0, which is a native library and has no server of its own any more, and MAVProxy 1.8.75, on
+Linux. Both go online on the twin's system; MAVSDK's attitude, position and velocity, acceleration
+and body rates are what was sent, in float32, 50 times a second; so is MAVProxy's telemetry log.
+QGroundControl was not tried.
 """
 
 

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -69,6 +69,13 @@ Effects = Annotated[
 Starts = Annotated[list[str] | None, typer.Option("--start", help="Start value PART.NAME=VALUE.")]
 CallLimit = Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")]
 MemoryLimit = Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")]
+Engine = Annotated[
+    Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
+]
+Workers = Annotated[
+    int | None, typer.Option(help="Processes of the local engine. Default: one per core.")
+]
+Scheduler = Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")]
 VEHICLE_VARIABLE = "UAVTWIN_VEHICLE"
 """Of the environment: the vehicle where a command names none."""
 VehicleName = Annotated[

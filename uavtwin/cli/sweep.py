@@ -9,14 +9,17 @@ from .options import (
     CallLimit,
     Controller,
     Effects,
+    Engine,
     Exit,
     Force,
     Gusts,
     Json,
     MemoryLimit,
     Out,
+    Scheduler,
     Starts,
     Wind,
+    Workers,
     start_values,
 )
 from .printing import STDOUT, print_json, progress
@@ -26,9 +29,6 @@ if TYPE_CHECKING:
     from ..sweeps.result import SweepResult
 
 Method = Literal["latin_hypercube", "sobol", "random", "grid", "saltelli"]
-EngineOption = Annotated[
-    Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
-]
 
 
 def sweep(
@@ -56,11 +56,9 @@ def sweep(
     start: Starts = None,
     duration: Annotated[float | None, typer.Option(help="Of each run, s.")] = None,
     step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
-    engine: EngineOption = "local",
-    workers: Annotated[
-        int | None, typer.Option(help="Processes of the local engine. Default: one per core.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")] = None,
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     recordings: Annotated[
         bool, typer.Option("--recordings", help="Keep every output of every run.")
     ] = False,

@@ -5,8 +5,8 @@ It is flown in closed loop beforehand and then sent over the loopback in real ti
 """
 
 import threading
-from types import TracebackType
-from typing import Self
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 from twin.effects.propulsion import ROTOR_EFFICIENCY_LOSS
 from twin.flight.simulate_flight import Later, Recorder, Stream, simulate_flight
@@ -103,43 +103,34 @@ def ending(begins_s: float = BEGINS_S, loss: float = LOSS) -> str:
     return f"in this flight rotor {ROTOR} lost {100 * loss:.0f} % of its thrust at {begins_s:g} s"
 
 
-class DemoAircraft:
-    """A flight that is sent in the background; a context manager that ends it."""
+@contextmanager
+def sent_meanwhile(flight: Flight, to: Address) -> Iterator[None]:
+    """Send a flight in real time, in the background; it ends with the block.
 
-    def __init__(self, flight: Flight, to: Address) -> None:
-        """Open the way there; it is sent from `__enter__` on.
+    Args:
+        flight: To send.
+        to: Who listens.
+    """
+    sender, over = Replay(to), threading.Event()
 
-        Args:
-            flight: To send, in real time.
-            to: Who listens.
-        """
-        self._flight, self._sender = flight, Replay(to)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._play, name="demo aircraft", daemon=True)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._sender.close()
-
-    def _play(self) -> None:
-        try:
-            self._sender.play(self._flight, self._go_on)
-        except _EndedError:
-            return
-
-    def _go_on(self, _: float) -> None:
-        if self._stop.is_set():
+    def go_on(_: float) -> None:
+        """Called as it is sent."""
+        if over.is_set():
             raise _EndedError
+
+    def play() -> None:
+        """In a thread of its own."""
+        with suppress(_EndedError):
+            sender.play(flight, go_on)
+
+    thread = threading.Thread(target=play, name="demo aircraft", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        sender.close()
 
 
 class _EndedError(Exception):

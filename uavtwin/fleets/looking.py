@@ -67,12 +67,17 @@ class Found:
         return made
 
     def json(self) -> dict[str, Any]:
-        """On a line of the journal; numbers that are none are null."""
+        """On a line of the journal; numbers that are none are left out."""
         tables = {
-            table: [{k: _strict(v) for k, v in r.items() if v is not None} for r in rows]
+            table: [{k: v for k, raw in r.items() if (v := _strict(raw)) is not None} for r in rows]
             for table, rows in self.rows.items()
         }
         return {"job": self.job, **tables}
+
+    @classmethod
+    def read(cls, content: Mapping[str, Any]) -> "Found":
+        """Of `json`."""
+        return cls(content["job"], {k: v for k, v in content.items() if k != "job"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +110,7 @@ class Looking:
 
     def worker(self) -> ProcessWorker[Look, Found]:
         """One more that looks at logs."""
-        return ProcessWorker(self, self.lost, self.allowed)
+        return ProcessWorker(self, Found.read, self.lost, self.allowed)
 
     def packed(self) -> "Looking":
         """It travels as it is: logs stay where they are."""
@@ -124,7 +129,11 @@ class Looking:
             found.add("flights", log=look.names[0], bytes=look.bytes, status="failed", error=why)
         return found
 
-    def do(self, look: Look) -> Found:
+    def do(self, look: Look) -> dict[str, Any]:
+        """What is found, as a line of the journal."""
+        return self.look(look).json()
+
+    def look(self, look: Look) -> Found:
         """All that is asked for; an error is a part of it."""
         if look.aircraft:
             return self._aircraft(look)

@@ -3,8 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,7 +61,7 @@ class Flown:
 
 
 class FlyingTwin:
-    """One instance of the fused FMU; a context manager that frees it."""
+    """One instance of the fused FMU; `close` frees it."""
 
     def __init__(self, fmu: Path, starts: Mapping[str, float], corrected: Sequence[str]) -> None:
         """Load it, standing on the ground at time 0.
@@ -126,17 +124,6 @@ class FlyingTwin:
     def close(self) -> None:
         """Free the instance."""
         self._slave.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def flying_twin_of(

@@ -1,16 +1,18 @@
 """`python -m uavtwin.jobs.child REQUESTS ANSWERS BYTES`: started by `process` alone.
 
 Numbers of two pipes, and of the bytes of memory that it may ask for. It ends with whoever has
-started it, in the middle of a job too.
+started it, in the middle of a job too. It takes objects from who started it, and answers in JSON:
+whoever reads that runs nothing of what a log or an FMU has made of this process.
 """
 
+import json
 import os
-import pickle
 import queue
 import resource
 import sys
 import threading
 from multiprocessing.connection import Connection
+from typing import Any
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Of libraries of linear algebra: of several threads the sums end in other bits."""
@@ -26,22 +28,22 @@ def main(requests: int, answers: int, memory_bytes: int) -> None:
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     resource.setrlimit(resource.RLIMIT_AS, (memory_bytes, memory_bytes))
-    coming: queue.Queue[bytes] = queue.Queue()
+    coming: queue.Queue[Any] = queue.Queue()
     asked, answered = Connection(requests), Connection(answers)
 
     def listen() -> None:
         """Take requests; where there will be none, end at once."""
         while True:
             try:
-                coming.put(asked.recv_bytes())
+                coming.put(asked.recv())
             except (EOFError, OSError):
                 os._exit(0)
 
     threading.Thread(target=listen, daemon=True).start()
-    doer = pickle.loads(coming.get())
+    doer = coming.get()
     answered.send_bytes(b"")
     while True:
-        answered.send_bytes(pickle.dumps(doer.do(pickle.loads(coming.get()))))
+        answered.send_bytes(json.dumps(doer.do(coming.get()), allow_nan=False).encode())
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -13,7 +14,7 @@ N = TypeVar("N")
 Content = Mapping[str, Any]
 
 
-class Journal(Generic[N]):
+class Journal(ABC, Generic[N]):
     """A file in the folder of the results, gone when they are there.
 
     A class below says what its lines are: `kind` names the whole, and `named` takes the name of a
@@ -56,13 +57,13 @@ class Journal(Generic[N]):
         if not path.stat().st_size:
             self.write({self.kind: key})
 
+    @abstractmethod
     def named(self, content: Content) -> N:
         """Name of the job of a line.
 
         Raises:
             ValueError, KeyError, TypeError: It is of no job.
         """
-        raise NotImplementedError
 
     def _look(self, key: str) -> int:
         """Take the jobs that are done; bytes of whole lines."""

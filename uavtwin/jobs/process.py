@@ -1,8 +1,8 @@
 """A worker whose jobs are done in a process of their own, started anew when a job ends it."""
 
 import contextlib
+import json
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol
 
 from twin.errors import TwinError
 
-from .task import D, D_co, J, J_contra
+from .task import D, J, J_contra
 
 FRESH = 100
 """Jobs after which a process is replaced: what libraries keep for good does not pile up."""
@@ -22,11 +22,11 @@ _START_S = 120.0
 """For Python to start, on a machine that is busy."""
 
 
-class Doer(Protocol[J_contra, D_co]):
-    """What is pickled and sent to the process."""
+class Doer(Protocol[J_contra]):
+    """What is sent to the process."""
 
-    def do(self, job: J_contra, /) -> D_co:
-        """What comes of a job."""
+    def do(self, job: J_contra, /) -> Any:
+        """What comes of a job, as JSON has it: that alone comes back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,16 +52,22 @@ class ProcessWorker(Generic[J, D]):
     """Does jobs in a process; whatever a job does to it, the next one is done."""
 
     def __init__(
-        self, doer: Doer[J, D], lost: Callable[[J, str], D], allowed: Allowed | None = None
+        self,
+        doer: Doer[J],
+        read: Callable[[Any], D],
+        lost: Callable[[J, str], D],
+        allowed: Allowed | None = None,
     ) -> None:
         """Start nothing yet.
 
         Args:
             doer: Does the jobs, in the process.
+            read: Makes of its answer what comes of a job.
             lost: What comes of a job that ended its process, and why it did.
             allowed: What a job may use.
         """
-        self._doer, self._lost, self._allowed = doer, lost, allowed or Allowed()
+        self._doer, self._read, self._lost = doer, read, lost
+        self._allowed = allowed or Allowed()
         self._child: _Child | None = None
         self._done = 0
 
@@ -73,11 +79,10 @@ class ProcessWorker(Generic[J, D]):
             self._child, self._done = _Child(self._doer, self._allowed), 0
         self._done += 1
         try:
-            found: D = self._child.ask(job, self._allowed.time_s)
+            return self._read(self._child.ask(job, self._allowed.time_s))
         except _EndedError as error:
             self.close()
             return self._lost(job, str(error))
-        return found
 
     def close(self) -> None:
         """End the process."""
@@ -93,7 +98,7 @@ class _EndedError(Exception):
 class _Child:
     """One process, and the pipes to it."""
 
-    def __init__(self, doer: Doer[Any, Any], allowed: Allowed) -> None:
+    def __init__(self, doer: Doer[Any], allowed: Allowed) -> None:
         requests, ask = os.pipe()
         answers, answer = os.pipe()
         given = (requests, answer)
@@ -118,21 +123,25 @@ class _Child:
             for file in given:
                 os.close(file)
         self._ask, self._answers = Connection(ask), Connection(answers)
-        self._send(pickle.dumps(doer))
+        self._send(doer)
         self._receive(_START_S)
 
     def ask(self, job: Any, time_s: float) -> Any:
         """What comes of a job.
 
         Raises:
-            _EndedError: The process is no more, or took too long.
+            _EndedError: The process is no more, took too long, or what it answers is no JSON.
         """
-        self._send(pickle.dumps(job))
-        return pickle.loads(self._receive(time_s))
-
-    def _send(self, content: bytes) -> None:
+        self._send(job)
+        answer = self._receive(time_s)
         try:
-            self._ask.send_bytes(content)
+            return json.loads(answer)
+        except ValueError as error:
+            raise _EndedError(f"its process answered what is no JSON: {error}") from error
+
+    def _send(self, content: Any) -> None:
+        try:
+            self._ask.send(content)
         except OSError as error:
             raise _EndedError(self._how()) from error
 

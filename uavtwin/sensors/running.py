@@ -7,8 +7,6 @@ equations each time: half a second of processor, whence the long `EVERY_S`.
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +46,7 @@ class Correction:
 
 
 class RunningCompensator:
-    """One flight; a context manager that frees the FMU.
+    """One flight; `close` frees the FMU.
 
     Attributes:
         network: The compensator.
@@ -172,14 +170,3 @@ class RunningCompensator:
     def close(self) -> None:
         """Free the FMU."""
         self._slave.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import pytest
-from places import DATA
+from places import DATA, needs
 from sample_logs import flown_table
 
 from twin.logs import Flight, read_flight
@@ -123,7 +123,7 @@ def test_a_signal_that_comes_later_is_told(copter: Vehicle) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (DATA / "rflysimdt").is_dir(), reason="no recorded flights")
+@needs((DATA / "rflysimdt").is_dir(), "no recorded flights")
 def test_a_recorded_flight() -> None:
     flight = read_flight(DATA / "rflysimdt" / "real_3.ulg")
     table = flight.between(0.0, 20.0).table

@@ -1,18 +1,16 @@
 """Fleets that are looked at: every log once, whatever is killed, by whatever engine."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
-import time
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from cli_rig import run
+from job_rigs.clusters import local_cluster
+from job_rigs.killing import killed_beyond
 
 import uavtwin as ut
 from benchmarks.fleet.flights import aircraft_of, flown
@@ -81,19 +79,10 @@ def test_a_killed_fleet_goes_on_and_no_log_is_lost_or_twice(
     logs: Path, whole: Path, tmp_path: Path
 ) -> None:
     """And the number of workers changes no byte."""
-    out, kills = tmp_path / "killed", 0
+    out = tmp_path / "killed"
     command = [*COMMAND, str(logs), *OPTIONS, "--out", str(out), "--workers"]
     for wanted in (2, 9):
-        process = subprocess.Popen(
-            [*command, "1"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        while process.poll() is None and _lines(out / JOURNAL) <= wanted:
-            time.sleep(0.01)
-        if process.poll() is None:
-            os.kill(process.pid, signal.SIGKILL)
-            kills += 1
-        process.wait()
-    assert kills == 2
+        assert killed_beyond([*command, "1"], out / JOURNAL, wanted)
     with (out / JOURNAL).open("a") as journal:
         journal.write('{"job": 5, "fli')  # a kill in the middle of a line
     done = subprocess.run([*command, "2"], capture_output=True, text=True)
@@ -101,31 +90,17 @@ def test_a_killed_fleet_goes_on_and_no_log_is_lost_or_twice(
     same(out, whole)
 
 
-def _lines(path: Path) -> int:
-    return path.read_bytes().count(b"\n") if path.exists() else 0
-
-
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_finds_the_same(logs: Path, whole: Path, tmp_path: Path) -> None:
-    from distributed import LocalCluster
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            silence_logs=50,
-        ) as cluster:
-            ut.fleet(
-                logs,
-                "copter_default",
-                out=tmp_path / "o",
-                verbs=["check"],
-                engine="dask",
-                scheduler=cluster.scheduler_address,
-            )
+    with local_cluster() as address:
+        ut.fleet(
+            logs,
+            "copter_default",
+            out=tmp_path / "o",
+            verbs=["check"],
+            engine="dask",
+            scheduler=address,
+        )
     same(tmp_path / "o", whole)
 
 

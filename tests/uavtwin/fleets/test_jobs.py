@@ -4,14 +4,14 @@ import os
 import time
 
 import pytest
-from fleet_rigs.harm import Harm
+from job_rigs.harm import Harm
 
 from twin.errors import TwinError
 from uavtwin.jobs.engine import opened_engine
 from uavtwin.jobs.process import Allowed, ProcessWorker
 
 pytestmark = pytest.mark.slow
-JOBS = ["fine 1", "crash", "fine 2", "exit", "hang", "hoard", "fine 3", "fine 4"]
+JOBS = ["fine 1", "crash", "fine 2", "exit", "hang", "hoard", "number", "fine 3", "fine 4"]
 
 
 @pytest.mark.parametrize("workers", [1, 3])
@@ -27,6 +27,7 @@ def test_every_job_is_done_once_whatever_others_do(workers: int) -> None:
     assert told["hang"] == "lost, took longer than 2 s, the limit (--time-limit)"
     assert told["hoard"].startswith("lost, its process ended with exit code 1")
     assert "1 GiB of memory" in told["hoard"]
+    assert told["number"].startswith("lost, its process ended with exit code 1")
 
 
 def test_a_process_is_kept_from_job_to_job_and_ends_with_its_worker() -> None:

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def copter() -> Vehicle:
 
 @pytest.fixture
 def twin(copter: Vehicle, tmp_path: Path) -> Iterator[FlyingTwin]:
-    with flying_twin_of(copter, tmp_path) as flying:
+    with closing(flying_twin_of(copter, tmp_path)) as flying:
         yield flying
 
 
@@ -92,7 +93,7 @@ class Watched(FlyingTwin):
 
 
 def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, StandIn, HilSession]:
-    with flying_twin_of(vehicle, folder) as twin:
+    with closing(flying_twin_of(vehicle, folder)) as twin:
         twin.__class__ = Watched
         assert isinstance(twin, Watched)
         twin.places, twin.commands = [], []
@@ -124,7 +125,7 @@ def test_the_loop_through_the_socket_is_the_loop_in_process(
     same_places, same_commands = in_process(copter, twin, rounded=True)
     np.testing.assert_array_equal(places, same_places)
     np.testing.assert_array_equal(commands, same_commands)
-    with flying_twin_of(copter, tmp_path / "exact") as again:
+    with closing(flying_twin_of(copter, tmp_path / "exact")) as again:
         exact, _ = in_process(copter, again, rounded=False)
     off_m = np.linalg.norm(places - exact, axis=1)
     print(
@@ -155,7 +156,7 @@ def test_effects_of_the_vehicle_fly(copter: Vehicle, tmp_path: Path) -> None:
     held = {}
     for name, vehicle in (("whole", copter), ("damaged", damaged)):
         (tmp_path / name).mkdir()
-        with flying_twin_of(vehicle, tmp_path / name) as flying:
+        with closing(flying_twin_of(vehicle, tmp_path / name)) as flying:
             _, commands = in_process(copter, flying, rounded=False)
         held[name] = commands[-250:].mean(axis=0)
     more = held["damaged"] / held["whole"]

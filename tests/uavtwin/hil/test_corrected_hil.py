@@ -1,5 +1,6 @@
 """What was learned is in what an autopilot is told."""
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ def test_a_compensator_corrects_the_readings_and_not_the_motion(tmp_path: Path) 
     vehicle, flown = load_vehicle(VEHICLE), {}
     for name, given in (("plain", None), ("corrected", network)):
         (tmp_path / name).mkdir()
-        with flying_twin_of(vehicle, tmp_path / name, compensator=given) as twin:
+        with closing(flying_twin_of(vehicle, tmp_path / name, compensator=given)) as twin:
             for k in range(1, 251):
                 flown[name] = twin.fly(COMMANDS, 0.004 * k)
             if given is not None:
@@ -77,7 +78,7 @@ def test_a_learned_force_moves_the_aircraft(tmp_path: Path) -> None:
     force = LearnedForce(pushed_forward(vehicle.mass_kg))
     for name, given in (("plain", None), ("pushed", force)):
         (tmp_path / name).mkdir()
-        with flying_twin_of(vehicle, tmp_path / name, force=given) as twin:
+        with closing(flying_twin_of(vehicle, tmp_path / name, force=given)) as twin:
             for k in range(1, 126):
                 flown[name] = twin.fly([0.9] * 4, 0.004 * k)
     assert flown["plain"]["pos"][2] < -1.0, "it has left the ground"

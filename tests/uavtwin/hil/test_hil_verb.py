@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def built(copter: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def twin(built: Path) -> Iterator[FlyingTwin]:
-    with FlyingTwin(built, {}, ()) as flying:
+    with closing(FlyingTwin(built, {}, ())) as flying:
         yield flying
 
 

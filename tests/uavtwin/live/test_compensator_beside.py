@@ -1,6 +1,7 @@
 """The compensator beside a flying aircraft says what it says of the recording."""
 
 import socket
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +61,7 @@ def test_live_as_offline(protocol: Protocol, tmp_path: Path) -> None:
     vehicle = load_vehicle(VEHICLE)
     with compiled_compensator(model(tmp_path, protocol)) as compiled:
         network = compiled.network
-        with RunningCompensator(compiled.fmu, network, vehicle) as running:
+        with closing(RunningCompensator(compiled.fmu, network, vehicle)) as running:
             said = flown_beside(running, tmp_path / "rec")
         assert len(said) > 2
         recorded = read_flight(tmp_path / "rec" / "flight.parquet")
@@ -114,7 +115,7 @@ def test_nothing_is_said_on_the_ground(tmp_path: Path) -> None:
     vehicle = load_vehicle(VEHICLE)
     with (
         compiled_compensator(model(tmp_path, "track")) as compiled,
-        RunningCompensator(compiled.fmu, compiled.network, vehicle) as running,
+        closing(RunningCompensator(compiled.fmu, compiled.network, vehicle)) as running,
     ):
         table = pd.DataFrame(flown_table().iloc[:300])
         table[[c for c in table if str(c).startswith("cmd_")]] = 0.0

@@ -1,13 +1,10 @@
-"""Ground stations of others hear the twin: MAVSDK's native library, MAVProxy.
-
-They are in no extra of this project. Give the Python of an environment that has them
-(`pip install mavsdk MAVProxy`) in UAVTWIN_GROUND_STATIONS; without it these tests skip.
-"""
+"""Ground stations of others hear the twin: MAVSDK's native library, MAVProxy (`make
+ground-stations`)."""
 
 import json
-import os
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import needs_package
 from sample_logs import flown_table
 
 from twin.logs import Flight
@@ -26,7 +24,6 @@ from uavtwin.live.address import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 
-PYTHON = os.environ.get("UAVTWIN_GROUND_STATIONS", "")
 TWIN, SECONDS = 9, 12.0
 FLOAT32 = 2.0**-23
 MAVSDK = """
@@ -60,18 +57,6 @@ if system:
     time.sleep(4.0)
 json.dump(heard, open(sys.argv[2], "w"))
 """
-
-
-def has(module: str) -> bool:
-    if not Path(PYTHON).is_file():
-        return False
-    asked = subprocess.run([PYTHON, "-c", f"import {module}"], capture_output=True, timeout=60)
-    return asked.returncode == 0
-
-
-WITHOUT = "set UAVTWIN_GROUND_STATIONS to the Python of an environment that has it"
-needs_mavsdk = pytest.mark.skipif(not has("mavsdk"), reason=f"no MAVSDK: {WITHOUT}")
-needs_mavproxy = pytest.mark.skipif(not has("MAVProxy"), reason=f"no MAVProxy: {WITHOUT}")
 
 
 @contextmanager
@@ -133,12 +118,12 @@ def known(rows: np.ndarray, sent: np.ndarray) -> None:
 
 
 @pytest.mark.slow
-@needs_mavsdk
+@needs_package("mavsdk")
 def test_mavsdk_hears_the_twin(tmp_path: Path) -> None:
     port, told = free_port(), tmp_path / "heard.json"
     with published(Address("127.0.0.1", port)) as sent:
         subprocess.run(
-            [PYTHON, "-c", MAVSDK, f"udpin://127.0.0.1:{port}", told],
+            [sys.executable, "-c", MAVSDK, f"udpin://127.0.0.1:{port}", told],
             check=True,
             capture_output=True,
             timeout=120,
@@ -157,14 +142,15 @@ def test_mavsdk_hears_the_twin(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@needs_mavproxy
+@needs_package("MAVProxy")
 def test_mavproxy_hears_the_twin(tmp_path: Path) -> None:
     """It goes online on the twin, and its own telemetry log holds what was sent."""
     port, log = free_port(), tmp_path / "mav.tlog"
     with published(Address("127.0.0.1", port)) as sent:
         station = subprocess.Popen(
             [
-                *(PYTHON, Path(PYTHON).parent / "mavproxy.py", f"--master=udpin:127.0.0.1:{port}"),
+                *(sys.executable, Path(sys.executable).with_name("mavproxy.py")),
+                f"--master=udpin:127.0.0.1:{port}",
                 *("--daemon", "--state-basedir", tmp_path, "--logfile", log),
                 *("--default-modules", "log"),
             ],

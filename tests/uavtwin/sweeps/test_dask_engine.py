@@ -3,12 +3,12 @@
 import os
 import signal
 import threading
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from distributed import Client, LocalCluster
+from distributed import Client
+from job_rigs.clusters import local_cluster
 
 import uavtwin as ut
 from twin.errors import TwinError
@@ -20,16 +20,8 @@ VARY = {"airframe.mass": {"low": 1.2, "high": 1.7}, "gusts": [True, False]}
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with LocalCluster(
-            n_workers=2,
-            threads_per_worker=1,
-            processes=True,
-            dashboard_address=None,
-            silence_logs=50,
-        ) as cluster:
-            yield cluster.scheduler_address
+    with local_cluster() as found:
+        yield found
 
 
 def swept(out: Path, **engine: str) -> None:

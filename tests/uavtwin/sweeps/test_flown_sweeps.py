@@ -1,12 +1,9 @@
 """Sweeps that are flown: the same as single runs, whatever engine, order, kill or crash."""
 
 import json
-import os
 import shlex
-import signal
 import subprocess
 import sys
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -14,6 +11,7 @@ import pandas as pd
 import pytest
 from bad_fmu import bad_fmu
 from cli_rig import run
+from job_rigs.killing import killed_beyond
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 import uavtwin as ut
@@ -92,26 +90,14 @@ COMMAND = [
 def test_a_killed_sweep_goes_on_and_loses_nothing(tmp_path: Path) -> None:
     subprocess.run([*COMMAND, "--out", tmp_path / "whole"], check=True, capture_output=True)
     out = tmp_path / "killed"
-    kills = 0
     for wanted in (3, 11, 25):
-        process = subprocess.Popen([*COMMAND, "--out", out], stderr=subprocess.DEVNULL)
-        while process.poll() is None and _lines(out / JOURNAL) <= wanted:
-            time.sleep(0.01)
-        if process.poll() is None:
-            os.kill(process.pid, signal.SIGKILL)
-            kills += 1
-        process.wait()
-    assert kills == 3
+        assert killed_beyond([*COMMAND, "--out", out], out / JOURNAL, wanted)
     with (out / JOURNAL).open("a") as journal:
         journal.write('{"run": 39, "outco')  # a kill in the middle of a line
     subprocess.run([*COMMAND, "--out", out], check=True, capture_output=True)
     for name in ("runs.parquet", "sweep.json", "run.json"):
         assert (out / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
     assert not (out / JOURNAL).exists()
-
-
-def _lines(path: Path) -> int:
-    return path.read_bytes().count(b"\n") if path.exists() else 0
 
 
 def test_an_aircraft_that_cannot_carry_itself_is_lost(tmp_path: Path) -> None:

@@ -5,16 +5,23 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..options import VEHICLE_VARIABLE, Exit, Force, Indoor, Json, Out, vehicle_named
+from ..options import (
+    VEHICLE_VARIABLE,
+    Engine,
+    Exit,
+    Force,
+    Indoor,
+    Json,
+    Out,
+    Scheduler,
+    Workers,
+    vehicle_named,
+)
 from ..printing import STDOUT, print_json, progress
 
 if TYPE_CHECKING:
     from ...fleets.fleet import Asked
     from ...fleets.result import FleetResult
-
-EngineOption = Annotated[
-    Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
-]
 
 
 def fleet(
@@ -38,11 +45,9 @@ def fleet(
         typer.Option(help="Explain each flight, or each aircraft with all its flights."),
     ] = "flight",
     indoor: Indoor = None,
-    engine: EngineOption = "local",
-    workers: Annotated[
-        int | None, typer.Option(help="Processes of the local engine. Default: one per core.")
-    ] = None,
-    scheduler: Annotated[str | None, typer.Option(help="Of Dask: tcp://HOST:8786.")] = None,
+    engine: Engine = "local",
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     time_limit: Annotated[float, typer.Option(help="Of one log, or one aircraft, s.")] = 3600.0,
     memory_limit: Annotated[
         float, typer.Option(help="Of the process that looks at a log, GiB.")

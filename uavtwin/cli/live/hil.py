@@ -3,6 +3,7 @@
 import math
 import signal
 import tempfile
+from contextlib import closing
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
@@ -93,7 +94,7 @@ def hil(
     )
     with tempfile.TemporaryDirectory() as folder:
         STDERR.print("building the twin", markup=False)
-        with _twin(aircraft, Path(folder), scenario, model) as twin:
+        with closing(_twin(aircraft, Path(folder), scenario, model)) as twin:
             told = _fly(aircraft, twin, options)
     if as_json:
         print_json(told.json())

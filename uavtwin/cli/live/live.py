@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -186,7 +186,7 @@ def _fly(
     """Open the page where one is wanted, and listen."""
     from twin.explain.running.evidence import RunningEvidence
 
-    from ...demo.in_flight import DemoAircraft, damaged_flight
+    from ...demo.in_flight import damaged_flight, sent_meanwhile
     from ...live.page.opened import open_page
     from ...live.session import LiveSession
     from ...vehicles import load_vehicle
@@ -209,7 +209,7 @@ def _fly(
         )
         STDERR.print(f"listening at {options.listen}", markup=False)
         if flight is not None:
-            opened.enter_context(DemoAircraft(flight, options.listen))
+            opened.enter_context(sent_meanwhile(flight, options.listen))
         return _run(session, shown)
 
 
@@ -229,7 +229,7 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
         )
     with compiled_compensator(folder) as compiled:
         check_compensator(compiled.network, vehicle)
-        with RunningCompensator(compiled.fmu, compiled.network, vehicle) as running:
+        with closing(RunningCompensator(compiled.fmu, compiled.network, vehicle)) as running:
             yield running
 
 

@@ -20,7 +20,7 @@ class Harm:
         return job
 
     def worker(self) -> ProcessWorker[str, str]:
-        return ProcessWorker(self, self.lost, self.allowed)
+        return ProcessWorker(self, str, self.lost, self.allowed)
 
     def packed(self) -> "Harm":
         return self
@@ -31,7 +31,7 @@ class Harm:
     def lost(self, job: str, why: str) -> str:
         return f"{job}: lost, {why}"
 
-    def do(self, job: str) -> str:
+    def do(self, job: str) -> str | float:
         what = job.partition(" ")[0]
         if what == "crash":
             os.kill(os.getpid(), signal.SIGSEGV)
@@ -42,4 +42,6 @@ class Harm:
             return f"{job}: {len(held)} bytes"
         if what == "exit":
             os._exit(3)
+        if what == "number":
+            return float("nan")  # no JSON
         return f"{job}: {os.getpid()}"
