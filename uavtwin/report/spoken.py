@@ -13,7 +13,8 @@ from .gap import number, percent
 Changes = Mapping[str, float]
 """By number of an effect, by how much it differs."""
 Clause = Callable[[Changes, Vehicle, bool], str]
-"""A change of an effect as a clause; whether it is one since a calibration."""
+"""A change of an effect as a clause, "" for one it has no words for; whether it is one since a
+calibration."""
 SMALL = 0.25
 """Share of the largest change of its kind below which one is not spoken of."""
 AXES = (("x", "forward", "back"), ("y", "right", "left"), ("z", "down", "up"))
@@ -35,13 +36,13 @@ def said(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
         since: Whether something has changed; else that is how the aircraft is, compared with its
             file.
     """
-    clause = _CLAUSES.get(effect)
-    return clause(change, vehicle, since) if clause else _plain(effect, change)
+    return clause(effect, change, vehicle, since) or _plain(effect, change)
 
 
-def has_clause(effect: str) -> bool:
-    """Whether there are words for what an effect amounts to, not its numbers alone."""
-    return effect in _CLAUSES
+def clause(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
+    """The same; "" where there are no words for it, but numbers alone. Arguments as of `said`."""
+    known = _CLAUSES.get(effect)
+    return known(change, vehicle, since) if known and any(change.values()) else ""
 
 
 def told_number(effect: str, name: str, value: float) -> str:
@@ -118,7 +119,7 @@ def _wind(change: Changes, _: Vehicle, since: bool) -> str:
 
 
 def _reads(what: str, unit: str) -> Clause:
-    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, _: Vehicle, since: bool) -> str:
         """See `Clause`."""
         more, less = ("more", "less") if since else ("too much", "too little")
         parts = []
@@ -129,18 +130,18 @@ def _reads(what: str, unit: str) -> Clause:
                 parts.append(f"{number(abs(v))} {unit} {more if v > 0 else less} in {axis}")
         return f"its {what} reads {joined(parts)}" + (" than it did" if since else "")
 
-    return clause
+    return made
 
 
 def _late(what: str) -> Clause:
-    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, _: Vehicle, since: bool) -> str:
         """See `Clause`."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
         than = "they did" if what.endswith("s") else "it did"
         return f"{what} {number(1e3 * abs(delay))} ms {way} than {than if since else 'modelled'}"
 
-    return clause
+    return made
 
 
 def _heading(change: Changes, _: Vehicle, since: bool) -> str:
@@ -149,13 +150,13 @@ def _heading(change: Changes, _: Vehicle, since: bool) -> str:
 
 
 def _factor(what: str, noun: str) -> Clause:
-    def clause(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, _: Vehicle, since: bool) -> str:
         """See `Clause`."""
         v = max(change.values(), key=abs, default=0.0)
         more = "more" if v > 0 else "less"
         return f"{what} {percent(abs(v))} {more} {noun} than {'before' if since else 'the model'}"
 
-    return clause
+    return made
 
 
 def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
@@ -168,10 +169,12 @@ def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
 
 
 def _drag(change: Changes, _: Vehicle, since: bool) -> str:
-    k = change.get("k_xy_1_s", 0.0)
-    if abs(k) <= 0:
-        return _plain("rotor_drag", change)
-    return f"it brakes by {number(k)} m/s²{' more' * since} for each m/s of airspeed"
+    parts = [
+        f"{number(change[name])} m/s²{' more' * since} for each m/s of {what}"
+        for name, what in (("k_xy_1_s", "airspeed"), ("k_z_1_s", "climb"))
+        if change.get(name)
+    ]
+    return f"it brakes by {joined(parts)}" if parts else ""
 
 
 def _sag(change: Changes, _: Vehicle, since: bool) -> str:

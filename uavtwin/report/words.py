@@ -25,7 +25,7 @@ from twin.vehicle import Vehicle
 
 from .figures import pretty_unit
 from .gap import number, percent
-from .spoken import has_clause, joined, said
+from .spoken import clause, joined, said
 
 TOLD_BY_PRIOR = "told by the prior"
 
@@ -257,8 +257,10 @@ def sizes(fitted: Fit, effect: str, vehicle: Vehicle, most: int = MOST_NUMBERS) 
     vehicle has nothing of it, else `most` of the numbers, each with unit and meaning."""
     clear = _standing_out(fitted, effect)
     moved = [n for n in clear if not n.shape]
-    if has_clause(effect) and all(n.now == n.about.neutral for n in moved):
-        return said(effect, {n.name: fitted.values[n.full] - n.now for n in moved}, vehicle, False)
+    change = {n.name: fitted.values[n.full] - n.now for n in moved}
+    new = all(n.now == n.about.neutral for n in moved)
+    if new and (words := clause(effect, change, vehicle, since=False)):
+        return words
     texts = []
     for n in clear[:most]:
         index = n.name.removeprefix(n.about.name).lstrip("_")
