@@ -361,6 +361,7 @@ def _says(n: Number, found: Calibrated) -> bool:
 
 def _room(effect: str) -> int:
     """Of what an effect is: 0 the aircraft, 1 its sensors and its day, 2 its records."""
-    if not EFFECTS[effect].of_vehicle:
+    about = EFFECTS[effect]
+    if not about.of_vehicle:
         return 2
-    return 0 if EFFECTS[effect].component == "airframe" and effect != "steady_wind" else 1
+    return 0 if about.component == "airframe" and not about.of_weather else 1

@@ -225,6 +225,7 @@ STEADY_WIND = Effect(
     ("acc", "vel", "q"),
     "definition: velocity of the air, NED",
     _steady_wind,
+    of_weather=True,
 )
 
 GROUND_EFFECT = Effect(

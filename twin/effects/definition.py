@@ -131,6 +131,7 @@ class Effect:
         seen_as: How a flight shows it.
         of_logs: Numbers that it has in a log alone, and in no component.
         period: How often the airframe is sampled for its memory; None: it has no memory there.
+        of_weather: Whether the day brings it: what a flight tells of it holds for no other.
     """
 
     name: str
@@ -145,6 +146,7 @@ class Effect:
     seen_as: Seen = field(default_factory=Equation)
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
+    of_weather: bool = False
 
     @property
     def in_the_air(self) -> bool:

@@ -152,6 +152,7 @@ GUST = Effect(
     seen_as=RandomForce(
         ("intensity_u", "intensity_v", "intensity_w"), ("length_u", "length_v", "length_w")
     ),
+    of_weather=True,
 )
 
 EFFECTS = (GUST,)

@@ -19,8 +19,6 @@ NAMED_SHARE = 0.5
 it is of some flights, or of some aircraft, alone."""
 FEWEST_AIRCRAFT = 3
 """From which on an effect is of the type."""
-OF_THE_DAY = ("steady_wind", "gust")
-"""Effects that no aircraft has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +74,8 @@ class Spread:
     @property
     def of_vehicle(self) -> bool:
         """Whether a vehicle file may hold the effect, and no day has brought it."""
-        return EFFECTS[self.effect].of_vehicle and self.effect not in OF_THE_DAY
+        effect = EFFECTS[self.effect]
+        return effect.of_vehicle and not effect.of_weather
 
 
 def explained_aircraft(folder: Path) -> dict[str, int]:
