@@ -17,6 +17,10 @@ _CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = 128, 136, 256, 256, 4095
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
 """Bytes before the table: the clock, the number of the call, and what calls there are. What an FMU
 writes into open files by mistake lands before the clock."""
+ONE, QUARTER, MORE, FOLLOWING, TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
+"""A process rounds to nearest if ONE + QUARTER + MORE is FOLLOWING, and keeps what is smaller than
+the smallest normal number if TINY + TINY is not 0. Variables, which are added where they are asked
+for; not a function, whose call would cost a step as much as the sums."""
 
 
 class Board:
@@ -24,7 +28,7 @@ class Board:
 
     Attributes:
         clock: Time of the call under way, s.
-        call: Its number, one item; negative after it has returned.
+        call: Its number; negative after it has returned.
     """
 
     def __init__(self, file: int) -> None:
@@ -32,7 +36,7 @@ class Board:
         self._file, self._pid = file, os.getpid()
         self._memory = _mapped(file, HEADER)
         self._numbers: dict[str, int] = {}
-        self.call = memoryview(self._memory)[_CALL : _CALL + 8].cast("q")
+        self.call = ctypes.c_int64.from_buffer(self._memory, _CALL)
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
     def table(self, count: int) -> Array:
@@ -65,27 +69,14 @@ class Board:
 
         def _call() -> Any:
             result = told()
-            if self.rounds():
+            if ONE + QUARTER + MORE == FOLLOWING and TINY + TINY:
                 return result
             raise self.spoilt(who, function)
 
         return _call
 
-    @staticmethod
-    def rounds(
-        one: float = 1.0,
-        quarter: float = 2.0**-54,
-        more: float = 1.5 * 2.0**-53,
-        following: float = 1.0 + 2.0**-52,
-        tiny: float = 5e-324,
-    ) -> bool:
-        """Whether this process rounds to nearest and keeps numbers below the smallest normal one.
-
-        Variables, not constants: what is known before is not calculated here."""
-        return one + quarter + more == following and tiny + tiny != 0.0
-
     def spoilt(self, who: str, function: str) -> FmuError:
-        """Where `rounds` says no after a call."""
+        """Where a call has changed how this process calculates."""
         return FmuError(
             f"{who}: {function} at {self.clock.value:g} s: changed how the processor rounds "
             f"or treats small numbers, and with that the results of others. Ask who made the "
@@ -115,9 +106,9 @@ class Told:
 
     def __call__(self) -> Any:
         """Make the call."""
-        self._slot[0] = self.number
+        self._slot.value = self.number
         result = self.bare()
-        self._slot[0] = -self.number
+        self._slot.value = -self.number
         return result
 
 

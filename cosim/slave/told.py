@@ -6,7 +6,7 @@ from typing import Any, cast
 
 from numpy.typing import NDArray
 
-from .board import Board, Told
+from .board import FOLLOWING, MORE, ONE, QUARTER, TINY, Board, Told
 from .slave import Array, Slave
 
 
@@ -16,7 +16,7 @@ class ToldSlave(Slave):
 
     def __init__(self, name: str, path: Path, board: Board) -> None:
         """Load and instantiate."""
-        self._slot, self._rounds = board.call, board.rounds
+        self._slot = board.call
         super().__init__(name, path, board)
 
     def bind(
@@ -34,25 +34,25 @@ class ToldSlave(Slave):
         for number, returned, set_, buffer, positions in moves:
             if positions is not None:
                 buffer[:] = self.inputs[positions]
-            slot[0] = number
+            slot.value = number
             if status := set_():
-                slot[0] = returned
+                slot.value = returned
                 self.judge(status, "set inputs")
         if moves:
-            slot[0] = returned  # from the last of them
+            slot.value = returned  # from the last of them
 
     def read_outputs(self) -> None:
         """See `Slave.read_outputs`."""
         slot, moves = self._slot, self._moves_out
         for number, returned, get, buffer, positions in moves:
-            slot[0] = number
+            slot.value = number
             if status := get():
-                slot[0] = returned
+                slot.value = returned
                 self.judge(status, "get outputs")
             if positions is not None:
                 self.outputs[positions] = buffer
         if moves:
-            slot[0] = returned  # from the last of them
+            slot.value = returned  # from the last of them
 
     def step(self, time_s: float, step_s: float) -> None:
         """See `Slave.step`.
@@ -64,10 +64,10 @@ class ToldSlave(Slave):
         number, returned, call = self._doing
         step.time_s.value = time_s
         step.step_s.value = step_s
-        slot[0] = number
+        slot.value = number
         status = call()
-        slot[0] = returned
-        if not self._rounds():
+        slot.value = returned
+        if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
             assert self._board is not None
             raise self._board.spoilt(self._who, f"fmi{self.interface.fmi}DoStep")
         if status or step.flags.value:
