@@ -115,7 +115,7 @@ class CalibrateResult(Shown):
             clear = abs(change) > max(self._half(n), n.about.smallest)
             if clear and n.full not in self.untold and EFFECTS[n.effect].of_vehicle:
                 told.setdefault(n.effect, {})[n.name] = change
-        return [said(e, change, self.draft, since=False) for e, change in told.items()]
+        return [said(e, change, since=False) for e, change in told.items()]
 
     @property
     def _values(self) -> Mapping[str, float]:

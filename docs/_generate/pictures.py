@@ -2,7 +2,8 @@
 
     python docs/_generate/pictures.py [--work FOLDER]
 
-writes the picture of the README: the report of `uavtwin demo`.
+writes the picture of the README, the report of `uavtwin demo`, and that of docs/guide/live.md, the
+page of `uavtwin live --demo` after its alarm.
 """
 
 import argparse
@@ -11,11 +12,21 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 DOCS = Path(__file__).parents[1]
+sys.path.insert(0, str(DOCS.parent / "tests" / "rigs"))
+
+from page_rigs.browser import View, browser  # noqa: E402
+
 REPORT = (1000, 806)
 """Size of the picture of the README."""
+LIVE = (1000, 1150)
+"""Size of the picture of a flight under way."""
+SERVES, LISTENS = "127.0.0.1:8079", "udpin:127.0.0.1:14579"
+SEEN_S = 6.0
+"""After the alarm, for what differs to be seen."""
 SEED = "4"
 """Of the demo: rotor drag."""
 FLAGS = (
@@ -75,6 +86,30 @@ def photograph(page: Path, picture: Path, size: tuple[int, int], part: str = "ma
         )
 
 
+def photograph_live(picture: Path, size: tuple[int, int]) -> None:
+    """The page of `uavtwin live --demo` some seconds after its alarm, as PNG.
+
+    Args:
+        picture: PNG file to write.
+        size: Width and height of the picture, pixels; what is below is cut.
+    """
+    uavtwin = str(Path(sys.executable).parent / "uavtwin")
+    command = [uavtwin, "live", "--demo", "--serve", SERVES, "--listen", LISTENS]
+    live = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    with tempfile.TemporaryDirectory() as folder, browser(Path(folder)) as opened, live:
+        assert live.stdout is not None
+        for line in live.stdout:
+            if line.startswith("page: "):
+                opened.visit(line.split()[1], View(size[0], dark=False))
+            if line.startswith("ALARM"):
+                break
+        else:
+            sys.exit("the demo ended without an alarm: try `uavtwin live --demo`")
+        time.sleep(SEEN_S)
+        opened.picture(picture, size[1])
+        live.terminate()
+
+
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -86,6 +121,7 @@ def main() -> None:
             uavtwin = Path(sys.executable).parent / "uavtwin"
             subprocess.run([uavtwin, "demo", "--seed", SEED, "--out", work], check=True)
         photograph(work / "report.html", DOCS / "pictures" / "report.png", REPORT)
+    photograph_live(DOCS / "pictures" / "live.png", LIVE)
 
 
 if __name__ == "__main__":

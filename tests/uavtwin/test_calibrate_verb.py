@@ -93,14 +93,14 @@ def written(
 def test_a_change_is_said_as_a_pilot_says_it(
     effect: str, change: dict[str, float], words: str
 ) -> None:
-    assert said(effect, change, COPTER, since=True) == words
+    assert said(effect, change, since=True) == words
 
 
 def test_a_number_of_this_aircraft_is_held_against_its_file() -> None:
-    assert said("thrust_scale", {"scale": -0.07}, COPTER, since=False) == (
+    assert said("thrust_scale", {"scale": -0.07}, since=False) == (
         "its rotors give 7 % less thrust than the model"
     )
-    assert said("inertia_error", {"scale_x": 0.2, "scale_y": 0.19}, COPTER, since=False) == (
+    assert said("inertia_error", {"scale_x": 0.2, "scale_y": 0.19}, since=False) == (
         "its inertia is 20 % larger in roll and 19 % larger in pitch than that of the model"
     )
 

@@ -7,7 +7,10 @@ from typing import Any, Protocol
 
 import pandas as pd
 
+from twin.effects import EFFECTS
 from twin.explain.running.alarms import Alarm, Verdict
+
+from ..report.spoken import clause
 
 
 class Evidence(Protocol):
@@ -16,6 +19,28 @@ class Evidence(Protocol):
     def update(self, rows: pd.DataFrame) -> Verdict:
         """Take new rows of the flight table, later than all before."""
         ...
+
+
+def sentence(alarm: Alarm) -> str:
+    """What an alarm says to people: what has changed, since when, and how sure that is."""
+    name = _words(alarm.effect)
+    change = {n.name: n.value for n in alarm.numbers}
+    if said := clause(alarm.effect, change, since=True):
+        told = [name]
+    else:
+        said, told = f"{name}, {EFFECTS[alarm.effect].meaning}", []
+    told += [f"{alarm.probability:.0%}", *map(str, alarm.numbers)]
+    text = f"since {alarm.since_s:.1f} s: {said} ({', '.join(told)})"
+    if alarm.others:
+        known = " or ".join(f"{_words(e)} ({p:.0%})" for e, p in alarm.others.items())
+        text += f"; cannot be told from {known}"
+    if alarm.closed_s is not None:
+        text += f"; over since {alarm.closed_s:.1f} s"
+    return text
+
+
+def _words(effect: str) -> str:
+    return effect.replace("_", " ")
 
 
 def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
@@ -27,5 +52,5 @@ def alarm_json(alarm: Alarm, section: int) -> dict[str, Any]:
         "raised_s": alarm.raised_s,
         "closed_s": alarm.closed_s,
         "probability": alarm.probability,
-        "text": alarm.sentence,
+        "text": sentence(alarm),
     }

@@ -14,6 +14,7 @@ from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 
 from .address import Address, sending
+from .alarms import sentence
 from .following import FollowingTwin, Reading
 
 DEFAULT_SYSTEM = 2
@@ -108,7 +109,7 @@ class Publisher:
         """As text, in pieces, and as a number."""
         over = alarm.closed_s is not None
         severity = dialect.MAV_SEVERITY_NOTICE if over else dialect.MAV_SEVERITY_WARNING
-        text = alarm.sentence.replace("±", "+/-").encode("ascii", "replace")
+        text = sentence(alarm).replace("±", "+/-").encode("ascii", "replace")
         pieces = [text[k : k + _TEXT] for k in range(0, len(text), _TEXT)]
         number = self.sent % 65535 + 1 if len(pieces) > 1 else 0
         for k, piece in enumerate(pieces):

@@ -5,14 +5,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from twin.effects import EFFECTS
-from twin.vehicle import Vehicle
 
 from .figures import pretty_unit
 from .gap import number, percent
 
 Changes = Mapping[str, float]
 """By number of an effect, by how much it differs."""
-Clause = Callable[[Changes, Vehicle, bool], str]
+Clause = Callable[[Changes, bool], str]
 """A change of an effect as a clause, "" for one it has no words for; whether it is one since a
 calibration."""
 SMALL = 0.25
@@ -26,23 +25,22 @@ PLACES = (
 """Which way a positive and a negative number point, body frame, FRD."""
 
 
-def said(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
+def said(effect: str, change: Changes, since: bool) -> str:
     """What an effect amounts to, a clause with its own subject.
 
     Args:
         effect: Identifier.
         change: Of its numbers, from no effect or from a calibration.
-        vehicle: Which has it.
         since: Whether something has changed; else that is how the aircraft is, compared with its
             file.
     """
-    return clause(effect, change, vehicle, since) or _plain(effect, change)
+    return clause(effect, change, since) or _plain(effect, change)
 
 
-def clause(effect: str, change: Changes, vehicle: Vehicle, since: bool) -> str:
+def clause(effect: str, change: Changes, since: bool) -> str:
     """The same; "" where there are no words for it, but numbers alone. Arguments as of `said`."""
     known = _CLAUSES.get(effect)
-    return known(change, vehicle, since) if known and any(change.values()) else ""
+    return known(change, since) if known and any(change.values()) else ""
 
 
 def told_number(effect: str, name: str, value: float) -> str:
@@ -76,7 +74,7 @@ def _large(change: Changes) -> dict[str, float]:
     return {k: v for k, v in change.items() if abs(v) > SMALL * most}
 
 
-def _rotors(change: Changes, _: Vehicle, since: bool) -> str:
+def _rotors(change: Changes, since: bool) -> str:
     losses = {k: v for k, v in change.items() if k.startswith("loss_")}
     parts = [
         f"rotor {k.removeprefix('loss_')} "
@@ -90,14 +88,14 @@ def _rotors(change: Changes, _: Vehicle, since: bool) -> str:
     return joined(parts)
 
 
-def _mass(change: Changes, _: Vehicle, since: bool) -> str:
+def _mass(change: Changes, since: bool) -> str:
     kg = change.get("mass_kg", 0.0)
     if since:
         return f"it carries {number(kg)} kg more" if kg > 0 else f"it is {number(-kg)} kg lighter"
     return f"it is {number(abs(kg))} kg {'heavier' if kg > 0 else 'lighter'} than the model"
 
 
-def _place(change: Changes, _: Vehicle, since: bool) -> str:
+def _place(change: Changes, since: bool) -> str:
     parts = []
     for axis, *ways in AXES if since else PLACES:
         shift = _large(change).get(f"{axis}_m", 0.0)
@@ -108,18 +106,18 @@ def _place(change: Changes, _: Vehicle, since: bool) -> str:
     return f"its centre of mass is {joined(parts)} than in the model"
 
 
-def _load(change: Changes, _: Vehicle, since: bool) -> str:
+def _load(change: Changes, since: bool) -> str:
     del since
     return f"a load of {number(change.get('mass_kg', 0.0))} kg hangs below it on a rope"
 
 
-def _wind(change: Changes, _: Vehicle, since: bool) -> str:
+def _wind(change: Changes, since: bool) -> str:
     speed = f"{number(float(np.linalg.norm(list(change.values()))))} m/s"
     return f"the wind has changed by {speed}" if since else f"a wind of {speed}"
 
 
 def _reads(what: str, unit: str) -> Clause:
-    def made(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, since: bool) -> str:
         """See `Clause`."""
         more, less = ("more", "less") if since else ("too much", "too little")
         parts = []
@@ -134,7 +132,7 @@ def _reads(what: str, unit: str) -> Clause:
 
 
 def _late(what: str) -> Clause:
-    def made(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, since: bool) -> str:
         """See `Clause`."""
         delay = max(change.values(), key=abs, default=0.0)
         way = "later" if delay > 0 else "earlier"
@@ -144,13 +142,13 @@ def _late(what: str) -> Clause:
     return made
 
 
-def _heading(change: Changes, _: Vehicle, since: bool) -> str:
+def _heading(change: Changes, since: bool) -> str:
     turn = np.degrees(max(change.values(), key=abs, default=0.0))
     return f"its heading is off by {'another ' * since}{number(float(turn))}°"
 
 
 def _factor(what: str, noun: str) -> Clause:
-    def made(change: Changes, _: Vehicle, since: bool) -> str:
+    def made(change: Changes, since: bool) -> str:
         """See `Clause`."""
         v = max(change.values(), key=abs, default=0.0)
         more = "more" if v > 0 else "less"
@@ -159,7 +157,7 @@ def _factor(what: str, noun: str) -> Clause:
     return made
 
 
-def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
+def _inertia(change: Changes, since: bool) -> str:
     axes = {"scale_x": "roll", "scale_y": "pitch", "scale_z": "yaw"}
     parts = [
         f"{percent(abs(v))} {'larger' if v > 0 else 'smaller'} in {axes[k]}"
@@ -168,7 +166,7 @@ def _inertia(change: Changes, _: Vehicle, since: bool) -> str:
     return f"its inertia is {joined(parts)} than {'before' if since else 'that of the model'}"
 
 
-def _drag(change: Changes, _: Vehicle, since: bool) -> str:
+def _drag(change: Changes, since: bool) -> str:
     parts = [
         f"{number(change[name])} m/s²{' more' * since} for each m/s of {what}"
         for name, what in (("k_xy_1_s", "airspeed"), ("k_z_1_s", "climb"))
@@ -177,7 +175,7 @@ def _drag(change: Changes, _: Vehicle, since: bool) -> str:
     return f"it brakes by {joined(parts)}" if parts else ""
 
 
-def _sag(change: Changes, _: Vehicle, since: bool) -> str:
+def _sag(change: Changes, since: bool) -> str:
     slope = change.get("slope", 0.0)
     return f"each 1 % of battery voltage costs {number(slope)} %{' more' * since} thrust"
 

@@ -135,7 +135,7 @@ def _change(found: Explanation, fitted: Fit, effect: str) -> str:
     then = {n: float(v) for n, v in zip(b.names, b.now + b.held, strict=True)}
     own = [n for n in fitted.numbers if n.effect == effect and not n.shape]
     change = {n.name: fitted.values[n.full] - then.get(n.full, n.now) for n in own}
-    words = said(effect, change, found.vehicle, since=True)
+    words = said(effect, change, since=True)
     rotors = {c.partition(":")[2] for c in naming.one_of(effect) if c.startswith(f"{effect}:")}
     named = {r for r in rotors if f"rotor {r} " in words}
     if len(rotors) > 1 and named:
@@ -259,7 +259,7 @@ def sizes(fitted: Fit, effect: str, vehicle: Vehicle, most: int = MOST_NUMBERS) 
     moved = [n for n in clear if not n.shape]
     change = {n.name: fitted.values[n.full] - n.now for n in moved}
     new = all(n.now == n.about.neutral for n in moved)
-    if new and (words := clause(effect, change, vehicle, since=False)):
+    if new and (words := clause(effect, change, since=False)):
         return words
     texts = []
     for n in clear[:most]:

@@ -56,7 +56,7 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
     finally:
         demo.kill()
     assert demo.returncode == 0
-    lost = re.search(rf"rotor efficiency loss .*loss_{ROTOR} \+([0-9.]+)", line)
+    lost = re.search(rf"rotor {ROTOR} has lost .*loss_{ROTOR} \+([0-9.]+)", line)
     assert lost is not None and float(lost[1]) == pytest.approx(LOSS, abs=0.02), line
     assert alarmed_s < NEWCOMER_S
     told = json.loads(out)

@@ -17,6 +17,7 @@ from twin.residuals.running.equations import Equations
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
+from uavtwin.live.alarms import sentence
 from uavtwin.live.following import FollowingTwin
 from uavtwin.live.publisher import Publisher
 from uavtwin.live.recording import Recording
@@ -115,5 +116,5 @@ def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_
     first, *texts, number = heard
     assert first.get_type() == "HEARTBEAT" and first.get_srcSystem() == 3
     assert {m.get_type() for m in texts} == {"STATUSTEXT"}
-    assert "".join(m.text for m in texts) == SAG.sentence.replace("±", "+/-")
+    assert "".join(m.text for m in texts) == sentence(SAG).replace("±", "+/-")
     assert number.name == "battery_sa" and number.value == pytest.approx(0.97)

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from ...effects import EFFECTS
 from ...representation import short_repr
 
 
@@ -53,20 +52,6 @@ class Alarm:
     closed_s: float | None = None
 
     __repr__ = short_repr
-
-    @property
-    def sentence(self) -> str:
-        """For people."""
-        told = ", ".join(str(n) for n in self.numbers)
-        name = self.effect.replace("_", " ")
-        text = f"{name} since {self.since_s:.1f} s: {EFFECTS[self.effect].meaning}"
-        text += f" ({told}; {self.probability:.0%})" if told else f" ({self.probability:.0%})"
-        if self.others:
-            known = " or ".join(f"{e.replace('_', ' ')} ({p:.0%})" for e, p in self.others.items())
-            text += f"; cannot be told from {known}"
-        if self.closed_s is not None:
-            text += f"; over since {self.closed_s:.1f} s"
-        return text
 
 
 @dataclass(frozen=True, slots=True)

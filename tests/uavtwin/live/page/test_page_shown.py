@@ -28,6 +28,7 @@ from twin.logs.mavlink.samples import Sample
 from twin.residuals.gap import Channel
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
+from uavtwin.live.alarms import sentence
 from uavtwin.live.page.document import document
 from uavtwin.live.page.feed import PageFeed
 from uavtwin.live.page.hub import Hub
@@ -165,10 +166,10 @@ def test_alarms_are_told_in_words_and_end(opened: Browser) -> None:
         opened.visit(server.url, WIDE)
         feed.alarm(WEAK, 1)
         until(opened, "document.querySelector('#alarms .alarm') !== null")
-        assert text(opened, "#alarms") == f"{WEAK.sentence}; told at 14.5 s."
+        assert text(opened, "#alarms") == f"{sentence(WEAK)}; told at 14.5 s."
         feed.alarm(replace(WEAK, closed_s=20.0), 1)
         until(opened, "document.querySelector('#alarms .over') !== null")
-        over = replace(WEAK, closed_s=20.0).sentence
+        over = sentence(replace(WEAK, closed_s=20.0))
         assert "over since 20.0 s" in over
         assert text(opened, "#alarms") == f"{over}; told at 14.5 s."
         opened.visit(server.url, WIDE)  # one who comes later
