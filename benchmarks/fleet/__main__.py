@@ -8,13 +8,7 @@ against its own vehicle file.
 
 import argparse
 import json
-import os
-import random
-import resource
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,9 +23,8 @@ from uavtwin.flights import open_alike
 from uavtwin.vehicles import Vehicle
 
 from ..real_flights.scenarios import SCENARIOS
+from ..watched import watched
 from .flights import PLANTED, VEHICLE, write_fleet
-
-COMMAND = (sys.executable, "-c", "from uavtwin.cli.main import main; main()", "fleet")
 
 
 def main() -> int:
@@ -77,51 +70,7 @@ def spoil(folder: Path, made: Sequence[Path]) -> None:
 
 def looked(arguments: Sequence[str], out: Path, kills: int) -> dict[str, Any]:
     """What the command costs, killed some times at random moments."""
-    rng, killed, peak = random.Random(1), 0, 0
-    begun, before = time.monotonic(), _children_s()
-    while True:
-        lines = _lines(out / JOURNAL)
-        wanted = lines + rng.randint(2, 20) if killed < kills else None
-        process = subprocess.Popen(
-            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
-        )
-        while process.poll() is None:
-            peak = max(peak, _peak_bytes(process.pid))
-            if wanted is not None and _lines(out / JOURNAL) >= wanted:
-                os.kill(process.pid, signal.SIGKILL)
-                killed += 1
-                break
-            time.sleep(0.05)
-        code = process.wait()
-        if code >= 0:
-            break
-    return {
-        "exit_code": code,
-        "killed": killed,
-        "wall_s": time.monotonic() - begun,
-        "cpu_s_without_what_was_killed": _children_s() - before,
-        "parent_peak_mib": peak / 2**20,
-        "dataset_bytes": {p.name: p.stat().st_size for p in sorted(out.glob("*.*"))},
-    }
-
-
-def _children_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def _lines(path: Path) -> int:
-    return path.read_bytes().count(b"\n") if path.exists() else 0
-
-
-def _peak_bytes(pid: int) -> int:
-    """Largest memory that a process has had, of Linux."""
-    try:
-        text = Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return 0
-    held = [line.split()[1] for line in text.splitlines() if line.startswith("VmHWM")]
-    return 1024 * int(held[0]) if held else 0
+    return watched(["fleet", *arguments], out, out / JOURNAL, kills, (2, 20))
 
 
 def scored(out: Path, logs: int) -> dict[str, Any]:
