@@ -1,7 +1,8 @@
 """What a live flight bears: `python -m benchmarks.live_load --out OUT --page FILE`.
 
-Measures the memory of a long flight at the highest speed, and the processor that several aircraft
-take in one process; one JSON file each in OUT, and what is there is not measured again.
+Measures how old what viewers see is, the processor that several aircraft take in one process, and
+the memory of a long flight at the highest speed; one JSON file each in OUT. What is there is not
+measured again.
 """
 
 import argparse
@@ -12,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from .ages import ages
 from .hours import growth
 from .many import aircraft_at_once
 from .page import page
@@ -32,6 +34,9 @@ def main() -> int:
         rows = {p.stem: json.loads(p.read_text()) for p in sorted(given.out.glob("*.json"))}
         given.page.write_text(page(rows), "utf-8")
         return 0
+    for alarms in (True, False):
+        name = f"ages_{'alarms' if alarms else 'bare'}"
+        _once(given.out, name, partial(ages, _SECONDS, alarms))
     for count in given.aircraft:
         for alarms in (True, False):
             name = f"many_{count:02d}_{'alarms' if alarms else 'bare'}"

@@ -18,6 +18,15 @@ same without `--page`. The machine has two cores, and other computations ran bes
 average before each run is in the tables): shares of processor are of this process alone; what was
 late may have been late for that.
 
+## How old it is
+
+From when a message of the aircraft came: to when a viewer's page, in a Chromium on another core,
+showed what came after it; and to when the twin's own messages had left. `live` has one core.
+
+| alarms | pictures | shown, 50 % | shown, 99 % | published, 99 % | lost | late | load |
+|---|---|---|---|---|---|---|---|
+{_ages(rows)}
+
 ## Several aircraft in one process
 
 Each with a 200 Hz IMU, in real time, over the loopback, with its twin and its residuals; with and
@@ -60,6 +69,16 @@ Linux. Both go online on the twin's system; MAVSDK's attitude, position and velo
 and body rates are what was sent, in float32, 50 times a second; so is MAVProxy's telemetry log.
 QGroundControl was not tried.
 """
+
+
+def _ages(rows: Rows) -> str:
+    found = [r for name, r in rows.items() if name.startswith("ages_")]
+    return "\n".join(
+        f"| {'yes' if r['alarms_kept'] else 'no'} | {r['pictures']} | {r['shown_p50_ms']:.0f} ms | "
+        f"{r['shown_p99_ms']:.0f} ms | {r['published_p99_ms']:.0f} ms | {r['lost']} | "
+        f"{r['late']} | {r['load_before']:.1f} |"
+        for r in found
+    )
 
 
 def _many(rows: Rows) -> str:
