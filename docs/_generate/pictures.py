@@ -8,7 +8,6 @@ page of `uavtwin live --demo` after its alarm.
 
 import argparse
 import json
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -29,25 +28,19 @@ SEEN_S = 6.0
 """After the alarm, for what differs to be seen."""
 SEED = "4"
 """Of the demo: rotor drag."""
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--hide-scrollbars",
-    "--virtual-time-budget=10000",  # until the figures are drawn
-)
-
-
 ALONE = """
-<style>.modebar {{display: none !important}}</style>
-<script>
-  const part = document.querySelector({part});
-  if ({part} !== "main") document.querySelector("main").replaceChildren(part);
-</script>
-</body>"""
-"""Put at the end of a page: one part of it alone. Figures are drawn as they come into sight."""
+(() => {
+  const page = document.querySelector("main"), part = document.querySelector(%s);
+  if (part === null) return false;
+  if (part !== page) page.replaceChildren(part);
+  for (const bar of document.querySelectorAll(".modebar")) bar.style.display = "none";
+  window.scrollTo(0, 0);
+  return true;
+})()
+"""
+"""Leaves one part of a page alone; whether it has it."""
+DRAWN_S = 2.0
+"""For figures to be drawn: they are as they come into sight."""
 
 
 def photograph(page: Path, picture: Path, size: tuple[int, int], part: str = "main") -> None:
@@ -60,30 +53,16 @@ def photograph(page: Path, picture: Path, size: tuple[int, int], part: str = "ma
         part: CSS selector.
 
     Raises:
-        SystemExit: No Chromium is installed.
-        CalledProcessError: It failed.
+        SystemExit: The page has no such part.
+        FileNotFoundError: No Chromium is installed.
     """
-    browser = shutil.which("chromium") or shutil.which("google-chrome")
-    if browser is None:
-        sys.exit("no chromium here to take pictures with: apt-get install chromium")
     picture.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "page.html"
-        head, _, tail = page.read_text("utf-8").rpartition("</body>")
-        copy.write_text(head + ALONE.format(part=json.dumps(part)) + tail, "utf-8")
-        subprocess.run(
-            [
-                browser,
-                *FLAGS,
-                f"--user-data-dir={folder}/profile",
-                f"--window-size={size[0]},{size[1]}",
-                f"--screenshot={picture.resolve()}",
-                copy.as_uri(),
-            ],
-            check=True,
-            capture_output=True,
-            timeout=120,
-        )
+    with tempfile.TemporaryDirectory() as folder, browser(Path(folder)) as opened:
+        opened.open(page, View(size[0], dark=False))
+        if not opened.run(ALONE % json.dumps(part)):
+            sys.exit(f"{page}: has no part {part} to take a picture of")
+        time.sleep(DRAWN_S)
+        opened.picture(picture, size[1])
 
 
 def photograph_live(picture: Path, size: tuple[int, int]) -> None:

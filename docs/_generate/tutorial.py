@@ -24,7 +24,7 @@ LINES = 14
 PICTURES = {
     "gap": ("main > .card.scroll", (1000, 345)),
     "explained": (".card:has(#time-acc_z-0)", (880, 470)),
-    "wind": (".card:has(#figure-environment)", (880, 495)),
+    "wind": (".card:has(#followed-position)", (880, 495)),
 }
 """Folder of a report, which part of it is shown, and its width and height, pixels."""
 _BLOCK = re.compile(r'```(?P<language>\w+)(?: title="(?P<title>[^"]+)")?\n(?P<body>.*?)```', re.S)

@@ -78,8 +78,8 @@ def _apart(away: ResidualFlight, drawn: np.ndarray, phase: int, from_phase: int)
     return float(np.mean([wasserstein(a, b) for a, b in zip(own.T, other.T, strict=True)]))
 
 
-SLOWEST = ("tsgan",)
-"""Two networks that learn against critics: two minutes."""
+SLOWEST = ("tsgan", *DIFFUSING)
+"""Two networks that learn against critics, two minutes, and those that draw step by step."""
 
 
 @pytest.mark.slow
