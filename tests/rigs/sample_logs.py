@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from log_rigs.blackbox_rig import BOOT_US, Part, blackbox
 from log_rigs.crazyflie_rig import usd_log
 from log_rigs.dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
@@ -241,7 +242,17 @@ def _tlog() -> bytes:
     return blob
 
 
+@cache
+def _blackbox() -> bytes:
+    still = np.zeros(len(T_S))
+    main: dict[str, ArrayLike] = {"time": BOOT_US + 1e6 * T_S}
+    main |= {f"gyroADC[{k}]": still for k in range(3)}
+    main |= {"accSmooth[0]": still, "accSmooth[1]": still, "accSmooth[2]": still + 2048}
+    return blackbox(Part(main))
+
+
 SAMPLES: dict[str, Callable[[], bytes]] = {
+    "Betaflight Blackbox log": _blackbox,
     "MAVLink telemetry log": _tlog,
     "flight table, Arrow stream": _stream,
     "Crazyflie uSD log, version 1": lambda: _crazyflie(1),

@@ -220,6 +220,14 @@ FORMATS: tuple[LogFormat, ...] = (
         for version in (1, 2)
     ),
     LogFormat(
+        name="Betaflight Blackbox log",
+        suffixes=(".bbl", ".bfl", ".TXT"),
+        signature=Magic(b"H Product:Blackbox"),
+        reader="betaflight.blackbox:read_blackbox",
+        packages=(),
+        holds="gyro, acceleration, motor outputs, rotor speeds, battery; mostly no course",
+    ),
+    LogFormat(
         name="MAVLink telemetry log",
         suffixes=(".tlog",),
         signature=Stamped((b"\xfe", b"\xfd")),

@@ -8,6 +8,7 @@ from .engine import Kind
 KINDS = {
     "ulog": "ulog",
     "dataflash": "dataflash",
+    "blackbox": "blackbox",
     "crazyflie": "crazyflie",
     "parquet": "tables:PARQUET",
     "csv": "tables:CSV",

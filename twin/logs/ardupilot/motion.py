@@ -11,7 +11,7 @@ from ..attitude import unit_quaternions
 from ..columns import POS, QUAT, VEL
 from ..flight import Array
 from .estimator import Primary
-from .log import ArduPilotLog, Topic
+from .log import ArduPilotLog
 from .signals import add, si
 
 _Q = ("Q1", "Q2", "Q3", "Q4")
@@ -98,21 +98,21 @@ def _global_course(log: ArduPilotLog, rows: Rows) -> str:
     if topic is None:
         log.note("warning", "pos", "no XKF1, PSCN or POS in the log: no position, no velocity")
         return ""
-    add(log, rows, "pos", POS, topic.t_us, _from_global(topic))
+    places = local_ned(topic.raw("Lat"), topic.raw("Lng"), topic.raw("Alt"))
+    add(log, rows, "pos", POS, topic.t_us, places)
     log.note("warning", "pos", "from latitude and longitude of POS; there is no velocity")
     return f"POS, {topic.rate_hz:.0f} Hz"
 
 
-def _from_global(topic: Topic) -> Array:
-    """Latitude, longitude, degrees, and height, m -> NED from the first of them, m, shape (n, 3).
+def local_ned(latitude_deg: Array, longitude_deg: Array, up_m: Array) -> Array:
+    """Places on the globe, shape (n,) each -> NED from the first of them, m, shape (n, 3).
 
     Valid for: some kilometres.
     """
-    lat, lng = np.radians(topic.raw("Lat")), np.radians(topic.raw("Lng"))
-    up = topic.raw("Alt")
+    lat, lng = np.radians(latitude_deg), np.radians(longitude_deg)
     north = _EARTH_M * (lat - lat[0])
     east = _EARTH_M * np.cos(lat[0]) * (lng - lng[0])
-    return np.column_stack([north, east, up[0] - up])
+    return np.column_stack([north, east, up_m[0] - up_m])
 
 
 def _resets(log: ArduPilotLog) -> None:

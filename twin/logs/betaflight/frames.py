@@ -1,0 +1,438 @@
+"""The frames of one flight of a Blackbox log: whole ones (I), differences to those before (P), and
+what comes seldom: S (modes), G and H (satellites), E (events).
+
+A frame is a letter and what its definition lists, without length or checksum. What can be told of
+damage: a frame after which no frame begins, numbers that cannot be, a time that jumps. Source:
+Betaflight's documentation, "Blackbox logging internals", and blackbox.c.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .encodings import (
+    neg_14bit,
+    signed_vb,
+    tag2_3s32,
+    tag8_4s16,
+    tag8_4s16_v1,
+    tag8_8svb,
+    unsigned_vb,
+)
+from .header import (
+    AVERAGE_2,
+    HOME_COORD,
+    INCREMENT,
+    LAST_TIME,
+    MID_1500,
+    MINMOTOR,
+    MINTHROTTLE,
+    MOTOR_0,
+    NEG_14BIT,
+    NULL,
+    PREVIOUS,
+    SIGNED_VB,
+    STRAIGHT_LINE,
+    TAG2_3S32,
+    TAG8_4S16,
+    TAG8_8SVB,
+    UNSIGNED_VB,
+    VBATREF,
+    ZERO,
+    Fields,
+    Header,
+)
+
+SYNC_BEEP, ADJUSTMENT, RESUME, DISARM, MODES, END = 0, 13, 14, 15, 30, 255
+"""Kinds of events."""
+_END_TEXT = b"End of log\0"
+_LONGEST = 256
+_JUMP_US = 10_000_000
+_JUMP_LOOPS = 5000
+_WORD, _HALF = 0xFFFFFFFF, 0x80000000
+_GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}
+_MAIN, _SEEN = "IP", "IPSGHE"
+
+Read = Callable[[bytes, int], tuple[list[int], int]]
+
+
+@dataclass(slots=True)
+class Damage:
+    """What of a flight could not be used.
+
+    Attributes:
+        lost: Bytes of which nothing could be made.
+        places: Stretches of them.
+        unfounded: P frames whose predecessor was lost.
+        rejected: I frames whose time or number jumps, alone among the others.
+        missing: Logged loops that are not there, by the numbers of the I frames.
+        ended: Whether the firmware says that the log ends.
+        cut: Bytes at the end that begin a frame.
+        behind: Bytes behind the end that are no filling.
+    """
+
+    lost: int = 0
+    places: int = 0
+    unfounded: int = 0
+    rejected: int = 0
+    missing: int = 0
+    ended: bool = False
+    cut: int = 0
+    behind: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Frames of one kind.
+
+    Attributes:
+        names: Of the columns.
+        t_us: Time of each since the start of the firmware, us, shape (n,); S and E frames have
+            that of the frame before them.
+        values: As logged, shape (n, len(names)).
+    """
+
+    names: tuple[str, ...]
+    t_us: NDArray[np.int64]
+    values: NDArray[np.int64]
+
+    def has(self, *names: str) -> bool:
+        """Whether all are there, with a frame at least."""
+        return bool(len(self.t_us)) and set(names) <= set(self.names)
+
+    def columns(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Columns side by side, shape (n, len(names))."""
+        at = [self.names.index(n) for n in names]
+        return self.values[:, at].astype(np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """What happened.
+
+    Attributes:
+        kind: One of those above.
+        t_us: Time of the frame before it.
+        values: Of its kind.
+    """
+
+    kind: int
+    t_us: int
+    values: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One flight.
+
+    Attributes:
+        main: I and P frames.
+        slow: S frames.
+        gps: G frames, coordinates in full.
+        events: E frames.
+        damage: What is missing.
+    """
+
+    main: Table
+    slow: Table
+    gps: Table
+    events: tuple[Event, ...]
+    damage: Damage
+
+
+def read_frames(header: Header, data: bytes) -> Recording:
+    """Decode what follows the head of a flight.
+
+    Args:
+        header: The head.
+        data: From its end to that of the flight.
+
+    Raises:
+        ValueError: The head does not say how.
+    """
+    stream = _Stream(header, data)
+    stream.run()
+    frames = header.frames
+    return Recording(
+        _table(frames["I"].names, stream.main),
+        _table(frames["S"].names if "S" in frames else (), stream.slow),
+        _table(frames["G"].names if "G" in frames else (), stream.gps),
+        tuple(stream.events),
+        stream.damage,
+    )
+
+
+def _table(names: tuple[str, ...], rows: list[tuple[int, list[int]]]) -> Table:
+    t_us = np.array([t for t, _ in rows], dtype=np.int64)
+    values = np.array([v for _, v in rows], dtype=np.int64).reshape(len(rows), len(names))
+    wrapped = ((values + _HALF) & _WORD) - _HALF  # as in the 32 bits of the firmware
+    return Table(names, t_us, wrapped)
+
+
+def _reader(fields: Fields, version: int) -> Read:
+    """How to read what a frame lists, before the predictors.
+
+    Raises:
+        ValueError: A group of fields is not whole.
+    """
+    four = tag8_4s16 if version > 1 else tag8_4s16_v1
+    single = {SIGNED_VB: signed_vb, UNSIGNED_VB: unsigned_vb, NEG_14BIT: neg_14bit}
+    steps: list[tuple[int, int]] = []
+    at = 0
+    while at < len(fields.names):
+        kind = NULL if fields.predictors[at] == INCREMENT else fields.encodings[at]
+        count = _GROUPS.get(kind, 1)
+        if kind == TAG8_8SVB:
+            while count < 8 and fields.encodings[at + count : at + count + 1] == (kind,):
+                count += 1
+        if fields.encodings[at : at + count] != (kind,) * count and kind != NULL:
+            raise ValueError(f"fewer than {count} fields in a group from {fields.names[at]}")
+        steps.append((kind, count))
+        at += count
+
+    def read(data: bytes, at: int) -> tuple[list[int], int]:
+        values: list[int] = []
+        for kind, count in steps:
+            if kind in single:
+                value, at = single[kind](data, at)
+                values.append(value)
+            elif kind == TAG8_8SVB:
+                several, at = tag8_8svb(data, at, count)
+                values += several
+            elif kind == TAG2_3S32:
+                several, at = tag2_3s32(data, at)
+                values += several
+            elif kind == TAG8_4S16:
+                several, at = four(data, at)
+                values += several
+            else:
+                values.append(0)
+        return values, at
+
+    return read
+
+
+def _constants(header: Header) -> Mapping[int, int]:
+    """By predictor what the head says."""
+    return {
+        MINTHROTTLE: header.whole("minthrottle", 0),
+        MID_1500: 1500,
+        VBATREF: header.whole("vbatref", 0),
+        MINMOTOR: header.whole("motorOutput", 0),
+    }
+
+
+@dataclass(slots=True)
+class _Stream:
+    """The frames while they are read."""
+
+    header: Header
+    data: bytes
+    main: list[tuple[int, list[int]]] = field(default_factory=list)
+    slow: list[tuple[int, list[int]]] = field(default_factory=list)
+    gps: list[tuple[int, list[int]]] = field(default_factory=list)
+    events: list[Event] = field(default_factory=list)
+    damage: Damage = field(default_factory=Damage)
+    _history: tuple[list[int], list[int]] | None = None
+    """The two main frames before; None: lost."""
+    _last: tuple[int, int] | None = None
+    """Number of the loop and unwrapped time, us, of the last main frame that was used."""
+    _doubted: tuple[int, int] | None = None
+    """The same of an I frame that was not."""
+    _home: tuple[int, ...] = ()
+    _resumed: bool = False
+    _readers: dict[str, Read] = field(default_factory=dict)
+    _predicted: dict[str, tuple[tuple[int, int, int], ...]] = field(default_factory=dict)
+    _interval: tuple[int, int, int] = (1, 1, 1)
+    _motor: int = 0
+    """Where motor[0] is among the fields."""
+
+    def run(self) -> None:
+        """Read all frames."""
+        self._prepare()
+        data, end = self.data, len(self.data)
+        at, lost_from = 0, -1
+        while at < end:
+            letter = chr(data[at])
+            behind = self._frame(letter, at) if letter in _SEEN else -1
+            if behind < 0:
+                if lost_from < 0:
+                    lost_from = at
+                    self.damage.places += 1
+                    self._history = None
+                self.damage.lost += 1
+                at += 1
+                continue
+            lost_from, at = -1, behind
+            if self.damage.ended:
+                self.damage.behind = len(data[at:].strip(b"\xff\0"))
+                return
+        if lost_from >= 0:
+            self._at_the_end(data[lost_from:])
+
+    def _at_the_end(self, rest: bytes) -> None:
+        """What is lost at the very end: filling of a flash chip, or a frame that was cut."""
+        self.damage.lost -= len(rest)
+        self.damage.places -= 1
+        self.damage.cut = len(rest.strip(b"\xff\0"))
+
+    def _prepare(self) -> None:
+        header = self.header
+        version = header.whole("Data version", 1)
+        if "I" not in header.frames:
+            raise ValueError(header.unusable.get("I", "no definition of I frames"))
+        self._interval = header.interval
+        names = header.frames["I"].names
+        self._motor = names.index("motor[0]") if "motor[0]" in names else 0
+        constants = _constants(header)
+        for letter, fields in header.frames.items():
+            self._readers[letter] = _reader(fields, version)
+            self._predicted[letter] = tuple(
+                (k, p, constants.get(p, 0)) for k, p in enumerate(fields.predictors) if p != ZERO
+            )
+
+    def _frame(self, letter: str, begin: int) -> int:
+        """Read a frame; where it ends, -1 where there is none."""
+        try:
+            if letter == "E":
+                return self._event(begin + 1)
+            if letter not in self._readers:
+                return -1
+            values, end = self._readers[letter](self.data, begin + 1)
+        except (IndexError, ValueError):
+            return -1
+        if end - begin > _LONGEST or not self._goes_on(end):
+            return -1
+        if letter in _MAIN:
+            self._main_frame(letter, values)
+        else:
+            self._seldom_frame(letter, values)
+        return end
+
+    def _goes_on(self, at: int) -> bool:
+        """Whether another frame begins there, or the file ends."""
+        if at >= len(self.data):
+            return True
+        letter = chr(self.data[at])
+        return letter == "E" or letter in self._readers or self.data[at] in (0, 255)
+
+    def _main_frame(self, letter: str, values: list[int]) -> None:
+        if letter == "P" and self._history is None:
+            self.damage.unfounded += 1
+            return
+        self._add_prediction(letter, values)
+        known = self._accepted(letter, values[0], values[1])
+        if known is None:
+            self._history = None
+            return
+        self._last = known
+        before = values if letter == "I" or self._history is None else self._history[0]
+        self._history = values, before
+        self.main.append((known[1], values))
+
+    def _add_prediction(self, letter: str, values: list[int]) -> None:
+        """Add what is predicted to what was read; of an I frame nothing came before."""
+        one, two = self._history or (None, None)
+        for k, predictor, constant in self._predicted[letter]:
+            if predictor == PREVIOUS and one is not None:
+                values[k] += one[k]
+            elif predictor == AVERAGE_2 and one is not None and two is not None:
+                total = one[k] + two[k]
+                values[k] += (total + (total < 0)) >> 1  # as C divides
+            elif predictor == STRAIGHT_LINE and one is not None and two is not None:
+                values[k] = (values[k] + 2 * one[k] - two[k]) & _WORD
+            elif predictor == INCREMENT and one is not None:
+                values[k] = self._next_loop(one[k])
+            elif predictor == MOTOR_0:
+                values[k] += values[self._motor]
+            else:
+                values[k] += constant
+
+    def _next_loop(self, number: int) -> int:
+        """Number of the loop that is logged after another."""
+        every, several, of = self._interval
+        number += 1
+        for _ in range(every):
+            if (number % every + several - 1) % of < several:
+                break
+            number += 1
+        return number
+
+    def _accepted(self, letter: str, number: int, time: int) -> tuple[int, int] | None:
+        """Number and unwrapped time of a main frame that follows the one before; else None, and two
+        I frames that follow each other are right."""
+        if self._last is None:
+            return number, time
+        for reference in (self._last, self._doubted):
+            if reference is None:
+                continue
+            step = ((time - reference[1] + _HALF) & _WORD) - _HALF
+            loops = number - reference[0]
+            if self._resumed or (abs(step) <= _JUMP_US and 0 <= loops <= _JUMP_LOOPS):
+                if letter == "I" and not self._resumed and reference is self._last:
+                    self._count_missing(reference[0], number)
+                self._resumed, self._doubted = False, None
+                return number, reference[1] + step
+        if letter == "I":
+            step = ((time - self._last[1] + _HALF) & _WORD) - _HALF
+            self._doubted = number, self._last[1] + step
+        self.damage.rejected += 1
+        return None
+
+    def _count_missing(self, last: int, number: int) -> None:
+        """Loops that should have been logged between a main frame and an I frame."""
+        following = self._next_loop(last)
+        while following < number:
+            self.damage.missing += 1
+            following = self._next_loop(following)
+
+    def _seldom_frame(self, letter: str, values: list[int]) -> None:
+        now = self._last[1] if self._last else 0
+        names = self.header.frames[letter].names
+        homes = 0
+        for k, predictor, constant in self._predicted[letter]:
+            if predictor == HOME_COORD:
+                values[k] += self._home[homes] if homes < len(self._home) else 0
+                homes += 1
+            elif predictor == LAST_TIME:
+                values[k] += now
+            else:
+                values[k] += constant
+        if letter == "H":
+            self._home = tuple(values)
+        elif self._last is not None and letter == "S":
+            self.slow.append((now, values))
+        elif self._last is not None and letter == "G" and (self._home or not homes):
+            self.gps.append((values[names.index("time")] if "time" in names else now, values))
+
+    def _event(self, at: int) -> int:
+        """Read an event; where it ends.
+
+        Raises:
+            ValueError: None is known of its kind.
+            IndexError: The data end.
+        """
+        data, kind = self.data, self.data[at]
+        at += 1
+        values: list[int] = []
+        if kind == END:
+            if data[at : at + len(_END_TEXT)] != _END_TEXT:
+                raise ValueError("not the end")
+            at += len(_END_TEXT)
+        elif kind == ADJUSTMENT:
+            function = data[at]
+            at = at + 5 if function > 127 else signed_vb(data, at + 1)[1]
+        elif kind in (SYNC_BEEP, DISARM, RESUME, MODES):
+            for _ in range(1 if kind in (SYNC_BEEP, DISARM) else 2):
+                value, at = unsigned_vb(data, at)
+                values.append(value)
+        else:
+            raise ValueError("an event of no known kind")
+        if kind != END and (at > len(data) or not self._goes_on(at)):
+            return -1
+        self.damage.ended = kind == END
+        self._resumed = self._resumed or kind == RESUME
+        self.events.append(Event(kind, self._last[1] if self._last else 0, tuple(values)))
+        return at
