@@ -18,7 +18,7 @@ HEAD = 4096
 """Bytes from the start of a file that a signature may look at."""
 _TELLING = 4
 """Bytes of a longer signature after which a difference is damage, not another format."""
-_LETTERS = string.ascii_letters.encode() + string.digits.encode()
+_LETTERS = string.ascii_letters.encode() + string.digits.encode() + b" :"
 _CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000
 _BEFORE_TEXT = b"\xef\xbb\xbf \t\"'"
 

@@ -8,8 +8,8 @@ from .engine import Kind
 KINDS = {
     "ulog": "ulog",
     "dataflash": "dataflash",
-    "blackbox": "blackbox",
-    "crazyflie": "crazyflie",
+    "blackbox": "cards.blackbox",
+    "crazyflie": "cards.crazyflie",
     "parquet": "tables:PARQUET",
     "csv": "tables:CSV",
     "vehicle": "vehicles",

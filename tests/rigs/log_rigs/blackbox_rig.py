@@ -125,6 +125,19 @@ def tag8_8svb(values: Sequence[int]) -> bytes:
     return bytes([tag]) + b"".join(svb(v) for v in values if v)
 
 
+def _least(value: int, widths: Sequence[int], bits: int) -> int:
+    """The smallest of some widths that a number with sign fits into.
+
+    Raises:
+        ValueError: It fits into none.
+    """
+    for width in widths:
+        half = 1 << bits * width - 1
+        if -half <= value < half:
+            return width
+    raise ValueError(f"{value} in {bits * widths[-1]} bits")
+
+
 def tag2_3s32(values: Sequence[int]) -> bytes:
     """Three numbers in the least room."""
     low, high = min(values), max(values)
@@ -136,7 +149,7 @@ def tag2_3s32(values: Sequence[int]) -> bytes:
         return bytes([128 | values[0] & 63, values[1] & 63, values[2] & 63])
     tag, out = 192, b""
     for k, value in enumerate(values):
-        width = next(w for w in (1, 2, 3, 4) if -(1 << 8 * w - 1) <= value < 1 << 8 * w - 1)
+        width = _least(value, (1, 2, 3, 4), 8)
         tag |= (width - 1) << 2 * k
         out += value.to_bytes(width, "little", signed=True)
     return bytes([tag]) + out
@@ -146,15 +159,7 @@ def tag8_4s16(values: Sequence[int]) -> bytes:
     """Four numbers of 0, 4, 8 or 16 bits, half a byte at a time."""
     tag, halves = 0, ""
     for k, value in enumerate(values):
-        kind = (
-            0
-            if not value
-            else next(
-                n
-                for n, bits in ((1, 4), (2, 8), (3, 16))
-                if -(1 << bits - 1) <= value < 1 << bits - 1
-            )
-        )
+        kind = (0, 1, 2, 4).index(_least(value, (1, 2, 4), 4) if value else 0)
         width = (0, 1, 2, 4)[kind]
         tag |= kind << 2 * k
         halves += f"{value & (1 << 4 * width) - 1:0{width}x}" if width else ""

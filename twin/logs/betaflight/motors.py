@@ -158,9 +158,9 @@ def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str
         log.note("info", "cmd", message)
         return layout, facts
     if yaw < 0.0:
-        facts["yaw_motors_reversed"] = "on, as the motors follow the yaw controller"
+        facts["propellers"] = "reversed, as the motors follow the yaw controller"
         turned: NDArray[np.float64] = -layout.direction
         source = layout.source.replace("not reversed", "reversed")
         return replace(layout, direction=turned, source=source), facts
-    facts["yaw_motors_reversed"] = "off, as the motors follow the yaw controller"
+    facts["propellers"] = "not reversed, as the motors follow the yaw controller"
     return layout, facts

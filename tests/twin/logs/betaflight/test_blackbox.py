@@ -224,10 +224,10 @@ def test_the_sense_of_the_rotors_is_seen_in_the_motors(tmp_path: Path) -> None:
     layout = flight.airframe.layout
     assert layout.direction.tolist() == [1.0, -1.0, -1.0, 1.0]
     assert np.sign(layout.position[:, :2]).tolist() == [[-1, 1], [1, 1], [-1, -1], [1, -1]]
-    assert flight.facts["yaw_motors_reversed"].startswith("off")
+    assert flight.facts["propellers"].startswith("not reversed")
     turned = main | {"axisI[2]": -np.asarray(main["axisI[2]"])}
     out = _read(tmp_path, Part(turned))
-    assert out.facts["yaw_motors_reversed"].startswith("on")
+    assert out.facts["propellers"].startswith("reversed")
     assert out.airframe is not None and out.airframe.layout is not None
     assert out.airframe.layout.direction.tolist() == [-1.0, 1.0, 1.0, -1.0]
     without = {n: v for n, v in main.items() if not n.startswith("axis")}

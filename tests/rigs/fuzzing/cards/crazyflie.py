@@ -12,9 +12,9 @@ import numpy as np
 from log_rigs.crazyflie_rig import flown_kinds, usd_log
 from sample_logs import SAMPLES, flown_table
 
-from .engine import Seen, Step
-from .flights import ABSURD, apply_bytes, draw_bytes, read
-from .layout import Layout
+from ..engine import Seen, Step
+from ..flights import ABSURD, apply_bytes, draw_bytes, read
+from ..layout import Layout
 
 _TIME = "#"
 _TYPES = {"H": "<u2", "h": "<i2", "f": "<f4", "d": "<f8", "I": "<u4", "Q": "<u8"}

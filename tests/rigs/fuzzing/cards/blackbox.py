@@ -15,8 +15,8 @@ from sample_logs import SAMPLES, flown_table
 from twin.logs.betaflight.frames import read_frames
 from twin.logs.betaflight.header import flights, read_header
 
-from .engine import Seen, Step
-from .flights import apply_bytes, draw_bytes, read, recorded
+from ..engine import Seen, Step
+from ..flights import apply_bytes, draw_bytes, read, recorded
 
 _VALUES = ("0", "-1", "nan", "1e999", "4294967295", "99999999999999999999", "x", "", "0x7fc00000")
 _SENSED = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]", "accSmooth[0]", "accSmooth[2]")
@@ -121,7 +121,7 @@ class Blackbox:
         settings = {k: v for k, v in settings.items() if k not in ("Product", "Data version")}
         try:
             return blackbox(Part(main, settings))
-        except (ValueError, KeyError, ZeroDivisionError, StopIteration):
+        except (ValueError, KeyError, ZeroDivisionError):
             return blob  # nothing that the firmware could write
 
     def read(self, path: Path) -> Seen:
@@ -137,7 +137,7 @@ def _in_the_head(blob: bytes, name: str, given: dict[str, Any]) -> bytes:
     if not lines:
         return blob
     line = lines[given["line"] % len(lines)]
-    value = given["to"].encode()
+    value: bytes = given["to"].encode()
     if name == "list":
         items = line[2].split(b",")
         items[given["item"] % len(items)] = value
@@ -150,7 +150,8 @@ def _in_the_frames(blob: bytes, name: str, given: dict[str, Any]) -> bytes:
     begin = read_header(blob).size
     at = begin + int(given["from"] * (len(blob) - begin))
     if name == "marker":
-        return blob[:at] + given["to"].encode("latin-1") + blob[at + 1 :]
+        letter: bytes = given["to"].encode("latin-1")
+        return blob[:at] + letter + blob[at + 1 :]
     size = given["frames"] * 20
     rest = blob[at : at + size]
     return blob[:at] + (rest + rest if name == "double_frames" else b"") + blob[at + size :]
