@@ -338,14 +338,40 @@ def test_a_flipped_byte_and_a_cut_are_told(tmp_path: Path) -> None:
     assert 2960 < len(t) < 3000 and np.abs(rates).max() < 3.0
 
 
+def _frames(first: int, end: int, ended: bool = False) -> bytes:
+    """Frames of the known flight from one on, without the head."""
+    main = flown_main(flown_table()[first:end])
+    blob = blackbox(Part(main, ended=ended, first=first))
+    return blob[read_header(blob).size :]
+
+
 def test_missing_and_doubled_frames_are_told(tmp_path: Path) -> None:
-    blob = blackbox(Part(flown_main(flown_table())))
-    header = read_header(blob)
-    where = [m.start() for m in re.finditer(b"I", blob) if m.start() >= header.size]
+    """At whole frames, where no byte is wrong: by the numbers of the loops."""
+    begin = blackbox(Part(flown_main(flown_table()[:640]), ended=False))
     path = tmp_path / "a.bbl"
-    path.write_bytes(blob[: where[20]] + blob[where[25] :])
+    path.write_bytes(begin + _frames(800, 960, True))
     flight = read_flight(path)
-    assert [f for f in flight.findings if f.severity != "info"]
+    assert next((f.message, f.count) for f in flight.findings if f.severity != "info") == (
+        "frames missing, by their numbers",
+        160,
+    )
+    assert _told(flight, "gaps, the longest of 1.61 s after 6.39 s")
+    assert len(flight.signal(["gyro_x"])[0]) == 800
+    path.write_bytes(begin + _frames(608, 640) + _frames(640, 960, True))
+    flight = read_flight(path)
+    assert _told(flight, "whose time or number jumps or runs backward")[0].count == 1
+    assert _told(flight, "whole frame that they build on was lost")[0].count == 31
+    assert len(flight.signal(["gyro_x"])[0]) == 960
+
+
+def test_a_jump_of_the_clock_is_followed_where_it_lasts(tmp_path: Path) -> None:
+    """One I frame of another time is not used; from a second that goes on from it, all are."""
+    main = {n: np.asarray(v) for n, v in flown_main(flown_table()[:960]).items()}
+    main["time"] = np.where(np.arange(960) < 640, main["time"], main["time"] + 30e6)
+    flight = _read(tmp_path, Part(main))
+    assert _told(flight, "whose time or number jumps")[0].count == 1
+    assert len(flight.signal(["gyro_x"])[0]) == 960 - 32
+    assert _told(flight, "gaps, the longest of 30.3 s")
 
 
 def test_a_pause_that_the_pilot_made_is_a_pause(tmp_path: Path) -> None:
