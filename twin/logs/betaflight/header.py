@@ -174,9 +174,9 @@ def _fields(settings: Mapping[str, str], letter: str) -> Fields:
             f"{len(names)} names, {len(predictors)} predictors, {len(encodings)} encodings"
         )
     if unknown := sorted({*predictors} - PREDICTORS):
-        raise ValueError(f"predictor {unknown[0]} is none of Betaflight's")
+        raise ValueError(f"predictor {unknown[0]} is not known")
     if unknown := sorted({*encodings} - ENCODINGS):
-        raise ValueError(f"encoding {unknown[0]} is none of Betaflight's")
+        raise ValueError(f"encoding {unknown[0]} is not known")
     if len(set(names)) < len(names) or "" in names:
         raise ValueError("a name twice, or none")
     if letter in "IP" and names[:2] != [_ITERATION, _TIME]:

@@ -33,6 +33,8 @@ _REASONS = {
     6: "runaway take-off",
     7: "GPS rescue",
     8: "serial command",
+    9: "landing",
+    10: "crash flip",
     255: "system",
 }
 _ALARMING = (1, 5, 6)

@@ -21,6 +21,8 @@ from ..flights import apply_bytes, draw_bytes, read, recorded
 _VALUES = ("0", "-1", "nan", "1e999", "4294967295", "99999999999999999999", "x", "", "0x7fc00000")
 _SENSED = ("gyroADC[0]", "gyroADC[1]", "gyroADC[2]", "accSmooth[0]", "accSmooth[2]")
 _HEAD_END = 4000
+_FREEZES_US = 5e6
+"""In less a signal that stands still for two thirds of the rest need not be told."""
 
 
 @lru_cache(12)
@@ -75,7 +77,8 @@ class Blackbox:
             return draw_bytes(rng, blob)
         name = rng.choice(("head", "head", "list", "marker", "take_frames", "double_frames"))
         if all(f in known for f in (*_SENSED, "motor[0]")) and rng.random() < 0.6:
-            name = rng.choice(("stamp_add", "freeze", "absurd", "any_field"))
+            long = float(np.ptp(known["time"])) > _FREEZES_US
+            name = rng.choice(("stamp_add", "absurd", "any_field", *(("freeze",) * long)))
         given: dict[str, Any] = {"from": rng.uniform(0.2, 0.5)}
         match name:
             case "head":

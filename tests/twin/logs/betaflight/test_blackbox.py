@@ -319,7 +319,7 @@ def test_of_several_flights_the_longest_is_read(tmp_path: Path) -> None:
     unread = blob.replace(b"H Field P encoding:9,0", b"H Field P encoding:99,0")
     (tmp_path / "x").write_bytes(unread)
     flight = read_flight(tmp_path / "x")
-    assert _told(flight, "encoding 99 is none of Betaflight's")
+    assert _told(flight, "encoding 99 is not known")
 
 
 def test_a_flipped_byte_and_a_cut_are_told(tmp_path: Path) -> None:
