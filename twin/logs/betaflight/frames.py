@@ -6,6 +6,7 @@ damage: a frame after which no frame begins, numbers that cannot be, a time that
 Betaflight's documentation, "Blackbox logging internals", and blackbox.c.
 """
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -156,19 +157,32 @@ def read_frames(header: Header, data: bytes) -> Recording:
     stream.run()
     frames = header.frames
     return Recording(
-        _table(frames["I"].names, stream.main),
-        _table(frames["S"].names if "S" in frames else (), stream.slow),
-        _table(frames["G"].names if "G" in frames else (), stream.gps),
+        stream.main.table(frames["I"].names),
+        stream.slow.table(frames["S"].names if "S" in frames else ()),
+        stream.gps.table(frames["G"].names if "G" in frames else ()),
         tuple(stream.events),
         stream.damage,
     )
 
 
-def _table(names: tuple[str, ...], rows: list[tuple[int, list[int]]]) -> Table:
-    t_us = np.array([t for t, _ in rows], dtype=np.int64)
-    values = np.array([v for _, v in rows], dtype=np.int64).reshape(len(rows), len(names))
-    wrapped = ((values + _HALF) & _WORD) - _HALF  # as in the 32 bits of the firmware
-    return Table(names, t_us, wrapped)
+@dataclass(slots=True)
+class _Rows:
+    """Frames of one kind while they are read, 8 bytes a number."""
+
+    t_us: "array[int]" = field(default_factory=lambda: array("q"))
+    values: "array[int]" = field(default_factory=lambda: array("q"))
+
+    def add(self, t_us: int, values: list[int]) -> None:
+        """Add a frame."""
+        self.t_us.append(t_us)
+        self.values.extend(values)
+
+    def table(self, names: tuple[str, ...]) -> Table:
+        """All of them."""
+        t_us = np.array(self.t_us, dtype=np.int64)
+        values = np.array(self.values, dtype=np.int64).reshape(len(t_us), len(names))
+        wrapped = ((values + _HALF) & _WORD) - _HALF  # as in the 32 bits of the firmware
+        return Table(names, t_us, wrapped)
 
 
 def _reader(fields: Fields, version: int) -> Read:
@@ -230,9 +244,9 @@ class _Stream:
 
     header: Header
     data: bytes
-    main: list[tuple[int, list[int]]] = field(default_factory=list)
-    slow: list[tuple[int, list[int]]] = field(default_factory=list)
-    gps: list[tuple[int, list[int]]] = field(default_factory=list)
+    main: _Rows = field(default_factory=_Rows)
+    slow: _Rows = field(default_factory=_Rows)
+    gps: _Rows = field(default_factory=_Rows)
     events: list[Event] = field(default_factory=list)
     damage: Damage = field(default_factory=Damage)
     _history: tuple[list[int], list[int]] | None = None
@@ -330,7 +344,7 @@ class _Stream:
         self._last = known
         before = values if letter == "I" or self._history is None else self._history[0]
         self._history = values, before
-        self.main.append((known[1], values))
+        self.main.add(known[1], values)
 
     def _add_prediction(self, letter: str, values: list[int]) -> None:
         """Add what is predicted to what was read; of an I frame nothing came before."""
@@ -403,9 +417,9 @@ class _Stream:
         if letter == "H":
             self._home = tuple(values)
         elif self._last is not None and letter == "S":
-            self.slow.append((now, values))
+            self.slow.add(now, values)
         elif self._last is not None and letter == "G" and (self._home or not homes):
-            self.gps.append((values[names.index("time")] if "time" in names else now, values))
+            self.gps.add(values[names.index("time")] if "time" in names else now, values)
 
     def _event(self, at: int) -> int:
         """Read an event; where it ends.

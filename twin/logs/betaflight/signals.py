@@ -1,10 +1,10 @@
 """Fields of main frames -> columns of the flight table.
 
 Axes of Betaflight: body x forward, y left, z up (roll right, nose down and nose left are positive);
-world x north, y west, z up. Half a turn about x makes them FRD and NED. Source: Betaflight, mixer.c, rc.c,
-imu.c and sitl.c: the mixer raises the rear motors for a positive pitch, the left ones for a
-positive roll; stick forward and stick right are positive there, and yaw is taken negative of the
-stick. The accelerometer at rest reads +1 g along z.
+world x north, y west, z up. Half a turn about x makes them FRD and NED. The accelerometer at rest
+reads +1 g along z. Source: Betaflight's mixer.c, rc.c, imu.c and sitl.c: the mixer raises the rear
+motors for a positive pitch, the left ones for a positive roll; stick forward and stick right are
+positive there, and yaw is taken negative of the stick.
 """
 
 import numpy as np
