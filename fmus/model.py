@@ -1,6 +1,5 @@
 """What the builder turns into an FMU: parts with their tables and kernels, how they join."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -21,16 +20,13 @@ from twin.representation import short_repr
 
 from .arrays import Entry, arrays, scalars
 from .exchange import Exchange, exchanged
+from .kernels.c_source import kernel_source, workspace
+from .kernels.functions import kernels
+from .kernels.start import draws, first_state
 from .names import check_identifier, check_name, check_text, check_variable
 
 Constant = int | tuple[int, ...] | tuple[float, ...]
 """Value of a macro: a number, or the numbers of an array."""
-_EXPORTED = re.compile(
-    r"^(?:const )?\w+\*? (?P<name>\w+)\([^)]*\) ?\{(?:[^\n]*\}|.*?\n\})\n+"
-    r"|^static const casadi_int casadi_s\d+\[[^;]*;\n",
-    re.MULTILINE | re.DOTALL,
-)
-"""What CasADi writes to be called from outside: functions that are not static, and their tables."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +252,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
     offered: Exchange | None = None
     if exchange:
         component, offered = exchanged(component)
-    kernels = _kernels(component, exchange)
+    functions = kernels(component, exchange)
     part = Part(
         name=component.name,
         variables=component.variables,
@@ -265,121 +261,15 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         state_names=tuple(s.name for s in component.states),
         max_step_s=component.max_step_s,
         glue="casadi.h",
-        kernels=_kernel_source(kernels),
+        kernels=kernel_source(functions),
         apart=True,
-        defines=_workspace(kernels),
+        defines=workspace(functions),
         shortcuts=len(component.shortcuts),
         sampling=component.sampling,
         held=_held(component),
         exchange=offered,
     )
     return FmuModel(component.name, component.description, (part,))
-
-
-def _kernels(component: Component, exchange: bool) -> list[ca.Function]:
-    """Every function of the component that its C source calls."""
-    functions = [component.initial, component.step, component.outputs]
-    functions += _tangents(component, exchange)
-    if exchange and component.continuous is not None:
-        functions.append(component.continuous.rests)
-    sampling = component.sampling
-    if sampling is not None:
-        functions.append(sampling.update)
-        if sampling.channels:
-            functions.append(sampling.sizes)
-        if sampling.lines:
-            functions += [sampling.signals, sampling.delays]
-    for shortcut in component.shortcuts:
-        functions += [shortcut.holds, shortcut.step, shortcut.outputs]
-        functions += [] if shortcut.update is None else [shortcut.update]
-        if shortcut.signals is not None and component.sampling and component.sampling.lines:
-            functions.append(shortcut.signals)
-    return functions
-
-
-def _kernel_source(functions: list[ca.Function]) -> str:
-    """C source of the kernels, all of it static: several parts are linked into one library.
-
-    It holds no name and no number of a vehicle, so that one compilation serves many.
-    """
-    generator = ca.CodeGenerator(
-        "kernel", {"with_header": False, "casadi_int": "int", "with_export": False}
-    )
-    for function in functions:
-        generator.add(function)
-    names = {f.name() for f in functions}
-
-    def kept(exported: re.Match[str]) -> str:
-        """Kernels and CasADi's helpers, without the functions that describe a kernel to CasADi."""
-        name = exported["name"] or ""
-        called = name in names or name.startswith("casadi_")
-        return f"static {exported[0]}" if called else ""
-
-    source = _EXPORTED.sub(kept, generator.dump())
-    # A comparison is compiled in line, a call of the library is not; numbers are never NaN here.
-    for name, sign in (("fmax", ">"), ("fmin", "<")):
-        source = source.replace(f"return {name}(x, y);", f"return x {sign} y ? x : y;")
-    return source
-
-
-def _workspace(functions: list[ca.Function]) -> dict[str, int]:
-    """Sizes of what the kernels work in."""
-    return {
-        "N_ARGUMENTS": max(f.sz_arg() for f in functions) + 1,
-        "N_RESULTS": max(f.sz_res() for f in functions) + 1,
-        "N_INTEGERS": max(f.sz_iw() for f in functions) + 1,
-        "N_WORK": max(f.sz_w() for f in functions) + 1,
-    }
-
-
-def _tangents(component: Component, exchange: bool) -> list[ca.Function]:
-    """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start.
-
-    With `exchange` the first has another argument, the change of the states: `dx`.
-    """
-    x, dx = (ca.SX.sym(n, len(component.states)) for n in ("x", "dx"))
-    u, du = (ca.SX.sym(n, len(component.inputs)) for n in ("u", "du"))
-    p, dp = (ca.SX.sym(n, len(component.parameters)) for n in ("p", "dp"))
-    w = _draws(component)
-
-    def tangent(
-        name: str, state: ca.SX, arguments: list[ca.SX], known: list[ca.SX], change: list[ca.SX]
-    ) -> ca.Function:
-        """Change of the outputs, with the state as an expression of the arguments."""
-        y = component.outputs(state, u, p)
-        dy = ca.jtimes(y, ca.vertcat(*known), ca.vertcat(*change))
-        return ca.Function(name, arguments, [ca.cse(dy)])
-
-    if not (component.states or exchange):
-        always = tangent("tangent", x, [x, u, p, du, dp], [u, p], [du, dp])
-        return [always, _the_same("initial_tangent", always)]
-    first, d = _first_state(component, u, p, w), [du, dp]
-    starting = tangent("initial_tangent", first, [u, p, *d, w], [u, p], d)
-    if exchange:
-        return [tangent("tangent", x, [x, u, p, *d, dx], [u, p, x], [*d, dx]), starting]
-    return [tangent("tangent", x, [x, u, p, *d], [u, p], d), starting]
-
-
-def _the_same(name: str, tangent: ca.Function) -> ca.Function:
-    """The tangent of a component without states as that of its start.
-
-    It is called, not written again: that of a learned force takes a compiler twenty seconds.
-    """
-    nothing, *arguments = [ca.MX.sym(n, tangent.size1_in(i)) for i, n in enumerate("xupcd")]
-    draws = ca.MX.sym("w", 0)
-    (dy,) = tangent.call([ca.MX(nothing.shape[0], 1), *arguments])
-    return ca.Function(name, [*arguments, draws], [dy])
-
-
-def _draws(component: Component) -> ca.SX:
-    """Symbols of the normal draws at a sample instant."""
-    return ca.SX.sym("w", 0 if component.sampling is None else component.sampling.channels)
-
-
-def _first_state(component: Component, u: ca.SX, p: ca.SX, w: ca.SX) -> ca.SX:
-    """State at the start, the first sample instant included."""
-    x, sampling = component.initial(u, p), component.sampling
-    return x if sampling is None else sampling.update(x, u, p, w, sampling.signals(x, u, p))
 
 
 def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
@@ -406,8 +296,8 @@ def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:
     """Inputs and parameters that each output feels at the end of initialisation."""
     u = ca.SX.sym("u", len(component.inputs))
     p = ca.SX.sym("p", len(component.parameters))
-    w = _draws(component)
-    y = component.outputs(_first_state(component, u, p, w), u, p)
+    w = draws(component)
+    y = component.outputs(first_state(component, u, p, w), u, p)
     f = ca.Function("f", [ca.vertcat(p, u), w], [y])
     names = [v.name for v in component.parameters + component.inputs]
     pattern = _pattern(f, 0, len(names))

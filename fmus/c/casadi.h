@@ -9,6 +9,7 @@
 #define EXPANDED(FUNCTION, NAME) JOINED(FUNCTION, NAME)
 #define NAMED(FUNCTION) EXPANDED(FUNCTION, PART)
 
+void NAMED(prepare)(const Part* p, double* prepared);
 void NAMED(initial)(const Part* p, double* x);
 void NAMED(step)(const Part* p, double h, double* x_next);
 void NAMED(outputs)(Part* p);
@@ -29,6 +30,7 @@ void NAMED(delays)(const Part* p, double* seconds);
 
 #ifdef KERNELS
 #define PARAMETERS (p->v + 1)
+#define KNOWN PARAMETERS, p->prepared /* parameters, and what was computed of them alone */
 #define INPUTS (p->v + FIRST_INPUT)
 #define OUTPUTS (p->v + FIRST_OUTPUT)
 
@@ -42,6 +44,8 @@ void NAMED(delays)(const Part* p, double* seconds);
         KERNEL(arg, res, iw, w, 0);                     \
     } while (0)
 
+void NAMED(prepare)(const Part* p, double* prepared) { CALL(prepare, prepared, PARAMETERS); }
+
 void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
 
 /* SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which is
@@ -51,7 +55,7 @@ void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMET
     do {                                                   \
         double holds;                                      \
         const double ahead = H;                            \
-        CALL(holds_##I, &holds, p->x, PARAMETERS, &ahead); \
+        CALL(holds_##I, &holds, p->x, KNOWN, &ahead);      \
         if (holds) {                                       \
             CALL(KERNEL##_##I, RESULT, __VA_ARGS__);       \
             return;                                        \
@@ -59,17 +63,17 @@ void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMET
     } while (0);
 
 void NAMED(step)(const Part* p, double h, double* x_next) {
-#define TRY(I) IF_HOLDS(I, h, cheap_step, x_next, p->x, INPUTS, PARAMETERS, &h)
+#define TRY(I) IF_HOLDS(I, h, cheap_step, x_next, p->x, INPUTS, KNOWN, &h)
     SHORTCUTS(TRY)
 #undef TRY
-    CALL(step, x_next, p->x, INPUTS, PARAMETERS, &h);
+    CALL(step, x_next, p->x, INPUTS, KNOWN, &h);
 }
 
 void NAMED(outputs)(Part* p) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_outputs, OUTPUTS, p->x, INPUTS, PARAMETERS)
+#define TRY(I) IF_HOLDS(I, 0, cheap_outputs, OUTPUTS, p->x, INPUTS, KNOWN)
     SHORTCUTS(TRY)
 #undef TRY
-    CALL(outputs, OUTPUTS, p->x, INPUTS, PARAMETERS);
+    CALL(outputs, OUTPUTS, p->x, INPUTS, KNOWN);
 }
 
 void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change) {
@@ -93,22 +97,22 @@ int NAMED(rests)(const Part* p) {
 
 #ifdef SAMPLED
 void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed)
+#define TRY(I) IF_HOLDS(I, 0, cheap_update, x_next, p->x, INPUTS, KNOWN, noise, delayed)
     SHORTCUTS(TRY)
 #undef TRY
-    CALL(update, x_next, p->x, INPUTS, PARAMETERS, noise, delayed);
+    CALL(update, x_next, p->x, INPUTS, KNOWN, noise, delayed);
 }
 #if N_NOISE > 0
-void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, PARAMETERS); }
+void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, KNOWN); }
 #endif
 #if N_LINES > 0
 void NAMED(signals)(const Part* p, double* now) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_signals, now, p->x, INPUTS, PARAMETERS)
+#define TRY(I) IF_HOLDS(I, 0, cheap_signals, now, p->x, INPUTS, KNOWN)
     SHORTCUTS(TRY)
 #undef TRY
-    CALL(signals, now, p->x, INPUTS, PARAMETERS);
+    CALL(signals, now, p->x, INPUTS, KNOWN);
 }
-void NAMED(delays)(const Part* p, double* seconds) { CALL(delays, seconds, PARAMETERS); }
+void NAMED(delays)(const Part* p, double* seconds) { CALL(delays, seconds, KNOWN); }
 #endif
 #endif
 
@@ -143,6 +147,8 @@ const Model MODEL = {
     .n_states = N_STATES,
     .state_names = state_names,
     .max_step = MAX_STEP,
+    .n_prepared = N_PREPARED,
+    .prepare = NAMED(prepare),
     .sampling = SAMPLING,
     .initial = NAMED(initial),
     .step = NAMED(step),

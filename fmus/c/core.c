@@ -38,11 +38,12 @@ static int allocate(Instance* c) {
         const Model* m = p->model;
         const Sampling* s = m->sampling;
         kept += m->n_variables + m->n_states + 1 + record_size(m);
-        scratch += m->n_variables + m->n_states + (s ? s->n_noise + 2 * s->n_lines : 0);
+        scratch += m->n_variables + m->n_states + m->n_prepared + (s ? s->n_noise + 2 * s->n_lines : 0);
     }
     c->state_size = sizeof(State) + kept * sizeof(double);
     c->state = calloc(1, c->state_size + scratch * sizeof(double));
-    if (!c->state) return -1;
+    c->wires = calloc(fmu.n_connections + 1, sizeof *c->wires);
+    if (!c->state || !c->wires) return -1;
     double *state = c->state->values, *rest = state + kept;
     c->carried = take(&state, fmu.n_connections);
     FOR_EACH_PART(p) {
@@ -54,6 +55,7 @@ static int allocate(Instance* c) {
         p->record = take(&state, record_size(m));
         p->change = take(&rest, m->n_variables);
         p->next = take(&rest, m->n_states);
+        p->prepared = take(&rest, m->n_prepared);
         p->noise = take(&rest, s ? s->n_noise : 0);
         p->signal = take(&rest, s ? s->n_lines : 0);
         p->delayed = take(&rest, s ? s->n_lines : 0);
@@ -66,10 +68,15 @@ Instance* core_new(const char* resources, int exchange, char* message, size_t si
     for (unsigned i = 0; c && i < fmu.n_parts; i++) c->parts[i].model = fmu.models[i];
     if (!c || allocate(c)) {
         snprintf(message, size, "out of memory");
+        if (c) free(c->state);
         free(c);
         return NULL;
     }
-    for (unsigned i = 0; i < fmu.n_connections; i++) c->parts[fmu.connections[i].source.part].gives = 1;
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
+        c->wires[i] = (Wire){&c->parts[from.part].v[from.variable], &c->parts[to.part].v[to.variable]};
+        c->parts[from.part].gives = 1;
+    }
     FOR_EACH_PART(p) {
         if (p->model->open && p->model->open(resources, &p->data, message, size)) {
             core_free(c);
@@ -85,21 +92,44 @@ void core_free(Instance* c) {
     if (!c) return;
     FOR_EACH_PART(p)
         if (p->data) p->model->close(p->data);
+    free(c->wires);
     free(c->state);
     free(c);
 }
 
 void core_reset(Instance* c) {
     memset(c->state, 0, c->state_size);
-    FOR_EACH_PART(p)
+    FOR_EACH_PART(p) {
         for (unsigned i = 1; i < p->model->first_output; i++) p->v[i] = p->model->variables[i].start;
+        p->ready = 0;
+    }
     c->state->mode = INSTANTIATED;
     c->state->outputs = STALE;
 }
 
 /* ---- one part ---- */
 
+/* What depends on parameters alone, computed again if one has changed. Before any kernel of a step. */
+static void prepare(Part* p) {
+    if (p->ready) return;
+    if (p->model->prepare) p->model->prepare(p, p->prepared);
+    p->ready = 1;
+}
+
+/* Whether none of n numbers is infinite or NaN: the exponent of those is all ones, so that one more
+ * carries into the place of the sign. */
+static int all_finite(const double* values, unsigned n) {
+    uint64_t carry = 0;
+    for (unsigned i = 0; i < n; i++) {
+        uint64_t bits;
+        memcpy(&bits, values + i, sizeof bits);
+        carry |= (bits & 0x7fffffffffffffffu) + 0x0010000000000000u;
+    }
+    return !(carry >> 63);
+}
+
 static int check_states(Instance* c, const Part* p) {
+    if (all_finite(p->x, p->model->n_states)) return 0;
     for (unsigned i = 0; i < p->model->n_states; i++)
         if (!isfinite(p->x[i]))
             return fail(c, "state %s = %g at time %g s: the simulation has diverged",
@@ -109,12 +139,19 @@ static int check_states(Instance* c, const Part* p) {
 
 static int put_out(Instance* c, Part* p) {
     const Model* m = p->model;
+    prepare(p);
     m->outputs(p);
+    if (all_finite(p->v + m->first_output, m->n_variables - m->first_output)) return 0;
     for (unsigned i = m->first_output; i < m->n_variables; i++)
         if (!isfinite(p->v[i]) && !(m->variables[i].may_lack && isnan(p->v[i])))
             return fail(c, "output %s = %g at time %g s is not a finite number", m->variables[i].name,
                         p->v[i], p->v[0]);
     return 0;
+}
+
+/* Where in a line of n the sample lies that is so far back from sample k, which is at `at`. */
+static unsigned place_of(unsigned back, uint64_t k, unsigned at, unsigned n) {
+    return back < k ? (back <= at ? at - back : at + n - back) : 0;
 }
 
 /* Remember the signals of sample instant k, and look each up at its delay before, between two
@@ -128,18 +165,26 @@ static int look_back(Instance* c, Part* p) {
     s->signals(p, p->signal);
     s->delays(p, p->delayed);
     unsigned n = 0, at = 0; /* capacity of a line, and where its present sample goes */
+    double delay = -1, share = 0; /* that of the line before: lines of one sensor have mostly the same */
+    unsigned late = 0, later = 0; /* where the samples are between which the delay ends */
     for (unsigned i = 0; i < s->n_lines; line += n, i++) {
-        if (s->lines[i].capacity != n) n = s->lines[i].capacity, at = (unsigned)(k % n);
-        double periods = p->delayed[i] / period;
-        if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
-            return fail(c, "delay %s = %g s must be from 0 to %g s: make it shorter or sample_period longer",
-                        s->lines[i].name, p->delayed[i], (n - 1) * period);
-        if (periods > n - 1) periods = n - 1;
-        const unsigned back = (unsigned)periods, further = back + 1;
+        if (s->lines[i].capacity != n || p->delayed[i] != delay) {
+            if (s->lines[i].capacity != n) n = s->lines[i].capacity, at = (unsigned)(k % n);
+            delay = p->delayed[i];
+            double periods = delay / period;
+            if (!(periods >= 0 && periods <= n - 1 + SAMPLE_TOLERANCE))
+                return fail(c,
+                            "delay %s = %g s must be from 0 to %g s: make it shorter or sample_period longer",
+                            s->lines[i].name, delay, (n - 1) * period);
+            if (periods > n - 1) periods = n - 1;
+            const unsigned back = (unsigned)periods;
+            share = periods - back;
+            late = place_of(back, k, at, n);
+            later = place_of(back + 1, k, at, n);
+        }
         line[at] = p->signal[i];
-        const double after = line[back < k ? (back <= at ? at - back : at + n - back) : 0];
-        const double before = line[further < k ? (further <= at ? at - further : at + n - further) : 0];
-        p->delayed[i] = after + (periods - back) * (before - after);
+        const double after = line[late], before = line[later];
+        p->delayed[i] = after + share * (before - after);
     }
     return 0;
 }
@@ -160,6 +205,7 @@ static int sample(Instance* c, Part* p) {
 /* States at the start, a sample instant there included. */
 static int begin(Instance* c, Part* p) {
     const Sampling* s = p->model->sampling;
+    prepare(p);
     p->model->initial(p, p->x);
     *p->samples = 0;
     return s && s->first == 0 ? sample(c, p) : 0;
@@ -168,10 +214,11 @@ static int begin(Instance* c, Part* p) {
 /* Integrate over a time without sample instants, in equal parts of at most max_step. */
 static void integrate(Part* p, double h) {
     const Model* m = p->model;
-    double n = ceil(h / m->max_step - 1e-6);
+    if (!m->step || m->n_states == 0) return;
+    double n = h <= m->max_step ? 1 : ceil(h / m->max_step - 1e-6);
     if (n < 1) n = 1;
-    double dt = h / n;
-    for (long k = 0; m->step && m->n_states > 0 && k < (long)n; k++) {
+    const double dt = n == 1 ? h : h / n;
+    for (long k = 0; k < (long)n; k++) {
         m->step(p, dt, p->next);
         memcpy(p->x, p->next, m->n_states * sizeof(double));
     }
@@ -179,6 +226,7 @@ static void integrate(Part* p, double h) {
 
 static int advance(Instance* c, Part* p, double time, double h) {
     const Sampling* s = p->model->sampling;
+    prepare(p);
     if (!s) {
         integrate(p, h);
     } else {
@@ -203,10 +251,7 @@ static int advance(Instance* c, Part* p, double time, double h) {
 /* ---- parts together ---- */
 
 static void receive(Instance* c) {
-    for (unsigned i = 0; i < fmu.n_connections; i++) {
-        const Port to = fmu.connections[i].target;
-        c->parts[to.part].v[to.variable] = c->carried[i];
-    }
+    for (unsigned i = 0; i < fmu.n_connections; i++) *c->wires[i].to = c->carried[i];
 }
 
 /* Everything at the start, as start values and free inputs have it: the parts are visited in the
@@ -244,20 +289,35 @@ static int refresh(Instance* c) {
     return 0;
 }
 
-/* All parts step from the inputs held, then those that give put out, and the values are carried on;
- * what no part reads waits until somebody asks. */
+/* All parts step from the inputs held, then those that give put out; what no part reads waits until
+ * somebody asks. */
 static int step_all(Instance* c, double time, double h) {
-    receive(c);
     FOR_EACH_PART(p)
         if (advance(c, p, time, h)) return -1;
     c->state->outputs = STALE;
     FOR_EACH_PART(p)
         if (p->gives && put_out(c, p)) return -1;
-    if (fmu.n_connections) c->state->outputs = REST_STALE;
-    for (unsigned i = 0; i < fmu.n_connections; i++) {
-        const Port from = fmu.connections[i].source;
-        c->carried[i] = c->parts[from.part].v[from.variable];
+    return 0;
+}
+
+/* A time that rounding alone keeps off the grid start + k step, put on it: what comes out does not
+ * depend on how the importer divides the time. */
+static double on_grid(const Instance* c, double time) {
+    const double start = c->state->start_time, grid = start + round((time - start) / fmu.step) * fmu.step;
+    return fabs(grid - time) <= 1e-6 * fmu.step ? grid : time;
+}
+
+/* n steps, the values handed on between them; those after the last are carried, since outputs that
+ * somebody asks for feel the inputs held until then. */
+static int step_often(Instance* c, double time, double h, long n) {
+    receive(c);
+    for (long k = 0; k < n; k++) {
+        if (k > 0)
+            for (unsigned i = 0; i < fmu.n_connections; i++) *c->wires[i].to = *c->wires[i].from;
+        if (step_all(c, n > 1 ? on_grid(c, time + k * h) : time, h)) return -1;
     }
+    for (unsigned i = 0; i < fmu.n_connections; i++) c->carried[i] = *c->wires[i].from;
+    if (fmu.n_connections) c->state->outputs = REST_STALE;
     return 0;
 }
 
@@ -312,6 +372,7 @@ int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
     if (value < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, value, k->minimum);
     if (value > k->maximum) return fail(c, "%s = %g is above its maximum %g", k->name, value, k->maximum);
     c->parts[at.part].v[at.variable] = value;
+    if (k->causality <= FIXED_PARAMETER) c->parts[at.part].ready = 0;
     c->state->outputs = STALE;
     return 0;
 }
@@ -382,13 +443,6 @@ int core_exit_initialization(Instance* c) {
     return 0;
 }
 
-/* A time that rounding alone keeps off the grid start + k step, put on it: what comes out does not
- * depend on how the importer divides the time. */
-static double on_grid(const Instance* c, double time) {
-    const double start = c->state->start_time, grid = start + round((time - start) / fmu.step) * fmu.step;
-    return fabs(grid - time) <= 1e-6 * fmu.step ? grid : time;
-}
-
 int core_step(Instance* c, double time, double h) {
     State* s = c->state;
     if (s->mode != STEPPING) return fail(c, "%sdoStep before initialization or after terminate", "", 0, 0);
@@ -400,14 +454,9 @@ int core_step(Instance* c, double time, double h) {
     FOR_EACH_PART(p) too_long |= h / p->model->max_step > 1e9;
     if (too_long) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
     double n = ceil(h / fmu.step - 1e-6);
-    if (n <= 1) {
-        if (step_all(c, time, h)) return -1;
-    } else {
-        double dt = h / n;
-        if (fabs(dt - fmu.step) <= 1e-9 * fmu.step) dt = fmu.step;
-        for (long k = 0; k < (long)n; k++)
-            if (step_all(c, on_grid(c, time + k * dt), dt)) return -1;
-    }
+    double dt = n > 1 ? h / n : h;
+    if (n > 1 && fabs(dt - fmu.step) <= 1e-9 * fmu.step) dt = fmu.step;
+    if (step_often(c, time, dt, n > 1 ? (long)n : 1)) return -1;
     s->time = time + h;
     return 0;
 }
@@ -448,6 +497,7 @@ static int take_instant(Instance* c, double instant) {
     Part* p = &c->parts[0];
     const Model* m = p->model;
     if (instant <= *p->samples) return 0;
+    prepare(p);
     if (instant > *p->samples + 1) wake(p);
     *p->samples = instant;
     for (unsigned i = 0; i < m->n_continuous; i++)
@@ -562,5 +612,6 @@ int core_check_saved(Instance* c, const char* bytes, size_t size) {
 int core_restore(Instance* c, const char* bytes, size_t size) {
     if (core_check_saved(c, bytes, size)) return -1;
     memcpy(c->state, bytes + tag_size(), c->state_size);
+    FOR_EACH_PART(p) p->ready = 0;
     return 0;
 }

@@ -70,6 +70,9 @@ typedef struct {
     /* Open what is needed from the resources folder; 0, or -1 with a message. NULL: nothing. */
     int (*open)(const char* resources, void** data, char* message, size_t size);
     void (*close)(void* data);
+    /* What kernels need that depends on parameters alone; prepare = NULL: nothing. */
+    unsigned n_prepared;
+    void (*prepare)(const Part* p, double* prepared);
     void (*initial)(const Part* p, double* x);
     void (*step)(const Part* p, double h, double* x_next); /* NULL: states change at instants alone */
     void (*outputs)(Part* p);
@@ -116,6 +119,8 @@ struct Part {
     double *v, *x, *samples, *record;                 /* in the state: variables, states, sample
                                                          instants so far, delay lines */
     double *next, *noise, *signal, *delayed, *change; /* scratch */
+    double* prepared;                                 /* scratch, by `prepare` of these parameters */
+    int ready;                                        /* whether it is that of the present ones */
     void* data;                                       /* made by open() */
     int gives;                                        /* whether a connection starts here */
 };
@@ -131,10 +136,17 @@ typedef struct {
     double values[]; /* of the connections, then of the parts */
 } State;
 
+/* The ends of a connection in the state. */
+typedef struct {
+    const double* from;
+    double* to;
+} Wire;
+
 typedef struct {
     State* state;
     size_t state_size;
     double* carried; /* in the state, by connection */
+    Wire* wires;     /* by connection */
     void* host;      /* handles of the FMI shim, never part of the state */
     char exchange;   /* whether a solver outside integrates; else it is stepped */
     char message[320];
