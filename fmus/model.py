@@ -45,7 +45,7 @@ class Part:
         kernels: C source in front of it.
         apart: Whether the kernels are a file of their own, which includes the glue as well.
         defines: Macros that the glue needs.
-        shortcuts: How many cheaper kernels the glue tries; None where it knows of none.
+        shortcuts: Which cheaper kernels the glue tries, by kernel; None where it knows of none.
         sampling: What happens at sample instants.
         resources: Files it reads.
         folder: Where they lie in the resources folder, "" or ending in a slash.
@@ -64,7 +64,7 @@ class Part:
     kernels: str = ""
     apart: bool = False
     defines: Mapping[str, Constant] = field(default_factory=dict)
-    shortcuts: int | None = None
+    shortcuts: Mapping[str, tuple[int, ...]] | None = None
     sampling: Sampling | None = None
     resources: Mapping[str, bytes] = field(default_factory=dict)
     folder: str = ""
@@ -252,7 +252,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
     offered: Exchange | None = None
     if exchange:
         component, offered = exchanged(component)
-    functions = kernels(component, exchange)
+    called = kernels(component, exchange)
     part = Part(
         name=component.name,
         variables=component.variables,
@@ -261,10 +261,10 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         state_names=tuple(s.name for s in component.states),
         max_step_s=component.max_step_s,
         glue="casadi.h",
-        kernels=kernel_source(functions),
+        kernels=kernel_source(called.functions),
         apart=True,
-        defines=workspace(functions),
-        shortcuts=len(component.shortcuts),
+        defines=workspace(called.functions) | {"STILL": int(called.still)},
+        shortcuts=called.cheaper,
         sampling=component.sampling,
         held=_held(component),
         exchange=offered,

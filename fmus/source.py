@@ -36,8 +36,9 @@ def _kernels(part: Part) -> str:
     defines = {"KERNELS": "", **_shared(part)}
     array, places = _numbers(part), iter(range(len(_NUMBER.findall(part.kernels))))
     kernels = _NUMBER.sub(lambda _: f"{array}[{next(places)}]", part.kernels)
-    if part.shortcuts is not None:
-        defines["SHORTCUTS(TRY)"] = " ".join(f"TRY({i})" for i in range(part.shortcuts))
+    for kernel, tried in (part.shortcuts or {}).items():
+        name = check_identifier(f"{part.name}: kernel", f"{kernel.upper()}_SHORTCUTS")
+        defines[f"{name}(TRY)"] = " ".join(f"TRY({c_number(i)})" for i in tried)
     return "\n".join(
         [
             "#include <math.h>\n",

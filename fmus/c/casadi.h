@@ -48,8 +48,8 @@ void NAMED(prepare)(const Part* p, double* prepared) { CALL(prepare, prepared, P
 
 void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
 
-/* SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which is
- * taken if it holds over the next H seconds. Calls by name: through a table of kernels a step takes
+/* STEP_SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which
+ * is taken if it holds over the next H seconds; likewise of the other kernels. Calls by name: through a table of kernels a step takes
  * 8 % longer. */
 #define IF_HOLDS(I, H, KERNEL, RESULT, ...)                \
     do {                                                   \
@@ -64,14 +64,14 @@ void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMET
 
 void NAMED(step)(const Part* p, double h, double* x_next) {
 #define TRY(I) IF_HOLDS(I, h, cheap_step, x_next, p->x, INPUTS, KNOWN, &h)
-    SHORTCUTS(TRY)
+    STEP_SHORTCUTS(TRY)
 #undef TRY
     CALL(step, x_next, p->x, INPUTS, KNOWN, &h);
 }
 
 void NAMED(outputs)(Part* p) {
 #define TRY(I) IF_HOLDS(I, 0, cheap_outputs, OUTPUTS, p->x, INPUTS, KNOWN)
-    SHORTCUTS(TRY)
+    OUTPUTS_SHORTCUTS(TRY)
 #undef TRY
     CALL(outputs, OUTPUTS, p->x, INPUTS, KNOWN);
 }
@@ -98,7 +98,7 @@ int NAMED(rests)(const Part* p) {
 #ifdef SAMPLED
 void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next) {
 #define TRY(I) IF_HOLDS(I, 0, cheap_update, x_next, p->x, INPUTS, KNOWN, noise, delayed)
-    SHORTCUTS(TRY)
+    UPDATE_SHORTCUTS(TRY)
 #undef TRY
     CALL(update, x_next, p->x, INPUTS, KNOWN, noise, delayed);
 }
@@ -108,7 +108,7 @@ void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, KNOWN
 #if N_LINES > 0
 void NAMED(signals)(const Part* p, double* now) {
 #define TRY(I) IF_HOLDS(I, 0, cheap_signals, now, p->x, INPUTS, KNOWN)
-    SHORTCUTS(TRY)
+    SIGNALS_SHORTCUTS(TRY)
 #undef TRY
     CALL(signals, now, p->x, INPUTS, KNOWN);
 }
@@ -151,7 +151,9 @@ const Model MODEL = {
     .prepare = NAMED(prepare),
     .sampling = SAMPLING,
     .initial = NAMED(initial),
+#if !STILL
     .step = NAMED(step),
+#endif
     .outputs = NAMED(outputs),
     .tangent = NAMED(tangent),
 #ifdef EXCHANGED

@@ -1,6 +1,7 @@
 """C source of kernels, as CasADi writes it and an FMU needs it."""
 
 import re
+from collections.abc import Sequence
 
 import casadi as ca
 
@@ -12,7 +13,7 @@ _EXPORTED = re.compile(
 """What CasADi writes to be called from outside: functions that are not static, and their tables."""
 
 
-def kernel_source(functions: list[ca.Function]) -> str:
+def kernel_source(functions: Sequence[ca.Function]) -> str:
     """C source of the kernels, all of it static: several parts are linked into one library.
 
     It holds no name and no number of a vehicle, so that one compilation serves many.
@@ -37,7 +38,7 @@ def kernel_source(functions: list[ca.Function]) -> str:
     return source
 
 
-def workspace(functions: list[ca.Function]) -> dict[str, int]:
+def workspace(functions: Sequence[ca.Function]) -> dict[str, int]:
     """Sizes of what the kernels work in."""
     return {
         "N_ARGUMENTS": max(f.sz_arg() for f in functions) + 1,

@@ -1,62 +1,104 @@
 """Which functions of a component its C source calls, and what of them is computed but once."""
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
 import casadi as ca
 
-from twin.component import Component
+from twin.component import Component, Shortcut
 
 from .tangents import tangents
 
+_Stepping = tuple[ca.Function, str]
+"""A function that runs in every step, and its arguments, a letter each: x, u, p and so on."""
 
-def kernels(component: Component, exchange: bool) -> list[ca.Function]:
+
+@dataclass(frozen=True, slots=True)
+class Kernels:
+    """The functions that the C source of a component calls.
+
+    Attributes:
+        functions: First among them `prepare`, `p -> c`, of which those that run in every step have
+            an argument more than in the component, c after p: what they compute of parameters
+            alone, it has computed before. The operations are the same and so are the numbers, to
+            the last bit.
+        cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
+        still: Whether a step changes no state.
+    """
+
+    functions: tuple[ca.Function, ...] = field(repr=False)
+    cheaper: Mapping[str, tuple[int, ...]]
+    still: bool
+
+
+def kernels(component: Component, exchange: bool) -> Kernels:
     """Every function that the C source of a component calls.
-
-    First among them is `prepare`, `p -> c`, of which those that run in every step have an argument
-    more than in the component, c after p: what they compute of parameters alone, it has computed
-    before. The operations are the same and so are the numbers, to the last bit.
 
     Args:
         component: Equations and interface.
         exchange: Whether a solver outside may integrate it, beside co-simulation.
     """
-    functions = [*prepared(_stepping(component)), component.initial]
-    functions += tangents(component, exchange)
+    full = _full(component)
+    stepping, cheaper = [full[name] for name in full], {}
+    for name in ("step", "outputs", "update", "signals"):
+        found = [(i, _short(s, name)) for i, s in enumerate(component.shortcuts)]
+        others = [
+            (i, (f, full[name][1]))
+            for i, f in found
+            if f is not None and name in full and not _same(f, *full[name])
+        ]
+        cheaper[name] = tuple(i for i, _ in others)
+        stepping += [other for _, other in others]
+    tried = sorted({i for some in cheaper.values() for i in some})
+    stepping += [(component.shortcuts[i].holds, "xph") for i in tried]
+    functions = [*prepared(stepping), component.initial, *tangents(component, exchange)]
     if exchange and component.continuous is not None:
         functions.append(component.continuous.rests)
-    return functions
+    x = ca.SX.sym("x", len(component.states))
+    still = _same(ca.Function("still", [x], [x]), *full["step"])
+    return Kernels(tuple(functions), cheaper, still)
 
 
-def _stepping(component: Component) -> list[tuple[ca.Function, str]]:
-    """What runs in every step, each with its arguments, a letter each."""
-    functions = [(component.step, "xuph"), (component.outputs, "xup")]
+def _full(component: Component) -> dict[str, _Stepping]:
+    """What runs in every step, by what it is called here."""
+    functions = {"step": (component.step, "xuph"), "outputs": (component.outputs, "xup")}
     sampling = component.sampling
     if sampling is not None:
-        functions.append((sampling.update, "xupwd"))
+        functions["update"] = (sampling.update, "xupwd")
         if sampling.channels:
-            functions.append((sampling.sizes, "p"))
+            functions["sizes"] = (sampling.sizes, "p")
         if sampling.lines:
-            functions += [(sampling.signals, "xup"), (sampling.delays, "p")]
-    for shortcut in component.shortcuts:
-        functions += [(shortcut.holds, "xph"), (shortcut.step, "xuph"), (shortcut.outputs, "xup")]
-        functions += [] if shortcut.update is None else [(shortcut.update, "xupwd")]
-        if shortcut.signals is not None and sampling and sampling.lines:
-            functions.append((shortcut.signals, "xup"))
+            functions["signals"] = (sampling.signals, "xup")
+            functions["delays"] = (sampling.delays, "p")
     return functions
 
 
-def prepared(functions: list[tuple[ca.Function, str]]) -> list[ca.Function]:
+def _short(shortcut: Shortcut, name: str) -> ca.Function | None:
+    """The function of this name in a shortcut."""
+    found: ca.Function | None = getattr(shortcut, name)
+    return found
+
+
+def _same(one: ca.Function, other: ca.Function, letters: str) -> bool:
+    """Whether two functions are the same operations; `one` may do with the first arguments."""
+    symbols = [ca.SX.sym(k, other.size1_in(i)) for i, k in enumerate(letters)]
+    n = other.size1_out(0)
+    both = ca.cse(ca.vertcat(one(*symbols[: one.n_in()]), other(*symbols)))
+    return bool(ca.is_equal(both[:n], both[n:]))
+
+
+def prepared(functions: Sequence[_Stepping]) -> list[ca.Function]:
     """`prepare` and the functions, what they have of parameters alone taken out into it.
 
     Args:
-        functions: Each with its arguments, a letter each; p are the parameters. A letter stands
-            for the same in all of them.
+        functions: Each with its arguments; a letter stands for the same in all of them.
     """
     symbols: dict[str, ca.SX] = {}
     for function, letters in functions:
         for i, letter in enumerate(letters):
             symbols.setdefault(letter, ca.SX.sym(letter, function.size1_in(i)))
     results = [f(*(symbols[k] for k in letters)) for f, letters in functions]
-    together = ca.cse(ca.vertcat(*results))
-    left, names, known = ca.extract_parametric(together, symbols["p"])
+    left, names, known = ca.extract_parametric(ca.cse(ca.vertcat(*results)), symbols["p"])
     c = ca.vertcat(ca.SX(0, 1), *names)
     made = [ca.Function("prepare", [symbols["p"]], [ca.densify(ca.vertcat(ca.SX(0, 1), *known))])]
     begin = 0

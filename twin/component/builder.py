@@ -24,6 +24,7 @@ class ComponentBuilder:
         self._rates: dict[str, ca.SX] = {}
         self._projections: dict[str, ca.SX] = {}
         self._idle: list[tuple[ca.SX, ca.SX, Sequence[ca.SX]]] = []
+        self._flags: list[tuple[ca.SX, ca.SX]] = []
         self._updates: dict[str, ca.SX] = {}
         self._period: str | None = None
         self._noise: list[tuple[ca.SX, ca.SX]] = []
@@ -159,15 +160,26 @@ class ComponentBuilder:
         self._delayed.append((line, ca.SX(signal), ca.SX(delay_s), symbol))
         return symbol
 
+    def flag(self, name: str, condition: ca.SX) -> ca.SX:
+        """A truth value that `idle_while` may take as one of its switches, in outputs and rates.
+
+        Args:
+            name: Of the symbol.
+            condition: Expression of states, inputs and parameters.
+        """
+        symbol = ca.SX.sym(name)
+        self._flags.append((symbol, condition))
+        return symbol
+
     def idle_while(self, condition: ca.SX, step: ca.SX, switches: Sequence[ca.SX]) -> None:
-        """Say when parameters that switch equations on are as good as 0.
+        """Say when parameters or flags that switch equations on are as good as 0.
 
         Said several times, the first condition that holds counts.
 
         Args:
             condition: Expression of states, parameters and `step`.
             step: Symbol of the step length, s; 0 where the outputs are asked for.
-            switches: The parameters' symbols.
+            switches: Their symbols.
         """
         self._idle.append((condition, step, switches))
 
@@ -200,6 +212,8 @@ class ComponentBuilder:
             self._projections.get(name, symbol) for name, (_, symbol, _) in self._states.items()
         )
         y = _column(expression for _, expression in table["output"])
+        flagged = [rates, y]
+        rates, y = self._unflagged(flagged)
         project = ca.Function("project", [x], [projected])
         f = ca.Function("derivatives", [x, u, p], [ca.cse(rates)], ["x", "u", "p"], ["dx"])
 
@@ -210,7 +224,7 @@ class ComponentBuilder:
         ) -> Shortcut:
             """The component's functions with some switches at zero."""
             on, off = list(switches), [ca.SX(0.0)] * len(switches)
-            dx, cheap_y = ca.substitute([rates, y], on, off)
+            dx, cheap_y = self._unflagged(ca.substitute(flagged, on, off))
             cheap = ca.Function("f", [x, u, p], [ca.cse(dx)])
             update = signals = None
             if sampling is not None:
@@ -248,6 +262,13 @@ class ComponentBuilder:
                 rests=ca.Function("rests", [p], [self._resting()]),
             ),
         )
+
+    def _unflagged(self, expressions: list[ca.SX]) -> list[ca.SX]:
+        """Expressions with the conditions of the flags in place of their symbols."""
+        if not self._flags:
+            return expressions
+        symbols, conditions = zip(*self._flags, strict=True)
+        return list(ca.substitute(expressions, list(symbols), list(conditions)))
 
     def _resting(self) -> ca.SX:
         """Whether instants are not felt: never, where nobody has said when."""

@@ -17,7 +17,8 @@ polynomial. Legs of one shape are one equation, with the numbers of the one unde
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from functools import reduce
+from itertools import accumulate, combinations
 
 import casadi as ca
 import numpy as np
@@ -102,10 +103,20 @@ def mission(vehicle: Vehicle, name: str) -> Component:
         where = [
             w + ca.if_else(clock >= end, d, 0.0) for w, d in zip(where, leg.whole, strict=True)
         ]
+    speed, acceleration = [[ca.SX(0)] * 4 for _ in range(2)]
+    moving = []
     for shape in dict.fromkeys(leg.shape for leg in legs if leg.shape):
         own = [row for row in zip(legs, begins, ends, strict=True) if row[0].shape is shape]
-        where = [w + d for w, d in zip(where, _under_way(clock, shape, own), strict=True)]
-    speed = [ca.jacobian(w, clock) for w in where]
+        now, way = _under_way(clock, shape, own)
+        flag = m.flag(f"moving{shape.__name__}", now)
+        moving.append((flag, now))
+        way_speed = [ca.jacobian(d, clock) for d in way]
+        gain = [ca.jacobian(v, clock) for v in way_speed]
+        where, speed, acceleration = (
+            [a + ca.if_else(flag, b, 0.0) for a, b in zip(so_far, more, strict=True)]
+            for so_far, more in ((where, way), (speed, way_speed), (acceleration, gain))
+        )
+    _leave_out(m, moving)
     for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
         m.output(f"setpoint_pos_{a}", "m", f"Position setpoint, NED {d}", where[i])
     for i, (a, d) in enumerate(zip(AXES, _NED, strict=True)):
@@ -115,7 +126,7 @@ def mission(vehicle: Vehicle, name: str) -> Component:
             f"setpoint_acc_{a}",
             "m/s2",
             f"Acceleration setpoint, NED {d}",
-            ca.jacobian(speed[i], clock),
+            acceleration[i],
         )
     m.output("setpoint_yaw", "rad", "Heading setpoint of the nose, from north to east", where[3])
     m.output("armed", "1", "Whether the motors may turn", armed, kind="boolean")
@@ -125,10 +136,24 @@ def mission(vehicle: Vehicle, name: str) -> Component:
     return m.build()
 
 
+def _leave_out(m: ComponentBuilder, moving: Sequence[tuple[ca.SX, ca.SX]]) -> None:
+    """Let the equations of shapes idle of which no leg is under way: of most shapes first.
+
+    Args:
+        m: The mission.
+        moving: Of each shape, the flag and whether a leg is under way.
+    """
+    for count in range(len(moving), 0, -1):
+        for left_out in combinations(moving, count):
+            idle = [ca.logic_not(now) for _, now in left_out]
+            step = ca.SX.sym("step")
+            m.idle_while(reduce(ca.logic_and, idle), step, [flag for flag, _ in left_out])
+
+
 def _under_way(
     clock: ca.SX, shape: Shape, legs: Sequence[tuple[_Leg, ca.SX, ca.SX]]
-) -> list[ca.SX]:
-    """Displacement of that leg of one shape that is under way; none where none is.
+) -> tuple[ca.SX, list[ca.SX]]:
+    """Whether a leg of one shape is under way, and its displacement; none where none is.
 
     Args:
         clock: Time since the start of the mission.
@@ -136,7 +161,7 @@ def _under_way(
         legs: Each with its begin and end.
     """
     now = [ca.logic_and(clock >= begin, clock < end) for _, begin, end in legs]
-    idle = ca.logic_not(ca.sum1(ca.vertcat(*now)))
+    some = reduce(ca.logic_or, now)
     since = sum(
         (ca.if_else(on, clock - begin, 0.0) for on, (_, begin, _) in zip(now, legs, strict=True)),
         start=ca.SX(0),
@@ -144,8 +169,8 @@ def _under_way(
     numbers = []
     for column in zip(*(leg.numbers for leg, _, _ in legs), strict=True):
         chosen = (ca.if_else(on, n, 0.0) for on, n in zip(now, column, strict=True))
-        numbers.append(sum(chosen, start=ca.if_else(idle, column[0], 0.0)))  # all but one are 0
-    return shape(since, *numbers)
+        numbers.append(sum(chosen, start=ca.if_else(some, 0.0, column[0])))  # all but one are 0
+    return some, shape(since, *numbers)
 
 
 def mission_names() -> tuple[str, ...]:
