@@ -32,7 +32,7 @@ from .platforms import (
 )
 from .source import generated_sources
 
-CFLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-fvisibility=hidden")
+CFLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-fvisibility=hidden")
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
 NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
