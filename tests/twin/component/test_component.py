@@ -177,6 +177,24 @@ def test_shortcuts_leave_out_what_their_switches_turn_on() -> None:
     assert over == [[1.0, 1.0], [0.0, 1.0]]
 
 
+def test_flags_stand_for_conditions_and_switch_equations_off() -> None:
+    """As a switch: the shortcut is the equations with the condition false, whatever it is."""
+    m = ComponentBuilder("c", "")
+    x = m.state("x", "1", "", 0.0)
+    high = m.flag("high", x > 2)
+    m.derivative("x", 1 + ca.if_else(high, x, 0.0))
+    m.output("y", "1", "", x + ca.if_else(high, x**2, 0.0))
+    m.idle_while(x <= 2, ca.SX.sym("step"), [high])
+    c, none = m.build(), np.zeros(0)
+    (shortcut,) = c.shortcuts
+    for x0, rate, y in ((1.0, 1.0, 1.0), (3.0, 4.0, 12.0)):
+        assert float(c.derivatives(x0, none, none)) == rate
+        assert float(c.outputs(x0, none, none)) == y
+        assert float(shortcut.holds(x0, none, 0.0)) == (x0 <= 2)
+        assert float(shortcut.derivatives(x0, none, none)) == 1.0
+        assert float(shortcut.outputs(x0, none, none)) == x0
+
+
 @pytest.mark.parametrize("vehicle", BUILTIN)
 def test_interface_table_is_complete(vehicle: str) -> None:
     """Every variable has unit and meaning, names are unique, and starts are within range."""

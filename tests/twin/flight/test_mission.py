@@ -87,3 +87,19 @@ def test_circle_is_a_circle_and_parameters_move_it() -> None:
 def test_unknown_mission() -> None:
     with pytest.raises(ModelError, match="Known: takeoff, hover"):
         mission(load_vehicle("crazyflie"), "loop")
+
+
+@pytest.mark.parametrize("name", mission_names())
+def test_shapes_that_are_not_flown_are_left_out(name: str) -> None:
+    """At each time the first shortcut that holds gives the setpoints; each holds at some time."""
+    c = mission(load_vehicle("crazyflie"), name)
+    p, u, first = c.parameter_values(), np.zeros(0), set()
+    for t in np.arange(0.0, mission_duration_s(name) + 1.0, 0.02):
+        held = [i for i, s in enumerate(c.shortcuts) if float(s.holds(t, p, 0.0))]
+        for i in held:
+            full, cheap = c.outputs(t, u, p), c.shortcuts[i].outputs(t, u, p)
+            assert np.array_equal(np.asarray(full), np.asarray(cheap)), (t, i)
+        first |= set(held[:1])
+    assert first == set(range(len(c.shortcuts)))
+    least = [s.outputs.n_instructions() for s in c.shortcuts]
+    assert least[0] == min(least) < c.outputs.n_instructions() / 1.5
