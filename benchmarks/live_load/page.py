@@ -1,5 +1,6 @@
 """The page of what was measured."""
 
+from collections.abc import Callable
 from typing import Any
 
 Rows = dict[str, dict[str, Any]]
@@ -72,23 +73,36 @@ QGroundControl was not tried.
 
 
 def _ages(rows: Rows) -> str:
-    found = [r for name, r in rows.items() if name.startswith("ages_")]
-    return "\n".join(
-        f"| {'yes' if r['alarms_kept'] else 'no'} | {r['pictures']} | {r['shown_p50_ms']:.0f} ms | "
-        f"{r['shown_p99_ms']:.0f} ms | {r['published_p99_ms']:.0f} ms | {r['lost']} | "
-        f"{r['late']} | {r['load_before']:.1f} |"
-        for r in found
+    return _table(
+        rows,
+        "ages_",
+        lambda r: (
+            f"{_alarms(r)} | {r['pictures']} | {r['shown_p50_ms']:.0f} ms | "
+            f"{r['shown_p99_ms']:.0f} ms | {r['published_p99_ms']:.0f} ms | "
+            f"{r['lost']} | {r['late']}"
+        ),
     )
 
 
 def _many(rows: Rows) -> str:
-    found = [r for name, r in rows.items() if name.startswith("many_")]
-    return "\n".join(
-        f"| {r['aircraft']} | {'yes' if r['alarms_kept'] else 'no'} | {r['wall_s']:.0f} s | "
-        f"{100 * r['cpu_share']:.0f} % | {_per_second(r):.2f} s | "
-        f"{r['lost']} | {r['late']} | {r['most_behind_s']:.2f} s | {r['load_before']:.1f} |"
-        for r in found
+    return _table(
+        rows,
+        "many_",
+        lambda r: (
+            f"{r['aircraft']} | {_alarms(r)} | {r['wall_s']:.0f} s | "
+            f"{100 * r['cpu_share']:.0f} % | {_per_second(r):.2f} s | {r['lost']} | {r['late']} | {r['most_behind_s']:.2f} s"
+        ),
     )
+
+
+def _table(rows: Rows, kind: str, cells: Callable[[dict[str, Any]], str]) -> str:
+    """A line for each measurement of a kind, the load before it last."""
+    found = [r for name, r in rows.items() if name.startswith(kind)]
+    return "\n".join(f"| {cells(r)} | {r['load_before']:.1f} |" for r in found)
+
+
+def _alarms(r: dict[str, Any]) -> str:
+    return "yes" if r["alarms_kept"] else "no"
 
 
 def _per_second(r: dict[str, Any]) -> float:

@@ -1,8 +1,8 @@
 """`uavtwin bench`: the speed figures of the README, measured here and now.
 
-Every figure is the best of several runs, what is compared side by side in one run. libcosim and
-ecos, two other co-simulation masters, are timed where they are installed (the extra `test`), each
-in a process of its own.
+Every figure is the best of several runs, but that of the worker process, a quotient of medians;
+what is compared runs side by side. libcosim and ecos, two other co-simulation masters, are timed
+where they are installed (the extra `test`), each in a process of its own.
 """
 
 import re

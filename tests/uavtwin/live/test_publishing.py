@@ -47,6 +47,17 @@ class Listener:
         return Verdict(self.seen[-1], False, True, (SAG,), opened, (), 0.01, {"battery_sag": 0.97})
 
 
+def test_an_alarm_says_what_has_changed_and_else_what_its_effect_is() -> None:
+    weak = Alarm("rotor_efficiency_loss", (Told("loss_3", 0.1, 0.004, "1"),), 20, 22, 0.98, 0, {})
+    assert sentence(weak) == (
+        "since 20.0 s: rotor 3 has lost 10 % of its thrust "
+        "(rotor efficiency loss, 98%, loss_3 +0.1 ± 0.004)"
+    )
+    stuck = Alarm("stuck_sensor", (), 20.0, 22.0, 0.9, 0.01, {"vibration": 0.08}, closed_s=25.0)
+    assert sentence(stuck).startswith("since 20.0 s: stuck sensor, ")
+    assert sentence(stuck).endswith("(90%); cannot be told from vibration (8%); over since 25.0 s")
+
+
 def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
     """From a measured state on: the airframe's own step, however readings come."""
     equations = Equations.of(copter, "command")

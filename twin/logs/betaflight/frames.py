@@ -7,21 +7,14 @@ Betaflight's documentation, "Blackbox logging internals", and blackbox.c.
 """
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .encodings import (
-    neg_14bit,
-    signed_vb,
-    tag2_3s32,
-    tag8_4s16,
-    tag8_4s16_v1,
-    tag8_8svb,
-    unsigned_vb,
-)
+from .encodings import signed_vb, unsigned_vb
+from .fields import Read, reader
 from .header import (
     AVERAGE_2,
     HOME_COORD,
@@ -31,18 +24,10 @@ from .header import (
     MINMOTOR,
     MINTHROTTLE,
     MOTOR_0,
-    NEG_14BIT,
-    NULL,
     PREVIOUS,
-    SIGNED_VB,
     STRAIGHT_LINE,
-    TAG2_3S32,
-    TAG8_4S16,
-    TAG8_8SVB,
-    UNSIGNED_VB,
     VBATREF,
     ZERO,
-    Fields,
     Header,
 )
 
@@ -53,10 +38,7 @@ _LONGEST = 256
 _JUMP_US = 10_000_000
 _JUMP_LOOPS = 5000
 _WORD, _HALF = 0xFFFFFFFF, 0x80000000
-_GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}
 _MAIN, _SEEN = "IP", "IPSGHE"
-
-Read = Callable[[bytes, int], tuple[list[int], int]]
 
 
 @dataclass(slots=True)
@@ -185,49 +167,6 @@ class _Rows:
         return Table(names, t_us, wrapped)
 
 
-def _reader(fields: Fields, version: int) -> Read:
-    """How to read what a frame lists, before the predictors.
-
-    Raises:
-        ValueError: A group of fields is not whole.
-    """
-    four = tag8_4s16 if version > 1 else tag8_4s16_v1
-    single = {SIGNED_VB: signed_vb, UNSIGNED_VB: unsigned_vb, NEG_14BIT: neg_14bit}
-    steps: list[tuple[int, int]] = []
-    at = 0
-    while at < len(fields.names):
-        kind = NULL if fields.predictors[at] == INCREMENT else fields.encodings[at]
-        count = _GROUPS.get(kind, 1)
-        if kind == TAG8_8SVB:
-            while count < 8 and fields.encodings[at + count : at + count + 1] == (kind,):
-                count += 1
-        if fields.encodings[at : at + count] != (kind,) * count and kind != NULL:
-            raise ValueError(f"fewer than {count} fields in a group from {fields.names[at]}")
-        steps.append((kind, count))
-        at += count
-
-    def read(data: bytes, at: int) -> tuple[list[int], int]:
-        values: list[int] = []
-        for kind, count in steps:
-            if kind in single:
-                value, at = single[kind](data, at)
-                values.append(value)
-            elif kind == TAG8_8SVB:
-                several, at = tag8_8svb(data, at, count)
-                values += several
-            elif kind == TAG2_3S32:
-                several, at = tag2_3s32(data, at)
-                values += several
-            elif kind == TAG8_4S16:
-                several, at = four(data, at)
-                values += several
-            else:
-                values.append(0)
-        return values, at
-
-    return read
-
-
 def _constants(header: Header) -> Mapping[int, int]:
     """By predictor what the head says."""
     return {
@@ -302,7 +241,7 @@ class _Stream:
         self._motor = names.index("motor[0]") if "motor[0]" in names else 0
         constants = _constants(header)
         for letter, fields in header.frames.items():
-            self._readers[letter] = _reader(fields, version)
+            self._readers[letter] = reader(fields, version)
             self._predicted[letter] = tuple(
                 (k, p, constants.get(p, 0)) for k, p in enumerate(fields.predictors) if p != ZERO
             )
