@@ -90,7 +90,8 @@ def _many(rows: Rows) -> str:
         "many_",
         lambda r: (
             f"{r['aircraft']} | {_alarms(r)} | {r['wall_s']:.0f} s | "
-            f"{100 * r['cpu_share']:.0f} % | {_per_second(r):.2f} s | {r['lost']} | {r['late']} | {r['most_behind_s']:.2f} s"
+            f"{100 * r['cpu_share']:.0f} % | {_per_second(r):.2f} s | {r['lost']} | "
+            f"{r['late']} | {r['most_behind_s']:.2f} s"
         ),
     )
 
