@@ -89,6 +89,9 @@ def nothing_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[No
     monkeypatch.setattr(tempfile, "tempdir", str(folder))
     yield
     assert list(folder.iterdir()) == []
+    deadline = time.monotonic() + 10.0  # what was killed takes a moment to be gone
+    while processes_with(folder) and time.monotonic() < deadline:
+        time.sleep(0.01)
     assert processes_with(folder) == []
 
 
