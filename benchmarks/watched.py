@@ -32,7 +32,7 @@ def watched(
         the least and the most after a tenth of the jobs of the last start, from Linux' status file.
     """
     rng, killed, peak = random.Random(1), 0, 0
-    begun, before = time.monotonic(), _children_s()
+    begun, before = time.monotonic(), children_s()
     while True:
         lines = _lines(journal)
         wanted = lines + rng.randint(*between) if killed < kills else None
@@ -59,14 +59,15 @@ def watched(
         "exit_code": code,
         "killed": killed,
         "wall_s": time.monotonic() - begun,
-        "cpu_s_without_what_was_killed": _children_s() - before,
+        "cpu_s_without_what_was_killed": children_s() - before,
         "parent_peak_mib": peak / 2**20,
         "parent_mib": [f(settled) / 2**20 for f in (min, max)] if settled else None,
         "dataset_bytes": {p.name: p.stat().st_size for p in sorted(out.glob("*.*"))},
     }
 
 
-def _children_s() -> float:
+def children_s() -> float:
+    """Processor time of the processes that this one has started and that have ended."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 

@@ -9,7 +9,6 @@ against its own vehicle file.
 import argparse
 import json
 import shutil
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from uavtwin.flights import open_alike
 from uavtwin.vehicles import Vehicle
 
 from ..real_flights.scenarios import SCENARIOS
-from ..watched import watched
+from ..watched import children_s, watched
 from .flights import PLANTED, VEHICLE, write_fleet
 
 
@@ -41,9 +40,11 @@ def main() -> int:
     parser.add_argument("--data", type=Path, help="recorded flights")
     given = parser.parse_args()
     logs = given.out / "logs"
-    begun = time.process_time()
-    made = write_fleet(logs, given.flights, given.aircraft, seconds=given.seconds)
-    flying_s = time.process_time() - begun
+    begun = children_s()
+    made = write_fleet(
+        logs, given.flights, given.aircraft, seconds=given.seconds, workers=given.workers
+    )
+    flying_s = children_s() - begun
     spoil(logs, made)
     options = ["--verbs", given.verbs, "--each", given.each, "--workers", str(given.workers)]
     out = given.out / "fleet"

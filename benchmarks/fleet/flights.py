@@ -12,7 +12,9 @@ All numbers are made up. The voltage is made of the commands afterwards, and doe
 """
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -196,17 +198,23 @@ def flights_of(count: int, aircraft: int, seed: int = 0) -> Iterator[tuple[Aircr
 
 
 def write_fleet(
-    folder: Path, count: int, aircraft: int, seed: int = 0, seconds: float = 18.0
+    folder: Path, count: int, aircraft: int, seed: int = 0, seconds: float = 18.0, workers: int = 1
 ) -> list[Path]:
     """Fly all flights that are not there yet, a flight table each, in a folder per aircraft."""
-    paths = []
-    for one, days, number in flights_of(count, aircraft, seed):
-        path = folder / one.name / f"{one.name}_{number:05d}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not path.exists():
-            write_flight(flown(one, days, number, seconds), path)
-        paths.append(path)
-    return paths
+    several = [
+        (folder / one.name / f"{one.name}_{number:05d}.parquet", one, days, number, seconds)
+        for one, days, number in flights_of(count, aircraft, seed)
+    ]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        for _ in pool.map(_write, (x for x in several if not x[0].exists())):
+            pass
+    return [path for path, *_ in several]
+
+
+def _write(given: tuple[Path, Aircraft, float, int, float]) -> None:
+    path, one, days, number, seconds = given
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_flight(flown(one, days, number, seconds), path)
 
 
 PLANTED: Mapping[str, tuple[str, str]] = {

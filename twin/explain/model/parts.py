@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from ...component import Component
 from ...effects import EFFECTS
-from ...frames import to_body
+from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...logs.columns import ACC_NED
 from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
-from ...residuals.channels import Measured, on_grid
-from ...residuals.measured import Signal
+from ...residuals.channels import Measured
+from ...residuals.measured import AnySignal, Signal, smooth_at
 from ...vehicle import Vehicle
 from .numbers import Number
 from .prediction import SensorBatch
@@ -79,18 +79,24 @@ class Part:
     __repr__ = short_repr
 
 
-def pull_of_pose(seen: Seen) -> Array | None:
-    """Acceleration that the pose shows less gravity, NED, on the grid, shape (n, 3).
+def pull_signal(seen: Seen) -> tuple[AnySignal, int] | None:
+    """What shows the acceleration of the pose, and how often it is to be differentiated.
 
-    That of the record where it has one, else of the velocity; None without either.
+    The acceleration of the record where it has one, else the velocity; None without either.
     """
-    t, motion = seen.aligned.inputs.t_s, seen.aligned.motion
     if seen.flight.has(*ACC_NED):
-        pull = on_grid(Signal(*seen.flight.signal(ACC_NED)), t)
-    elif motion.velocity is not None:
-        pull = np.gradient(motion.velocity.at(t), t, axis=0)
-    else:
+        return Signal(*seen.flight.signal(ACC_NED)), 0
+    velocity = seen.aligned.motion.velocity
+    return None if velocity is None else (velocity, 1)
+
+
+def pull_of_pose(seen: Seen) -> Array | None:
+    """Acceleration that the pose shows less gravity, NED, on the grid, shape (n, 3)."""
+    shown = pull_signal(seen)
+    if shown is None:
         return None
+    signal, derivative = shown
+    pull = smooth_at(signal, seen.aligned.inputs.t_s, derivative)
     pull[:, 2] -= seen.vehicle.gravity_m_s2
     return pull
 
@@ -135,3 +141,9 @@ def in_body(q_nb: Array, pull_n: Array) -> Array:
     """A force in NED, in body axes of unit quaternions; shape (n, 3)."""
     q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
     return np.stack(to_body(list(q.T), list(pull_n.T)), axis=-1)
+
+
+def in_ned(q_nb: Array, force_b: Array) -> Array:
+    """A force in body axes of unit quaternions, in NED; shape (n, 3)."""
+    q = q_nb / np.linalg.norm(q_nb, axis=1, keepdims=True)
+    return np.stack(to_ned(list(q.T), list(force_b.T)), axis=-1)

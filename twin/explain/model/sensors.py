@@ -16,12 +16,26 @@ from ...residuals.channels import (
     shifted,
 )
 from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
-from ...residuals.measured import Signal, rates_of
+from ...residuals.measured import Signal, as_sampled, smooth_at, turning_at
 from .numbers import DRIVES, PLACE, TURN
-from .parts import Part, Seen, in_body, late_by, moving, named, pull_of_pose, reaching, rows_of
+from .parts import (
+    Part,
+    Seen,
+    in_body,
+    in_ned,
+    late_by,
+    moving,
+    named,
+    pull_of_pose,
+    pull_signal,
+    reaching,
+    rows_of,
+)
 from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
+AGE_S = 0.1
+"""Before its end a pose is not compared: a pose that is late would show there what is not known."""
 OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 
@@ -56,33 +70,36 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
         return []
     v = seen.vehicle
     gyro = on_grid(Signal(*flight.signal(gyroscope.columns)), t)
+    turned = as_sampled(gyro, t, motion.attitude, 1)
     sensor = prompt_imu(v, seen.effects)
     batch = SensorBatch(sensor, seen.effects, seen.numbers)
-    implied = named("omega", rates_of(motion.attitude).at(t))
+    implied = named("omega", turning_at(motion.attitude, t))
     read = named("omega", gyro)
     band = min(POSE_BAND_HZ, 0.2 * motion.attitude.rate_hz)
     groups: list[tuple[Sensor, Array, slice]] = []
-    pull = None
+    q_nb, pull = smooth_at(motion.attitude, t), None
     if flight.has(*accelerometer.columns):
-        pull = pull_of_pose(seen)
-    if pull is not None:
+        pull, shown = pull_of_pose(seen), pull_signal(seen)
+    if pull is not None and shown is not None:
         acc = on_grid(Signal(*flight.signal(accelerometer.columns)), t)
+        felt = as_sampled(in_ned(q_nb, acc), t, *shown)
         alpha = named("angular_acceleration", np.gradient(gyro, t, axis=0))
-        implied |= alpha | named("specific_force", in_body(motion.attitude.at(t), pull))
+        implied |= alpha | named("specific_force", in_body(q_nb, pull))
         read |= alpha | named("specific_force", force)
-        groups.append((accelerometer, acc, slice(0, 3)))
-    groups.append((gyroscope, gyro, slice(3, 6)))
+        groups.append((accelerometer, in_body(q_nb, felt), slice(0, 3)))
+    groups.append((gyroscope, turned, slice(3, 6)))
 
     def older(position_s: float, attitude_s: float) -> Array:
         """Rows with position and attitude from so many seconds later."""
         assert motion.attitude is not None and pull is not None
-        q = shifted(motion.attitude.at(t), -attitude_s)
+        q = shifted(q_nb, -attitude_s)
         pulled = in_body(q, shifted(pull, -position_s))
         return rows_of(sensor, implied | named("specific_force", pulled), len(t))
 
     rows, at = rows_of(sensor, implied, len(t)), rows_of(sensor, read, len(t))
     known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
     known &= np.all(np.isfinite(at), axis=1)
+    known &= t < np.max(t[known], initial=-np.inf) - AGE_S
     found = []
     for kind, values, outputs in groups:
         names, cutoff = tuple(f"pose_{c}" for c in kind.columns), kind.cutoff_hz(v)
