@@ -61,8 +61,10 @@ def test_a_dot_an_empty_curve_and_panels_that_overlap_are_degenerate() -> None:
     assert found == ["constant over a constant: one dot", "unknown: 0 points", "panels overlap"]
 
 
-def test_a_constant_is_no_scatter() -> None:
+def test_a_constant_is_no_scatter_and_what_noise_hides_neither() -> None:
     rng = np.random.default_rng(0)
     noise = 0.01 * rng.standard_normal(1000)
-    assert not varies(0.2 + noise)
-    assert varies(0.2 * np.sin(np.arange(1000) / 50) + noise)
+    swing = 0.2 * np.sin(np.arange(1000) / 50)
+    assert not varies(0.2 + noise, noise)
+    assert varies(swing + noise, noise)
+    assert not varies(swing, 50 * noise)

@@ -27,6 +27,8 @@ HELD = 0.95
 VARIES = 0.25
 """Spread of what an effect predicts over its size, below which it is a constant: a scatter would be
 one dot."""
+STANDS_OUT = 0.5
+"""Spread of what an effect predicts over that of what it leaves, below which a scatter is noise."""
 BEFORE, AFTER, PREDICTED = "model as it stood", "model with the effect", "what the effect predicts"
 
 
@@ -69,7 +71,7 @@ def evidence_figure(
 
 def agreement_figure(acts: Attribution, with_all: Flights, flight: int) -> Figure | None:
     """Residual without and with an effect over what the effect predicts of it; None where that is a
-    constant.
+    constant, or lost in noise.
 
     Args:
         acts: Where the effect acts.
@@ -108,15 +110,16 @@ def agreement_figure(acts: Attribution, with_all: Flights, flight: int) -> Figur
     return panels.figure
 
 
-def varies(predicted: Array) -> bool:
-    """Whether what an effect predicts is more than a constant."""
+def varies(predicted: Array, left: Array) -> bool:
+    """Whether what an effect predicts is more than a constant, and not lost in what it leaves."""
     low, high = np.percentile(predicted, [2.5, 97.5])
-    return bool(high - low > VARIES * np.abs(predicted).max(initial=0.0))
+    more = bool(high - low > VARIES * np.abs(predicted).max(initial=0.0))
+    return more and bool(np.std(predicted) > STANDS_OUT * np.std(left))
 
 
 def _varies_on(acts: Attribution, with_all: Flights, flight: int, name: str) -> bool:
     without, complete = (_of(f[flight], name) for f in (acts.without, with_all))
-    return varies(without.residual - complete.residual)
+    return varies(without.residual - complete.residual, complete.residual)
 
 
 def strongest(t_s: Array, predicted: Array) -> tuple[float, float]:
