@@ -46,7 +46,7 @@ def ran(flight: Flight, vehicle: Vehicle, settings: Mapping[str, float] | None =
     """
     chosen: RunningSettings = replace(RUNNING, **(settings or {}))  # type: ignore[arg-type]
     evidence, found = RunningEvidence(vehicle, settings=chosen), Ran()
-    t = flight.time_s
+    t, columns = flight.time_s, flight.columns
     edges = np.searchsorted(t, np.arange(t[0] + BLOCK_S, t[-1] + BLOCK_S, BLOCK_S))
     first = 0
     known: dict[float, int] = {}
@@ -54,7 +54,7 @@ def ran(flight: Flight, vehicle: Vehicle, settings: Mapping[str, float] | None =
         if end == first:
             continue
         begun = time.process_time()
-        verdict = evidence.update(flight.table.iloc[first:end])
+        verdict = evidence.update({c: values[first:end] for c, values in columns.items()})
         found.cost_s.append(time.process_time() - begun)
         newest = float(t[end - 1])
         if verdict.flying and not verdict.learning:

@@ -5,10 +5,9 @@
 
 from typing import Any, Protocol
 
-import pandas as pd
-
 from twin.effects import EFFECTS
 from twin.explain.running.alarms import Alarm, Verdict
+from twin.residuals.running.table import Rows
 
 from ..report.spoken import clause
 
@@ -16,7 +15,7 @@ from ..report.spoken import clause
 class Evidence(Protocol):
     """Evidence that is kept while a flight goes on; a new flight has new evidence."""
 
-    def update(self, rows: pd.DataFrame) -> Verdict:
+    def update(self, rows: Rows) -> Verdict:
         """Take new rows of the flight table, later than all before."""
         ...
 

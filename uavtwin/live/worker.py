@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from queue import Queue
 from typing import TYPE_CHECKING
 
-import pandas as pd
-
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.residuals.running.equations import Equations
@@ -170,7 +168,7 @@ class Worker:
         """Ask for alarms: here and nowhere else."""
         if self._evidence is None:
             return
-        verdict = self._evidence.update(pd.DataFrame(rows))
+        verdict = self._evidence.update(rows)
         for alarm in (*verdict.opened, *verdict.closed):
             if self._recording is not None:
                 self._recording.add_alarm(alarm_json(alarm, self.sections))

@@ -96,7 +96,7 @@ LOCAL = {
         "inference.coherence.WINDOW",
         "inference.spectrum.BANDS_HZ",
         "inference.spectrum.SHORTEST",
-        "running.channels.FRAME_ROWS",
+        "running.feed.FRAME_ROWS",
         "running.noise.EDGES",
         "running.noise.LONG",
         "running.shaking.SUB_BANDS_HZ",

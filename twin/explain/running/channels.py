@@ -7,7 +7,7 @@ carry theirs along. Whatever is computed is computed frame by frame on the clock
 that it does not matter in which portions a flight comes.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 
@@ -26,15 +26,12 @@ from ...vehicle import Vehicle
 from ..model.numbers import values_of
 from ..model.parts import in_body, named, rows_of
 from ..model.prediction import Physics, SensorBatch
-from .feed import GridBlock
+from .feed import FRAME_ROWS, FRAME_S, GridBlock
 from .hypotheses import Library
 from .lag import LagSlopes
 from .shaking import high_power, longest_repeats
 
 Array = NDArray[np.float64]
-FRAME_ROWS = 100
-"""Rows of the grid in a frame."""
-FRAME_S = FRAME_ROWS / GRID_HZ
 KEPT = FRAME_ROWS // EVERY
 """Samples of a channel in a frame."""
 
@@ -123,24 +120,17 @@ class Framing:
         self._made = [kind.make(vehicle, effects) for kind in self._kinds]
         self._batches = [SensorBatch(m, effects, numbers) for m in self._made]
         self.groups = tuple(self._list_groups())
-        self._pending: list[GridBlock] = []
         self._passed: dict[int, list[Array]] = {}  # by group, the states of its filters
         self._last: dict[int, Array] = {}  # by group, the last row before this frame
         self._next, self._rest_m = -1, np.nan
 
     def push(self, block: GridBlock) -> list[Frame]:
-        """The frames that a block completes."""
-        self._pending.append(block)
-        whole = _joined(self._pending)
-        first, end = whole.first, whole.first + len(whole.t_s)
-        numbers = range(-(-first // FRAME_ROWS), end // FRAME_ROWS)
-        found = []
-        for number in numbers:
-            low = number * FRAME_ROWS - first
-            found.append(self._frame(number, _cut(whole, low, low + FRAME_ROWS)))
-        done = max(numbers.stop * FRAME_ROWS - first, 0) if numbers else 0
-        self._pending = [_cut(whole, done, len(whole.t_s))]
-        return found
+        """The whole frames of a block."""
+        first, end = block.first, block.first + len(block.t_s)
+        return [
+            self._frame(number, _cut(block, number * FRAME_ROWS - first))
+            for number in range(-(-first // FRAME_ROWS), end // FRAME_ROWS)
+        ]
 
     # -- what there is -------------------------------------------------------------------------
 
@@ -299,48 +289,10 @@ def _butterworth(cutoff_hz: float) -> tuple[Array, Array, Array]:
     return b, a, lfilter_zi(b, a)
 
 
-def _joined(blocks: Sequence[GridBlock]) -> GridBlock:
-    """Blocks that follow each other, as one."""
-    if len(blocks) == 1:
-        return blocks[0]
-    n = [len(b.t_s) for b in blocks]
-    signals = {k: v.shape[1] for b in blocks for k, v in b.readings.items()}
-    readings = {
-        s: np.concatenate(
-            [b.readings.get(s, np.full((m, k), np.nan)) for b, m in zip(blocks, n, strict=True)]
-        )
-        for s, k in signals.items()
-    }
-    names = {k for b in blocks for k in b.further}
-    further = {
-        k: np.concatenate(
-            [b.further.get(k, np.full(m, np.nan)) for b, m in zip(blocks, n, strict=True)]
-        )
-        for k in names
-    }
-    samples = {
-        s: (
-            np.concatenate([b.samples[s][0] for b in blocks if s in b.samples]),
-            np.concatenate([b.samples[s][1] for b in blocks if s in b.samples]),
-        )
-        for s in {k for b in blocks for k in b.samples}
-    }
-    return GridBlock(
-        blocks[0].first,
-        np.concatenate([b.t_s for b in blocks]),
-        np.concatenate([b.states for b in blocks]),
-        np.concatenate([b.inputs for b in blocks]),
-        np.concatenate([b.grounded for b in blocks]),
-        readings,
-        samples,
-        further,
-    )
-
-
-def _cut(block: GridBlock, low: int, high: int) -> GridBlock:
-    """Some rows of a block."""
-    own = slice(low, high)
-    start_s, end_s = (block.first + low) / GRID_HZ - 1e-9, (block.first + high) / GRID_HZ - 1e-9
+def _cut(block: GridBlock, low: int) -> GridBlock:
+    """One frame of a block."""
+    own = slice(low, low + FRAME_ROWS)
+    start_s, end_s = ((block.first + k) / GRID_HZ - 1e-9 for k in (own.start, own.stop))
     samples = {}
     for s, (t, values) in block.samples.items():
         a, b = np.searchsorted(t, [start_s, end_s])

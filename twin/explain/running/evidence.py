@@ -4,17 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from ...effects import EFFECTS, Repeats
 from ...effects.priors import BESIDE
 from ...representation import short_repr
+from ...residuals.running.table import Rows
 from ...vehicle import Vehicle
 from .alarms import Alarm, Told, Verdict
-from .channels import FRAME_S, Frame, Framing
-from .feed import Feed
+from .channels import Frame, Framing
+from .feed import FRAME_S, Feed
 from .hypotheses import FEARED, library_of
 from .jumps import Jump, Jumps
 from .noise import Levels
@@ -109,15 +109,15 @@ class RunningEvidence:
         self._shares: dict[str, float] = {}
         self._nothing = 1.0
 
-    def update(self, rows: pd.DataFrame) -> Verdict:
+    def update(self, rows: Rows) -> Verdict:
         """Look at what has come since the last call.
 
         Args:
-            rows: Of a flight table, later than those before; a second of them, or any other
-                portion.
+            rows: Of a flight table by column, later than those before; a second of them, or any
+                other portion.
 
         Returns:
-            What is known after the last whole second that they complete.
+            What is known after the last frame that they complete.
 
         Raises:
             LogError: Times do not rise, or nothing drives the vehicle.

@@ -1,15 +1,14 @@
-"""Rows of a flight table as they come, put onto the grid of the twin.
+"""Rows of a flight table as they come, put onto the grid of the twin, whole frames at a time.
 
 The same signals, filters and rotor states as `twin.residuals.aligned`, over the last seconds alone
 and a quarter of a second behind the newest row: until then the zero-phase low-pass of the body
 rates has forgotten where the record ends, and the next sample of a slow signal is there.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from ...component import Component
@@ -22,6 +21,7 @@ from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
 from ...residuals.channels import GRID_HZ, on_grid
 from ...residuals.measured import Signal, measured_motion, rates_of
+from ...residuals.running.table import LastRows, Rows
 from ...residuals.teacher_forced import (
     Inputs,
     InputSignals,
@@ -33,6 +33,9 @@ from ...residuals.teacher_forced import (
 from ...vehicle import Vehicle
 
 Array = NDArray[np.float64]
+FRAME_ROWS = 100
+"""Rows of the grid in a frame."""
+FRAME_S = FRAME_ROWS / GRID_HZ
 KEPT_S = 1.0
 """Rows so old are kept: filters begin there."""
 BEHIND_S = 0.25
@@ -42,7 +45,7 @@ OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 @dataclass(frozen=True, slots=True)
 class GridBlock:
-    """Rows of the grid, one after the other.
+    """Rows of the grid, one after the other, up to the end of a frame.
 
     Attributes:
         first: Number of the first of them; the grid begins at the time zero.
@@ -68,43 +71,6 @@ class GridBlock:
     __repr__ = short_repr
 
 
-class Recent(Flight):
-    """The last seconds of a flight: what `Flight` says of its columns, told from arrays.
-
-    A table of pandas takes longer to say what it holds than all that is computed of it.
-    """
-
-    __slots__ = ("_by",)
-    _by: dict[str, tuple[Array, NDArray[np.bool_]]]
-
-    def __init__(self, table: pd.DataFrame) -> None:
-        """Take the rows."""
-        super().__init__("live", table)
-        by: dict[str, tuple[Array, NDArray[np.bool_]]] = {}
-        for c in table:
-            if c != "phase":
-                values = table[c].to_numpy(dtype=np.float64)
-                there = np.isfinite(values)
-                if there.any():
-                    by[str(c)] = values, there
-        object.__setattr__(self, "_by", by)
-
-    @property
-    def time_s(self) -> Array:
-        """See `Flight`."""
-        return self._by["time"][0]
-
-    def has(self, *columns: str) -> bool:
-        """See `Flight`."""
-        return all(c in self._by for c in columns)
-
-    def signal(self, columns: Sequence[str]) -> tuple[Array, Array]:
-        """See `Flight`."""
-        own = [self._by[c] for c in columns]
-        there = np.logical_and.reduce([known for _, known in own])
-        return self.time_s[there], np.column_stack([values[there] for values, _ in own])
-
-
 class Feed:
     """From rows of a flight table to rows of the grid, none left out.
 
@@ -121,13 +87,13 @@ class Feed:
             effects: Effects to build into the airframe.
         """
         self._vehicle, self._effects = vehicle, list(effects)
-        self._tail: list[pd.DataFrame] = []
+        self._last = LastRows("live")
         self._next: int | None = None
         self.airframe: Component | None = None
         self.drive: Drive | None = None
 
-    def push(self, rows: pd.DataFrame) -> GridBlock | None:
-        """The next rows of the grid; None while too little has come.
+    def push(self, rows: Rows) -> GridBlock | None:
+        """The next rows of the grid; None while they do not complete a frame.
 
         Args:
             rows: Of a flight table, later than those before.
@@ -135,29 +101,26 @@ class Feed:
         Raises:
             LogError: Times do not rise, or nothing drives the vehicle.
         """
-        if not len(rows):
+        time, last = rows["time"], self._last
+        if not len(time):
             return None
-        time = rows["time"].to_numpy(dtype=np.float64)
-        newest = -np.inf if not self._tail else float(self._tail[-1]["time"].iloc[-1])
-        if not np.all(np.diff(time) > 0) or time[0] <= newest:
+        if not np.all(np.diff(time) > 0) or time[0] <= last.last_s:
             raise LogError(
-                f"live flight: time has to rise, {time[0]:.6g} s comes after {newest:.6g} s. "
+                f"live flight: time has to rise, {time[0]:.6g} s comes after {last.last_s:.6g} s. "
                 f"Give each row once, in order; a new clock is a new flight."
             )
-        self._tail.append(rows)
-        table = pd.concat(self._tail, ignore_index=True)
-        times = table["time"].to_numpy(dtype=np.float64)
-        end = int(np.floor((times[-1] - BEHIND_S) * GRID_HZ + 1e-6))
+        last.append(rows)
+        end = int(np.floor((last.last_s - BEHIND_S) * GRID_HZ + 1e-6)) // FRAME_ROWS * FRAME_ROWS
         if self._next is None:
-            if times[-1] - times[0] < KEPT_S:
+            if last.last_s - last.first_s < KEPT_S:
                 return None
-            self._begin(Recent(table))
-            self._next = int(np.ceil(times[0] * GRID_HZ - 1e-6)) + 1
+            self._begin(last.flight())
+            self._next = int(np.ceil(last.first_s * GRID_HZ - 1e-6)) + 1
         if end <= self._next:
             return None
-        block = self._block(Recent(table), self._next, end)
+        block = self._block(last.flight(), self._next, end)
         self._next = end
-        self._tail = [table[times > end / GRID_HZ - KEPT_S]]
+        last.cut(end / GRID_HZ - KEPT_S)
         return block
 
     def _begin(self, flight: Flight) -> None:

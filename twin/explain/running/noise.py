@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ...vehicle import Vehicle
 from ..inference.constants import constants_of_days
 from ..settings import DEFAULT
-from .channels import FRAME_S, KEPT, Frame, Group
+from .channels import KEPT, Frame, Group
+from .feed import FRAME_S
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ from ...effects.seen import Lines, NoiseFloor
 from ...representation import short_repr
 from ..settings import DEFAULT
 from .alarms import Told
-from .channels import FRAME_S, Frame
+from .channels import Frame
+from .feed import FRAME_S
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]
