@@ -6,12 +6,13 @@ Where the flight lacks velocity or body rates, they are derived from position an
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.signal import butter, filtfilt, savgol_filter
+from scipy.signal import butter, lfilter, lfilter_zi, savgol_filter
 
 from ..errors import LogError
 from ..frames import multiply, rotation_vector
@@ -29,6 +30,9 @@ AGREEMENT_BLOCK_S = 600.0
 """Of a longer flight they are compared in blocks of about this length, summed up."""
 ROWS = 1 << 18
 """Samples at a time, where an equation has many terms."""
+_EDGE = 9
+"""Samples by which a signal is mirrored at its ends before it is filtered: `filtfilt`'s own."""
+_BEFORE, _AFTER = slice(_EDGE, 0, -1), slice(-2, -_EDGE - 2, -1)
 LONGEST_GAP_INTERVALS = 5.0
 """A pause of more than so many median intervals is a gap: no state is made up inside it."""
 LONGEST_GAP_S = 0.25
@@ -270,8 +274,20 @@ def _is_filtered(samples: int, rate_hz: float, cutoff_hz: float) -> bool:
 
 def _filtered(column: Array, rate_hz: float, cutoff_hz: float) -> Array:
     """Butterworth, forward and backward, of a column, shape (n,)."""
-    b, a = butter(2, cutoff_hz / (rate_hz / 2))
-    return np.asarray(filtfilt(b, a, column), dtype=np.float64)
+    b, a, settled = _butterworth(cutoff_hz / (rate_hz / 2))
+    # as scipy's filtfilt, which works out anew how a settled filter begins
+    start, end = (2 * column[k] - column[rows] for k, rows in ((0, _BEFORE), (-1, _AFTER)))
+    passed = np.concatenate([start, column, end])
+    for _ in range(2):
+        passed = lfilter(b, a, passed, zi=settled * passed[0])[0][::-1]
+    return np.asarray(passed[_EDGE:-_EDGE], dtype=np.float64)
+
+
+@lru_cache(256)
+def _butterworth(share: float) -> tuple[Array, Array, Array]:
+    """Second order, at a share of half the rate: coefficients, and the state settled on one."""
+    b, a = butter(2, share)
+    return b, a, lfilter_zi(b, a)
 
 
 def differentiate(signal: AnySignal) -> Array:

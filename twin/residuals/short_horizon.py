@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component, Sampling, substeps
-from ..component.along import accumulated
+from ..component.along import Along
 from ..component.rows import OverRows
 from ..logs.columns import GYRO, POS, QUAT, VEL
 from .aligned import AlignedFlight
@@ -141,8 +141,8 @@ class _Batch:
         after = x
         for _ in range(n):
             after = component.step(after, u, p, h)
-        self._function = ca.Function("step", [x, u], [ca.densify(after)])
-        self._step = OverRows(self._function, 2)
+        function = ca.Function("step", [x, u], [ca.densify(after)])
+        self._step, self._along = OverRows(function, 2), Along(function)
         y = component.outputs(x, u, p)
         self._outputs = OverRows(ca.Function("outputs", [x, u], [ca.densify(y)]), 2)
         start = component.initial(u, p)
@@ -179,7 +179,7 @@ class _Batch:
 
     def after(self, x: Array, u: Array) -> Array:
         """State after one grid step with each row of inputs, shape (n_x,), from one state on."""
-        (states,) = accumulated(self._function, x, u)
+        (states,) = self._along(x, u)
         return np.asarray(states[-1], dtype=np.float64)
 
     def outputs(self, u: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
-from ..component.along import accumulated
+from ..component.along import Along
 from ..component.sampled import noiseless_outputs
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
@@ -194,7 +194,7 @@ class RotorStates:
         x = ca.SX(airframe.initial(airframe.input_values(), p))
         x[self._index] = r
         after = airframe.step(x, v, p, step_s)[self._index]
-        self._step = ca.Function("rotor_step", [r, v], [after])
+        self._along = Along(ca.Function("rotor_step", [r, v], [after]))
         self._warm = round(_WARM_UP_S / step_s)
         self._last: tuple[Array, Array] | None = None  # state and inputs of the last row
 
@@ -207,11 +207,11 @@ class RotorStates:
             p = self._airframe.parameter_values()
             start = np.asarray(self._airframe.initial(u[0], p), dtype=np.float64).ravel()
             held = np.tile(u[:1], (self._warm, 1))
-            found[0] = accumulated(self._step, start[self._index], held)[0][-1]
+            found[0] = self._along(start[self._index], held)[0][-1]
         else:
-            found[0] = accumulated(self._step, *self._last)[0][-1]
+            found[0] = self._along(*self._last)[0][-1]
         if len(u) > 1:
-            found[1:] = accumulated(self._step, found[0], u[:-1])[0]
+            found[1:] = self._along(found[0], u[:-1])[0]
         self._last = found[-1], u[-1:]
         return found
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
-from ..component.along import accumulated, mapped
+from ..component.along import Along, mapped
 
 Array = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ class Integration:
         full[self._index] = z
         self._sampled = _Sampled(component, self._index, p, step_s) if self._changes() else None
         after = component.step(full, v, p, step_s)[self._index]
-        self._step = ca.Function("hidden_step", [z, at, v], [after])
+        self._along = Along(ca.Function("hidden_step", [z, at, v], [after]))
         self._state: Array | None = None  # before the next row
         self._last = np.zeros((0, n_x)), np.zeros((0, n_u))  # where all was known last
 
@@ -82,7 +82,7 @@ class Integration:
         if self._sampled is not None:
             after, here = self._sampled.along(self._state, path, inputs)
         else:
-            (after,) = accumulated(self._step, self._state, path, inputs)
+            (after,) = self._along(self._state, path, inputs)
             here = np.vstack([self._state, after[:-1]])
         self._state = after[-1]
         return here
@@ -136,7 +136,7 @@ class _Sampled:
         then = advance(here, step_s / often)
         for _ in range(often - 1):
             then = advance(sample(then), step_s / often)
-        self._both = ca.Function("both", [z, at, v, d, now], [then, here])
+        self._both = Along(ca.Function("both", [z, at, v, d, now], [then, here]))
         self._count = 0  # rows so far
         self._past = np.zeros((len(self._delays_s), 0))  # signals of the last of them
 
@@ -151,7 +151,7 @@ class _Sampled:
         late = [np.interp(t[past:] - d, t, s) for d, s in zip(self._delays_s, signals, strict=True)]
         instants = (rows % self._seldom == 0).astype(np.float64)
         delayed = np.reshape(late, (len(late), len(path))).T
-        after, here = accumulated(self._both, state, path, inputs, delayed, instants[:, None])
+        after, here = self._both(state, path, inputs, delayed, instants[:, None])
         reach = int(np.max(self._delays_s, initial=0.0) / self._step_s) + 2
         self._past, self._count = signals[:, -reach:], self._count + len(path)
         return after, here

@@ -5,7 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
-from ...component.along import accumulated
+from ...component.along import Along
 from ...residuals.channels import GRID_HZ
 from ...residuals.teacher_forced import rotor_states_of
 from ..model.prediction import Physics
@@ -54,7 +54,7 @@ class LagSlopes:
         after = body.step(x, u, p, 1 / GRID_HZ)[self._index]
         moved = ca.jacobian(after, v) @ ca.reshape(z, n, len(reached)) + ca.jacobian(after, theta)
         moved = ca.substitute(ca.vec(moved), theta, self._now)
-        self._step = ca.Function("carried", [z, v, u], [ca.cse(ca.densify(moved))])
+        self._along = Along(ca.Function("carried", [z, v, u], [ca.cse(ca.densify(moved))]))
         self._state = np.zeros(n * len(reached))
 
     def along(self, states: Array, inputs: Array) -> list[tuple[int, Array]]:
@@ -67,7 +67,7 @@ class LagSlopes:
         if not self.columns:
             return []
         rotors = states[:, self._index]
-        (after,) = accumulated(self._step, self._state, np.nan_to_num(rotors), inputs)
+        (after,) = self._along(self._state, np.nan_to_num(rotors), inputs)
         here = np.vstack([self._state, after[:-1]])
         self._state = after[-1]
         found = []

@@ -191,7 +191,7 @@ class _Twin:
         """See `RunningResiduals.update`."""
         until_s = last.last_s if final else self._until_s(last)
         window = last.flight()
-        motion = measured_motion(window)
+        motion = measured_motion(window, doubts=False)
         coarse = self._coarse.new_rows(window, motion, until_s)
         fine = self._fine.new_rows(window, motion, until_s)
         if coarse is None or fine is None:
