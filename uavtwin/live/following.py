@@ -7,13 +7,13 @@ of the FMUs; every horizon it is set to what was measured. Rotors, which nobody 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from twin.component import substeps
+from twin.component.along import Along, EachRow
 from twin.frames import AXES
 from twin.logs.columns import POS, QUAT, VEL, motor_columns
 from twin.logs.mavlink.samples import GROUPS, Sample
@@ -28,7 +28,6 @@ _POSE = {
     "gyro": tuple(f"omega_{a}" for a in AXES),
 }
 """States of the airframe that a signal measures."""
-_TOGETHER = 16
 _LONGEST_US = 500_000
 """After a longer pause the twin is set to what was measured, not stepped to it."""
 
@@ -70,15 +69,14 @@ class FollowingTwin:
         after = x
         for _ in range(n):
             after = body.step(after, u, self._p, h)
-        self._step = ca.Function("step", [x, u], [ca.densify(after)])
+        self._step = Along(ca.Function("step", [x, u], [after]))
         outputs = body.outputs(x, u, self._p)
         place = {name: i for i, name in enumerate(body.output_names)}
         felt = ca.vertcat(*[outputs[place[name]] for name in sensor.input_names])
         p = sensor.parameter_values()
         shown = sensor.outputs(sensor.initial(felt, p), felt, p)
         pose = ca.vertcat(*[x[self._index[g]] for g in ("pos", "vel", "q", "gyro")])
-        self._read = ca.Function("read", [x, u], [ca.densify(ca.vertcat(shown[:6], pose))])
-        self._several: dict[int, ca.Function] = {}
+        self._read = EachRow(ca.Function("read", [x, u], [ca.vertcat(shown[:6], pose)]), 2)
         self._start = body
         self._x: Array | None = None
         self._measured: dict[str, tuple[float, ...]] = {}
@@ -111,7 +109,7 @@ class FollowingTwin:
     def read(self) -> Reading:
         """What it reads now."""
         assert self._x is not None
-        values = np.asarray(self._read(self._x, self._u), dtype=np.float64).ravel().tolist()
+        values = self._read(self._x[None], self._u[None])[0].tolist()
         edges = (0, 3, 6, 9, 12, 16, 19)
         return Reading(*(values[a:b] for a, b in pairwise(edges)))
 
@@ -124,23 +122,12 @@ class FollowingTwin:
             self._set(t_us)
             return
         steps = round(1e-6 * pause_us / GRID_S)
-        for count in (*[_TOGETHER] * (steps // _TOGETHER), steps % _TOGETHER):
-            if count:
-                x: Any = self._steps(count)(self._x, self._u)
-                self._x = np.asarray(x, dtype=np.float64).ravel()
+        if steps:
+            (along,) = self._step(self._x, np.tile(self._u, (steps, 1)))
+            self._x = along[-1]
         self._t_us += round(1e6 * GRID_S) * steps
         if t_us - self._set_us >= self._horizon_us:
             self._set(t_us)
-
-    def _steps(self, count: int) -> ca.Function:
-        """So many steps in one call."""
-        if count not in self._several:
-            start, u = (ca.MX.sym(n, self._step.numel_in(i)) for i, n in enumerate("xu"))
-            x = start
-            for _ in range(count):
-                x = self._step(x, u)
-            self._several[count] = ca.Function("steps", [start, u], [x])
-        return self._several[count]
 
     def _set(self, t_us: int) -> None:
         """Be where the aircraft was measured."""

@@ -8,6 +8,7 @@ from typing import Any
 from twin.logs.mavlink.dialect import BAD, GCS, Message, dialect, parser
 from twin.logs.mavlink.link import Link, Sequence
 from twin.logs.mavlink.tlog import checksum_of
+from twin.logs.mavlink.unpacked import unpacked
 
 Sender = tuple[str, int]
 _MOST_SENDERS = 64
@@ -70,9 +71,11 @@ class Receiver:
                 self.others["more senders than are listened to"] += 1
                 return
             self._parsers[sender] = parser()
-        reader = self._parsers[sender]
-        for message in reader.parse_buffer(datagram) or ():
-            frame = bytes(message.get_msgbuf())
+        reader, found = self._parsers[sender], unpacked(datagram)
+        if found is None:
+            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(datagram) or ()]
+            self._drop_rest(reader)
+        for message, frame in found:
             if message.get_type() == BAD:
                 self._count_bad(frame)
             elif self._is_of_the_aircraft(message, sender) and not self.link.add(
@@ -83,7 +86,6 @@ class Receiver:
             ):
                 self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
                 yield Received(message, frame)
-        self._drop_rest(reader)
 
     def _drop_rest(self, reader: Any) -> None:
         """A frame does not go on in the next datagram."""

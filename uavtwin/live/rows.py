@@ -109,25 +109,26 @@ class RowBuffer:
         for group, counts in self._heard.items():
             if group not in self.sources:
                 self.sources[group] = best_source(counts)
-        rows: dict[int, dict[str, tuple[float, ...]]] = {}
-        phases: dict[int, str] = {}
+        portion = _Portion()
         while self._heap and self._heap[0][0] <= until:
-            t_us, _, sample = heapq.heappop(self._heap)
+            sample = heapq.heappop(self._heap)[2]
             if not self._counts(sample):
                 continue
             if sample.group == LANDED:
                 self._landed = int(sample.values[0])
                 continue
-            row = rows.setdefault(t_us, {})
-            if sample.group in row:
+            if not portion.add(sample):
                 self.doubled += 1
                 continue
-            row[sample.group] = sample.values
             if sample.group == "vel":
                 self._speed_m_s = math.hypot(*sample.values[:2])
-            phases[t_us] = self._phase()
+            portion.phases[-1] = self._phase()
         self._released_us = max(self._released_us, until)
-        return self._columns(rows, phases) if rows else None
+        if not portion.t_us:
+            return None
+        if self.zero_us is None:  # a whole second, so that a grid is that of the aircraft's clock
+            self.zero_us = portion.t_us[0] // 1_000_000 * 1_000_000
+        return portion.columns(self.zero_us)
 
     def _counts(self, sample: Sample) -> bool:
         """Whether a sample is of the source that its signal is taken from."""
@@ -146,20 +147,42 @@ class RowBuffer:
         cruising = "forward" if self._speed_m_s > _CRUISE_M_S else "hover"
         return _PHASES.get(self._landed, cruising)
 
-    def _columns(
-        self, rows: dict[int, dict[str, tuple[float, ...]]], phases: dict[int, str]
-    ) -> Columns:
+
+class _Portion:
+    """Rows that are handed over together, in order of time.
+
+    Attributes:
+        t_us: Their times, us.
+        phases: Their phases of flight.
+    """
+
+    def __init__(self) -> None:
+        self.t_us: list[int] = []
+        self.phases: list[str] = []
+        self._signals: dict[tuple[str, int], tuple[list[int], list[tuple[float, ...]]]] = {}
+
+    def add(self, sample: Sample) -> bool:
+        """Take a sample, not older than those before; returns whether its place was free."""
+        if not self.t_us or self.t_us[-1] != sample.t_us:
+            self.t_us.append(sample.t_us)
+            self.phases.append("")
+        row, key = len(self.t_us) - 1, (sample.group, len(sample.values))
+        rows, values = self._signals.setdefault(key, ([], []))
+        if rows and rows[-1] == row:
+            return False
+        rows.append(row)
+        values.append(sample.values)
+        return True
+
+    def columns(self, zero_us: int) -> Columns:
         """Rows by column, NaN where there is no sample."""
-        times = sorted(rows)
-        if self.zero_us is None:  # a whole second, so that a grid is that of the aircraft's clock
-            self.zero_us = times[0] // 1_000_000 * 1_000_000
         found: Columns = {}
-        for k, t_us in enumerate(times):
-            for group, values in rows[t_us].items():
-                names = GROUPS.get(group) or motor_columns(group, len(values))
-                for name, value in zip(names, values, strict=True):
-                    found.setdefault(name, np.full(len(times), np.nan))[k] = value
-        since_us = np.array(times, dtype=np.int64) - self.zero_us
+        for (group, width), (rows, values) in self._signals.items():
+            signal = np.array(values, dtype=np.float64)
+            for k, name in enumerate(GROUPS.get(group) or motor_columns(group, width)):
+                column = found.setdefault(name, np.full(len(self.t_us), np.nan))
+                column[rows] = signal[:, k]
+        since_us = np.array(self.t_us, dtype=np.int64) - zero_us
         found["time"] = np.asarray(since_us * 1e-6, dtype=np.float64)
-        found["phase"] = np.array([phases[t] for t in times], dtype=object)
+        found["phase"] = np.array(self.phases, dtype=object)
         return {name: found[name] for name in in_order(found)}

@@ -308,9 +308,13 @@ class LiveSession:
         """Give rows on to the twin and to the disk."""
         rows = self._rows.take(everything)
         if rows is not None:
-            self.worker.add(Batch(rows, self._facts(), self._findings()))
+            self.worker.add(Batch(rows, *self._noted()))
         if self._recording is not None:
             self._recording.raw.flush()
+
+    def _noted(self) -> tuple[dict[str, str], tuple[Finding, ...]]:
+        """What a recording notes of the flight by now."""
+        return ({}, ()) if self._recording is None else (self._facts(), self._findings())
 
     # -- what is sent -------------------------------------------------------------------------
 
