@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import select
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,15 +19,15 @@ from twin.vehicle import Vehicle
 
 from .address import Address, listening
 from .alarms import Evidence, alarm_json
+from .arrivals import Arrivals, Datagram
 from .clock import ClockWatch
 from .following import FollowingTwin
 from .page.feed import PageFeed
 from .publisher import DEFAULT_SYSTEM, Publisher
-from .receiver import Receiver, Sender
+from .receiver import Receiver
 from .recording import Recording
 from .rows import HOLD_S, ClockJumps, RowBuffer
-from .streams import missing
-from .told import LinkTold, LiveTold
+from .told import LinkTold, LiveTold, missing
 from .worker import Batch, Worker
 
 if TYPE_CHECKING:
@@ -45,7 +44,11 @@ _PAUSE_S = 0.5
 _WAIT_S = 0.05
 _AT_ONCE = 200
 """Datagrams that are taken before anything else has its turn."""
-_LONGEST = 65536
+_GATHER_S = 0.02
+"""In which more may come before it is taken: to wake up costs as much as some messages. What is
+published does not wait."""
+_MANY = 50
+"""After so many datagrams at once the next are not waited for."""
 _CLOCKED = ("acc", "gyro")
 """Signals by whose times the aircraft's clock is known."""
 _UNSTAMPED = ("BATTERY_STATUS", "SYS_STATUS", "EXTENDED_SYS_STATE", "ESC_TELEMETRY")
@@ -130,6 +133,8 @@ class LiveSession:
         self.options, self._vehicle, self._page = options, vehicle, page
         self._motors = vehicle.rotors.count
         self._socket = listening(options.listen)
+        self._arrivals = Arrivals(self._socket)
+        self._gathers, self._count = options.publish is None, 0
         try:
             self._recording = (
                 None if options.record is None else Recording(options.record, self._motors)
@@ -242,22 +247,23 @@ class LiveSession:
 
     def _receive(self) -> None:
         """Take what has come, for a while."""
-        come = select.select([self._socket], [], [], _WAIT_S)[0]
+        come = self._arrivals.wait(_WAIT_S)
         self._receiver.silent = time.monotonic() - self._heard_s > SILENT_S
         if not come:
             return
-        for _ in range(_AT_ONCE):
-            try:
-                datagram, sender = self._socket.recvfrom(_LONGEST)
-            except OSError:  # nothing more is there, or what was sent to nobody came back
-                return
-            self._take(datagram, (sender[0], sender[1]), time.monotonic(), time.time_ns() // 1000)
+        if self._gathers and self._count < _MANY:
+            time.sleep(_GATHER_S)
+        self._count = 0
+        for datagram in self._arrivals.take(_AT_ONCE):
+            self._take(datagram)
+            self._count += 1
 
-    def _take(self, datagram: bytes, sender: Sender, at_s: float, arrival_us: int) -> None:
-        for received in self._receiver.messages(datagram, sender):
-            self._heard_s, self._receiver.silent = at_s, False
+    def _take(self, datagram: Datagram) -> None:
+        at_s = datagram.at_s
+        for received in self._receiver.messages(datagram.content, datagram.sender):
+            self._heard_s, self._receiver.silent = time.monotonic(), False
             if self._recording is not None:
-                self._recording.raw.add(arrival_us, received.frame)
+                self._recording.raw.add(datagram.at_us, received.frame)
             message = received.message
             if message.get_type() == "TIMESYNC":
                 self._timesync(message, at_s)
@@ -332,9 +338,14 @@ class LiveSession:
         self._send(dialect.MAVLink_timesync_message(0, self._asked_ns))
 
     def _timesync(self, m: Message, at_s: float) -> None:
-        """Answer a question for the time, or take an answer."""
+        """Answer a question for the time, or take an answer.
+
+        The answer holds the middle between question and answer: who asked does not notice that it
+        was waited in between.
+        """
         if not m.tc1:
-            self._send(dialect.MAVLink_timesync_message(time.monotonic_ns(), m.ts1))
+            answered_s = (at_s + time.monotonic()) / 2
+            self._send(dialect.MAVLink_timesync_message(round(1e9 * answered_s), m.ts1))
         elif 0 < m.ts1 <= 1e9 * at_s and 1e9 * at_s - m.ts1 < 10e9:
             self._clock.answered(1e-9 * m.ts1, 1e-9 * m.tc1, at_s)
 

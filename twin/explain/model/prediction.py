@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
+from ...component.along import EachRow
 from ...component.rows import OverRows
 from ...effects import acting_late
 from ...residuals.imu import gyro_rate, prompt_imu
@@ -24,18 +25,28 @@ from .numbers import Number
 from .states import EffectStates, states_reached
 
 Array = NDArray[np.float64]
+Over = type[OverRows] | type[EachRow]
 
 
 class Batch:
     """A function of measured rows and of numbers, with its derivatives by the numbers."""
 
-    def __init__(self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX) -> None:
-        """Take the expressions."""
+    def __init__(
+        self, rows: Sequence[ca.SX], theta: ca.SX, readings: ca.SX, over: Over = OverRows
+    ) -> None:
+        """Take the expressions.
+
+        Args:
+            rows: Symbols of what differs from row to row.
+            theta: Symbols of the numbers.
+            readings: Of both.
+            over: What evaluates them: `OverRows` many rows at a time, `EachRow` some hundred.
+        """
         self._rows, self._theta, self._readings = list(rows), theta, readings
         value = ca.Function("value", [*rows, theta], [ca.cse(ca.densify(readings))])
-        self._value = OverRows(value, len(rows))
-        self._slopes: dict[tuple[int, ...], OverRows] = {}
-        self._tangent: OverRows | None = None
+        self._over, self._value = over, over(value, len(rows))
+        self._slopes: dict[tuple[int, ...], OverRows | EachRow] = {}
+        self._tangent: OverRows | EachRow | None = None
 
     def value(self, theta: Array, *rows: Array) -> Array:
         """Predicted readings, shape (n, c), of rows of shape (n, ...)."""
@@ -51,7 +62,7 @@ class Batch:
             slopes = ca.jacobian(self._readings, self._theta)[:, list(columns)]
             expression = ca.cse(ca.vec(ca.densify(slopes)))
             function = ca.Function("slopes", [*self._rows, self._theta], [expression])
-            self._slopes[key] = OverRows(function, len(self._rows))
+            self._slopes[key] = self._over(function, len(self._rows))
         flat = self._slopes[key](*rows, theta)
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
@@ -67,7 +78,7 @@ class Batch:
             way = ca.SX.sym("way", self._rows[0].shape[0])
             moved = ca.cse(ca.densify(ca.jtimes(self._readings, self._rows[0], way)))
             function = ca.Function("tangent", [way, *self._rows, self._theta], [moved])
-            self._tangent = OverRows(function, 1 + len(self._rows))
+            self._tangent = self._over(function, 1 + len(self._rows))
         return self._tangent(change, *rows, theta)
 
 
@@ -83,7 +94,12 @@ class Physics:
     """
 
     def __init__(
-        self, body: Component, vehicle: Vehicle, effects: Sequence[str], numbers: Sequence[Number]
+        self,
+        body: Component,
+        vehicle: Vehicle,
+        effects: Sequence[str],
+        numbers: Sequence[Number],
+        over: Over = OverRows,
     ) -> None:
         """Take the equations.
 
@@ -92,6 +108,7 @@ class Physics:
             vehicle: The model as it stands.
             effects: Effects to switch on.
             numbers: All of them; those of other components are not felt.
+            over: As of `Batch`.
         """
         self.airframe = body
         given = {e.name for e in acting_late()}  # what arrives late is in the inputs
@@ -117,13 +134,13 @@ class Physics:
         rate = gyro_rate(sensor, sensed, shown)
         self._felt: Batch | None = None
         if self._states.index:
-            self._felt = Batch([x, u], theta, felt)
+            self._felt = Batch([x, u], theta, felt, over)
             place = ca.SX(sensor.initial(sensed, p))
             flow = sensor.derivatives(self._states.filled(place, z), sensed, p)[self._states.index]
             rate += ca.jtimes(shown[3:], z, flow)
         readings = ca.vertcat(shown[:3], rate)
         rows = [x, u, z] if self._states.index else [x, u]
-        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, felt))
+        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, felt), over)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
         self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
 
@@ -162,7 +179,11 @@ class SensorBatch:
     """A sensor alone, noise left out: `(inputs, numbers) -> outputs`."""
 
     def __init__(
-        self, sensor: Component, effects: Sequence[str], numbers: Sequence[Number]
+        self,
+        sensor: Component,
+        effects: Sequence[str],
+        numbers: Sequence[Number],
+        over: Over = OverRows,
     ) -> None:
         """Take the equations.
 
@@ -170,6 +191,7 @@ class SensorBatch:
             sensor: Built with the effects.
             effects: Effects to switch on.
             numbers: All of them; those of other components are not felt.
+            over: As of `Batch`.
         """
         self._states, self._numbers = EffectStates(sensor, effects, numbers), list(numbers)
         names = [n.full for n in numbers]
@@ -177,7 +199,8 @@ class SensorBatch:
         sensed = ca.SX.sym("sensed", len(sensor.inputs))
         z = ca.SX.sym("z", len(self._states.index))
         shown = _shown(self._states, sensed, z, _parameters(sensor, effects, names, theta, {}))
-        self._batch = Batch([sensed, z] if self._states.index else [sensed], theta, shown)
+        rows = [sensed, z] if self._states.index else [sensed]
+        self._batch = Batch(rows, theta, shown, over)
 
     def answering(self) -> NDArray[np.bool_]:
         """Whether each reading answers to each number, shape (c, k)."""

@@ -17,6 +17,7 @@ from scipy.fft import dct
 from scipy.signal import butter, lfilter, lfilter_zi
 
 from ...component import Component
+from ...component.along import EachRow
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
 from ...residuals.airborne import LIFT_OFF_HEIGHT_M
@@ -112,13 +113,13 @@ class Framing:
         self._attitude = [[s.name for s in body.states].index(f"q_{a}") for a in "wxyz"]
         numbers, effects = library.numbers, library.effects
         self._theta, self._columns = values_of(numbers, {}), list(library.columns)
-        self._physics = Physics(body, vehicle, effects, numbers)
+        self._physics = Physics(body, vehicle, effects, numbers, EachRow)
         self._lag = LagSlopes(body, library, self._physics)
         self._imu = prompt_imu(vehicle, effects)
-        self._imu_batch = SensorBatch(self._imu, effects, numbers)
+        self._imu_batch = SensorBatch(self._imu, effects, numbers, EachRow)
         self._kinds = [s for s in SENSORS if s.group != BODY]
         self._made = [kind.make(vehicle, effects) for kind in self._kinds]
-        self._batches = [SensorBatch(m, effects, numbers) for m in self._made]
+        self._batches = [SensorBatch(m, effects, numbers, EachRow) for m in self._made]
         self.groups = tuple(self._list_groups())
         self._passed: dict[int, list[Array]] = {}  # by group, the states of its filters
         self._last: dict[int, Array] = {}  # by group, the last row before this frame

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from ...effects import EFFECTS, Repeats
 from ...effects.priors import BESIDE
@@ -224,7 +223,7 @@ class RunningEvidence:
         assert self._jumps is not None
         now = frame.end_s
         weighed = self._weigh()
-        whole = float(logsumexp([w.log_odds for w in weighed])) if weighed else -np.inf
+        whole = _log_of_sum([w.log_odds for w in weighed]) if weighed else -np.inf
         self._nothing = float(1 / (1 + np.exp(min(whole, 700.0))))
         self._shares = _shares(weighed)
         self._follow_silent(frame)
@@ -246,15 +245,15 @@ class RunningEvidence:
         """Every cause, all its beginnings together."""
         assert self._jumps is not None
         chance = np.log(FRAME_S / self._settings.every_s)
-        shared = logsumexp([h.odds for h in self._library.hypotheses])
+        shared = _log_of_sum([h.odds for h in self._library.hypotheses])
         found = []
         for jump in self._jumps.jumps():
             best = int(np.argmax(jump.evidence))
             if np.isfinite(jump.evidence[best]):
                 steps = np.diff(jump.starts, append=jump.starts[-1] + 1)
                 odds = chance + jump.hypothesis.odds - shared
-                log_odds = float(logsumexp(jump.evidence + np.log(np.maximum(steps, 1)))) + odds
-                found.append(Weighed(jump.hypothesis.effect, float(log_odds), jump, best))
+                log_odds = _log_of_sum(jump.evidence + np.log(np.maximum(steps, 1))) + odds
+                found.append(Weighed(jump.hypothesis.effect, log_odds, jump, best))
         return found
 
     def _raise(self, weighed: Sequence[Weighed], now: float) -> None:
@@ -351,12 +350,17 @@ class RunningEvidence:
         )
 
 
+def _log_of_sum(logs: Sequence[float] | Array) -> float:
+    """Logarithm of a sum of what some numbers are logarithms of."""
+    return float(np.logaddexp.reduce(logs))
+
+
 def _shares(weighed: Sequence[Weighed]) -> dict[str, float]:
     """Probability of each effect, given that one has begun."""
     if not weighed:
         return {}
     odds = np.array([w.log_odds for w in weighed])
-    share = np.exp(odds - logsumexp(odds))
+    share = np.exp(odds - _log_of_sum(odds))
     found: dict[str, float] = {}
     for w, p in zip(weighed, share, strict=True):
         found[w.effect] = found.get(w.effect, 0.0) + float(p)

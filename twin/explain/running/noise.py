@@ -90,7 +90,7 @@ class Levels:
         """Least level of each band, laws being inexact."""
         s = self._settings
         first = KEPT * (s.floor * self.constant[key]) ** 2
-        others = [s.rough**2 * float(np.mean(rows[a:b, 0] ** 2)) for a, b in self._bands[key][1:]]
+        others = [s.rough**2 * _power(rows[a:b, 0]) for a, b in self._bands[key][1:]]
         return np.array([first, *others])
 
     def weights(self, key: Key, rows: Array, innovation: Array) -> Array:
@@ -112,7 +112,7 @@ class Levels:
                 variance = max(s.together * now, self._long[key])
                 weights[0] = 1 / variance
                 continue
-            n, power = (high - low) * s.tempered, float(np.mean(innovation[low:high] ** 2))
+            n, power = (high - low) * s.tempered, _power(innovation[low:high])
             louder = (s.level + n * power / now) / (s.level + n)
             weights[low:high] = s.tempered / (now * max(louder, 1.0))
             level[b] += share * (min(power, s.burst * now) - level[b])
@@ -128,7 +128,7 @@ class Levels:
             level[0] += share * (min(power, self._settings.burst * level[0]) - level[0])
         if len(means) >= 2 * LONG:
             late, early = means[-LONG:], means[-2 * LONG : -LONG]
-            power = (float(np.mean(late)) - float(np.mean(early))) ** 2 / 2 * LONG
+            power = (sum(late) / LONG - sum(early) / LONG) ** 2 / 2 * LONG
             long = self._long[key]
             self._long[key] = long + share * (min(power, self._settings.burst * long) - long)
         del means[: -2 * LONG]
@@ -136,3 +136,8 @@ class Levels:
     def known(self) -> Mapping[Key, Array]:
         """Level by channel and band."""
         return self._level
+
+
+def _power(values: Array) -> float:
+    """Mean square."""
+    return float(values @ values) / len(values)

@@ -35,7 +35,7 @@ from uavtwin.live.page.hub import Hub
 from uavtwin.live.page.server import PageServer
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.streams import missing
+from uavtwin.live.told import missing
 
 pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)
