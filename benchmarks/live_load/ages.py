@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from twin.logs import write_flight
 from twin.vehicle.file import load_vehicle
@@ -37,7 +38,8 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
 
     Returns:
         Ages of what the page shows, ms: of 50 and of 99 in 100 of its pictures, each as old as it
-        became until the next; and those of what is published.
+        became until the next; and those of what is published. `busy` is the share of its core that
+        `live` took meanwhile.
     """
     vehicle, listens = load_vehicle(vehicle_name), free_address()
     core, *others = sorted(os.sched_getaffinity(0))
@@ -64,7 +66,9 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
                 sender = subprocess.Popen([*_COMMAND, "replay", path, "--to", f"udpout:{listens}"])
                 time.sleep(_SETTLED_S)
                 opened.run("window.live.clearAges()")
+                began, began_cpu = time.monotonic(), _processor_s(live)
                 sender.wait()
+                busy = (_processor_s(live) - began_cpu) / (time.monotonic() - began)
                 shown = np.array(opened.run("window.live.ages()"), dtype=np.float64)
             said, _ = live.communicate(timeout=60)
         finally:
@@ -74,6 +78,7 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
     return {
         "seconds": seconds,
         "alarms_kept": alarms,
+        "busy": busy,
         "pictures": len(shown),
         "shown_p50_ms": float(np.percentile(shown[:, 1], 50)),
         "shown_p99_ms": float(np.percentile(shown[:, 1], 99)),
@@ -81,6 +86,12 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
         "lost": told["link"]["lost"],
         "late": told["link"]["late"],
     }
+
+
+def _processor_s(process: "subprocess.Popen[str]") -> float:
+    """What a process has had so far."""
+    times = psutil.Process(process.pid).cpu_times()
+    return float(times.user + times.system)
 
 
 def _free_tcp_port() -> int:

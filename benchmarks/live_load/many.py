@@ -19,6 +19,9 @@ from uavtwin.live.told import LiveTold
 from .flights import long_flight
 from .ports import free_address
 
+SETTLED_S = 12.0
+"""Of flight, after which the start is over: equations are there, the quiet start is learned."""
+
 
 def aircraft_at_once(
     count: int, seconds: float, alarms: bool, vehicle_name: str = "copter_default"
@@ -30,6 +33,10 @@ def aircraft_at_once(
         seconds: So long.
         alarms: Whether evidence is kept of each.
         vehicle_name: Which.
+
+    Returns:
+        Among others `cpu_per_second`, processor per second of flight of one aircraft after the
+        start; None: it was not over.
     """
     vehicle = load_vehicle(vehicle_name)
     with tempfile.TemporaryDirectory() as folder:
@@ -53,8 +60,13 @@ def aircraft_at_once(
         began, began_cpu = time.monotonic(), time.process_time()
         for thread in threads:
             thread.start()
+        while sender.is_alive() and min(s.worker.flight_s for s in sessions) < SETTLED_S:
+            time.sleep(0.05)
+        settled, settled_cpu = [s.worker.flight_s for s in sessions], time.process_time()
         sender.join()
         wall_s, cpu_s = time.monotonic() - began, time.process_time() - began_cpu
+        flown_s = sum(s.worker.flight_s - t for s, t in zip(sessions, settled, strict=True))
+        steady_s = time.process_time() - settled_cpu
         behind_s = [seconds - s.worker.flight_s for s in sessions]
         over.set()
         for thread in threads:
@@ -65,6 +77,7 @@ def aircraft_at_once(
         "seconds": seconds,
         "wall_s": wall_s,
         "cpu_share": cpu_s / wall_s,
+        "cpu_per_second": steady_s / flown_s if flown_s > 1.0 else None,
         "lost": sum(t.link.lost for t in told.values()),
         "late": sum(t.link.late for t in told.values()),
         "most_behind_s": max(behind_s),

@@ -22,9 +22,19 @@ def test_a_long_flight_goes_on_without_a_break() -> None:
 
 @pytest.mark.slow
 def test_two_aircraft_at_once() -> None:
-    told = aircraft_at_once(2, 8.0, alarms=False)
+    told = aircraft_at_once(2, 14.0, alarms=False)
     assert told["lost"] == 0 and told["alarms"] == 0
-    assert told["cpu_share"] > 0.0 and told["most_behind_s"] < 8.0
+    assert 0.0 < told["cpu_per_second"] < 1.0
+    assert told["cpu_share"] > 0.0 and told["most_behind_s"] < 14.0
     text = page({"many_02_bare": {**told, "load_before": 1.0}})
     row = f"| 2 | no | {told['wall_s']:.0f} s | {100 * told['cpu_share']:.0f} % |"
-    assert row in text and "Not measured." in text
+    assert row in text and "Not measured." in text and "1 s: not measured." in text
+
+
+@pytest.mark.parametrize(
+    ("late", "behind_s", "said"), [(0, 0.2, "reached"), (1, 0.2, "not"), (0, 9.0, "not")]
+)
+def test_the_page_says_whether_the_goal_is_reached(late: int, behind_s: float, said: str) -> None:
+    told = {"aircraft": 10, "alarms_kept": True, "seconds": 25.0, "wall_s": 26.0, "cpu_share": 0.6}
+    told |= {"cpu_per_second": 0.04, "lost": 0, "late": late, "most_behind_s": behind_s}
+    assert f"more than\n1 s: {said}" in page({"many_10_alarms": {**told, "load_before": 1.0}})

@@ -27,7 +27,7 @@ from .publisher import DEFAULT_SYSTEM, Publisher
 from .receiver import Receiver
 from .recording import Recording
 from .rows import HOLD_S, ClockJumps, RowBuffer
-from .told import LinkTold, LiveTold, missing
+from .told import RATES_HZ, LinkTold, LiveTold, missing
 from .worker import Batch, Worker
 
 if TYPE_CHECKING:
@@ -52,16 +52,6 @@ _MANY = 50
 _CLOCKED = ("acc", "gyro")
 """Signals by whose times the aircraft's clock is known."""
 _UNSTAMPED = ("BATTERY_STATUS", "SYS_STATUS", "EXTENDED_SYS_STATE", "ESC_TELEMETRY")
-RATES_HZ = {
-    dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
-    dialect.MAVLINK_MSG_ID_ODOMETRY: 50.0,
-    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
-    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
-    dialect.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 200.0,
-    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 5.0,
-    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
-}
-"""What is asked for where it is wanted."""
 
 
 @dataclass(frozen=True, slots=True)

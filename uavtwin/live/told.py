@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from twin.logs.mavlink.dialect import dialect
+
 from .clock import ClockEstimate
 
 NEEDED_BY: dict[str, tuple[str, str]] = {
@@ -27,6 +29,16 @@ NEEDED_BY: dict[str, tuple[str, str]] = {
     "landed": ("EXTENDED_SYS_STATE", "flight phases are unknown"),
 }
 """By signal the message that it is read from, and what cannot be told without it."""
+RATES_HZ = {
+    dialect.MAVLINK_MSG_ID_HIGHRES_IMU: 200.0,
+    dialect.MAVLINK_MSG_ID_ODOMETRY: 50.0,
+    dialect.MAVLINK_MSG_ID_ATTITUDE_QUATERNION: 50.0,
+    dialect.MAVLINK_MSG_ID_LOCAL_POSITION_NED: 30.0,
+    dialect.MAVLINK_MSG_ID_ACTUATOR_OUTPUT_STATUS: 200.0,
+    dialect.MAVLINK_MSG_ID_BATTERY_STATUS: 5.0,
+    dialect.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 2.0,
+}
+"""By kind of message, what the aircraft is asked for where that is wanted."""
 
 
 def missing(sources: Mapping[str, str]) -> dict[str, str]:
