@@ -1,7 +1,8 @@
 """The twin that follows the aircraft message by message, from the newest measured state on.
 
 At each reading of the IMU the airframe is stepped to its time on the newest commands, in the steps
-of the FMUs; every horizon it is set to what was measured. Rotors, which nobody measures, go on.
+of the FMUs; every horizon it is set to what was measured, or an observer draws it there all the
+time. Rotors, which nobody measures, go on.
 """
 
 from collections.abc import Sequence
@@ -33,6 +34,26 @@ _LONGEST_US = 500_000
 
 
 @dataclass(frozen=True, slots=True)
+class Following:
+    """How the twin is kept with the aircraft.
+
+    Attributes:
+        horizon_s: It is set to what was measured that often, and free in between.
+        observer_s: Instead it is drawn to what was measured, so that what it is off decays with
+            this time constant: x += (1 - exp(-dt / observer)) (measured - x), a Luenberger observer
+            of one gain; None: it is set.
+    """
+
+    horizon_s: float
+    observer_s: float | None = None
+
+    def __str__(self) -> str:
+        if self.observer_s is None:
+            return f"set to the measured state every {self.horizon_s:g} s"
+        return f"drawn to the measured state with a time constant of {self.observer_s:g} s"
+
+
+@dataclass(frozen=True, slots=True)
 class Reading:
     """What the twin reads; SI, NED, FRD."""
 
@@ -51,12 +72,12 @@ class FollowingTwin:
         started: Whether it has a state: attitude, velocity and body rates have come, and commands.
     """
 
-    def __init__(self, equations: Equations, horizon_s: float) -> None:
+    def __init__(self, equations: Equations, following: Following) -> None:
         """Nothing has come.
 
         Args:
             equations: Of the vehicle.
-            horizon_s: It is set to what was measured that often.
+            following: How it is kept with the aircraft.
         """
         body, sensor = equations.airframe, equations.imu
         self._p = body.parameter_values({"ground.enabled": 0.0})
@@ -81,7 +102,8 @@ class FollowingTwin:
         self._x: Array | None = None
         self._measured: dict[str, tuple[float, ...]] = {}
         self._has_commands = False
-        self._horizon_us = round(1e6 * horizon_s)
+        self._horizon_us = round(1e6 * following.horizon_s)
+        self._observer_s = following.observer_s
         self._t_us = self._set_us = 0
 
     @property
@@ -126,7 +148,9 @@ class FollowingTwin:
             (along,) = self._step(self._x, np.tile(self._u, (steps, 1)))
             self._x = along[-1]
         self._t_us += round(1e6 * GRID_S) * steps
-        if t_us - self._set_us >= self._horizon_us:
+        if self._observer_s is not None:
+            self._draw(GRID_S * steps, self._observer_s)
+        elif t_us - self._set_us >= self._horizon_us:
             self._set(t_us)
 
     def _set(self, t_us: int) -> None:
@@ -135,3 +159,16 @@ class FollowingTwin:
         for group, values in self._measured.items():
             x[self._index[group]] = values
         self._x, self._t_us, self._set_us = x, t_us, t_us
+
+    def _draw(self, over_s: float, observer_s: float) -> None:
+        """Be nearer to where the aircraft was measured."""
+        x = np.array(self._x, dtype=np.float64).ravel()
+        pull = -np.expm1(-over_s / observer_s)
+        for group, values in self._measured.items():
+            index, measured = self._index[group], np.asarray(values)
+            if group == "q" and x[index] @ measured < 0:
+                measured = -measured
+            x[index] += pull * (measured - x[index])
+        q = self._index["q"]
+        x[q] /= np.linalg.norm(x[q])
+        self._x = x

@@ -21,7 +21,7 @@ from .address import Address, listening
 from .alarms import Evidence, alarm_json
 from .arrivals import Arrivals, Datagram
 from .clock import ClockWatch
-from .following import FollowingTwin
+from .following import Following, FollowingTwin
 from .page.feed import PageFeed
 from .publisher import DEFAULT_SYSTEM, Publisher
 from .receiver import Receiver
@@ -63,6 +63,8 @@ class LiveOptions:
         system: System id of the aircraft; None: the first that is heard.
         record: Folder of the recording; None: none is made.
         horizon_s: Short horizon of the residuals.
+        observer_s: Time constant by which the twin that is shown and published is drawn to what was
+            measured; None: it is set to it every horizon.
         hold_s: So long rows wait for messages that were overtaken.
         duration_s: Ends after so long; None: it does not.
         until_silent_s: Ends when an aircraft that was heard is silent for so long.
@@ -84,6 +86,7 @@ class LiveOptions:
     request_rates: bool = False
     publish: Address | None = None
     publish_system: int = DEFAULT_SYSTEM
+    observer_s: float | None = None
 
     def __post_init__(self) -> None:
         steps = 1e3 * self.horizon_s
@@ -91,6 +94,13 @@ class LiveOptions:
             raise TwinError(f"--horizon {self.horizon_s:g}: a multiple of 1 ms of at least 10 ms.")
         if not 0 <= self.hold_s <= 10:
             raise TwinError(f"--hold {self.hold_s:g}: 0 to 10 s.")
+        if self.observer_s is not None and not 0.02 <= self.observer_s <= 60:
+            raise TwinError(f"--observer {self.observer_s:g}: 0.02 to 60 s.")
+
+    @property
+    def following(self) -> Following:
+        """How the twin is kept with the aircraft."""
+        return Following(self.horizon_s, self.observer_s)
 
 
 class LiveSession:
@@ -155,7 +165,7 @@ class LiveSession:
             compensator,
             (lambda _: None) if self._publisher is None else self._publisher.anomaly,
         )
-        self._twin = FollowingTwin(self.worker.equations, options.horizon_s)
+        self._twin = FollowingTwin(self.worker.equations, options.following)
 
     def _begin(self) -> None:
         """All that goes by the aircraft's clock, from the begin."""

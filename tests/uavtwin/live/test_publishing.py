@@ -18,7 +18,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.alarms import sentence
-from uavtwin.live.following import FollowingTwin
+from uavtwin.live.following import Following, FollowingTwin
 from uavtwin.live.publisher import Publisher
 from uavtwin.live.recording import Recording
 from uavtwin.live.worker import Batch, Worker
@@ -61,7 +61,7 @@ def test_an_alarm_says_what_has_changed_and_else_what_its_effect_is() -> None:
 def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
     """From a measured state on: the airframe's own step, however readings come."""
     equations = Equations.of(copter, "command")
-    twin, body = FollowingTwin(equations, 10.0), equations.airframe
+    twin, body = FollowingTwin(equations, Following(10.0)), equations.airframe
     measured = {"pos": (1.0, 2.0, -3.0), "vel": (0.5, 0.0, 0.0), "q": (1.0, 0.0, 0.0, 0.0)}
     command = Sample("cmd", "x", 0, (0.5, 0.52, 0.5, 0.52))
     assert not twin.take(command)
@@ -89,7 +89,7 @@ def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
 
 
 def test_it_is_set_to_what_was_measured_every_horizon(copter: Vehicle) -> None:
-    twin = FollowingTwin(Equations.of(copter, "command"), 0.1)
+    twin = FollowingTwin(Equations.of(copter, "command"), Following(0.1))
     twin.take(Sample("cmd", "x", 0, (0.0,) * 4))
     twin.take(Sample("vel", "x", 0, (0.0,) * 3))
     twin.take(Sample("q", "x", 0, (1.0, 0.0, 0.0, 0.0)))
@@ -99,6 +99,25 @@ def test_it_is_set_to_what_was_measured_every_horizon(copter: Vehicle) -> None:
         fallen.append(twin.read().velocity_n[2])
     assert fallen[0] == fallen[10] == fallen[20] == 0.0
     assert 0.5 < fallen[9] < fallen[19] < 0.95  # the rotors slow down all the while
+
+
+def test_an_observer_draws_it_to_what_was_measured(copter: Vehicle) -> None:
+    """What it is off decays with the time constant, where equations add nothing: its heading."""
+    quiet = Equations.of(copter, "command")
+    apart = []
+    for observer_s in (0.5, None):
+        twin = FollowingTwin(quiet, Following(100.0, observer_s))
+        for sample in (("cmd", (0.0,) * 4), ("vel", (0.0,) * 3), ("q", (1.0, 0.0, 0.0, 0.0))):
+            twin.take(Sample(sample[0], "x", 0, sample[1]))
+        twin.take(Sample("gyro", "x", 0, (0.0,) * 3))
+        turned = (np.cos(0.05), 0.0, 0.0, -np.sin(0.05))
+        twin.take(Sample("q", "x", 0, tuple(-x for x in turned)))  # the same attitude
+        for k in range(1, 101):
+            twin.take(Sample("gyro", "x", 10_000 * k, (0.0,) * 3))
+        q = np.asarray(twin.read().q_nb)
+        assert np.linalg.norm(q) == pytest.approx(1.0, abs=1e-12)
+        apart.append(float(np.arccos(abs(q @ turned)) / 0.05))
+    assert apart == pytest.approx([np.exp(-1.0 / 0.5), 1.0], rel=1e-3)
 
 
 def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_path: Path) -> None:

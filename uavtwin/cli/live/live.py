@@ -55,6 +55,13 @@ UntilSilent = Annotated[
 Horizon = Annotated[
     float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
 ]
+Observer = Annotated[
+    float | None,
+    typer.Option(
+        help="Draw the twin that is shown and published to the measured state with this time "
+        "constant, s, instead of restarting it; residuals stay those of --horizon."
+    ),
+]
 Hold = Annotated[
     float, typer.Option(help="So long samples wait for others that were overtaken, s.")
 ]
@@ -100,6 +107,7 @@ def live(
     duration: Duration = None,
     until_silent: UntilSilent = None,
     horizon: Horizon = 0.5,
+    observer: Observer = None,
     hold: Hold = 0.15,
     request_rates: RequestRates = False,
     publish: Publish = None,
@@ -130,6 +138,7 @@ def live(
         request_rates,
         None if publish is None else address(publish, "udpout", "--publish"),
         publish_system,
+        observer,
     )
     if demo and serve is None:
         serve = _demo_page()
@@ -199,7 +208,7 @@ def _fly(
             flight = damaged_flight(twin)
         shown = None
         if serve is not None:
-            shown = opened.enter_context(open_page(serve, token, twin, options.horizon_s))
+            shown = opened.enter_context(open_page(serve, token, twin, options.following))
         session = LiveSession(
             twin,
             options,

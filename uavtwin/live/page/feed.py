@@ -14,6 +14,7 @@ from twin.logs.mavlink.samples import Sample
 from twin.residuals.running.residuals import ResidualBlock
 
 from ..alarms import alarm_json
+from ..following import Following
 from ..told import LiveTold
 from .band import ExpectedBands
 from .hub import Hub
@@ -64,19 +65,19 @@ class PageFeed:
     of the system's clock.
     """
 
-    def __init__(self, hub: Hub, vehicle: str, horizon_s: float) -> None:
+    def __init__(self, hub: Hub, vehicle: str, following: Following) -> None:
         """Nothing is known yet.
 
         Args:
             hub: Where messages go to.
             vehicle: Name of the twin.
-            horizon_s: Short horizon of the residuals.
+            following: How the twin is kept with the aircraft.
         """
         self._hub = hub
         self._measured: dict[str, tuple[float, ...]] = {}
         self._next_s, self._count = 0.0, 0
         self._bands, self._until_s = ExpectedBands(), -math.inf
-        hub.tell("about", {"vehicle": vehicle, "horizon_s": horizon_s}, key="about")
+        hub.tell("about", {"vehicle": vehicle, "following": str(following)}, key="about")
 
     # -- of the thread that receives ----------------------------------------------------------
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
+from ..following import Following
 from .feed import PageFeed
 from .hub import Hub
 
@@ -45,14 +46,14 @@ def lacking() -> list[str]:
     return [n for n in NEEDED if find_spec(n) is None]
 
 
-def open_page(serve: str, token: str | None, vehicle: Vehicle, horizon_s: float) -> OpenPage:
+def open_page(serve: str, token: str | None, vehicle: Vehicle, following: Following) -> OpenPage:
     """Serve the page of a live flight.
 
     Args:
         serve: HOST:PORT.
         token: What viewers must know; None: nothing.
         vehicle: The twin.
-        horizon_s: Short horizon of the residuals.
+        following: How the twin is kept with the aircraft.
 
     Raises:
         TwinError: The address is none, is taken, or needs a token; or packages are missing.
@@ -65,5 +66,5 @@ def open_page(serve: str, token: str | None, vehicle: Vehicle, horizon_s: float)
 
     where = page_address(serve, token)
     hub = Hub()
-    feed = PageFeed(hub, vehicle.name, horizon_s)
+    feed = PageFeed(hub, vehicle.name, following)
     return OpenPage(feed, PageServer(where, hub, document(vehicle.rotors.count), token))

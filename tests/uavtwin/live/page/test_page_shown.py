@@ -29,6 +29,7 @@ from twin.residuals.gap import Channel
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.alarms import sentence
+from uavtwin.live.following import Following
 from uavtwin.live.page.document import document
 from uavtwin.live.page.feed import PageFeed
 from uavtwin.live.page.hub import Hub
@@ -67,7 +68,7 @@ def opened(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 
 
 def feed_of(hub: Hub) -> PageFeed:
-    return PageFeed(hub, "copter_default", 0.5)
+    return PageFeed(hub, "copter_default", Following(0.5))
 
 
 def fly(feed: PageFeed, t_s: float, acc_z: float = -9.8) -> None:
@@ -233,7 +234,7 @@ def test_a_real_flight_over_mavlink_is_seen(opened: Browser) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_port:
         any_port.bind(("127.0.0.1", 0))
         listen = Address("127.0.0.1", int(any_port.getsockname()[1]))
-    feed = PageFeed(hub, vehicle.name, 0.5)
+    feed = PageFeed(hub, vehicle.name, Following(0.5))
     with PageServer(Address("127.0.0.1", 0), hub, document(4), None) as server:
         opened.visit(server.url, WIDE)
         session = LiveSession(vehicle, LiveOptions(listen), page=feed)
