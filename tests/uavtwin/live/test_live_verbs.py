@@ -57,6 +57,7 @@ def test_replay_into_the_void(log: Path, capsys: pytest.CaptureFixture[str]) -> 
         (("--listen", "udpin:192.0.2.1:14550"), "cannot be listened at"),
         (("--horizon", "0.0005"), "a multiple of 1 ms"),
         (("--hold", "-1"), "0 to 10 s"),
+        (("--observer", "0"), "0.02 to 60 s"),
         (("--publish", "udpin:127.0.0.1:1"), "write udpout:HOST:PORT"),
     ],
 )
