@@ -1,7 +1,7 @@
 """What a live flight bears: `python -m benchmarks.live_load --out OUT --page FILE`.
 
 Measures how old what viewers see is, the processor that several aircraft take in one process, and
-the memory of a long flight at the highest speed; one JSON file each in OUT. What is there is not
+the memory of a long flight; one JSON file each in OUT. What is there is not
 measured again.
 """
 
@@ -26,7 +26,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
     parser.add_argument("--page", type=Path, help="write the page of what is there, and no more")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of the long flight")
+    parser.add_argument("--minutes", type=float, default=120.0, help="of the long flight")
+    parser.add_argument("--speed", type=float, default=4.0, help="of the long flight")
     parser.add_argument("--aircraft", type=int, nargs="*", default=[1, 3, 10], help="at once")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -41,7 +42,7 @@ def main() -> int:
         for alarms in (True, False):
             name = f"many_{count:02d}_{'alarms' if alarms else 'bare'}"
             _once(given.out, name, partial(aircraft_at_once, count, _SECONDS, alarms))
-    _once(given.out, "growth", partial(growth, 60.0 * given.minutes))
+    _once(given.out, "growth", partial(growth, 60.0 * given.minutes, given.speed))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Memory of a live flight that goes on and on, at the highest speed that it takes."""
+"""Memory of a live flight that goes on and on, and whether it keeps up."""
 
 import multiprocessing
 import tempfile
@@ -15,7 +15,7 @@ from twin.logs import Flight, write_flight
 from twin.logs.read import read_flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
-from uavtwin.live.replay import MAX_SPEED, Replay
+from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 
 from .flights import long_flight
@@ -25,8 +25,14 @@ _EVERY_S = 2.0
 MIB = 2.0**20
 
 
-def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, Any]:
-    """Fly so long, recorded, with evidence, and watch the memory of this process."""
+def growth(seconds: float, speed: float, vehicle_name: str = "copter_default") -> dict[str, Any]:
+    """Fly so long, recorded, with evidence, and watch the memory of this process.
+
+    Args:
+        seconds: Of flight, at least.
+        speed: Times real time.
+        vehicle_name: Who flies.
+    """
     vehicle = load_vehicle(vehicle_name)
     with tempfile.TemporaryDirectory() as folder:
         flight = long_flight(vehicle, seconds)
@@ -36,7 +42,7 @@ def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, An
         options = LiveOptions(free_address(), record=Path(folder, "rec"), until_silent_s=20.0)
         session = LiveSession(vehicle, options, lambda: RunningEvidence(vehicle))
         context = multiprocessing.get_context("spawn")
-        arguments = (Path(folder, "long.parquet"), options.listen)
+        arguments = (Path(folder, "long.parquet"), options.listen, speed)
         sender = context.Process(target=_play, args=arguments, daemon=True)
         memory: list[tuple[float, float]] = []
         over = threading.Event()
@@ -53,8 +59,12 @@ def growth(seconds: float, vehicle_name: str = "copter_default") -> dict[str, An
         recorded = len(read_flight(Path(folder, "rec", "flight.parquet")).table)
     sent = int((times_s <= told.flight_s + 1e-9).sum())  # the sender may have been ended early
     flown = np.array([m for m in memory if 60.0 < m[0] < told.flight_s - 2.0])
+    later = flown[flown[:, 0] > 0.1 * told.flight_s]
     return {
+        "speed": speed,
         "flight_s": told.flight_s,
+        "behind_s": float(times_s[-1]) - told.flight_s,
+        "rss_mib_per_h": 3600.0 * float(np.polyfit(later[:, 0], later[:, 1], 1)[0]),
         "wall_s": wall_s,
         "rows_sent": sent,
         "rows_recorded": recorded,
@@ -76,8 +86,8 @@ def _watch(session: LiveSession, memory: list[tuple[float, float]], over: thread
         memory.append((session.worker.flight_s, this.memory_info().rss / MIB))
 
 
-def _play(path: Path, to: Address) -> None:
+def _play(path: Path, to: Address, speed: float) -> None:
     flight: Flight = read_flight(path)
-    aircraft = Replay(to, MAX_SPEED)
+    aircraft = Replay(to, speed)
     aircraft.play(flight)
     aircraft.close()

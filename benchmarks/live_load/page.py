@@ -125,12 +125,13 @@ def _growth(r: dict[str, Any] | None) -> str:
     if r is None:
         return "Not measured."
     return (
-        f"{r['flight_s'] / 60:.1f} minutes of flight, recorded, with alarms, sent as fast as they "
-        f"were taken ({r['flight_s'] / r['wall_s']:.1f} times real time, load "
-        f"{r['load_before']:.1f} before): {r['lost']} messages lost, {r['late']} samples late, "
+        f"{r['flight_s'] / 60:.1f} minutes of flight, recorded, with alarms, sent {r['speed']:g} "
+        f"times as fast as they were flown (in {r['wall_s'] / 60:.1f} minutes; load "
+        f"{r['load_before']:.1f} before): {r['lost']} messages lost, {r['late']} samples late, the "
+        f"twin {r['behind_s']:.1f} s of flight behind when the last had been sent, "
         f"{r['rows_recorded']} of {r['rows_sent']} rows recorded, {r['alarms']} alarms. "
         f"Resident memory {r['rss_after_a_minute_mib']:.1f} MiB after a minute of flight, "
         f"{r['rss_at_the_end_mib']:.1f} MiB at its end, between {r['rss_least_mib']:.1f} and "
-        f"{r['rss_most_mib']:.1f} MiB in between. Two hours were not flown: what grows by less "
-        f"than a MiB in these minutes would not be seen."
+        f"{r['rss_most_mib']:.1f} MiB in between; a line through what was held after a "
+        f"tenth of the flight rises by {r['rss_mib_per_h']:.1f} MiB an hour."
     )
