@@ -59,6 +59,9 @@ def imu_parts(seen: Seen) -> list[Part]:
 def pose_parts(seen: Seen, force: Array) -> list[Part]:
     """What the IMU reads against what the pose implies: no physics of the vehicle in between.
 
+    A pose is known at its samples alone, and what it implies between them is made up by splines.
+    Readings pass the same, `as_sampled`, or few samples a second would be taken for an average.
+
     The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
     a regressor would shrink what is found with it, or feign it where the residual has it too. It is
     the force of the model as it stands; those by an age, which ask how it changes in time, take
