@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 CHUNK = 1024
 """Rows at a time."""
+STEPS = 128
+"""Steps at a time, each of which goes on from the one before: of a thousand, what CasADi needs to
+line them up would take as long as a second of flight."""
 
 
 class Along:
@@ -38,7 +41,7 @@ class Along:
         """
         n, state = len(rows[0]), start
         found = tuple(np.empty((n, size)) for size in self._sizes)
-        for here in _parts(n):
+        for here in _parts(n, STEPS):
             self._loops.run([state, *(r[here] for r in rows)], [whole[here] for whole in found])
             state = found[0][here.stop - 1]
         return found
@@ -69,7 +72,7 @@ class EachRow:
         """
         differ, same = arguments[: self._rows], arguments[self._rows :]
         found = np.empty((len(differ[0]), self._size))
-        for here in _parts(len(found)):
+        for here in _parts(len(found), CHUNK):
             self._loops.run([*(r[here] for r in differ), *same], [found[here]])
         return found
 
@@ -119,11 +122,11 @@ def mapped(function: ca.Function, *rows: Array) -> Array:
     return EachRow(function, len(rows))(*rows)
 
 
-def _parts(n: int) -> Iterator[slice]:
-    """Rows in parts whose sizes are powers of two."""
+def _parts(n: int, most: int) -> Iterator[slice]:
+    """Rows in parts whose sizes are powers of two, at most so many at a time."""
     first = 0
     while first < n:
-        size = min(1 << ((n - first).bit_length() - 1), CHUNK)
+        size = min(1 << ((n - first).bit_length() - 1), most)
         yield slice(first, first + size)
         first += size
 

@@ -115,17 +115,43 @@ def closed_loop(
         plant: What really flies; default: the vehicle.
         control: Another controller than `controller(vehicle)`.
     """
-    plan, plant = mission(vehicle, name), plant or vehicle
-    t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
-    rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
-    setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
-    phase = rows[:, plan.output_names.index("phase")]
-    body = airframe(plant)
-    body = body.with_starts(standing(body, plant))
-    bounds = (0.0, 1.0) if control is not None else thrust_inverse(vehicle).bounds
-    wind = {f"wind_{a}": float(w) for a, w in zip(AXES, wind_m_s, strict=True)}
-    states, inputs = fly(body, control or controller(vehicle), setpoints, wind)
-    return Flown(t_s, states, inputs, setpoints, phase, body, bounds)
+    return ClosedLoop(vehicle, wind_m_s, plant, control).flown(name)
+
+
+class ClosedLoop:
+    """A vehicle with its controller, made once for all that it flies.
+
+    Args:
+        vehicle: What the controller is designed for.
+        wind_m_s: Steady wind, NED.
+        plant: What really flies; default: the vehicle.
+        control: Another controller than `controller(vehicle)`.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
+        plant: Vehicle | None = None,
+        control: Component | None = None,
+    ) -> None:
+        plant = plant or vehicle
+        body = airframe(plant)
+        self._vehicle, self._body = vehicle, body.with_starts(standing(body, plant))
+        self._bounds = (0.0, 1.0) if control is not None else thrust_inverse(vehicle).bounds
+        wind = {f"wind_{a}": float(w) for a, w in zip(AXES, wind_m_s, strict=True)}
+        course = _Course(self._body, wind, {}, 0)
+        self._steps = _Steps(self._body, control or controller(vehicle), course)
+
+    def flown(self, name: str) -> Flown:
+        """A mission from standing on the ground to its end."""
+        plan = mission(self._vehicle, name)
+        t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
+        rows = plan.outputs_along(t_s[:, None], np.zeros((len(t_s), 0)))
+        setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
+        phase = rows[:, plan.output_names.index("phase")]
+        states, inputs = self._steps.along(setpoints, np.zeros((len(t_s), 0)))
+        return Flown(t_s, states, inputs, setpoints, phase, self._body, self._bounds)
 
 
 def standing(body: Component, vehicle: Vehicle) -> dict[str, float]:
@@ -160,36 +186,54 @@ def fly(
     Returns:
         States before each step, shape (n, n_x), and the inputs over it, shape (n, n_u).
     """
-    every, line = _every(control), _Memory(body)
     course = _Course(body, held, courses or {}, len(setpoints))
-    u0, p_body, p_control = course.u, course.p, control.parameter_values()
-    x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
-    past = ca.SX.sym("past", line.size)
-    setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")
-    measured = body.outputs(x, u0, p_body)
-    sources = {n: measured[i] for i, n in enumerate(body.output_names)}
-    sources |= {n: setpoint[i] for i, n in enumerate(SETPOINTS)}
-    sensed = ca.vertcat(*[sources[n] for n in control.input_names])
-    after = c
-    if control.sampling is not None:
-        after = ca.if_else(due > 0.5, control.sampling.update(c, sensed, p_control, [], []), c)
-    answer = control.outputs(after, sensed, p_control)
-    u = ca.SX(u0)
-    u[[body.input_names.index(n) for n in control.output_names]] = answer
-    moved, later = line.sampled(body.step(x, u, p_body, STEP_S), u, past, p_body)
-    both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
-    everything = ca.vertcat(x, c, past)
-    rows = [everything, setpoint, due, course.now]
-    step = ca.Function("closed_loop", rows, [both, ca.cse(u)])
-    u_start, p_start = course.started()
-    start = [body.initial(u_start, p_start), control.initial(control.input_values(), p_control)]
-    known = ca.vertcat(*start, np.zeros(line.size))
-    _, first_u = step(known, setpoints[0], True, course.rows[0])
-    start[:1], begun = line.begun(body.initial(first_u, p_start), first_u)
-    state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
-    now = (np.arange(len(setpoints)) % every == 0).astype(np.float64)
-    trail, inputs = accumulated(step, state, setpoints, now[:, None], course.rows)
-    return np.vstack([state, trail[:-1]])[:, : len(body.states)], inputs
+    return _Steps(body, control, course).along(setpoints, course.rows)
+
+
+class _Steps:
+    """Steps of an airframe, its controller and what both remember, in one function."""
+
+    def __init__(self, body: Component, control: Component, course: "_Course") -> None:
+        self._body, self._control, self._course = body, control, course
+        self._every, self._line = _every(control), _Memory(body)
+        u0, p_body, p_control = course.u, course.p, control.parameter_values()
+        x, c = ca.SX.sym("x", len(body.states)), ca.SX.sym("c", len(control.states))
+        past = ca.SX.sym("past", self._line.size)
+        setpoint, due = ca.SX.sym("setpoint", len(SETPOINTS)), ca.SX.sym("due")
+        measured = body.outputs(x, u0, p_body)
+        sources = {n: measured[i] for i, n in enumerate(body.output_names)}
+        sources |= {n: setpoint[i] for i, n in enumerate(SETPOINTS)}
+        sensed = ca.vertcat(*[sources[n] for n in control.input_names])
+        after = c
+        if control.sampling is not None:
+            after = ca.if_else(due > 0.5, control.sampling.update(c, sensed, p_control, [], []), c)
+        answer = control.outputs(after, sensed, p_control)
+        u = ca.SX(u0)
+        u[[body.input_names.index(n) for n in control.output_names]] = answer
+        moved, later = self._line.sampled(body.step(x, u, p_body, STEP_S), u, past, p_body)
+        both = ca.vertcat(moved, control.step(after, sensed, p_control, STEP_S), later)
+        once, n = ca.cse(ca.vertcat(both, u)), both.size1()
+        rows = [ca.vertcat(x, c, past), setpoint, due, course.now]
+        self._step = ca.Function("closed_loop", rows, [once[:n], once[n:]])
+
+    def along(self, setpoints: Array, rows: Array) -> tuple[Array, Array]:
+        """States before each step and inputs over it, as `fly` returns them.
+
+        Args:
+            setpoints: Shape (n, 11).
+            rows: Of the course, shape (n, k).
+        """
+        body, control, line = self._body, self._control, self._line
+        u_start, p_start = self._course.started()
+        resting = control.initial(control.input_values(), control.parameter_values())
+        start = [body.initial(u_start, p_start), resting]
+        known = ca.vertcat(*start, np.zeros(line.size))
+        _, first_u = self._step(known, setpoints[0], True, rows[0])
+        start[:1], begun = line.begun(body.initial(first_u, p_start), first_u)
+        state = np.asarray(ca.vertcat(*start, begun), dtype=np.float64).ravel()
+        now = (np.arange(len(setpoints)) % self._every == 0).astype(np.float64)
+        trail, inputs = accumulated(self._step, state, setpoints, now[:, None], rows)
+        return np.vstack([state, trail[:-1]])[:, : len(body.states)], inputs
 
 
 class _Course:

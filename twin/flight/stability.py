@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import TwinError
 from ..vehicle import Vehicle
-from .closed_loop import closed_loop
+from .closed_loop import ClosedLoop
 from .mission import mission_names
 
 STEEPEST_RAD = np.radians(75.0)
@@ -45,16 +45,20 @@ def fly_missions(
         progress: Called with the share done.
     """
     names = list(mission_names() if names is None else names)
+    try:
+        loop = ClosedLoop(vehicle)
+    except TwinError as error:
+        return tuple(Mission(name, False, float("nan"), str(error)) for name in names)
     flown = []
     for i, name in enumerate(names):
-        flown.append(_fly(vehicle, name))
+        flown.append(_fly(vehicle, loop, name))
         progress((i + 1) / len(names))
     return tuple(flown)
 
 
-def _fly(vehicle: Vehicle, name: str) -> Mission:
+def _fly(vehicle: Vehicle, loop: ClosedLoop, name: str) -> Mission:
     try:
-        flight = closed_loop(vehicle, name)
+        flight = loop.flown(name)
     except TwinError as error:
         return Mission(name, False, float("nan"), str(error))
     if not np.all(np.isfinite(flight.states)):

@@ -18,7 +18,8 @@ def pendulum() -> ca.Function:
 
 @pytest.mark.parametrize("n", [1, 6, 7, 8, 14, 20])
 def test_chunks_follow_on_each_other(n: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(along, "CHUNK", 7)
+    for size in ("CHUNK", "STEPS"):
+        monkeypatch.setattr(along, size, 7)
     rng, step = np.random.default_rng(n), pendulum()
     torque, start = rng.normal(size=(n, 1)), np.array([0.3, -0.1])
     damping = np.broadcast_to(0.2, (n, 1))

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 from rig import BUILTIN
 
 from twin.component import Run
-from twin.flight.closed_loop import SETPOINTS, STEP_S, Flown, closed_loop, standing
+from twin.flight.closed_loop import SETPOINTS, STEP_S, ClosedLoop, Flown, closed_loop, standing
 from twin.flight.control.lqr_cascade import controller
 from twin.flight.mission import mission, mission_names
 from twin.frames import AXES
@@ -32,15 +33,29 @@ def real(vehicle: Vehicle) -> Vehicle:
 
 
 @cache
-def flown(name: str, plan: str, windy: bool) -> Flown:
+def loop(name: str, windy: bool) -> ClosedLoop:
     vehicle = load_vehicle(name)
-    return closed_loop(vehicle, plan, WIND_M_S if windy else (0.0, 0.0, 0.0), plant=real(vehicle))
+    return ClosedLoop(vehicle, WIND_M_S if windy else (0.0, 0.0, 0.0), plant=real(vehicle))
+
+
+@cache
+def flown(name: str, plan: str, windy: bool) -> Flown:
+    return loop(name, windy).flown(plan)
+
+
+def is_long(name: str, plan: str, windy: bool) -> bool:
+    """Neither of the first vehicle nor every vehicle's tour in wind or hover in still air."""
+    return name != BUILTIN[0] and (plan, windy) not in (("tour", True), ("hover", False))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("windy", [False, True])
-@pytest.mark.parametrize("plan", mission_names())
-@pytest.mark.parametrize("name", BUILTIN)
+@pytest.mark.parametrize(
+    ("name", "plan", "windy"),
+    [
+        pytest.param(*case, marks=pytest.mark.long if is_long(*case) else ())
+        for case in product(BUILTIN, mission_names(), (False, True))
+    ],
+)
 def test_flies_every_mission(name: str, plan: str, windy: bool) -> None:
     flight = flown(name, plan, windy)
     miss = flight.miss_m
