@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twin.component import Component
+from twin.component.along import accumulated
 from twin.explain.model.model import Model
 from twin.physics.airframe import airframe
 from twin.physics.rotors import Drive
@@ -82,9 +83,9 @@ class Rig:
     def fly(self, x: Array, u: Array, seconds: float, step_s: float = 1e-3) -> Array:
         """States at every step, the first included, shape (n + 1, n_x), constant inputs."""
         n = round(seconds / step_s)
-        state = ca.SX.sym("x", len(x))
-        step = ca.Function("s", [state], [self.component.step(state, u, self.p, step_s)])
-        rows = np.asarray(step.mapaccum("fly", n)(x), dtype=np.float64).T
+        state, nothing = ca.SX.sym("x", len(x)), ca.SX.sym("nothing", 0)
+        step = ca.Function("s", [state, nothing], [self.component.step(state, u, self.p, step_s)])
+        (rows,) = accumulated(step, x, np.empty((n, 0)))
         return np.vstack([x, rows])
 
     def get(self, states: Array, *names: str) -> Array:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.component import Component, Run
+from twin.component.along import accumulated, mapped
 from twin.component.noise import normal
 
 Array = NDArray[np.float64]
@@ -54,7 +55,6 @@ def draws(
     x = np.asarray(component.initial(u, p)).ravel()
     still = np.asarray(sampling.signals(x, u, p)).ravel()
     w = normal(seed, sampling.stream, sampling.channels, 0, samples)
-    held = [np.tile(v[:, None], samples) for v in (u, p, still)]
-    run = sampling.update.mapaccum("draws", samples)
-    states = np.asarray(run(x, *held[:2], w.T, held[2]), dtype=np.float64)
-    return np.asarray(component.outputs(states, *held[:2]), dtype=np.float64).T
+    held = [np.broadcast_to(v, (samples, len(v))) for v in (u, p, still)]
+    (states,) = accumulated(sampling.update, x, *held[:2], w, held[2])
+    return mapped(component.outputs, states, *held[:2])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.signal import welch
 
 from twin.component import Run
+from twin.component.along import accumulated, mapped
 from twin.component.noise import normal
 from twin.effects.gust import low_altitude_turbulence
 from twin.errors import ModelError
@@ -37,12 +38,9 @@ def gusts(
     u = AIR.input_values()
     w = normal(seed, sampling.stream, sampling.channels, 0, count)
     x0 = np.asarray(AIR.initial(u, p)).ravel()
-    run = sampling.update.mapaccum("gust", count)
-    states = np.asarray(
-        run(x0, np.tile(u[:, None], count), np.tile(p[:, None], count), w.T, np.zeros((0, count))),
-        dtype=np.float64,
-    )
-    y = np.asarray(AIR.outputs(states, np.tile(u[:, None], count), np.tile(p[:, None], count))).T
+    held = [np.broadcast_to(v, (count, len(v))) for v in (u, p)]
+    (states,) = accumulated(sampling.update, x0, *held, w, np.empty((count, 0)))
+    y = mapped(AIR.outputs, states, *held)
     return np.asarray(y[count // 20 :, :3] - [SPEED, 0.0, 0.0])
 
 

@@ -44,11 +44,26 @@ def spinning(**air: float) -> Vehicle:
     )
 
 
+def in_free_air(vehicle: Vehicle) -> Rig:
+    """Driven by rotor speeds, without ground."""
+    return Rig(airframe(vehicle, "rotor_speed"), {"ground.enabled": 0.0})
+
+
 def wrench(
     vehicle: Vehicle, speeds: list[float], state: dict[str, float], **inputs: float
 ) -> tuple[Array, Array]:
     """Force without weight, N, and moment, N m, in body axes, at these rotor speeds."""
-    rig = Rig(airframe(vehicle, "rotor_speed"), {"ground.enabled": 0.0})
+    return wrench_in(in_free_air(vehicle), vehicle, speeds, state, inputs)
+
+
+def wrench_in(
+    rig: Rig,
+    vehicle: Vehicle,
+    speeds: list[float],
+    state: dict[str, float],
+    inputs: dict[str, float],
+) -> tuple[Array, Array]:
+    """The same, in a rig that is there already."""
     u = rig.inputs({f"rotor_{i}": w for i, w in enumerate(speeds, start=1)} | inputs)
     y = rig.outputs(rig.state(state), u)
     force = vehicle.mass_kg * np.array([y[f"specific_force_{a}"] for a in "xyz"])
@@ -223,7 +238,7 @@ def hover_speed(rig: Rig) -> float:
 
 def test_a_vehicle_hovers_at_the_gravity_of_its_site() -> None:
     moon = replace(spinning(), gravity_m_s2=1.62)
-    rig = Rig(airframe(moon, "rotor_speed"), {"ground.enabled": 0.0})
+    rig = in_free_air(moon)
     speed = rig.component.input_values()[0]
     assert speed == pytest.approx(np.sqrt(MASS * 1.62 / 4 / 1e-5), rel=1e-12)
     rates = rig.rates(rig.state(), rig.inputs())
@@ -264,13 +279,13 @@ def test_the_hummingbird_of_the_documentation_feels_what_rotorpys_does(
     hubs = d * np.array([[1, 1, 0], [1, -1, 0], [-1, -1, 0], [-1, 1, 0]])
     p = {"c_Dx": 0.5e-2, "c_Dy": 0.5e-2, "c_Dz": 1e-2, "k_eta": 5.57e-06, "k_m": 1.36e-07}
     p |= {"k_d": 1.19e-04, "k_z": 2.32e-04, "k_h": k_h, "k_flap": k_flap}
-    rng = np.random.default_rng(7)
+    rng, rig = np.random.default_rng(7), in_free_air(vehicle)
     for _ in range(20):
         attitude = from_euler(*rng.uniform(-1, 1, 3))
         vel, wind, omega = (rng.uniform(-s, s, 3) for s in (8.0, 4.0, 3.0))
         w = rng.uniform(200.0, 1400.0, 4)
         state = q(attitude) | vec("vel", vel) | vec("omega", omega)
-        force, moment = wrench(vehicle, w.tolist(), state, **vec("wind", wind))
+        force, moment = wrench_in(rig, vehicle, w.tolist(), state, vec("wind", wind))
         through_air = np.array(to_body(attitude.tolist(), (vel - wind).tolist()))
         wanted = rotorpy(p, hubs, np.array([1, -1, 1, -1]), w, FLIP * through_air, FLIP * omega)
         np.testing.assert_allclose(FLIP * force, wanted[0], rtol=1e-9, atol=1e-9)
@@ -324,8 +339,7 @@ def test_drag_of_body_and_rotors_never_gives_power(
 
 @cache
 def _rig(dragged: bool) -> Rig:
-    vehicle = DRAGGED if dragged else CLEAN
-    return Rig(airframe(vehicle, "rotor_speed"), {"ground.enabled": 0.0})
+    return in_free_air(DRAGGED if dragged else CLEAN)
 
 
 def _felt(rig: Rig, state: dict[str, float], w: tuple[float, ...]) -> Array:

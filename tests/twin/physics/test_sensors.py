@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from sensor_rig import draws
 
 from twin.component import Run
+from twin.component.along import accumulated
 from twin.errors import ModelError
 from twin.physics.battery import battery
 from twin.physics.sensors.imu import imu
@@ -98,9 +99,9 @@ def test_low_pass_frequency_response(ratio: float) -> None:
     names = list(rig.component.input_names)
     u = np.zeros((n, len(names)))
     u[:, names.index("specific_force_z")] = np.sin(2 * np.pi * f * (t + h / 2))  # middle of a hold
-    steps = rig.component.step.mapaccum("run", n)
-    states = np.asarray(steps(rig.state(), u.T, np.tile(rig.p[:, None], n), h), dtype=np.float64)
-    z = states[rig.names.index("acc_lp_z")]
+    held = [np.broadcast_to(v, (n, np.size(v))) for v in (rig.p, h)]
+    (states,) = accumulated(rig.component.step, rig.state(), u, *held)
+    z = rig.get(states, "acc_lp_z")[:, 0]
     late = t > 0.2
     waves = np.stack([np.sin(2 * np.pi * f * (t + h)), np.cos(2 * np.pi * f * (t + h))], axis=-1)
     (a, b), *_ = np.linalg.lstsq(waves[late], z[late], rcond=None)
