@@ -22,11 +22,13 @@ class Kernels:
             an argument more than in the component, c after p: what they compute of parameters
             alone, it has computed before. The operations are the same and so are the numbers, to
             the last bit.
+        stepping: How many of them, the first ones, run in every step.
         cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
         still: Whether a step changes no state.
     """
 
     functions: tuple[ca.Function, ...] = field(repr=False)
+    stepping: int
     cheaper: Mapping[str, tuple[int, ...]]
     still: bool
 
@@ -51,12 +53,13 @@ def kernels(component: Component, exchange: bool) -> Kernels:
         stepping += [other for _, other in others]
     tried = sorted({i for some in cheaper.values() for i in some})
     stepping += [(component.shortcuts[i].holds, "xph") for i in tried]
-    functions = [*prepared(stepping), component.initial, *tangents(component, exchange)]
+    often = prepared(stepping)
+    functions = [*often, component.initial, *tangents(component, exchange)]
     if exchange and component.continuous is not None:
         functions.append(component.continuous.rests)
     x = ca.SX.sym("x", len(component.states))
     still = _same(ca.Function("still", [x], [x]), *full["step"])
-    return Kernels(tuple(functions), cheaper, still)
+    return Kernels(tuple(functions), len(often), cheaper, still)
 
 
 def _full(component: Component) -> dict[str, _Stepping]:
