@@ -3,7 +3,7 @@
 Sparse regression over products of physical quantities, on residuals that are as white as the
 regressors' noise model makes them; checked on time that neither picked nor fitted the terms.
 
-Source: Brunton, Proctor & Kutz, PNAS 113 (2016), with the optimizer of pysindy.
+Source: Brunton, Proctor & Kutz, PNAS 113 (2016).
 """
 
 from collections.abc import Mapping, Sequence

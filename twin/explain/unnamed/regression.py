@@ -1,7 +1,7 @@
 """Sparse regression of one channel, whitened, scored on blocks of time that had no say in it.
 
-The terms are picked by forward regression with orthogonal least squares as pysindy has it, the
-number of terms by what they gain out of sample. Picking is part of the fit: terms are picked anew
+The terms are picked by forward regression with orthogonal least squares, the number of terms by
+what they gain out of sample. Picking is part of the fit: terms are picked anew
 for every part of the time that is left out.
 
 Source: Billings et al., Int. J. Control 49 (1989); Brunton, Proctor & Kutz, PNAS 113 (2016).
@@ -17,6 +17,7 @@ from ..inference.whitening import Block, Key
 from ..settings import DEFAULT, UnnamedSettings
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 RIDGE = 1e-6
 """Share of the power of a column that is added, so that no combination of columns vanishes."""
 
@@ -122,25 +123,40 @@ def _gain(block: Block, coefficients: Array) -> float:
     return float(block.pull @ coefficients - 0.5 * coefficients @ block.gram @ coefficients)
 
 
-def _path(block: Block, size: Array, most: int) -> list[Array]:
-    """Coefficients with 0, 1, ... `most` terms, each of shape (p,).
+def forward(gram: Array, pull: Array, most: int) -> IntArray:
+    """Columns by what each explains beside those before it, the most first, shape (most,) or (p,).
 
-    Regression needs rows: those of a root of the sums have the same sums as all samples.
+    What the columns picked so far leave of the power and of the pull of each is told by the sums
+    alone: picking is a Cholesky factorisation with pivots.
+
+    Args:
+        gram: Sums of products of the columns, shape (p, p).
+        pull: Sums of their products with what is to be explained, shape (p,).
+        most: How many are picked.
     """
-    from pysindy.optimizers import FROLS  # takes seconds to import
+    p = len(pull)
+    power, left = np.diag(gram).copy(), pull.copy()
+    factors, order = np.zeros((0, p)), np.zeros(0, dtype=np.intp)
+    for _ in range(min(most, p)):
+        explained = np.divide(left**2, power, out=np.zeros(p), where=power > 0)
+        explained[order] = -1.0
+        best = int(np.argmax(explained))
+        factor = (gram[best] - factors.T @ factors[:, best]) / np.sqrt(power[best])
+        left = left - factor * left[best] / np.sqrt(power[best])
+        power = power - factor**2
+        factors, order = np.vstack([factors, factor]), np.append(order, best)
+    return order
 
+
+def _path(block: Block, size: Array, most: int) -> list[Array]:
+    """Coefficients with 0, 1, ... `most` terms, each of shape (p,)."""
     p = len(size)
     gram = block.gram / np.outer(size, size) + RIDGE * np.eye(p)
     pull = block.pull / size
-    both = np.block([[gram, pull[:, None]], [pull[None, :], np.array([[block.power]])]])
-    value, vector = np.linalg.eigh(both)
-    root = np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T
-    x, y = root[:, :p], root[:, p:]
-    with np.errstate(all="ignore"):
-        found = FROLS(max_iter=most, alpha=0.0, unbias=False).fit(x, y).history_
+    order = forward(gram, pull, most)
     path = []
     for n in range(most + 1):
-        picked = np.flatnonzero(found[min(n, len(found) - 1)][0])
+        picked = np.sort(order[:n])
         coefficients = np.zeros(p)
         chosen = np.ix_(picked, picked)
         coefficients[picked] = np.linalg.solve(gram[chosen], pull[picked]) / size[picked]
