@@ -1,7 +1,9 @@
 """Each family of compensators keeps its word under each preset and protocol."""
 
 import json
+from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -57,17 +59,32 @@ def trained(row: FamilyRow, preset: Any, protocol: Protocol, folder: Path) -> Tr
     return fit_model(FLIGHTS, row, preset, task, folder)
 
 
+Trained = Callable[[FamilyRow, Any, Protocol], tuple[TrainedModel, Path]]
+
+
+@pytest.fixture(scope="module")
+def once(tmp_path_factory: pytest.TempPathFactory) -> Trained:
+    """A model and its folder, neither to be changed."""
+
+    @cache
+    def model(row: FamilyRow, preset: Any, protocol: Protocol) -> tuple[TrainedModel, Path]:
+        folder = tmp_path_factory.mktemp(f"{row.name}-{protocol}")
+        return trained(row, preset, protocol, folder), folder
+
+    return model
+
+
 # -- each keeps its word --------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
 def test_a_model_is_kept_as_it_is(
-    row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
+    row: FamilyRow, preset: Any, protocol: Protocol, once: Trained, tmp_path: Path
 ) -> None:
     """Written and read: same bytes, same correction to the last bit; same seed, same bytes."""
-    model = trained(row, preset, protocol, tmp_path / "one")
-    again = load(tmp_path / "one")
+    model, folder = once(row, preset, protocol)
+    again = load(folder)
     assert again.family == row.name and again.info == model.info
     assert again.info.protocol == protocol and again.info.horizon == HORIZONS[protocol]
     assert (again.info.vehicle, again.info.seed, again.info.rate_hz) == ("v", 3, 100.0)
@@ -78,7 +95,7 @@ def test_a_model_is_kept_as_it_is(
     save(again, tmp_path / "copy")
     trained(row, preset, protocol, tmp_path / "two")
     for name in (MODEL, WEIGHTS):
-        written = (tmp_path / "one" / name).read_bytes()
+        written = (folder / name).read_bytes()
         assert written == (tmp_path / "copy" / name).read_bytes(), name
         assert written == (tmp_path / "two" / name).read_bytes(), name
 
@@ -86,13 +103,13 @@ def test_a_model_is_kept_as_it_is(
 @pytest.mark.slow
 @pytest.mark.parametrize(("row", "preset", "protocol"), cases())
 def test_a_model_is_finite_and_sees_what_it_may(
-    row: FamilyRow, preset: Any, protocol: Protocol, tmp_path: Path
+    row: FamilyRow, preset: Any, protocol: Protocol, once: Trained
 ) -> None:
     """A measurement changes nothing before its age is that of the horizon; in `free` nothing.
 
     Systems that are given whole windows in `reconstruct` may see ahead in them.
     """
-    model = trained(row, preset, protocol, tmp_path)
+    model, _ = once(row, preset, protocol)
     row_of_change, (a, b) = 40, AWAY.spans[0]
     residual, fresh = AWAY.residual.copy(), AWAY.fresh.copy()
     residual[row_of_change] += 3 * np.std(AWAY.residual, axis=0)
@@ -117,10 +134,10 @@ def test_a_model_is_finite_and_sees_what_it_may(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
-def test_other_flights_are_refused(row: FamilyRow, tmp_path: Path) -> None:
+def test_other_flights_are_refused(row: FamilyRow, once: Trained) -> None:
     family = row.load()
     preset = quick(next(iter(family.presets().values())))
-    model = trained(row, preset, family.protocols(preset)[0], tmp_path)
+    model, _ = once(row, preset, family.protocols(preset)[0])
     with pytest.raises(ModelError, match=r"50 Hz.*100 Hz"):
         model.run(replace(AWAY, rate_hz=50.0))
     with pytest.raises(ModelError, match=r"4 motor commands.*with 2"):
@@ -129,10 +146,12 @@ def test_other_flights_are_refused(row: FamilyRow, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
-def test_what_is_exported_is_what_the_row_says(row: FamilyRow, tmp_path: Path) -> None:
+def test_what_is_exported_is_what_the_row_says(
+    row: FamilyRow, once: Trained, tmp_path: Path
+) -> None:
     family = row.load()
     preset = quick(family.presets()[row.presets[-1]])
-    model = trained(row, preset, family.protocols(preset)[0], tmp_path)
+    model, _ = once(row, preset, family.protocols(preset)[0])
     written = family.export(model, tmp_path)
     assert ("model.onnx" in written) is row.onnx, f"{row.name!r} says onnx={row.onnx}"
     assert all((tmp_path / name).is_file() for name in written)
@@ -142,10 +161,9 @@ def test_what_is_exported_is_what_the_row_says(row: FamilyRow, tmp_path: Path) -
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("linear")
-    trained(*preset_named("linear"), "track", path)
-    return path
+def folder(once: Trained) -> Path:
+    row, preset = preset_named("linear")
+    return once(row, quick(preset), "track")[1]
 
 
 def test_a_folder_without_a_family_is_of_the_first(tmp_path: Path) -> None:
@@ -210,11 +228,12 @@ def test_unknown_presets_and_protocols_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("protocol", ["track", "free"])
 def test_the_linear_family_is_the_network_with_shut_gates(
-    protocol: Protocol, tmp_path: Path
+    protocol: Protocol, once: Trained
 ) -> None:
     """Two implementations: float64 here, the network's float32 buffers there."""
-    one = trained(*preset_named("linear"), protocol, tmp_path / "linear")
-    other = trained(family_row("svq"), quick(PRESETS["best"]), protocol, tmp_path / "svq")
+    row, preset = preset_named("linear")
+    one, _ = once(row, quick(preset), protocol)
+    other, _ = once(family_row("svq"), quick(PRESETS["best"]), protocol)
     assert isinstance(one, LinearModel) and isinstance(other, Compensator)
     opened = other.gate.clone()
     alone = other.without_network()
@@ -227,9 +246,10 @@ def test_the_linear_family_is_the_network_with_shut_gates(
     assert np.isnan(said.anomaly).all()
 
 
-def test_the_spread_of_the_linear_family_is_that_of_flights_left_out(tmp_path: Path) -> None:
+def test_the_spread_of_the_linear_family_is_that_of_flights_left_out(once: Trained) -> None:
     """So what is left of a flight of its own is below it, and nowhere far above."""
-    model = trained(*preset_named("linear"), "track", tmp_path)
+    row, preset = preset_named("linear")
+    model, _ = once(row, quick(preset), "track")
     flight: ResidualFlight = FLIGHTS[0]
     found = model.run(flight)
     rows = flight.fresh & found.inside[:, None]
