@@ -15,10 +15,14 @@ from learning.systems.system import Batch
 from twin.errors import ModelError
 
 AWAY = known(9)
-EPOCHS = {"vqvae": 150, "vqwwvae": 150, "tdm": 150, "timeddpm": 150}
-"""To learn the waves; 60 for the others."""
+EPOCHS = {
+    **dict.fromkeys(("vqvae", "vqwwvae", "tdm", "timeddpm"), 150),
+    **{"vqgan": 120, "cvae": 60},
+}
+"""To learn the waves; 30 for the others."""
 FAST: dict[str, dict[str, float]] = {
-    "vqgan": {"learning_rate": 3e-3},
+    **{n: {"learning_rate": 3e-3} for n in SYSTEMS if n not in ("vqvae", "vqwwvae")},
+    "vqgan": {"learning_rate": 2e-3},
     "tdm": {"learning_rate": 4e-3, "batch": 8},
     "timeddpm": {"learning_rate": 4e-3, "batch": 8},
 }
@@ -45,7 +49,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     """A system that reconstructs."""
     name: str = request.param
     folder = tmp_path_factory.mktemp(name)
-    return small(name, "reconstruct", EPOCHS.get(name, 60), folder, **FAST.get(name, {}))
+    return small(name, "reconstruct", EPOCHS.get(name, 30), folder, **FAST.get(name, {}))
 
 
 @pytest.mark.slow
