@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-# A worker per core: further threads for its small matrices would only wait for each other.
-PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
+# A worker per core: further threads for its small matrices would only wait for each other. Bytecode
+# is kept whatever the environment says, for the tests start the command often.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist worksteal
 
 .PHONY: setup cross-tools ground-stations demo test test-long fast fuzz audit lint bench figures hidden-effects docs tutorial pictures tables clean
 
