@@ -13,8 +13,6 @@ from places import lacking
 CORPUS = [
     Recipe.parse(line) for line in Path(__file__).with_name("corpus.jsonl").read_text().splitlines()
 ]
-COUNT = 30
-"""Inputs of a kind that are tried here: some seconds."""
 MOST_SILENT = 0.05
 
 
@@ -37,10 +35,11 @@ def test_what_once_felled_a_reader_does_not(child: Child, recipe: Recipe) -> Non
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("count", [15, pytest.param(60, marks=pytest.mark.long)])
 @pytest.mark.parametrize("name", KINDS)
-def test_a_short_search_fells_no_reader(child: Child, name: str) -> None:
+def test_a_short_search_fells_no_reader(child: Child, name: str, count: int) -> None:
     """The same recipes each time, `make fuzz` draws others; of what could be told nearly all is."""
-    found = [child.run(recipe) for recipe in islice(recipes(name, kind(name), 0), COUNT)]
+    found = [child.run(recipe) for recipe in islice(recipes(name, kind(name), 0), count)]
     faults = [f"{r.recipe.line()}\n{r.text}" for r in found if r.fault]
     assert not faults, "\n".join(faults)
     seen = [r for r in found if r.visible and r.outcome != "same"]

@@ -41,6 +41,7 @@ from fmus.compensator import (
     network_source,
     read_network,
 )
+from fmus.platforms import compilers, select_platforms
 from fmus.python_slave.build import build_network_slave
 from learning.data.channels import CHANNELS, GROUPS
 from learning.export.int8 import streamed
@@ -52,7 +53,6 @@ from uavtwin.cli.export import Choice, default_vehicle, export_components
 from uavtwin.exports.products import WrittenFile
 
 VEHICLE, H = "crazyflie", 0.01
-SAMPLES = {"track": 10_000, "reconstruct": 1000, "free": 1000}
 TOLERANCE = 1e-5
 """Of numbers of size 1, which the tiny models' units are."""
 MODELS: dict[str, Callable[[], Compensator]] = {
@@ -151,13 +151,19 @@ def outputs(found: Array) -> dict[str, Array]:
 
 
 @pytest.mark.parametrize(
-    "name", ["reconstruct", *(pytest.param(n, marks=pytest.mark.slow) for n in ("track", "free"))]
+    ("name", "samples"),
+    [
+        ("reconstruct", 1000),
+        pytest.param("track", 2000, marks=pytest.mark.slow),
+        pytest.param("free", 1000, marks=pytest.mark.slow),
+        pytest.param("track", 10_000, marks=pytest.mark.long),
+    ],
 )
-def test_torch_is_onnxruntime_is_c(new: New, folder_of: Folder, name: str) -> None:
-    """Up to 10,000 samples: the sequence form of torch, onnxruntime, and C in the FMU."""
-    along = flight(model(name), SAMPLES[name])
+def test_torch_is_onnxruntime_is_c(new: New, folder_of: Folder, name: str, samples: int) -> None:
+    """The sequence form of torch, onnxruntime, and C in the FMU."""
+    along = flight(model(name), samples)
     rows = rows_of(along)
-    said = outputs(fly(new(name).start(), rows, range(SAMPLES[name])))
+    said = outputs(fly(new(name).start(), rows, range(samples)))
     theirs = streamed(onnx.load(folder_of(name) / FILE), rows)
     ours = model(name).run(along)
     np.testing.assert_array_equal(said["inside"], theirs["inside"])
@@ -205,7 +211,7 @@ def test_other_forms_give_the_same(new: New) -> None:
     ("name", "file", "others"),
     [
         pytest.param("track", FILE, ["aarch64-linux", "darwin-arm64"], marks=pytest.mark.long),
-        ("wide", INT8_FILE, ["aarch64-linux"]),
+        ("wide", INT8_FILE, []),
     ],
 )
 def test_other_compilers_give_the_same_bits(
@@ -215,8 +221,11 @@ def test_other_compilers_give_the_same_bits(
     file: str,
     others: list[str],
     tmp_path_factory: pytest.TempPathFactory,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Exponentials and sums are our own: clang's library gives the bits of gcc's."""
+    zig = compilers(select_platforms(["all"]))
+    monkeypatch.setattr("fmus.builder.compilers", lambda some: {p.name: zig[p.name] for p in some})
     rows = rows_of(flight(model(name), 200))
     there = tmp_path_factory.mktemp("zig")
     path = build(
@@ -334,8 +343,14 @@ def test_derivatives(new: New, fmi: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("name", "fmi"),
+    [
+        *((name, 2) for name in MODELS),
+        ("track", 3),
+        *(pytest.param(n, 3, marks=pytest.mark.long) for n in MODELS if n != "track"),
+    ],
+)
 def test_description(fmu_of: Fmu, name: str, fmi: int) -> None:
     path = fmu_of(name, fmi)
     assert validate_fmu(str(path)) == []

@@ -60,7 +60,11 @@ def test_fmu_flies_and_restarts_as_the_airframe_in_python(tmp_path: Path, fmi: i
 
 
 @pytest.mark.slow
-def test_command_line_gives_it_inputs_and_no_pilot(tmp_path: Path) -> None:
+def test_command_line_gives_it_inputs_and_no_pilot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its description alone."""
+    monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
     choice = Choice(VEHICLE, drive="commands", start=["airframe.mass=0.03"])
     export_components(["corrected-twin"], choice)(tmp_path, lambda _: None)
     table = fmpy.read_model_description(str(tmp_path / "corrected_twin.fmu")).modelVariables

@@ -129,14 +129,17 @@ def test_library_needs_only_libc_and_libm(fmu_folder: FmuPath, kind: str, fmi: i
 def test_sources_in_the_fmu_compile_without_warning(
     fmu_folder: FmuPath, tmp_path: Path, kind: str, fmi: int
 ) -> None:
-    """Compiled from the archive alone, CasADi's code apart."""
-    sources = fmu_folder(kind, fmi) / "sources"
+    """Compiled from the archive alone; CasADi's code once, it is the same in both versions."""
+    sources, other = (fmu_folder(kind, version) / "sources" for version in (fmi, 2))
     strict = ["-Wall", "-Wextra", "-Werror", "-O2", "-fPIC", "-c"]
     for path in sorted(sources.glob("*.c")):
         # CasADi's functions have arguments that not every function needs.
         generated = path.name.startswith("kernels_")
         lenient = ["-Wno-unused-parameter"] if generated else []
         optimise = ["-O1"] if generated else []  # time
+        if generated and fmi == 3:
+            assert path.read_text() == (other / path.name).read_text()
+            continue
         assert cc(*strict, *optimise, *lenient, path, "-o", tmp_path / "o.o") == ""
 
 

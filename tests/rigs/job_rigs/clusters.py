@@ -8,12 +8,12 @@ from distributed import LocalCluster
 
 
 @contextmanager
-def local_cluster() -> Iterator[str]:
-    """Two workers; the address of their scheduler."""
+def local_cluster(workers: int = 2) -> Iterator[str]:
+    """Workers; the address of their scheduler."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with LocalCluster(
-            n_workers=2,
+            n_workers=workers,
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,

@@ -92,7 +92,7 @@ def test_a_killed_fleet_goes_on_and_no_log_is_lost_or_twice(
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_finds_the_same(logs: Path, whole: Path, tmp_path: Path) -> None:
-    with local_cluster() as address:
+    with local_cluster(1) as address:
         ut.fleet(
             logs,
             "copter_default",

@@ -17,7 +17,7 @@ UAVTWIN = (sys.executable, "-c", "from uavtwin.cli.main import main; main()")
 ADDRESS = "127.0.0.1:14781"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
     case = Case("rotor_efficiency_loss", "medium", 0)
     flight, begins_s = flown(case)

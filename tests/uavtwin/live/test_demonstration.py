@@ -62,6 +62,7 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
     told = json.loads(out)
     (alarm,) = told["alarms"]
     assert alarm["since_s"] == pytest.approx(BEGINS_S, abs=1.0)
+    assert BEGINS_S < alarm["raised_s"] < BEGINS_S + 3
     assert told["link"]["lost"] == 0 and not told["missing"]
     assert f"in this flight rotor {ROTOR} lost 10 % of its thrust at 20 s" in err
 

@@ -84,7 +84,7 @@ def test_of_many_flights_those_furthest_off_are_drawn_and_all_are_listed(tmp_pat
     assert listed.count('href="#flight') == len(drawn)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @needs(len(QUIVER) == 5, "no quiver_pt1: set UAVTWIN_DATA")
 def test_five_recorded_flights_of_one_aircraft(tmp_path: Path) -> None:
     flights = [ut.read_flight(log) for log in QUIVER]
