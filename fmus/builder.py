@@ -89,6 +89,7 @@ def _sources(model: FmuModel, fmi: int) -> dict[str, str]:
     own = resources.files(__package__) / "c"
     headers = resources.files("fmpy") / "c-code"
     names = {"core.c", "core.h", "noise.h", f"fmi{fmi}.c", *(part.glue for part in model.parts)}
+    names |= {"kernel.h" for part in model.parts if part.apart}
     return {
         **{name: (own / name).read_text() for name in names},
         **{name: (headers / name).read_text() for name in _HEADERS[fmi]},

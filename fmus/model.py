@@ -20,7 +20,7 @@ from twin.representation import short_repr
 
 from .arrays import Entry, arrays, scalars
 from .exchange import Exchange, exchanged
-from .kernels.c_source import kernel_source, workspace
+from .kernels.c_source import kernel_source
 from .kernels.functions import kernels
 from .kernels.start import draws, first_state
 from .names import check_identifier, check_name, check_text, check_variable
@@ -261,9 +261,13 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         state_names=tuple(s.name for s in component.states),
         max_step_s=component.max_step_s,
         glue="casadi.h",
-        kernels=kernel_source(called.functions, called.stepping),
+        kernels=kernel_source(called.functions, called.in_place),
         apart=True,
-        defines=workspace(called.functions) | {"STILL": int(called.still)},
+        defines={
+            "N_PREPARED": called.functions[0].size1_out(0),
+            "STILL": int(called.still),
+            "STARTS_ALIKE": int(called.starts_alike),
+        },
         shortcuts=called.cheaper,
         sampling=component.sampling,
         held=_held(component),

@@ -14,8 +14,8 @@ from .literals import c_list, c_number, c_string
 from .model import Constant, FmuModel, Part
 from .names import check_identifier, check_variable
 
-_NUMBER = re.compile(r"(?<==)-?\d\.\d{16}e[+-]\d+(?=;)")
-"""A number as CasADi writes it into a kernel; small integers it writes without an exponent."""
+_NUMBER = re.compile(r"(?<== )-?\d\.\d{16}e[+-]\d+(?=;)")
+"""A number in a kernel that may be of a vehicle; small whole ones have no exponent."""
 
 
 def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
@@ -42,7 +42,8 @@ def _kernels(part: Part) -> str:
     return "\n".join(
         [
             "#include <math.h>\n",
-            '#include "core.h"\n',
+            '#include "core.h"',
+            '#include "kernel.h"\n',
             *_defined(defines),
             f"extern const double {array}[];\n" * (kernels != part.kernels),
             kernels,

@@ -2,8 +2,7 @@
  * code around them; part_NAME.c has the tables and, from here, what joins them to that code. Kernels
  * know no name and no number of a vehicle, so they are compiled once for many.
  *
- * Included at the end of both. A kernel reads its arguments while it writes its results, so the two
- * never share a buffer.
+ * Included at the end of both.
  */
 #define JOINED(FUNCTION, NAME) FUNCTION##_of_##NAME
 #define EXPANDED(FUNCTION, NAME) JOINED(FUNCTION, NAME)
@@ -11,14 +10,14 @@
 
 void NAMED(prepare)(const Part* p, double* prepared);
 void NAMED(initial)(const Part* p, double* x);
-void NAMED(step)(const Part* p, double h, double* x_next);
+void NAMED(step)(Part* p, double h);
 void NAMED(outputs)(Part* p);
 void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change);
 #ifdef EXCHANGED
 int NAMED(rests)(const Part* p);
 #endif
 #ifdef SAMPLED
-void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next);
+void NAMED(update)(Part* p, const double* noise, const double* delayed);
 #if N_NOISE > 0
 void NAMED(sizes)(const Part* p, double* sizes);
 #endif
@@ -34,85 +33,81 @@ void NAMED(delays)(const Part* p, double* seconds);
 #define INPUTS (p->v + FIRST_INPUT)
 #define OUTPUTS (p->v + FIRST_OUTPUT)
 
-/* Call a kernel: KERNEL, where its result goes, its arguments. Work space is on the stack. */
-#define CALL(KERNEL, RESULT, ...)                       \
-    do {                                                \
-        const double* arg[N_ARGUMENTS] = {__VA_ARGS__}; \
-        double* res[N_RESULTS] = {RESULT};              \
-        int iw[N_INTEGERS];                             \
-        double w[N_WORK];                               \
-        KERNEL(arg, res, iw, w, 0);                     \
-    } while (0)
+void NAMED(prepare)(const Part* p, double* prepared) { prepare(PARAMETERS, prepared); }
 
-void NAMED(prepare)(const Part* p, double* prepared) { CALL(prepare, prepared, PARAMETERS); }
-
-void NAMED(initial)(const Part* p, double* x) { CALL(initial, x, INPUTS, PARAMETERS); }
+void NAMED(initial)(const Part* p, double* x) { initial(INPUTS, PARAMETERS, x); }
 
 /* STEP_SHORTCUTS(TRY) stands for TRY(0) TRY(1) ..., a cheaper kernel of the same numbers each, which
- * is taken if it holds over the next H seconds; likewise of the other kernels. Calls by name: through a table of kernels a step takes
- * 8 % longer. */
-#define IF_HOLDS(I, H, KERNEL, RESULT, ...)                \
-    do {                                                   \
-        double holds;                                      \
-        const double ahead = H;                            \
-        CALL(holds_##I, &holds, p->x, KNOWN, &ahead);      \
-        if (holds) {                                       \
-            CALL(KERNEL##_##I, RESULT, __VA_ARGS__);       \
-            return;                                        \
-        }                                                  \
+ * is taken if it holds over the next H seconds; likewise of the other kernels. Calls by name: through a
+ * table of kernels a step takes 8 % longer. */
+#define IF_HOLDS(I, H, KERNEL, ...)                \
+    do {                                           \
+        double holds;                              \
+        const double ahead = H;                    \
+        holds_##I(p->x, KNOWN, &ahead, &holds);    \
+        if (holds) {                               \
+            KERNEL##_##I(__VA_ARGS__);             \
+            return;                                \
+        }                                          \
     } while (0);
 
-void NAMED(step)(const Part* p, double h, double* x_next) {
-#define TRY(I) IF_HOLDS(I, h, cheap_step, x_next, p->x, INPUTS, KNOWN, &h)
+void NAMED(step)(Part* p, double h) {
+#define TRY(I) IF_HOLDS(I, h, cheap_step, p->x, INPUTS, KNOWN, &h, p->x)
     STEP_SHORTCUTS(TRY)
 #undef TRY
-    CALL(step, x_next, p->x, INPUTS, KNOWN, &h);
+    step(p->x, INPUTS, KNOWN, &h, p->x);
 }
 
 void NAMED(outputs)(Part* p) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_outputs, OUTPUTS, p->x, INPUTS, KNOWN)
+#define TRY(I) IF_HOLDS(I, 0, cheap_outputs, p->x, INPUTS, KNOWN, OUTPUTS)
     OUTPUTS_SHORTCUTS(TRY)
 #undef TRY
-    CALL(outputs, OUTPUTS, p->x, INPUTS, KNOWN);
+    outputs(p->x, INPUTS, KNOWN, OUTPUTS);
 }
 
 void NAMED(tangent)(const Part* p, int starting, const double* noise, double* change) {
     const double *d_p = change + 1, *d_u = change + FIRST_INPUT;
     double* d_y = change + FIRST_OUTPUT;
-    if (starting) CALL(initial_tangent, d_y, INPUTS, PARAMETERS, d_u, d_p, noise);
+#if !STARTS_ALIKE
+    if (starting) {
+        initial_tangent(INPUTS, PARAMETERS, d_u, d_p, noise, d_y);
+        return;
+    }
+#endif
+    (void)starting, (void)noise;
 #ifdef EXCHANGED
-    else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p, p->next);
+    tangent(p->x, INPUTS, PARAMETERS, d_u, d_p, p->d_x, d_y);
 #else
-    else CALL(tangent, d_y, p->x, INPUTS, PARAMETERS, d_u, d_p);
+    tangent(p->x, INPUTS, PARAMETERS, d_u, d_p, d_y);
 #endif
 }
 
 #ifdef EXCHANGED
 int NAMED(rests)(const Part* p) {
     double yes;
-    CALL(rests, &yes, PARAMETERS);
+    rests(PARAMETERS, &yes);
     return yes != 0;
 }
 #endif
 
 #ifdef SAMPLED
-void NAMED(update)(const Part* p, const double* noise, const double* delayed, double* x_next) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_update, x_next, p->x, INPUTS, KNOWN, noise, delayed)
+void NAMED(update)(Part* p, const double* noise, const double* delayed) {
+#define TRY(I) IF_HOLDS(I, 0, cheap_update, p->x, INPUTS, KNOWN, noise, delayed, p->x)
     UPDATE_SHORTCUTS(TRY)
 #undef TRY
-    CALL(update, x_next, p->x, INPUTS, KNOWN, noise, delayed);
+    update(p->x, INPUTS, KNOWN, noise, delayed, p->x);
 }
 #if N_NOISE > 0
-void NAMED(sizes)(const Part* p, double* sizes) { CALL(noise_sizes, sizes, KNOWN); }
+void NAMED(sizes)(const Part* p, double* sizes) { noise_sizes(KNOWN, sizes); }
 #endif
 #if N_LINES > 0
 void NAMED(signals)(const Part* p, double* now) {
-#define TRY(I) IF_HOLDS(I, 0, cheap_signals, now, p->x, INPUTS, KNOWN)
+#define TRY(I) IF_HOLDS(I, 0, cheap_signals, p->x, INPUTS, KNOWN, now)
     SIGNALS_SHORTCUTS(TRY)
 #undef TRY
-    CALL(signals, now, p->x, INPUTS, KNOWN);
+    signals(p->x, INPUTS, KNOWN, now);
 }
-void NAMED(delays)(const Part* p, double* seconds) { CALL(delays, seconds, KNOWN); }
+void NAMED(delays)(const Part* p, double* seconds) { delays(KNOWN, seconds); }
 #endif
 #endif
 

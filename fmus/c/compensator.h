@@ -276,7 +276,7 @@ static int any_lacks(const float* values, int n) {
     return 0;
 }
 
-static void model_update(const Part* p, const double* noise, const double* delayed, double* x_next) {
+static void model_update(Part* p, const double* noise, const double* delayed) {
     static const unsigned char group[N_CHANNELS] = GROUP_OF_CHANNEL;
     const double* u = p->v + FIRST_INPUT;
     float signals[1][N_CHANNELS], command[1][N_COMMANDS], phase[1][1], measured[1][N_CHANNELS] = {{0}},
@@ -296,19 +296,21 @@ static void model_update(const Part* p, const double* noise, const double* delay
     }
     if (any_lacks(signals[0], N_CHANNELS) || any_lacks(command[0], N_COMMANDS) || any_lacks(phase[0], 1) ||
         any_lacks(measured[0], N_CHANNELS)) {
-        model_initial(p, x_next);
-        memcpy(x_next, p->x, N_NETWORK * sizeof *x_next);
-        x_next[LEFT_OUT] = p->x[LEFT_OUT] + 1;
+        const double left_out = p->x[LEFT_OUT] + 1;
+        double network_states[N_NETWORK];
+        memcpy(network_states, p->x, sizeof network_states);
+        model_initial(p, p->x);
+        memcpy(p->x, network_states, sizeof network_states);
+        p->x[LEFT_OUT] = left_out;
         return;
     }
     narrowed(p->x, before[0], N_NETWORK);
     network(signals, command, phase, measured, valid, before, correction, spread, anomaly, inside, after);
-    widened(after[0], x_next, N_NETWORK);
-    widened(correction[0], x_next + N_NETWORK, N_CHANNELS);
-    widened(spread[0], x_next + SPREAD, N_CHANNELS);
-    widened(anomaly[0], x_next + ANOMALY, 1);
-    widened(inside[0], x_next + INSIDE, 1);
-    x_next[LEFT_OUT] = p->x[LEFT_OUT];
+    widened(after[0], p->x, N_NETWORK);
+    widened(correction[0], p->x + N_NETWORK, N_CHANNELS);
+    widened(spread[0], p->x + SPREAD, N_CHANNELS);
+    widened(anomaly[0], p->x + ANOMALY, 1);
+    widened(inside[0], p->x + INSIDE, 1);
 }
 
 static void model_outputs(Part* p) {

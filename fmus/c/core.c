@@ -54,13 +54,26 @@ static int allocate(Instance* c) {
         p->samples = take(&state, 1);
         p->record = take(&state, record_size(m));
         p->change = take(&rest, m->n_variables);
-        p->next = take(&rest, m->n_states);
+        p->d_x = take(&rest, m->n_states);
         p->prepared = take(&rest, m->n_prepared);
         p->noise = take(&rest, s ? s->n_noise : 0);
         p->signal = take(&rest, s ? s->n_lines : 0);
         p->delayed = take(&rest, s ? s->n_lines : 0);
     }
     return 0;
+}
+
+/* Connections whose ends lie side by side make one wire. */
+static void lay_wires(Instance* c) {
+    for (unsigned i = 0; i < fmu.n_connections; i++) {
+        const Port source = fmu.connections[i].source, target = fmu.connections[i].target;
+        const double* from = &c->parts[source.part].v[source.variable];
+        double* to = &c->parts[target.part].v[target.variable];
+        Wire* last = c->wires + c->n_wires - 1;
+        if (i && from == last->from + last->count && to == last->to + last->count) last->count++;
+        else c->wires[c->n_wires++] = (Wire){from, to, 1};
+        c->parts[source.part].gives = 1;
+    }
 }
 
 Instance* core_new(const char* resources, int exchange, char* message, size_t size) {
@@ -72,11 +85,7 @@ Instance* core_new(const char* resources, int exchange, char* message, size_t si
         free(c);
         return NULL;
     }
-    for (unsigned i = 0; i < fmu.n_connections; i++) {
-        const Port from = fmu.connections[i].source, to = fmu.connections[i].target;
-        c->wires[i] = (Wire){&c->parts[from.part].v[from.variable], &c->parts[to.part].v[to.variable]};
-        c->parts[from.part].gives = 1;
-    }
+    lay_wires(c);
     FOR_EACH_PART(p) {
         if (p->model->open && p->model->open(resources, &p->data, message, size)) {
             core_free(c);
@@ -200,8 +209,7 @@ static int sample(Instance* c, Part* p) {
         standard_normal((uint64_t)p->v[s->seed], s->stream, (int)s->n_noise, (uint64_t)*p->samples,
                         p->noise);
     }
-    s->update(p, p->noise, p->delayed, p->next);
-    memcpy(p->x, p->next, p->model->n_states * sizeof(double));
+    s->update(p, p->noise, p->delayed);
     return 0;
 }
 
@@ -221,10 +229,7 @@ static void integrate(Part* p, double h) {
     double n = h <= m->max_step ? 1 : ceil(h / m->max_step - 1e-6);
     if (n < 1) n = 1;
     const double dt = n == 1 ? h : h / n;
-    for (long k = 0; k < (long)n; k++) {
-        m->step(p, dt, p->next);
-        memcpy(p->x, p->next, m->n_states * sizeof(double));
-    }
+    for (long k = 0; k < (long)n; k++) m->step(p, dt);
 }
 
 static int advance(Instance* c, Part* p, double time, double h) {
@@ -253,8 +258,26 @@ static int advance(Instance* c, Part* p, double time, double h) {
 
 /* ---- parts together ---- */
 
+#define FOR_EACH_WIRE(W) for (const Wire* W = c->wires; W < c->wires + c->n_wires; W++)
+
+/* What is carried reaches the inputs. */
 static void receive(Instance* c) {
-    for (unsigned i = 0; i < fmu.n_connections; i++) *c->wires[i].to = c->carried[i];
+    const double* value = c->carried;
+    FOR_EACH_WIRE(w)
+        for (unsigned i = 0; i < w->count; i++) w->to[i] = *value++;
+}
+
+/* What the parts have put out is carried. */
+static void give(Instance* c) {
+    double* value = c->carried;
+    FOR_EACH_WIRE(w)
+        for (unsigned i = 0; i < w->count; i++) *value++ = w->from[i];
+}
+
+/* Both at once: no input is an output. */
+static void hand_on(Instance* c) {
+    FOR_EACH_WIRE(w)
+        for (unsigned i = 0; i < w->count; i++) w->to[i] = w->from[i];
 }
 
 /* Everything at the start, as start values and free inputs have it: the parts are visited in the
@@ -315,11 +338,10 @@ static double on_grid(const Instance* c, double time) {
 static int step_often(Instance* c, double time, double h, long n) {
     receive(c);
     for (long k = 0; k < n; k++) {
-        if (k > 0)
-            for (unsigned i = 0; i < fmu.n_connections; i++) *c->wires[i].to = *c->wires[i].from;
+        if (k > 0) hand_on(c);
         if (step_all(c, n > 1 ? on_grid(c, time + k * h) : time, h)) return -1;
     }
-    for (unsigned i = 0; i < fmu.n_connections; i++) c->carried[i] = *c->wires[i].from;
+    give(c);
     if (fmu.n_connections) c->state->outputs = REST_STALE;
     return 0;
 }
@@ -380,11 +402,11 @@ int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
     return 0;
 }
 
-/* A small change of a state that a variable shows, of which the tangent reads `next`; 0: of none. */
+/* A small change of a state that a variable shows, of which the tangent reads `d_x`; 0: of none. */
 static int seed_state(Part* p, unsigned variable, double change) {
     for (unsigned i = 0; i < p->model->n_continuous; i++) {
         if (p->model->continuous[i].reference != variable) continue;
-        p->next[p->model->continuous[i].place] += change;
+        p->d_x[p->model->continuous[i].place] += change;
         return 1;
     }
     return 0;
@@ -393,7 +415,7 @@ static int seed_state(Part* p, unsigned variable, double change) {
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                     size_t n_known, const double seed[], double result[]) {
     FOR_EACH_PART(p) memset(p->change, 0, p->model->n_variables * sizeof(double));
-    if (c->exchange) memset(c->parts[0].next, 0, c->parts[0].model->n_states * sizeof(double));
+    if (c->exchange) memset(c->parts[0].d_x, 0, c->parts[0].model->n_states * sizeof(double));
     for (size_t i = 0; i < n_known; i++) {
         Port at = fmu.ports[known[i] < fmu.n_ports ? known[i] : 0];
         for (const unsigned end = at.variable + at.count; at.variable < end; at.variable++, seed++) {

@@ -49,8 +49,8 @@ typedef struct {
     const Line* lines; /* delay lines */
     void (*signals)(const Part* p, double* now);    /* what enters the lines */
     void (*delays)(const Part* p, double* seconds); /* how far each is looked back */
-    /* State after the instant, given standard normal draws and delayed signals. */
-    void (*update)(const Part* p, const double* noise, const double* delayed, double* x_next);
+    /* Change the states as the instant does, given standard normal draws and delayed signals. */
+    void (*update)(Part* p, const double* noise, const double* delayed);
 } Sampling;
 
 /* A state that a solver outside integrates, in model exchange. References are those of the part. */
@@ -74,7 +74,7 @@ typedef struct {
     unsigned n_prepared;
     void (*prepare)(const Part* p, double* prepared);
     void (*initial)(const Part* p, double* x);
-    void (*step)(const Part* p, double h, double* x_next); /* NULL: states change at instants alone */
+    void (*step)(Part* p, double h); /* NULL: states change at instants alone */
     void (*outputs)(Part* p);
     /* Change of the outputs for small changes of parameters and inputs. `change` has one entry per
      * variable; those of parameters and inputs are read, those of outputs written. At the start the
@@ -118,7 +118,7 @@ struct Part {
     const Model* model;
     double *v, *x, *samples, *record;                 /* in the state: variables, states, sample
                                                          instants so far, delay lines */
-    double *next, *noise, *signal, *delayed, *change; /* scratch */
+    double *noise, *signal, *delayed, *change, *d_x;  /* scratch; changes are small, for tangents */
     double* prepared;                                 /* scratch, by `prepare` of these parameters */
     int ready;                                        /* whether it is that of the present ones */
     void* data;                                       /* made by open() */
@@ -136,17 +136,19 @@ typedef struct {
     double values[]; /* of the connections, then of the parts */
 } State;
 
-/* The ends of a connection in the state. */
+/* The ends of so many connections in the state, one beside the other. */
 typedef struct {
     const double* from;
     double* to;
+    unsigned count;
 } Wire;
 
 typedef struct {
     State* state;
     size_t state_size;
     double* carried; /* in the state, by connection */
-    Wire* wires;     /* by connection */
+    Wire* wires;     /* in the order of the connections */
+    unsigned n_wires;
     void* host;      /* handles of the FMI shim, never part of the state */
     char exchange;   /* whether a solver outside integrates; else it is stepped */
     char message[320];

@@ -88,7 +88,6 @@ static int model_open(const char* resources, void** data, char* message, size_t 
 }
 
 static void model_initial(const Part* p, double* x) { (void)p, (void)x; }
-static void model_step(const Part* p, double h, double* x) { (void)p, (void)h, (void)x; }
 
 /* Outputs depend on time alone. */
 static void model_tangent(const Part* p, int starting, const double* noise, double* change) {
@@ -152,7 +151,6 @@ const Model MODEL = {
     .open = model_open,
     .close = model_close,
     .initial = model_initial,
-    .step = model_step,
     .outputs = model_outputs,
     .tangent = model_tangent,
 };

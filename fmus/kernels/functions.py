@@ -7,7 +7,7 @@ import casadi as ca
 
 from twin.component import Component, Shortcut
 
-from .tangents import tangents
+from .tangents import starts_alike, tangents
 
 _Stepping = tuple[ca.Function, str]
 """A function that runs in every step, and its arguments, a letter each: x, u, p and so on."""
@@ -22,15 +22,17 @@ class Kernels:
             an argument more than in the component, c after p: what they compute of parameters
             alone, it has computed before. The operations are the same and so are the numbers, to
             the last bit.
-        stepping: How many of them, the first ones, run in every step.
         cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
+        in_place: Names of those whose result takes the place of the states, their first argument.
         still: Whether a step changes no state.
+        starts_alike: Whether the tangent while stepping is that of the start, too.
     """
 
     functions: tuple[ca.Function, ...] = field(repr=False)
-    stepping: int
     cheaper: Mapping[str, tuple[int, ...]]
+    in_place: frozenset[str]
     still: bool
+    starts_alike: bool
 
 
 def kernels(component: Component, exchange: bool) -> Kernels:
@@ -53,13 +55,19 @@ def kernels(component: Component, exchange: bool) -> Kernels:
         stepping += [other for _, other in others]
     tried = sorted({i for some in cheaper.values() for i in some})
     stepping += [(component.shortcuts[i].holds, "xph") for i in tried]
-    often = prepared(stepping)
-    functions = [*often, component.initial, *tangents(component, exchange)]
+    functions = [*prepared(stepping), component.initial, *tangents(component, exchange)]
     if exchange and component.continuous is not None:
         functions.append(component.continuous.rests)
     x = ca.SX.sym("x", len(component.states))
     still = _same(ca.Function("still", [x], [x]), *full["step"])
-    return Kernels(tuple(functions), len(often), cheaper, still)
+    short = {kernel: [f"cheap_{kernel}_{i}" for i in found] for kernel, found in cheaper.items()}
+    return Kernels(
+        functions=tuple(functions),
+        cheaper=cheaper,
+        in_place=frozenset(("step", "update", *short["step"], *short["update"])),
+        still=still,
+        starts_alike=starts_alike(component, exchange),
+    )
 
 
 def _full(component: Component) -> dict[str, _Stepping]:

@@ -10,7 +10,8 @@ from .start import draws, first_state
 def tangents(component: Component, exchange: bool) -> list[ca.Function]:
     """`(x, u, p, du, dp) -> dy` while stepping, `(u, p, du, dp, w) -> dy` at the start.
 
-    With `exchange` the first has another argument, the change of the states: `dx`.
+    With `exchange` the first has another argument, the change of the states: `dx`. A component that
+    `starts_alike` has the first alone.
     """
     x, dx = (ca.SX.sym(n, len(component.states)) for n in ("x", "dx"))
     u, du = (ca.SX.sym(n, len(component.inputs)) for n in ("u", "du"))
@@ -25,9 +26,8 @@ def tangents(component: Component, exchange: bool) -> list[ca.Function]:
         dy = ca.jtimes(y, ca.vertcat(*known), ca.vertcat(*change))
         return ca.Function(name, arguments, [ca.cse(dy)])
 
-    if not (component.states or exchange):
-        always = tangent("tangent", x, [x, u, p, du, dp], [u, p], [du, dp])
-        return [always, _the_same("initial_tangent", always)]
+    if starts_alike(component, exchange):
+        return [tangent("tangent", x, [x, u, p, du, dp], [u, p], [du, dp])]
     first, d = first_state(component, u, p, w), [du, dp]
     starting = tangent("initial_tangent", first, [u, p, *d, w], [u, p], d)
     if exchange:
@@ -35,12 +35,9 @@ def tangents(component: Component, exchange: bool) -> list[ca.Function]:
     return [tangent("tangent", x, [x, u, p, *d], [u, p], d), starting]
 
 
-def _the_same(name: str, tangent: ca.Function) -> ca.Function:
-    """The tangent of a component without states as that of its start.
+def starts_alike(component: Component, exchange: bool) -> bool:
+    """Whether there is one tangent for both: without states nothing is different at the start.
 
-    It is called, not written again: that of a learned force takes a compiler twenty seconds.
+    It is compiled once: that of a learned force takes a compiler twenty seconds.
     """
-    nothing, *arguments = [ca.MX.sym(n, tangent.size1_in(i)) for i, n in enumerate("xupcd")]
-    draws = ca.MX.sym("w", 0)
-    (dy,) = tangent.call([ca.MX(nothing.shape[0], 1), *arguments])
-    return ca.Function(name, [*arguments, draws], [dy])
+    return not (component.states or exchange)

@@ -1,0 +1,39 @@
+/* What kernels are made of beside the operations of C. */
+#ifndef UAVTWIN_KERNEL_H
+#define UAVTWIN_KERNEL_H
+
+#include <math.h>
+
+/* Two divisions or two square roots at once: a processor takes for two side by side as long as for one. The
+ * numbers are those of one after the other, to the bit. */
+#if defined(__SSE2__)
+#include <emmintrin.h>
+
+/* x = a / b, y = c / d */
+static inline void quotients(double a, double b, double c, double d, double* x, double* y) {
+    const __m128d both = _mm_div_pd(_mm_set_pd(c, a), _mm_set_pd(d, b));
+    *x = _mm_cvtsd_f64(both);
+    *y = _mm_cvtsd_f64(_mm_unpackhi_pd(both, both));
+}
+
+/* x = sqrt(a), y = sqrt(b) */
+static inline void roots(double a, double b, double* x, double* y) {
+    const __m128d both = _mm_sqrt_pd(_mm_set_pd(b, a));
+    *x = _mm_cvtsd_f64(both);
+    *y = _mm_cvtsd_f64(_mm_unpackhi_pd(both, both));
+}
+
+#else
+
+static inline void quotients(double a, double b, double c, double d, double* x, double* y) {
+    *x = a / b;
+    *y = c / d;
+}
+
+static inline void roots(double a, double b, double* x, double* y) {
+    *x = sqrt(a);
+    *y = sqrt(b);
+}
+
+#endif
+#endif
