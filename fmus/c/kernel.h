@@ -4,6 +4,14 @@
 
 #include <math.h>
 
+/* In front of a kernel: compiled for AVX2 as well, which the loader takes where the processor has it. It needs
+ * fewer instructions, and as no product is fused with a sum the numbers are the same, to the bit. */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#define OFTEN __attribute__((target_clones("avx2", "default")))
+#else
+#define OFTEN
+#endif
+
 /* Two divisions or two square roots at once: a processor takes for two side by side as long as for one. The
  * numbers are those of one after the other, to the bit. */
 #if defined(__SSE2__)

@@ -60,7 +60,11 @@ TOGETHER = {ca.OP_DIV: "quotients", ca.OP_SQRT: "roots"}
 """Functions of `kernel.h` that do two at once."""
 
 
-def kernel_source(functions: Sequence[ca.Function], in_place: Collection[str] = ()) -> str:
+def kernel_source(
+    functions: Sequence[ca.Function],
+    in_place: Collection[str] = (),
+    often: Collection[str] = (),
+) -> str:
     """C source of the kernels, all of it static: several parts are linked into one library.
 
     A kernel takes the address of each argument, then that of its result, which it writes when it
@@ -71,11 +75,14 @@ def kernel_source(functions: Sequence[ca.Function], in_place: Collection[str] = 
         functions: Of scalar operations, with one result each.
         in_place: Names of those whose result replaces the first argument; what stays as it is is
             not written.
+        often: Names of those that most steps call, which are worth more of the compiler's time.
 
     Raises:
         FmuError: An operation is not known here.
     """
-    return "\n".join(_function(f, f.name() in in_place) for f in functions)
+    return "\n".join(
+        "OFTEN " * (f.name() in often) + _function(f, f.name() in in_place) for f in functions
+    )
 
 
 def _function(function: ca.Function, in_place: bool) -> str:

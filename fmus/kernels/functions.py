@@ -9,6 +9,8 @@ from twin.component import Component, Shortcut
 
 from .tangents import starts_alike, tangents
 
+_COSTLY = ("step", "outputs", "update")
+"""Functions that take most of a step's time."""
 _Stepping = tuple[ca.Function, str]
 """A function that runs in every step, and its arguments, a letter each: x, u, p and so on."""
 
@@ -24,6 +26,7 @@ class Kernels:
             the last bit.
         cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
         in_place: Names of those whose result takes the place of the states, their first argument.
+        often: Names of those that most steps call: shortcuts, or the full one where there is none.
         still: Whether a step changes no state.
         starts_alike: Whether the tangent while stepping is that of the start, too.
     """
@@ -31,6 +34,7 @@ class Kernels:
     functions: tuple[ca.Function, ...] = field(repr=False)
     cheaper: Mapping[str, tuple[int, ...]]
     in_place: frozenset[str]
+    often: frozenset[str]
     still: bool
     starts_alike: bool
 
@@ -65,6 +69,7 @@ def kernels(component: Component, exchange: bool) -> Kernels:
         functions=tuple(functions),
         cheaper=cheaper,
         in_place=frozenset(("step", "update", *short["step"], *short["update"])),
+        often=frozenset(n for kernel in _COSTLY for n in short[kernel] or [kernel]),
         still=still,
         starts_alike=starts_alike(component, exchange),
     )

@@ -88,7 +88,7 @@ def test_the_numbers_of_casadi(tmp_path: Path, seed: int) -> None:
     for in_place in (False, True):
         folder = tmp_path / str(in_place)
         folder.mkdir()
-        source = kernel_source([function], ["mixed"] * in_place)
+        source = kernel_source([function], ["mixed"] * in_place, ["mixed"])
         call = compiled(folder, source, "mixed", 1)
         for scale in (0.0, 1e-3, 1.0, 1e3):
             value = scale * rng.normal(size=8)
