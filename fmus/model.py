@@ -261,7 +261,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
         state_names=tuple(s.name for s in component.states),
         max_step_s=component.max_step_s,
         glue="casadi.h",
-        kernels=kernel_source(called.functions, called.in_place, called.often),
+        kernels=kernel_source(called.functions, called.in_place, called.often, called.seldom),
         apart=True,
         defines={
             "N_PREPARED": called.functions[0].size1_out(0),

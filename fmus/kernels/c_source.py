@@ -64,6 +64,7 @@ def kernel_source(
     functions: Sequence[ca.Function],
     in_place: Collection[str] = (),
     often: Collection[str] = (),
+    seldom: Collection[str] = (),
 ) -> str:
     """C source of the kernels, all of it static: several parts are linked into one library.
 
@@ -76,12 +77,15 @@ def kernel_source(
         in_place: Names of those whose result replaces the first argument; what stays as it is is
             not written.
         often: Names of those that most steps call, which are worth more of the compiler's time.
+        seldom: Names of those that no step calls, which are worth less.
 
     Raises:
         FmuError: An operation is not known here.
     """
+    names = [f.name() for f in functions]
+    worth = ["OFTEN " * (name in often) + "SELDOM " * (name in seldom) for name in names]
     return "\n".join(
-        "OFTEN " * (f.name() in often) + _function(f, f.name() in in_place) for f in functions
+        how + _function(f, f.name() in in_place) for how, f in zip(worth, functions, strict=True)
     )
 
 
@@ -97,8 +101,10 @@ def _function(function: ca.Function, in_place: bool) -> str:
         (ends if in_place else body).append(f"y[{place}] = v{source};")
     arguments = [f"const double* x{i}" for i in range(function.n_in())]
     unused = [f"(void)x{i};" for i in range(function.n_in())]
-    lines = "".join(f"    {line}\n" for line in [*unused, "(void)y;", *body, *ends])
-    return f"static void {function.name()}({', '.join([*arguments, 'double* y'])}) {{\n{lines}}}\n"
+    lines = "\n".join([*unused, "(void)y;", *body, *ends])
+    return (
+        f"static void {function.name()}({', '.join([*arguments, 'double* y'])}) {{\n{lines}\n}}\n"
+    )
 
 
 class _Kernel:
@@ -127,7 +133,7 @@ class _Kernel:
 
     def _single(self, k: int) -> str:
         kind = "int" if self._steps[k].code in TRUTHS else "double"
-        return f"const {kind} v{k} = {self._expression(k)};"
+        return f"{kind} v{k} = {self._expression(k)};"
 
     def _pair(self, one: int, other: int) -> str:
         values = [self._number(a) for k in (one, other) for a in self._steps[k].arguments]

@@ -27,6 +27,7 @@ class Kernels:
         cheaper: Of `step`, `outputs`, `update` and `signals`, the shortcuts that have another one.
         in_place: Names of those whose result takes the place of the states, their first argument.
         often: Names of those that most steps call: shortcuts, or the full one where there is none.
+        seldom: Names of those that no step calls.
         still: Whether a step changes no state.
         starts_alike: Whether the tangent while stepping is that of the start, too.
     """
@@ -35,6 +36,7 @@ class Kernels:
     cheaper: Mapping[str, tuple[int, ...]]
     in_place: frozenset[str]
     often: frozenset[str]
+    seldom: frozenset[str]
     still: bool
     starts_alike: bool
 
@@ -59,17 +61,18 @@ def kernels(component: Component, exchange: bool) -> Kernels:
         stepping += [other for _, other in others]
     tried = sorted({i for some in cheaper.values() for i in some})
     stepping += [(component.shortcuts[i].holds, "xph") for i in tried]
-    functions = [*prepared(stepping), component.initial, *tangents(component, exchange)]
+    seldom = [component.initial, *tangents(component, exchange)]
     if exchange and component.continuous is not None:
-        functions.append(component.continuous.rests)
+        seldom.append(component.continuous.rests)
     x = ca.SX.sym("x", len(component.states))
     still = _same(ca.Function("still", [x], [x]), *full["step"])
     short = {kernel: [f"cheap_{kernel}_{i}" for i in found] for kernel, found in cheaper.items()}
     return Kernels(
-        functions=tuple(functions),
+        functions=(*prepared(stepping), *seldom),
         cheaper=cheaper,
         in_place=frozenset(("step", "update", *short["step"], *short["update"])),
         often=frozenset(n for kernel in _COSTLY for n in short[kernel] or [kernel]),
+        seldom=frozenset(f.name() for f in seldom),
         still=still,
         starts_alike=starts_alike(component, exchange),
     )
