@@ -29,6 +29,7 @@ from .platforms import (
     compilers,
     select_platforms,
     universal_binary,
+    without_link_time,
 )
 from .source import generated_sources
 
@@ -36,7 +37,7 @@ CFLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-
 """No -ffast-math in physics: results are the same bits on every compiler that was tried."""
 
 NAMESPACE = uuid.UUID("7f1f3f2e-8a4f-5d0b-9d57-0a1d1c7d6b55")
-_ENTRY = 2
+_ENTRY = 3
 """Form of the entries of the cache."""
 _INCLUDE = re.compile(r'^\s*#\s*include\s+"([^"]+)"', re.MULTILINE)
 _HEADERS = {
@@ -165,6 +166,8 @@ def _compile(
             objects = list(several.map(compile_one, compiled))
         _run(name, [*compiler.command, "-shared", "-s", "-o", file, *objects, "-lm"], folder)
         binary = Path(folder, file).read_bytes()
+    if platform.suffix == ".dll":
+        binary = without_link_time(binary)
     keep(whole, binary)
     return binary
 

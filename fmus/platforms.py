@@ -121,6 +121,16 @@ def universal_binary(x86_64: bytes, arm64: bytes) -> bytes:
     return header.ljust(2**align, b"\0") + content
 
 
+def without_link_time(dll: bytes) -> bytes:
+    """A library of Windows without the second at which it was linked: two builds are alike.
+
+    Source: Microsoft, PE Format: where the header begins is said at 0x3c, the time 8 bytes on.
+    """
+    (header,) = struct.unpack_from("<I", dll, 0x3C)
+    at = header + 8
+    return dll[:at] + bytes(4) + dll[at + 4 :]
+
+
 def _machine_compiler() -> Compiler:
     name = os.environ.get("CC", "cc")
     found = shutil.which(name)
