@@ -21,14 +21,14 @@ LEVEL = 2.0
 """Distance of the phases' means, in spreads within each."""
 
 
-def known(seed: int, n: int = 400, level: float = LEVEL) -> ResidualFlight:
+def known(seed: int, n: int = 400) -> ResidualFlight:
     """Takeoff and hover, a span each; waves of two frequencies about a mean of each phase."""
     rng = np.random.default_rng(seed)
     t = np.arange(n) / 100.0
     hz, begin = np.where(np.arange(15) % 2, 2.0, 4.0), rng.uniform(0, 2 * np.pi)
     waves = np.sqrt(2) * np.sin(2 * np.pi * t[:, None] * hz + begin + np.arange(15))
     phase = np.repeat(PHASES, [n // 2, n - n // 2])
-    residual = waves + np.where(phase == PHASES[0], 0.0, level)[:, None]
+    residual = waves + np.where(phase == PHASES[0], 0.0, LEVEL)[:, None]
     return ResidualFlight(
         name=f"known_{seed}",
         rate_hz=100.0,
@@ -47,7 +47,6 @@ def small(
     protocol: Protocol,
     epochs: int,
     folder: Path,
-    level: float = LEVEL,
     **preset: float,
 ) -> SystemModel:
     """A system of that name with 64 codes of 32 numbers, trained on four such flights.
@@ -57,13 +56,12 @@ def small(
         protocol: What it is to do.
         epochs: Passes over the flights.
         folder: For the model.
-        level: Of the flights.
         preset: What else is other than the system's preset.
     """
     row = family_row(name)
     size = {"epochs": epochs, "code_size": 32, "n_codes": 64, "units": 32, "window": 50}
     changed = replace(row.load().presets()[name], **(size | preset))
-    flights = [known(k, level=level) for k in range(4)]
+    flights = [known(k) for k in range(4)]
     model = fit_model(flights, row, changed, TrainingTask(protocol), folder)
     assert isinstance(model, SystemModel)
     return model
