@@ -8,6 +8,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from .building import BUILDING
+
 Array = NDArray[np.float64]
 CHUNK = 1024
 """Rows at a time."""
@@ -25,7 +27,8 @@ class Along:
         Args:
             step: Its first argument is the state, its first output the state afterwards.
         """
-        step = _dense(step)
+        with BUILDING:
+            step = _dense(step)
         self._sizes = [step.numel_out(i) for i in range(step.n_out())]
         self._loops = _Loops(step, lambda size: step.mapaccum("accumulated", size))
 
@@ -57,8 +60,9 @@ class EachRow:
             function: Its other outputs are left out.
             rows: How many of its arguments, the first ones, differ from row to row.
         """
-        inputs = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
-        first = _dense(ca.Function(function.name(), inputs, function.call(inputs)[:1]))
+        with BUILDING:
+            inputs = [ca.MX.sym(f"a{i}", *function.size_in(i)) for i in range(function.n_in())]
+            first = _dense(ca.Function(function.name(), inputs, function.call(inputs)[:1]))
         same = [*range(rows, function.n_in())]
         self._size = first.numel_out(0)
         self._loops = _Loops(first, lambda size: first.map("mapped", "serial", size, same, []))
@@ -96,8 +100,9 @@ class _Loops:
         """
         size = len(results[0])
         if size not in self._made:
-            loop = self._function if size == 1 else self._repeated(size)
-            self._made[size] = loop.buffer()
+            with BUILDING:
+                loop = self._function if size == 1 else self._repeated(size)
+                self._made[size] = loop.buffer()
         buffer, run = self._made[size]
         arrays = [np.ascontiguousarray(a, dtype=np.float64) for a in given]
         for i, array in enumerate(arrays):

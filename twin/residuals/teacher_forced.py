@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.along import Along
+from ..component.building import BUILDING
 from ..component.sampled import noiseless_outputs
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
@@ -205,7 +206,8 @@ class RotorStates:
         found = np.empty((len(u), len(self._index)))
         if self._last is None:
             p = self._airframe.parameter_values()
-            start = np.asarray(self._airframe.initial(u[0], p), dtype=np.float64).ravel()
+            with BUILDING:
+                start = np.asarray(self._airframe.initial(u[0], p), dtype=np.float64).ravel()
             held = np.tile(u[:1], (self._warm, 1))
             found[0] = self._along(start[self._index], held)[0][-1]
         else:
@@ -314,7 +316,8 @@ class HiddenStates:
             names = [s.name for s in self._airframe.states]
             begin = {f"initial.{n}": float(first[names.index(n)]) for n in RIGID}
             p = self._airframe.parameter_values({"ground.enabled": 0.0, **begin})
-            self._integration = Integration(self._airframe, self.index, p, self._step_s)
+            with BUILDING:
+                self._integration = Integration(self._airframe, self.index, p, self._step_s)
         return self._integration.along(x, u)
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..component import Component
 from ..component.along import Along, mapped
+from ..component.building import BUILDING
 
 Array = NDArray[np.float64]
 
@@ -77,8 +78,9 @@ class Integration:
         path, inputs = x[rows][before:], u[rows][before:]
         self._last = path[-1:], inputs[-1:]
         if self._state is None:
-            start = self._component.initial(inputs[0], self._p)
-            self._state = np.asarray(start, dtype=np.float64).ravel()[self._index]
+            with BUILDING:
+                start = self._component.initial(inputs[0], self._p)
+                self._state = np.asarray(start, dtype=np.float64).ravel()[self._index]
         if self._sampled is not None:
             after, here = self._sampled.along(self._state, path, inputs)
         else:

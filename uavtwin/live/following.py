@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from twin.component import substeps
 from twin.component.along import Along, EachRow
+from twin.component.building import BUILDING
 from twin.frames import AXES
 from twin.logs.columns import POS, QUAT, VEL, motor_columns
 from twin.logs.mavlink.samples import GROUPS, Sample
@@ -139,8 +140,9 @@ class FollowingTwin:
         """Step to a time."""
         pause_us = t_us - self._t_us
         if self._x is None or not 0 <= pause_us <= _LONGEST_US:
-            start = self._start.initial(self._u, self._p)
-            self._x = np.asarray(start, dtype=np.float64).ravel()
+            with BUILDING:
+                start = self._start.initial(self._u, self._p)
+                self._x = np.asarray(start, dtype=np.float64).ravel()
             self._set(t_us)
             return
         steps = round(1e-6 * pause_us / GRID_S)

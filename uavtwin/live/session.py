@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twin.component.building import BUILDING
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
@@ -165,7 +166,8 @@ class LiveSession:
             compensator,
             (lambda _: None) if self._publisher is None else self._publisher.anomaly,
         )
-        self._twin = FollowingTwin(self.worker.equations, options.following)
+        with BUILDING:
+            self._twin = FollowingTwin(self.worker.equations, options.following)
 
     def _begin(self) -> None:
         """All that goes by the aircraft's clock, from the begin."""

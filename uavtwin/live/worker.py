@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from queue import Queue
 from typing import TYPE_CHECKING
 
+from twin.component.building import BUILDING
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
 from twin.residuals.running.equations import Equations
@@ -80,7 +81,8 @@ class Worker:
         self.units: dict[str, str] = {}
         self.error: BaseException | None = None
         self._sums: dict[str, tuple[int, float]] = {}
-        self.equations = Equations.of(vehicle, vehicle.drive)
+        with BUILDING:
+            self.equations = Equations.of(vehicle, vehicle.drive)
         self._begin()
         self._thread.start()
 
@@ -122,7 +124,8 @@ class Worker:
         self._running = RunningResiduals(
             self._vehicle, horizon_s=self._horizon_s, equations=self.equations
         )
-        self._evidence = self._new_evidence()
+        with BUILDING:
+            self._evidence = self._new_evidence()
         self._sums = {}
         if self._compensator is not None:
             self._compensator.begin()
@@ -196,6 +199,7 @@ class Worker:
             self._recording.add_residuals(block)
         self._on_block(block)
         if self._compensator is not None:
-            said = self._compensator.update(block.flight, block.end_s)
+            with BUILDING:
+                said = self._compensator.update(block.flight, block.end_s)
             if said is not None:
                 self._on_anomaly(float(said.anomaly.max()))

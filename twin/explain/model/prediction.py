@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ...component import Component
 from ...component.along import EachRow
+from ...component.building import BUILDING
 from ...component.rows import OverRows
 from ...effects import acting_late
 from ...residuals.imu import gyro_rate, prompt_imu
@@ -59,10 +60,11 @@ class Batch:
             return np.zeros((len(rows[0]), shape[1], 0))
         key = tuple(columns)
         if key not in self._slopes:
-            slopes = ca.jacobian(self._readings, self._theta)[:, list(columns)]
-            expression = ca.cse(ca.vec(ca.densify(slopes)))
-            function = ca.Function("slopes", [*self._rows, self._theta], [expression])
-            self._slopes[key] = self._over(function, len(self._rows))
+            with BUILDING:
+                slopes = ca.jacobian(self._readings, self._theta)[:, list(columns)]
+                expression = ca.cse(ca.vec(ca.densify(slopes)))
+                function = ca.Function("slopes", [*self._rows, self._theta], [expression])
+                self._slopes[key] = self._over(function, len(self._rows))
         flat = self._slopes[key](*rows, theta)
         return flat.T.reshape(*shape, len(flat)).transpose(2, 1, 0)
 
@@ -75,10 +77,11 @@ class Batch:
     def tangent(self, theta: Array, change: Array, *rows: Array) -> Array:
         """Change of the readings, shape (n, c), by one of the first rows, shape (n, ...)."""
         if self._tangent is None:
-            way = ca.SX.sym("way", self._rows[0].shape[0])
-            moved = ca.cse(ca.densify(ca.jtimes(self._readings, self._rows[0], way)))
-            function = ca.Function("tangent", [way, *self._rows, self._theta], [moved])
-            self._tangent = self._over(function, 1 + len(self._rows))
+            with BUILDING:
+                way = ca.SX.sym("way", self._rows[0].shape[0])
+                moved = ca.cse(ca.densify(ca.jtimes(self._readings, self._rows[0], way)))
+                function = ca.Function("tangent", [way, *self._rows, self._theta], [moved])
+                self._tangent = self._over(function, 1 + len(self._rows))
         return self._tangent(change, *rows, theta)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
+from ...component.building import BUILDING
 from ...residuals.channels import GRID_HZ
 from ...residuals.unmeasured import integrate_states
 from .numbers import Number
@@ -85,7 +86,8 @@ class EffectStates:
         values |= {n.full: float(v) for n, v in zip(self._numbers, theta, strict=True)}
         p = self.sensor.parameter_values({k: v for k, v in values.items() if k in known})
         x = np.zeros((len(inputs), len(self.sensor.states)))
-        return (integrate_states(self.sensor, self.index, x, inputs, p, 1 / GRID_HZ),)
+        with BUILDING:  # it is built anew
+            return (integrate_states(self.sensor, self.index, x, inputs, p, 1 / GRID_HZ),)
 
     def filled(self, x: ca.SX, z: ca.SX) -> ca.SX:
         """States of the sensor with these in place."""

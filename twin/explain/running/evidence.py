@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...component.building import BUILDING
 from ...effects import EFFECTS, Repeats
 from ...effects.priors import BESIDE
 from ...representation import short_repr
@@ -126,7 +127,8 @@ class RunningEvidence:
         if block is not None:
             if self._framing is None:
                 assert self._feed.airframe is not None
-                self._begin(Framing(self._vehicle, self._library, self._feed.airframe))
+                with BUILDING:
+                    self._begin(Framing(self._vehicle, self._library, self._feed.airframe))
             assert self._framing is not None
             for frame in self._framing.push(block):
                 self._look(frame)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...component import Component
+from ...component.building import BUILDING
 from ...errors import LogError
 from ...logs import Flight
 from ...logs.columns import ACC, GYRO
@@ -114,7 +115,8 @@ class Feed:
         if self._next is None:
             if last.last_s - last.first_s < KEPT_S:
                 return None
-            self._begin(last.flight())
+            with BUILDING:
+                self._begin(last.flight())
             self._next = int(np.ceil(last.first_s * GRID_HZ - 1e-6)) + 1
         if end <= self._next:
             return None

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...component.building import BUILDING
 from ...effects import ages, late_actions
 from ...errors import LogError
 from ...logs import Flight
@@ -142,7 +143,9 @@ class RunningResiduals:
             return False
         self._last.settled = Settled(self._last.rates_hz())
         try:
-            self._twin = _Twin(self._last.flight(), self.vehicle, self.horizon_s, self.equations)
+            with BUILDING:
+                flight = self._last.flight()
+                self._twin = _Twin(flight, self.vehicle, self.horizon_s, self.equations)
         except LogError as error:
             self._last.settled = None
             self.waits_for = str(error).partition(": ")[2]
