@@ -23,9 +23,10 @@ late may have been late for that.
 
 ## How old it is
 
-From when a message of the aircraft came: to when a viewer's page, in a Chromium on another core,
-showed what came after it; and to when the twin's own messages had left. `live` has one core, and
-takes the share of it that is told, after the start, with the page open and the twin published.
+From when a message of the aircraft came, by the kernel's stamp: to when a viewer's page, in a
+Chromium on another core, showed what came after it; and to when the twin's own messages had left.
+`live` has one core, and takes the share of it that is told, after the start, with the page open and
+the twin published.
 
 | alarms | share | pictures | shown, 50 % | shown, 99 % | published, 99 % | lost | late | load |
 |---|---|---|---|---|---|---|---|---|
@@ -47,10 +48,10 @@ without running evidence for alarms.
 |---|---|---|---|---|---|---|---|---|
 {_many(rows)}
 
-All of a process's Python shares one core: aircraft that need more than that together fall behind,
-beside other computations sooner. What comes meanwhile waits in the kernel and is not lost, up to
-8 MB each. The goal, ten aircraft in one process with alarms, none late, none behind by more than
-{_BEHIND_S:g} s: {_goal(rows.get("many_10_alarms"))}
+All of a process's Python shares one core, CasADi's own loops do not: aircraft that need more than
+that together fall behind, beside other computations sooner. What comes meanwhile waits in the
+kernel and is not lost, up to 8 MB each. The goal, ten aircraft in one process with alarms, none
+late, none behind by more than {_BEHIND_S:g} s: {_goal(rows.get("many_10_alarms"))}
 
 ## Memory over a long flight
 
