@@ -125,6 +125,7 @@ def _goal(r: dict[str, Any] | None) -> str:
 def _growth(r: dict[str, Any] | None) -> str:
     if r is None:
         return "Not measured."
+    least, most = r["rss_of_the_second_half_mib"]
     return (
         f"{r['flight_s'] / 60:.1f} minutes of flight, recorded, with alarms, sent {r['speed']:g} "
         f"times as fast as they were flown (in {r['wall_s'] / 60:.1f} minutes; load "
@@ -133,6 +134,6 @@ def _growth(r: dict[str, Any] | None) -> str:
         f"{r['rows_recorded']} of {r['rows_sent']} rows recorded, {r['alarms']} alarms. "
         f"Resident memory {r['rss_after_a_minute_mib']:.1f} MiB after a minute of flight, "
         f"{r['rss_at_the_end_mib']:.1f} MiB at its end, between {r['rss_least_mib']:.1f} and "
-        f"{r['rss_most_mib']:.1f} MiB in between; a line through what was held after a "
-        f"tenth of the flight rises by {r['rss_mib_per_h']:.1f} MiB an hour."
+        f"{r['rss_most_mib']:.1f} MiB in between; in the second half of it between "
+        f"{least:.1f} and {most:.1f} MiB."
     )
