@@ -67,6 +67,6 @@ def test_recorded_flights_are_held_against_what_the_others_tell() -> None:
     assert told["real_1"]["mag_hard_iron.x_t"] == pytest.approx(-78.9e-6)
     assert "command_delay.delay_s" not in told["real_1"]
     vehicle = with_numbers(load_vehicle("feisi_x150"), told["real_1"])
-    assert vehicle.effects["thrust_scale"]["scale"] == pytest.approx(1.63)
-    assert vehicle.effects["rotor_efficiency_loss"]["loss_1"] == 0
+    assert vehicle.effects["thrust_scale"]["scale"] == pytest.approx(1.78)
+    assert vehicle.effects["rotor_efficiency_loss"]["loss_2"] == 0
     assert not {"vibration", "pose_smoothing"} & vehicle.effects.keys()

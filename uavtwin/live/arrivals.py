@@ -58,7 +58,7 @@ class Arrivals:
             except OSError:  # nothing more is there, or what was sent to nobody came back
                 self._empty_s = time.monotonic()
                 return
-            now_s, now_ns = time.monotonic(), time.time_ns()
+            now_s, now_ns = _both_clocks()
             ago_s = 1e-9 * (now_ns - _stamp_ns(beside, now_ns))
             # it came after all before it had been taken, whatever was done to the system's clock
             ago_s = min(max(ago_s, 0.0), now_s - self._empty_s)
@@ -71,6 +71,14 @@ class Arrivals:
             content, sender = self._socket.recvfrom(_LONGEST)
             return content, [], 0, sender
         return self._socket.recvmsg(_LONGEST, _BESIDE)
+
+
+def _both_clocks() -> tuple[float, int]:
+    """The monotonic clock, s, and the system's, ns, at one instant: of three readings that between
+    whose two least came."""
+    read = ((time.monotonic(), time.time_ns(), time.monotonic()) for _ in range(3))
+    _, now_s, now_ns = min((after - before, before, ns) for before, ns, after in read)
+    return now_s, now_ns
 
 
 def _stamp_ns(beside: list[tuple[int, int, bytes]], otherwise: int) -> int:
