@@ -169,11 +169,16 @@ class FlightModel:
         else:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
             at = part.batch.value(theta, part.at)
-            predicted = self._clean(k, theta) + (at - self._standing(k, part.at))
-            predicted, at = predicted[:, part.outputs], at[:, part.outputs]
+            more = (at - self._standing(k, part.at))[:, part.outputs]
+            slopes = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
+            predicted, at = self._clean(k, theta)[:, part.outputs], at[:, part.outputs]
+            if part.sampled is not None:
+                more, slopes = _sampled(part.sampled, more, slopes)
+            if part.carried is not None:
+                more = more + part.carried
+            predicted = predicted + more
             if part.turning is not None and felt is not None:
                 at = felt[0][:, part.outputs]
-            slopes = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
         return self._in_time(k, columns, theta, predicted, slopes, at)
 
     def _body_answers(
@@ -321,6 +326,15 @@ class FlightModel:
         q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
         north, east, _ = to_ned(q, list(force_b.T))
         return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
+
+
+def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> tuple[Array, Array]:
+    """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
+    both = np.concatenate([more[:, :, None], slopes], axis=2)
+    some = np.any(both, axis=(0, 1))
+    if some.any():
+        both[:, :, some] = sampled(both[:, :, some])
+    return both[:, :, 0], both[:, :, 1:]
 
 
 def _bend(values: Array) -> Array:

@@ -61,6 +61,10 @@ class Part:
         as_logged: Where the pose is what is compared with the airframe alone, no IMU in between:
             `(values on the grid, numbers) -> values` as a pose of that age and heading shows them.
         averaged: Signals of the pose in whose place the motion itself would be predicted from.
+        sampled: `values on the grid, shape (n, k, m) -> values` as they are seen at the samples of
+            the pose alone, where the readings are; None: the readings are as they were read.
+        carried: What that changes of the prediction by the model as it stands, shape (n, k), where
+            the motion adds to what the pose implies.
     """
 
     readings: Measured
@@ -75,6 +79,8 @@ class Part:
     older: Callable[[float, float], Array] | None = None
     as_logged: Callable[[Array, Array], Array] | None = None
     averaged: frozenset[str] = frozenset()
+    sampled: Callable[[Array], Array] | None = None
+    carried: Array | None = None
 
     __repr__ = short_repr
 
