@@ -107,11 +107,13 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     still = rows_of(sensor, named("specific_force", force), len(t))
     now = values_of(seen.numbers, {})
     moved = batch.value(now, at) - batch.value(now, still)
+    there = np.where(np.all(np.isfinite(at), axis=1)[:, None, None], np.ones((1, 3, 1)), np.nan)
     found = []
     for kind, values, outputs, sampled in groups:
         names, cutoff = tuple(f"pose_{c}" for c in kind.columns), kind.cutoff_hz(v)
         taken = sampled(values[:, :, None])[:, :, 0]
-        readings = measured(names, kind.unit, t, taken, known, band, cutoff)
+        shown = np.all(np.isfinite(sampled(there)), axis=(1, 2))
+        readings = measured(names, kind.unit, t, taken, known & shown, band, cutoff)
         if readings is None:
             continue
         reach = reaching(kind.component) | moving(seen, (*PLACE, *TURN, kind.signal))

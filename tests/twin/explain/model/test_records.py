@@ -203,6 +203,22 @@ def test_few_samples_are_no_average(attitude: int, velocity: int) -> None:
     assert found[names[1]] < 1e-5
 
 
+@pytest.mark.slow
+def test_what_is_known_later_than_the_pose_leaves_no_hole() -> None:
+    """Samples of the pose before that count for nothing, and no number becomes unknown."""
+    flight = thinned(thinned(recorded(), QUAT, 5), (*VEL, *POS), 10)
+    table = flight.table
+    commands = [c for c in table if str(c).startswith("cmd_")]
+    table.loc[table["time"] < 4.02, commands] = np.nan
+    model = seen(flight, "imu_lever_arm", "gyro_scale", "accel_scale")
+    (channels,) = model.channels(range(len(model.numbers)), {"imu_lever_arm.x_m": 0.02})
+    posed = [c for c in channels if c.name.startswith("pose_")]
+    assert len(posed) == 6
+    for channel in posed:
+        assert np.all(np.isfinite(channel.residual)) and np.all(np.isfinite(channel.slopes))
+        assert channel.t_s[0] > 4.0
+
+
 def shaking(t: NDArray[np.float64]) -> NDArray[np.float64]:
     """To and fro, about once per second."""
     ramp, w = np.sin(np.pi * np.clip(t / 10.0, 0, 1)) ** 2, 2 * np.pi * t
