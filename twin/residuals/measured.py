@@ -392,7 +392,7 @@ def as_sampled(values: Array, t_s: Array, signal: AnySignal, derivative: int = 0
     whole = CubicSpline(t_s[known], values[known])
     if derivative:
         whole = whole.antiderivative(derivative)
-    there = signal.between(float(t_s[known][0]), float(t_s[known][-1]))
+    there = signal.between(float(t_s[known][0]) - 1e-9, float(t_s[known][-1]) + 1e-9)
     found = smooth_at(Signal(there.t_s, whole(there.t_s)), t_s, derivative)
     found[~known] = np.nan
     return found
