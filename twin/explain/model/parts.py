@@ -13,8 +13,9 @@ from ...logs import Flight
 from ...logs.columns import ACC_NED
 from ...representation import short_repr
 from ...residuals.aligned import AlignedFlight
+from ...residuals.at_samples import smooth_at
 from ...residuals.channels import Measured
-from ...residuals.measured import AnySignal, Signal, smooth_at
+from ...residuals.measured import AnySignal, Signal
 from ...vehicle import Vehicle
 from .numbers import Number
 from .prediction import SensorBatch

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...component import Component
 from ...physics.sensors.table import BODY, SENSORS, Sensor
 from ...residuals.aligned import AlignedFlight
+from ...residuals.at_samples import as_sampled, smooth_at, turning_at
 from ...residuals.channels import (
     POSE_BAND_HZ,
     measured,
@@ -17,7 +18,7 @@ from ...residuals.channels import (
     shifted,
 )
 from ...residuals.imu import OF_IMU, imu_readings, prompt_imu
-from ...residuals.measured import AnySignal, Signal, as_sampled, smooth_at, turning_at
+from ...residuals.measured import AnySignal, Signal
 from .numbers import DRIVES, PLACE, TURN, values_of
 from .parts import (
     Part,

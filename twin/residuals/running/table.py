@@ -175,6 +175,7 @@ def _joined(portions: Sequence[Rows]) -> Rows:
     """Portions that follow each other, as one; a column that some lack is empty there."""
 
     def part(rows: Rows, column: str) -> NDArray[Any]:
+        """The column of a portion."""
         if column in rows:
             return rows[column]
         n = len(rows["time"])

@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.frames import from_euler
-from twin.residuals.measured import Signal, as_sampled, rates_of, smooth_at, turning_at
+from twin.residuals.at_samples import as_sampled, smooth_at, turning_at
+from twin.residuals.measured import Signal, rates_of
 
 T_S = np.arange(2000, dtype=np.float64) * np.float64(0.005)
 
