@@ -45,7 +45,7 @@ LOCAL = {
         "model.flight.SMALL",
         "model.flight.TIME_STEP_S",
         "model.numbers.STEPS",
-        "model.sensors.AGE_S",
+        "model.pose.AGE_S",
         "model.trajectory.REMEMBERED",
         "inference.bounds.EDGE",
         "inference.evidence.HALVINGS",

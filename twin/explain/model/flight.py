@@ -29,8 +29,9 @@ from ...vehicle import Vehicle
 from .motion import motion_parts
 from .numbers import DRIVES, PLACE, TURN, Number, age_of, values_of
 from .parts import Seen
+from .pose import pose_parts
 from .prediction import Physics
-from .sensors import imu_parts, other_parts, pose_parts
+from .sensors import imu_parts, other_parts
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
