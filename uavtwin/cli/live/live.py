@@ -93,7 +93,7 @@ Model = Annotated[
     ),
 ]
 Alarms = Annotated[
-    bool, typer.Option(help="Say which effect begins in flight; costs some 5 % of a core.")
+    bool, typer.Option(help="Say which effect begins in flight; costs some 2 % of a core.")
 ]
 
 
