@@ -9,12 +9,9 @@ from pathlib import Path
 
 import pytest
 from import_graph import (
-    MAX_MODULES,
     Tree,
     circles,
-    full_folders,
     imports_of,
-    prefixes,
     private_uses,
     read_layers,
     read_tree,
@@ -26,7 +23,6 @@ from places import ROOT
 
 SHIPPED = ("twin", "learning", "fmus", "cosim", "uavtwin")
 PACKAGES = (*SHIPPED, "benchmarks")
-FOLDERS = (*PACKAGES, "tests", "examples", "docs")
 CHECKING = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
 LAYERS = read_layers((ROOT / "docs" / "dev" / "architecture.md").read_text())
 
@@ -69,14 +65,6 @@ def test_torch_is_in_learning_alone() -> None:
 @pytest.mark.slow
 def test_private_names_stay_at_home() -> None:
     assert private_uses(tree()) == []
-
-
-def test_folders_fit_on_a_page() -> None:
-    assert full_folders(ROOT, FOLDERS) == []
-
-
-def test_no_prefix_stands_for_a_folder() -> None:
-    assert prefixes(ROOT, FOLDERS) == []
 
 
 def test_test_modules_have_names_of_their_own() -> None:
@@ -197,13 +185,8 @@ def test_private_names_are_found(tmp_path: Path) -> None:
     ]
 
 
-def test_full_folders_prefixes_and_markers_are_found(tmp_path: Path) -> None:
-    names = [f"m{i}" for i in range(MAX_MODULES - 3)]
-    made_up(tmp_path, {f"p/{n}.py": "" for n in (*names, "slow", "slow_a", "other")})
-    assert full_folders(tmp_path, ["p"]) == prefixes(tmp_path, ["p"]) == []
-    made_up(tmp_path, {"p/slow_b.py": "", "q/test_slow_b.py": "", "q/in/slow_b.py": ""})
-    assert full_folders(tmp_path, ["p", "q"]) == ["p holds 16 modules, 15 are enough"]
-    assert prefixes(tmp_path, ["p", "q"]) == ["p: 3 modules begin with slow: make it a folder"]
+def test_missing_markers_are_found(tmp_path: Path) -> None:
+    made_up(tmp_path, {"p/a.py": ""})
     assert untyped_packages(tmp_path, ["p"]) == ["p has no py.typed"]
     (tmp_path / "p" / "py.typed").touch()
     assert untyped_packages(tmp_path, ["p"]) == []

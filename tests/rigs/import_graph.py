@@ -4,16 +4,11 @@ Every function takes the root of a tree and returns what is wrong with it, one s
 """
 
 import ast
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-
-MAX_MODULES = 15
-"""In one folder, `__init__.py` not counted."""
-MAX_ALIKE = 2
-"""Modules of one folder that may begin with the same word and _."""
 
 
 @dataclass(frozen=True)
@@ -153,28 +148,6 @@ def private_uses(tree: Tree) -> list[str]:
     return wrong
 
 
-def full_folders(root: Path, folders: Iterable[str]) -> list[str]:
-    """Folders with more modules than `MAX_MODULES`."""
-    return [
-        f"{folder.relative_to(root)} holds {len(modules)} modules, {MAX_MODULES} are enough"
-        for folder, modules in _modules(root, folders).items()
-        if len(modules) > MAX_MODULES
-    ]
-
-
-def prefixes(root: Path, folders: Iterable[str]) -> list[str]:
-    """Prefixes that stand for a folder: more than `MAX_ALIKE` modules begin with the same word."""
-    wrong = []
-    for folder, modules in _modules(root, folders).items():
-        words = Counter(m.removeprefix("test_").partition("_")[0] for m in modules)
-        wrong += [
-            f"{folder.relative_to(root)}: {n} modules begin with {word}: make it a folder"
-            for word, n in words.items()
-            if n > MAX_ALIKE
-        ]
-    return wrong
-
-
 def shared_names(root: Path, folder: str) -> list[str]:
     """Names of test modules and rigs that are there twice below a folder that is no package."""
     places = defaultdict(list)
@@ -255,13 +228,3 @@ def _private(name: str) -> bool:
 
 def _in(module: str, package: str) -> bool:
     return not package or module == package or module.startswith(f"{package}.")
-
-
-def _modules(root: Path, folders: Iterable[str]) -> dict[Path, list[str]]:
-    """Names of the modules in each folder."""
-    found: dict[Path, list[str]] = defaultdict(list)
-    for folder in folders:
-        for file in sorted((root / folder).rglob("*.py")):
-            if file.name != "__init__.py":
-                found[file.parent].append(file.stem)
-    return found
