@@ -51,17 +51,38 @@ class Master:
         self.system, self._board = system, board
         self.slaves: list[Slave] = []
         self._ready = False
+        self._record = record
         try:
-            for name, path in system.fmus.items():
-                slave = Slave(name, path) if board is None else ToldSlave(name, path, board)
-                self.slaves.append(slave)
+            for name in system.fmus:
+                self.slaves.append(self._instance(name))
             system.check({s.name: s.interface for s in self.slaves})
-            self._bus = Bus(system, {s.name: s for s in self.slaves}, record)
-            self._stepping = Stepping(self._bus)
+            self._connect()
         except BaseException:
             self.close()
             raise
         self.record_names = self._bus.recorded
+
+    def _instance(self, name: str) -> Slave:
+        path = self.system.fmus[name]
+        return Slave(name, path) if self._board is None else ToldSlave(name, path, self._board)
+
+    def _connect(self) -> None:
+        """Bus and algorithms over the present instances, whose addresses they hold."""
+        self._bus = Bus(self.system, {s.name: s for s in self.slaves}, self._record)
+        self._stepping = Stepping(self._bus)
+
+    def _reset(self) -> None:
+        """Put all slaves into the instantiated state; what cannot be reset is made anew."""
+        renewed = False
+        for i, s in enumerate(self.slaves):
+            try:
+                s.reset()
+            except FmuError:
+                s.close()
+                self.slaves[i] = self._instance(s.name)
+                renewed = True
+        if renewed:
+            self._connect()
 
     def initialize(
         self,
@@ -69,7 +90,7 @@ class Master:
         starts: Mapping[str, float] | None = None,
         stop_time_s: float | None = None,
     ) -> None:
-        """Reset, set start values and initialise all slaves at a time.
+        """Set start values and initialise all slaves at a time, after a run from its beginning.
 
         Args:
             start_time_s: Time of the first communication point; None: the system's.
@@ -86,8 +107,8 @@ class Master:
             slave, variable = self.system.split(name)
             values[slave][variable] = value
         self._ready = False
+        self._reset()
         for s in self.slaves:
-            s.reset()
             s.initialize(start_s, values[s.name], stop_time_s)
         for s in self.slaves:
             s.read_outputs()  # where the solution of loops starts

@@ -23,6 +23,10 @@ the smallest normal number if TINY + TINY is not 0. Variables, which are added w
 for; not a function, whose call would cost a step as much as the sums."""
 
 
+_FENV_BYTES = 256
+"""No less than the size of C99's `fenv_t`, the floating-point environment of a thread."""
+
+
 class Board:
     """The written side: a header and a table in one file.
 
@@ -36,6 +40,9 @@ class Board:
         self._file, self._pid = file, os.getpid()
         self._memory = _mapped(file, HEADER)
         self._numbers: dict[str, int] = {}
+        self._arithmetic = ctypes.create_string_buffer(_FENV_BYTES)
+        self._libm = ctypes.CDLL(None)
+        self._libm.fegetenv(self._arithmetic)
         self.call = ctypes.c_int64.from_buffer(self._memory, _CALL)
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
@@ -56,34 +63,15 @@ class Board:
             os._exit(0)
 
     def told(self, who: str, function: str, call: Callable[[], Any]) -> "Told":
-        """A call that is told before; what it does to this process is not looked for."""
-        return Told(self, self._number(f"{who}\n{function}"), call)
+        """A call that is told before; whether it changed how this process calculates is looked for
+        after."""
+        return Told(self, who, function, call)
 
-    def watched(self, who: str, function: str, call: Callable[[], Any]) -> Callable[[], Any]:
-        """The same, and whether it changed how this process calculates is looked for after.
+    def restore_arithmetic(self) -> None:
+        """Round and treat small numbers as before the first call of an FMU."""
+        self._libm.fesetenv(self._arithmetic)
 
-        Raises, when it is called:
-            FmuError: The FMU changed how this process calculates.
-        """
-        told = self.told(who, function, call)
-
-        def _call() -> Any:
-            result = told()
-            if ONE + QUARTER + MORE == FOLLOWING and TINY + TINY:
-                return result
-            raise self.spoilt(who, function)
-
-        return _call
-
-    def spoilt(self, who: str, function: str) -> FmuError:
-        """Where a call has changed how this process calculates."""
-        return FmuError(
-            f"{who}: {function} at {self.clock.value:g} s: changed how the processor rounds "
-            f"or treats small numbers, and with that the results of others. Ask who made the "
-            f"FMU."
-        )
-
-    def _number(self, text: str) -> int:
+    def number(self, text: str) -> int:
         """Of a call, from 1 on; those beyond the last have no name."""
         number = self._numbers.setdefault(text, len(self._numbers) + 1)
         if number <= _MOST_NAMES:
@@ -101,15 +89,33 @@ class Told:
         bare: The call alone, for a loop that writes the number itself.
     """
 
-    def __init__(self, board: Board, number: int, bare: Callable[[], Any]) -> None:
-        self._slot, self.number, self.bare = board.call, number, bare
+    def __init__(self, board: Board, who: str, function: str, bare: Callable[[], Any]) -> None:
+        self._board, self._slot, self.bare = board, board.call, bare
+        self._who, self._function = who, function
+        self.number = board.number(f"{who}\n{function}")
 
     def __call__(self) -> Any:
-        """Make the call."""
+        """Make the call.
+
+        Raises:
+            FmuError: The FMU changed how this process calculates.
+        """
         self._slot.value = self.number
         result = self.bare()
         self._slot.value = -self.number
-        return result
+        if ONE + QUARTER + MORE == FOLLOWING and TINY + TINY:
+            return result
+        raise self.spoilt()
+
+    def spoilt(self) -> FmuError:
+        """Error for a call that has changed how this process calculates, which is undone: what
+        others do from here on, and the end of the run, is not held against them."""
+        self._board.restore_arithmetic()
+        return FmuError(
+            f"{self._who}: {self._function} at {self._board.clock.value:g} s: changed how the "
+            f"processor rounds or treats small numbers, and with that the results of others. Ask "
+            f"who made the FMU."
+        )
 
 
 def _mapped(file: int, size: int, offset: int = 0) -> mmap.mmap:

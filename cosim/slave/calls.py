@@ -63,11 +63,7 @@ class Library:
         call = partial(self._dll[full], self._component, *arguments)
         if self._board is None:
             return call
-        # What an FMU does to this process while it moves values shows after its next step, where
-        # `ToldSlave` looks for it.
-        moves = function.startswith(("Get", "Set", "DoStep"))
-        kind = self._board.told if moves else self._board.watched
-        return kind(self._who, full, call)
+        return self._board.told(self._who, full, call)
 
     def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:
         """A get or set function of variables."""

@@ -61,7 +61,7 @@ class Slave:
         self._fmu = self._instantiate()
         self.library = Library(self._fmu, self.interface.fmi, self._who, board)
         self._saved: set[SavedState] = set()
-        self._running = self._dead = False
+        self._fresh, self._running, self._dead = True, False, False
         self.bind([], [], np.zeros(0), np.zeros(0))
 
     # -- life cycle -----------------------------------------------------------------------
@@ -116,6 +116,7 @@ class Slave:
     ) -> None:
         """Enter initialisation at a time with start values; `finish_initialization` ends it."""
         self.library.clock.value = start_time_s
+        self._fresh = False
         times = {"startTime": start_time_s, "stopTime": stop_time_s}
         enter: Callable[..., Any] = self._fmu.enterInitializationMode
         if self.interface.fmi == 2:
@@ -130,9 +131,20 @@ class Slave:
         self._running = True
 
     def reset(self) -> None:
-        """Back to the instantiated state, start values of the FMU."""
+        """Back to the instantiated state, with the start values of the FMU.
+
+        An instance that has not been initialised is in that state and is not reset: some FMUs
+        fail there (fmi2Reset, fmi3Reset before the first use).
+
+        Raises:
+            FmuError: The FMU cannot be reset: only a new instance is in that state.
+        """
+        if self._fresh:
+            return
+        if self._dead:
+            raise self._error("reset", "not allowed after a fatal error.")
         self._checked("reset", self._fmu.reset)
-        self._running = False
+        self._fresh, self._running = True, False
 
     def close(self) -> None:
         """Free the instance, its saved states, its library and its unpacked files."""
@@ -265,7 +277,7 @@ class Slave:
 
     def _call(self, what: str, call: Callable[[], Any]) -> Any:
         """A call by way of FMPy."""
-        return call() if self._board is None else self._board.watched(self._who, what, call)()
+        return call() if self._board is None else self._board.told(self._who, what, call)()
 
     def _said(self, fallback: str) -> str:
         text = "; ".join(self._messages) or fallback

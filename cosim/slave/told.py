@@ -29,7 +29,11 @@ class ToldSlave(Slave):
         self._doing = doing.number, -doing.number, doing.bare
 
     def write_inputs(self) -> None:
-        """See `Slave.write_inputs`."""
+        """See `Slave.write_inputs`.
+
+        Raises:
+            FmuError: The FMU failed, or changed how this process calculates.
+        """
         slot, moves = self._slot, self._moves_in
         for number, returned, set_, buffer, positions in moves:
             if positions is not None:
@@ -40,9 +44,15 @@ class ToldSlave(Slave):
                 self.judge(status, "set inputs")
         if moves:
             slot.value = returned  # from the last of them
+            if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
+                raise cast(Told, self._setters[-1][0]).spoilt()
 
     def read_outputs(self) -> None:
-        """See `Slave.read_outputs`."""
+        """See `Slave.read_outputs`.
+
+        Raises:
+            FmuError: The FMU failed, or changed how this process calculates.
+        """
         slot, moves = self._slot, self._moves_out
         for number, returned, get, buffer, positions in moves:
             slot.value = number
@@ -53,6 +63,8 @@ class ToldSlave(Slave):
                 self.outputs[positions] = buffer
         if moves:
             slot.value = returned  # from the last of them
+            if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
+                raise cast(Told, self._getters[-1][0]).spoilt()
 
     def step(self, time_s: float, step_s: float) -> None:
         """See `Slave.step`.
@@ -68,8 +80,7 @@ class ToldSlave(Slave):
         status = call()
         slot.value = returned
         if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
-            assert self._board is not None
-            raise self._board.spoilt(self._who, f"fmi{self.interface.fmi}DoStep")
+            raise cast(Told, step.call).spoilt()
         if status or step.flags.value:
             self._judge_step(status)
 

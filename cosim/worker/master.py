@@ -33,9 +33,14 @@ class WorkerMaster:
         Raises:
             FmuError: As `Master`, or an FMU ended the worker.
         """
-        self.system = system
+        self.system, self._record_only, self._limits = system, record, limits or Limits()
         self._last: Recording | None = None
-        self._process = Process(limits or Limits())
+        self._start()
+
+    def _start(self) -> None:
+        """A worker with all FMUs loaded."""
+        system, record = self.system, self._record_only
+        self._process = Process(self._limits)
         try:
             self.record_names = tuple(
                 self._ask(
@@ -59,18 +64,25 @@ class WorkerMaster:
         starts: Mapping[str, float] | None = None,
         stop_time_s: float | None = None,
     ) -> None:
-        """See `Master.initialize`.
+        """See `Master.initialize`; a new worker takes the place of one that a reset ended.
 
         Raises:
             FmuError: As there, or an FMU ended the worker.
         """
         self._process.begin()
-        self._ask(
-            "initialize",
-            start_time_s=start_time_s,
-            starts=None if starts is None else dict(starts),
-            stop_time_s=stop_time_s,
-        )
+        arguments = {
+            "start_time_s": start_time_s,
+            "starts": None if starts is None else dict(starts),
+            "stop_time_s": stop_time_s,
+        }
+        try:
+            self._ask("initialize", **arguments)
+        except FmuError:
+            if self._process.running or self._process.notice().function != "reset":
+                raise
+            self._process.forget()
+            self._start()
+            self._ask("initialize", **arguments)
         self._start_s = self.system.start_time_s if start_time_s is None else start_time_s
 
     def run(

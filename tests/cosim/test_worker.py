@@ -262,6 +262,67 @@ def test_interruption_keeps_what_was_recorded(bad: Path) -> None:
             master.initialize()
 
 
+CALCULATES_OTHERWISE = {
+    "Instantiate": "instantiate",
+    "SetReal": "start values",
+    "EnterInitializationMode": "enterInitializationMode",
+    "GetReal": "fmi2GetReal",
+    "FreeInstance": "freeInstance",
+}
+"""Function that changes the rounding -> how errors name the call."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("function", CALCULATES_OTHERWISE)
+def test_who_changed_the_rounding_is_named(bad: Path, function: str, first: bool) -> None:
+    """In any call, and wherever in the system it stands: no other FMU is blamed for it."""
+    who = f"rounds_in_{function}"
+    names = [who, "fine"] if first else ["fine", who]
+    system = System({name: bad for name in names}, starts={f"{who}.bad": 0.0})
+    call = CALCULATES_OTHERWISE[function]
+    expected = rf"^{who} \(bad\.fmu\): {call} at .* changed how the processor rounds"
+    with pytest.raises(FmuError, match=expected), WorkerMaster(system, limits=PATIENT) as master:
+        master.initialize()
+        master.run(1.0, 0.1)
+
+
+# -- beginning again ------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["fine", "reset_later", "reset_later_or_segv", "reset_never"])
+def test_only_what_has_run_is_reset(bad: Path, kind: str) -> None:
+    """An FMU that fails or crashes in a reset before its first use runs, as often as wanted; one
+    that can never be reset is instantiated anew."""
+    for make in (Master, WorkerMaster):
+        with make(System({kind: bad}, starts={f"{kind}.bad": 0.0})) as master:
+            for _ in range(3):
+                master.initialize()
+                assert master.run(1.0, 0.1).values.ravel().tolist() == list(range(11))
+
+
+@pytest.mark.slow
+def test_a_reset_that_ends_its_process(bad: Path) -> None:
+    """A new process takes its place."""
+    with WorkerMaster(System({"reset_segv": bad}, starts={"reset_segv.bad": 0.0})) as master:
+        for _ in range(2):
+            master.initialize()
+            assert master.run(1.0, 0.1).values.ravel().tolist() == list(range(11))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["error", "fatal", "fatal_reset_never"])
+def test_beginning_again_after_a_failure(bad: Path, kind: str) -> None:
+    """After an error the instance may be reset, after a fatal one it may not be called."""
+    with Master(System({kind: bad})) as master:
+        master.initialize()
+        with pytest.raises(RunError, match=r"step at 0\.4 s"):
+            master.run(1.0, 0.1)
+        master.initialize(starts={f"{kind}.bad": 0.0})
+        assert master.run(1.0, 0.1).values.ravel().tolist() == list(range(11))
+
+
 # -- FMUs that behave -----------------------------------------------------------------------
 
 
@@ -318,6 +379,23 @@ def test_the_same_bits_as_in_this_process(
         found = rows(there, algorithm)
         assert found == rows(here, algorithm)
     assert len({values for _, _, values, _, _ in found}) == len(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algorithm", ["settled", "gauss_seidel"])
+def test_instances_made_anew_are_those_that_run(
+    ring: Callable[[bool], System], algorithm: Algorithm
+) -> None:
+    """Loops, directional derivatives and saved states of a run are those of its instances."""
+    system = ring(True)
+    stubborn = altered(
+        system.fmus["f"],
+        f"stubborn_{algorithm}.fmu",
+        source={"core_reset(c);": "return fmi2Error;"},
+    )
+    again = replace(system, fmus={**system.fmus, "f": stubborn})
+    with Master(system) as plain, Master(again) as renewed:
+        assert rows(renewed, algorithm) == rows(plain, algorithm)
 
 
 @pytest.mark.slow

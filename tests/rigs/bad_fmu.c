@@ -22,7 +22,7 @@
 
 static char kind[64];
 static const fmi2CallbackFunctions *host;
-static int steps, slow;
+static int steps, slow, began;
 static double y, bad = 1;
 
 static int is(const char *name) { return strcmp(kind, name) == 0; }
@@ -37,6 +37,10 @@ static void grow(void) {
         memset(block, 1, 1 << 24);
     }
 }
+/* Rounds down from the call that the name ends with on: "rounds_in_Instantiate". */
+static void round_in(const char *call) {
+    if (strncmp(kind, "rounds_in_", 10) == 0 && strcmp(kind + 10, call) == 0) fesetround(FE_DOWNWARD);
+}
 static void survive(int number) { (void)number; }
 
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String location,
@@ -44,6 +48,8 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     (void)type; (void)guid; (void)location; (void)visible; (void)logging;
     host = callbacks;
     strncpy(kind, name, sizeof kind - 1);
+    steps = 0, y = 0, bad = 1;
+    round_in("Instantiate");
     if (is("wrong_guid")) { say("the GUID is another"); return NULL; }
     if (is("loop_in_instantiate")) for (;;) {}
     if (is("exit_in_instantiate")) exit(0);
@@ -65,7 +71,7 @@ static fmi2Status bad_step(void) {
     if (is("inf")) y = INFINITY;
     if (is("error")) { say("this went wrong"); return fmi2Error; }
     if (is("discard") || is("negative_time")) return fmi2Discard;
-    if (is("fatal")) return fmi2Fatal;
+    if (is("fatal") || is("fatal_reset_never")) return fmi2Fatal;
     if (is("pending")) return fmi2Pending;
     if (is("unknown_status")) return (fmi2Status)77;
     if (is("memory")) grow();
@@ -103,6 +109,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean back)
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[]) {
     (void)c; (void)vr;
+    round_in("GetReal");
     if (is("exit_in_get") && steps == BAD_STEP) exit(0);
     for (size_t i = 0; i < n; i++) value[i] = y;
     return fmi2OK;
@@ -110,6 +117,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[]) {
     (void)c;
+    round_in("SetReal");
     for (size_t i = 0; i < n; i++) if (vr[i] == 1) bad = value[i];
     return fmi2OK;
 }
@@ -122,6 +130,8 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
     (void)c;
+    began = 1; /* from here on fmi2Reset has something to do */
+    round_in("EnterInitializationMode");
     if (is("segv_in_initialization")) *(volatile int *)8 = 1;
     if (is("nan_at_start")) y = NAN;
     return fmi2OK;
@@ -136,10 +146,18 @@ fmi2Status fmi2Terminate(fmi2Component c) {
 
 void fmi2FreeInstance(fmi2Component c) {
     (void)c;
+    round_in("FreeInstance");
     if (is("segv_in_free")) *(volatile int *)8 = 1;
 }
 
-fmi2Status fmi2Reset(fmi2Component c) { (void)c; steps = 0; y = 0; bad = 1; return fmi2OK; }
+fmi2Status fmi2Reset(fmi2Component c) {
+    (void)c;
+    int first = !began, never = is("reset_never") || is("fatal_reset_never");
+    if ((is("reset_later") && first) || never) { say("cannot be reset"); return fmi2Error; }
+    if ((is("reset_later_or_segv") && first) || is("reset_segv")) *(volatile int *)8 = 1;
+    steps = 0; y = 0; bad = 1; began = 0;
+    return fmi2OK;
+}
 const char *fmi2GetTypesPlatform(void) { return "default"; }
 const char *fmi2GetVersion(void) { return "2.0"; }
 #define FINE(name, ...) fmi2Status name(__VA_ARGS__) { return fmi2OK; }
