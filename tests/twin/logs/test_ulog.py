@@ -16,6 +16,7 @@ from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
 from twin.logs.clock import advancing
 from twin.logs.columns import motor_columns
+from twin.logs.outputs import MotorOutput
 from twin.logs.px4.log import Topic
 from twin.logs.px4.outputs import Outputs
 from twin.logs.px4.rebuild import Match, compare
@@ -278,8 +279,8 @@ def match_of(logged_us: Sequence[Sequence[float]], cmd: Sequence[Sequence[float]
     """Of logged pulse widths and rebuilt commands at the same times, range 1000 to 2000 us."""
     t_us = 100_000 * np.arange(len(logged_us), dtype=np.int64)
     topic = cast(Topic, SimpleNamespace(t_us=t_us))
-    low, high = np.full(2, 1000.0), np.full(2, 2000.0)
-    outputs = Outputs(topic, np.array(logged_us, dtype=float), low, high)
+    motors = tuple(MotorOutput(k, "", "us", 1000.0, 2000.0, "") for k in (1, 2))
+    outputs = Outputs(topic, np.array(logged_us, dtype=float), motors)
     return compare(outputs, t_us, np.array(cmd), np.ones(len(t_us), dtype=np.bool_))
 
 

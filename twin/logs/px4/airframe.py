@@ -148,12 +148,10 @@ def _pulse(log: Px4Log) -> Told[tuple[float, float]] | None:
     noted = len(log.findings)
     outputs: Outputs | None = logged_outputs(log)
     del log.findings[noted:]  # the reader of the commands has said them
-    if outputs is None:
+    if outputs is None or any(m.unit != "us" for m in outputs.motors):
         return None
-    low, high = float(outputs.low_us[0]), float(outputs.high_us[0])
-    named = any(k.startswith("PWM_") and k.endswith("MAX") for k in log.params)
-    where = "PWM_MAIN_MIN and PWM_MAIN_MAX of the log" if named else "the log has no PWM range"
-    return Told((low, high), where)
+    first = outputs.motors[0]
+    return Told((first.low, first.high), f"{first.source} of the log")
 
 
 def _cells(log: Px4Log) -> Told[Cells] | None:

@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
+from ..outputs import MotorOutput, described
 from .log import Px4Log
 from .outputs import MotorCommands, Outputs, logged_outputs
 from .rebuild import MATCH_GOAL_US, CannotRebuildError, rebuild
 
 _ENOUGH_HZ = 100.0
+_BACKWARD = 0.01
 _ABSURD = 3.0  # a pulse width of 0 us, of motors that are off, is -1 or -2
 
 
@@ -22,17 +25,26 @@ def from_px4_commands(log: Px4Log, rebuild: bool | None) -> MotorCommands | None
 
 
 def _from_motors(log: Px4Log) -> MotorCommands | None:
-    """`actuator_motors` (PX4 1.13 and later): commands as they are."""
+    """`actuator_motors` (PX4 1.13 and later): thrust of motor i in control[i - 1], made a command
+    by the thrust curve of THR_MDL_FAC as the output drivers do.
+
+    Source: PX4, lib/mixer_module/functions/FunctionMotors.hpp.
+    """
     topic = log.topic("actuator_motors", 0, "control[0]", "control[1]", "control[2]")
     if topic is None:
         return None
-    fields = [f"control[{k}]" for k in range(12) if topic.has(f"control[{k}]")]
+    fields = [f"control[{k}]" for k in range(MAX_MOTORS) if topic.has(f"control[{k}]")]
     control = topic.columns(fields)
-    used = [k for k in range(len(fields)) if not np.isnan(control[:, k]).all()]
-    if len(used) < 3:
+    used = [k for k in range(len(fields)) if np.nanmax(np.abs(control[:, k]), initial=0.0) > 0.0]
+    if len(used) < MIN_MOTORS:
         log.note("warning", "cmd", f"actuator_motors has values for {len(used)} motors: not used")
         return None
-    control = control[:, used]
+    count = int(log.params.get("CA_ROTOR_COUNT", 0.0))
+    if not MIN_MOTORS <= count <= len(fields):
+        count = used[-1] + 1
+    if idle := [str(k + 1) for k in range(count) if k not in used]:
+        log.note("warning", "cmd", f"no value for motor {', '.join(idle)} of {count}: taken as 0")
+    control = control[:, :count]
     stopped = np.isnan(control)
     alone = int(stopped[~stopped.all(axis=1)].sum())
     if alone:
@@ -40,8 +52,34 @@ def _from_motors(log: Px4Log) -> MotorCommands | None:
         log.note("warning", "cmd", text, alone)
     if together := int(stopped.sum()) - alone:
         log.note("info", "cmd", "values NaN in actuator_motors mean stopped, taken as 0", together)
-    cmd = _clipped(log, np.where(stopped, 0.0, control), "actuator_motors")
-    return MotorCommands(topic.t_us, cmd, {"commands": f"actuator_motors, {topic.rate_hz:.0f} Hz"})
+    control = np.where(stopped, 0.0, control)
+    backward = int(np.count_nonzero(control < -_BACKWARD))
+    if backward and topic.has("reversible_flags") and topic.data["reversible_flags"].any():
+        text = (
+            "values of motors that turn backward (reversible_flags), which is not known: set to 0"
+        )
+        log.note("error", "cmd", text, backward)
+    cmd = _clipped(log, _through_curve(log, control), "actuator_motors")
+    outputs = [
+        MotorOutput(k + 1, f"actuator_motors control[{k}]", "", 0.0, 1.0, "number of the field")
+        for k in range(count)
+    ]
+    rate = f"actuator_motors, {topic.rate_hz:.0f} Hz"
+    return MotorCommands(topic.t_us, cmd, {"commands": rate, "motors": described(outputs)})
+
+
+def _through_curve(log: Px4Log, thrust: Array) -> Array:
+    """Command of a thrust: thrust = f u^2 + (1 - f) u with f = THR_MDL_FAC."""
+    factor = log.params.get("THR_MDL_FAC", 0.0)
+    if not 0.0 < factor <= 1.0:
+        return thrust
+    log.note(
+        "info",
+        "cmd",
+        f"actuator_motors is thrust; made a command by THR_MDL_FAC {factor:.3g}, as its drivers do",
+    )
+    half = (1.0 - factor) / (2.0 * factor)
+    return np.asarray(np.sqrt(half**2 + np.maximum(thrust, 0.0) / factor) - half)
 
 
 def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
@@ -65,6 +103,7 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
         )
     cmd = _clipped(log, outputs.cmd, "actuator_outputs")
     facts["commands"] = f"actuator_outputs, {rate:.0f} Hz"
+    facts["motors"] = described(outputs.motors)
     return MotorCommands(outputs.topic.t_us, cmd, facts)
 
 
@@ -98,6 +137,7 @@ def _rebuilt(log: Px4Log, outputs: Outputs, asked: bool) -> MotorCommands:
     facts = {
         "commands": f"rebuilt from gyro and rate setpoints, {rate:.0f} Hz",
         "commands_match": told,
+        "motors": described(outputs.motors),
     }
     return MotorCommands(commands.t_us, commands.cmd, facts)
 

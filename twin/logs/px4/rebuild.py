@@ -84,6 +84,8 @@ def rebuild(log: Px4Log, outputs: Outputs) -> tuple[MotorCommands, Match]:
         CannotRebuildError: The log lacks something; the text says what.
     """
     _check_options(log)
+    if any(m.unit == "CAN" for m in outputs.motors):
+        raise CannotRebuildError("the outputs are CAN values, whose resolution is not known here")
     gyro = _gyro(log)
     controls = _topic(log, "actuator_controls_0", *(f"control[{k}]" for k in range(4)))
     mixer = Mixer(
@@ -107,20 +109,20 @@ def compare(
     outputs: Outputs, t_us: NDArray[np.int64], cmd: Array, flying: NDArray[np.bool_]
 ) -> Match:
     """Root mean square of logged minus rebuilt pulse width, us per motor, while flying."""
-    inside = flying & np.isfinite(outputs.pwm_us).all(axis=1)
+    inside = flying & np.isfinite(outputs.values).all(axis=1)
     inside &= (outputs.topic.t_us >= t_us[0]) & (outputs.topic.t_us <= t_us[-1])
     n_motors = cmd.shape[1]
     if not inside.any():
         return Match(np.full(n_motors, np.nan), 0.0, 0)
     at = outputs.topic.t_us[inside]
     rebuilt = np.column_stack([np.interp(at, t_us, cmd[:, k]) for k in range(n_motors)])
-    width = outputs.low_us + rebuilt * (outputs.high_us - outputs.low_us)
-    logged = outputs.pwm_us[inside]
+    width = outputs.low + rebuilt * (outputs.high - outputs.low)
+    logged = outputs.values[inside]
     residual = logged - np.floor(width)
     at_limit = [
         (np.abs(one - limit) < 1) & (np.abs(other - limit) > MISS_US)
         for one, other in ((logged, width), (width, logged))
-        for limit in (outputs.low_us, outputs.high_us)
+        for limit in (outputs.low, outputs.high)
     ]
     limited = float(np.mean(np.any(at_limit, axis=(0, 2))))
     return Match(np.sqrt(np.mean(residual**2, axis=0)), limited, int(inside.sum()))
@@ -346,7 +348,7 @@ def _latency_us(outputs: Outputs, controls: Topic) -> int:
 
 def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
     """Mixer of the airframe, checked on logged controls and outputs of the same instant."""
-    motors = outputs.pwm_us.shape[1]
+    motors = outputs.values.shape[1]
     known = airframe_mixer(log.params.get("SYS_AUTOSTART", 0.0))
     names: Sequence[str] = [known] if known else mixer_names(motors)
     pair, index = _paired(outputs, controls)
@@ -361,8 +363,8 @@ def _scale(log: Px4Log, outputs: Outputs, controls: Topic) -> Array:
             int(log.params.get("MC_AIRMODE", 0)),
             log.params.get("THR_MDL_FAC", 0.0),
         )
-        width = outputs.low_us + mix(control, mixer) * (outputs.high_us - outputs.low_us)
-        off_us = float(np.median(np.abs(outputs.pwm_us[pair] - np.floor(width))))
+        width = outputs.low + mix(control, mixer) * (outputs.high - outputs.low)
+        off_us = float(np.median(np.abs(outputs.values[pair] - np.floor(width))))
         if off_us < best_us:
             best, best_us = name, off_us
     airframe = f"SYS_AUTOSTART {log.params.get('SYS_AUTOSTART', 0.0):.0f}"

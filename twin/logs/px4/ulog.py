@@ -18,16 +18,19 @@ from .commands import from_px4_commands
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
 from .phases import from_px4_phases
+from .rotors import add_rotors, from_px4_rpm
 from .site import from_px4_site
 
 _GAUSS_T = 1e-4
-_RPM_RAD_S = 2.0 * np.pi / 60.0
 _NO_RELATIVE_TIME = 2**31 - 1
 _SAME_ROW_US = 600
 _LONGEST_WINDOW_US = 100_000
 _FARTHEST_US = 30_000  # between accelerometer and gyro of one message; sound logs: under 5 ms
 _EARLIEST_US = 2**62
 _OVERLAP = 1.5
+_LEAST_V = 1.0
+_CELL_V = (2.5, 4.6)  # discharged, and the highest voltage of any lithium cell
+_SAGS_V = 0.02  # a regulated supply does less
 
 
 def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
@@ -47,8 +50,8 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     _estimate(log, rows)
     commands = from_px4_commands(log, options.rebuild_commands)
     _end(log)
-    _battery(log, rows, commands)
-    _rotors(log, rows)
+    facts |= _battery(log, rows, commands)
+    facts |= add_rotors(log, rows, None if commands is None else commands.cmd.shape[1])
     if commands is not None:
         n = commands.cmd.shape[1]
         add_signal(log, rows, "cmd", motor_columns("cmd", n), commands.t_us, commands.cmd)
@@ -67,11 +70,6 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 def from_px4_gauss(field: Array) -> Array:
     """Magnetic field, gauss -> T."""
     return field * _GAUSS_T
-
-
-def from_px4_rpm(rpm: Array) -> Array:
-    """Rotor speed, rpm of either sign -> rad/s, not negative."""
-    return np.abs(rpm) * _RPM_RAD_S
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
@@ -288,24 +286,73 @@ def _resets(log: Px4Log, where: str, topic: Topic, counters: tuple[str, ...]) ->
         )
 
 
-def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> None:
-    """Battery voltage and, where it is worth anything, current."""
-    topic = log.topic("battery_status", 0, "voltage_v")
+def _battery(log: Px4Log, rows: Rows, commands: MotorCommands | None) -> dict[str, str]:
+    """Voltage of the battery that drives the motors and, where there is a sensor, its current.
+
+    Returns:
+        Facts: the instance of battery_status, and what says so.
+    """
+    topic, facts = _battery_in_use(log)
     if topic is None:
-        return
-    volts = topic.columns(("voltage_v",))
-    if np.nanmax(volts, initial=0.0) < 1.0:
-        log.note("warning", "vbat_v", "left out: battery_status never exceeds 1 V")
-    else:
-        add_signal(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+        return {}
+    volts = _volts(topic)
+    if volts.any():
+        add_signal(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts[:, None])
     if not topic.has("current_a"):
-        return
+        return facts
     current = topic.columns(("current_a",))
     reason = _current_doubt(topic, current[:, 0], commands)
     if reason:
         log.note("warning", "ibat_a", f"left out: {reason}", len(current))
     else:
         add_signal(log, rows, "ibat_a", ("ibat_a",), topic.t_us, current)
+    return facts
+
+
+def _battery_in_use(log: Px4Log) -> tuple[Topic | None, dict[str, str]]:
+    """The battery that is connected and has a voltage, of several the one whose voltage fits its
+    cells and sags; and facts on the choice."""
+    instances = log.instances("battery_status")
+    topics = [(k, t) for k in instances if (t := log.topic("battery_status", k)) is not None]
+    live = [(k, t) for k, t in topics if np.nanmax(_volts(t), initial=0.0) >= _LEAST_V]
+    if topics and not live:
+        log.note("warning", "vbat_v", f"left out: battery_status never exceeds {_LEAST_V:g} V")
+    if not live:
+        return (topics[0][1] if topics else None), {}
+    instance, topic = max(live, key=lambda each: (*_battery_rank(log, each[1]), -each[0]))
+    if len(instances) == 1:
+        return topic, {}
+    rank = _battery_rank(log, topic)
+    others = [k for k, t in live if t is not topic and _battery_rank(log, t) == rank]
+    if others:
+        log.note(
+            "warning",
+            "vbat_v",
+            f"battery_status instances {', '.join(map(str, [instance, *others]))} are all connected"
+            f" with a voltage: that of {instance} is used, its current is that of one battery",
+        )
+    left = ", ".join(str(k) for k in instances if k != instance)
+    said = f"battery_status {instance}, connected and with a voltage; not {left}"
+    return topic, {"battery": said}
+
+
+def _volts(topic: Topic) -> Array:
+    """Voltage, V, shape (n,): that before the filter where the log has it."""
+    for name in ("voltage_v", "voltage_filtered_v"):
+        if topic.has(name) and np.nanmax(topic.columns((name,)), initial=0.0) >= _LEAST_V:
+            return topic.columns((name,))[:, 0]
+    return np.zeros(len(topic.t_us))
+
+
+def _battery_rank(log: Px4Log, topic: Topic) -> tuple[bool, bool, bool]:
+    """Whether a battery is connected, fits the cells of its parameters, and changes its voltage."""
+    volts = _volts(topic)
+    connected = not topic.has("connected") or float(np.mean(topic.data["connected"])) > 0.5
+    number = int(np.median(topic.data["id"])) if topic.has("id") else 1
+    cells = log.params.get(f"BAT{number}_N_CELLS", log.params.get("BAT_N_CELLS", 0.0))
+    middle = float(np.nanmedian(volts))
+    fits = not cells > 0.0 or _CELL_V[0] < middle / cells < _CELL_V[1]
+    return connected, fits, float(np.nanstd(volts)) > _SAGS_V
 
 
 def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) -> str:
@@ -326,26 +373,6 @@ def _current_doubt(topic: Topic, amps: Array, commands: MotorCommands | None) ->
             "motors idle: this is not the current of the motors"
         )
     return ""
-
-
-def _rotors(log: Px4Log, rows: Rows) -> None:
-    """Rotor speeds reported by the speed controllers."""
-    topic = log.topic("esc_status")
-    if topic is None:
-        return
-    names = [f"esc[{k}].esc_rpm" for k in range(8) if topic.has(f"esc[{k}].esc_rpm")]
-    alive = [n for n in names if np.ptp(topic.data[n].astype(np.float64)) > 0]
-    if len(alive) < 3:
-        log.note(
-            "warning",
-            "rotor",
-            f"left out: in esc_status the speed of {len(alive) or 'no'} "
-            f"motor{'s' if len(alive) > 1 else ''} changes",
-            len(topic.t_us),
-        )
-        return
-    speeds = from_px4_rpm(topic.columns(alive))
-    add_signal(log, rows, "rotor", motor_columns("rotor", len(alive)), topic.t_us, speeds)
 
 
 __all__ = ["Finding", "from_px4_gauss", "from_px4_rpm", "read_ulog"]
