@@ -84,7 +84,8 @@ def dataflash(
 
     Args:
         messages: By name the columns of its messages, or several of these, of several instances;
-            `t` is the time in s after the start; numbers as they are meant, columns left out are 0.
+            `t` is the time in s after the start, also of messages that have none in the file;
+            numbers as they are meant, columns left out are 0.
         params: Parameters.
         start_us: Time since boot at which it begins, us.
         text: As text.
@@ -93,6 +94,7 @@ def dataflash(
     """
     out = [*_head(messages, params or {}, start_us, units, kinds)]
     rows: list[tuple[int, int, Row]] = []
+    assert all(k in kinds for k in messages)
     for name, given in messages.items():
         for columns in [given] if isinstance(given, Mapping) else given:
             rows += _rows(name, kinds[name], columns, start_us, len(rows))
@@ -124,7 +126,10 @@ def _head(
         for name in used:
             kind = kinds[name]
             yield "FMTU", (start_us, _number(name, kinds), kind.units, kind.multipliers)
-    yield from (("PARM", (start_us, k, v, v)) for k, v in params.items())
+    names = kinds["PARM"].names
+    for k, v in params.items():
+        given = {**_clock(start_us), "Name": k, "Value": v, "Default": v}
+        yield "PARM", tuple(given[n] for n in names)
 
 
 def _rows(
@@ -132,11 +137,17 @@ def _rows(
 ) -> list[tuple[int, int, Row]]:
     given = {k: np.asarray(v) for k, v in columns.items()}
     stamps = np.round(np.atleast_1d(given.pop("t")) * 1e6).astype(np.int64) + start_us
+    given = {k: v for k, v in _clock(stamps).items() if k in kind.names} | given
     none = np.zeros(len(stamps))
-    full = [np.broadcast_to(given.pop(c, none), len(stamps)).tolist() for c in kind.names[1:]]
+    full = [np.broadcast_to(given.pop(c, none), len(stamps)).tolist() for c in kind.names]
     assert not given, f"{name} has no columns {set(given)}"
-    values = zip(stamps.tolist(), *full, strict=True)
-    return [(v[0], first + k, (name, tuple(v))) for k, v in enumerate(values)]
+    values = enumerate(zip(*full, strict=True))
+    return [(int(stamps[k]), first + k, (name, v)) for k, v in values]
+
+
+def _clock(stamp_us: Any) -> dict[str, Any]:
+    """Time since boot as one release or another has it; another value can be given instead."""
+    return {"TimeUS": stamp_us, "TimeMS": stamp_us // 1000, "T": stamp_us // 1000}
 
 
 def message(name: str, values: tuple[Any, ...], kinds: Mapping[str, Kind] = KINDS) -> bytes:

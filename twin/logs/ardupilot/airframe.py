@@ -8,10 +8,10 @@ import numpy as np
 from ...vehicle.layouts import CCW, CW, Layout
 from ..airframe import Airframe, Cells, Place, ThrustCurve, Told
 from .geometry import NO_MULTIROTOR, geometry
-from .identity import firmware
+from .identity import OTHERS, Frame, firmware, frame_of
 from .log import ArduPilotLog
-from .outputs import channels_of
-from .parameters import frame_numbers, motor_value, pulse_range_us
+from .outputs import channels_of, has_functions
+from .parameters import motor_value, pulse_range_us
 from .site import Fix, fix
 
 _FRAME_SD = 0.05
@@ -20,12 +20,12 @@ _FULL_CELL_V = 4.2
 _IMU = tuple(f"INS_POS1_{a}" for a in "XYZ")
 _SPIN_MIN, _SPIN_MAX = 0.15, 0.95  # ArduPilot's defaults
 _EKF_ORIGIN = 0
-_COUNTED = {"XKF1", "NKF1", "PSCN"}
+_COUNTED = {"XKF1", "NKF1", "EKF1", "PSCN"}
 """Messages whose positions are counted from it."""
 _OTHERS = {
-    "ArduPlane": "a fixed-wing aircraft",
-    "ArduRover": "a rover",
-    "ArduSub": "a submarine",
+    "Plane": "a fixed-wing aircraft",
+    "Rover": "a rover",
+    "Sub": "a submarine",
     "AntennaTracker": "an antenna tracker",
     "Blimp": "an airship",
 }
@@ -36,8 +36,8 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
     params, count, place = log.params, len(channels_of(log)), fix(log)
     return Airframe(
         no_multirotor=_no_multirotor(log),
-        rotors=Told(count, "outputs by SERVOn_FUNCTION of the log") if count else None,
-        layout=_layout(params, count),
+        rotors=Told(count, _motors_from(log)) if count else None,
+        layout=_layout(frame_of(log), count),
         thrust=_thrust(params),
         pulse_us=Told(pulse_range_us(params), "MOT_PWM_* and MOT_PWM_TYPE of the log"),
         cells=_cells(params),
@@ -49,20 +49,26 @@ def from_ardupilot_airframe(log: ArduPilotLog) -> Airframe:
     )
 
 
+def _motors_from(log: ArduPilotLog) -> str:
+    """Where the number of motors comes from."""
+    if has_functions(log.params):
+        return "outputs by SERVOn_FUNCTION of the log"
+    return frame_of(log).source
+
+
 def _no_multirotor(log: ArduPilotLog) -> str:
-    number = frame_numbers(log.params)[0]
-    if name := NO_MULTIROTOR.get(number):
-        return f"FRAME_CLASS is {number}, a {name}"
-    told = firmware(log)
-    kind = next((k for k in _OTHERS if told.startswith(k)), "")
-    if kind and log.params.get("Q_ENABLE", 0.0) < 1.0:
-        return f"its firmware is {kind}, of {_OTHERS[kind]}"
+    frame = frame_of(log)
+    if name := NO_MULTIROTOR.get(frame.kind):
+        return f"FRAME_CLASS is {frame.kind}, a {name}"
+    other = OTHERS.match(firmware(log))
+    if other and log.params.get("Q_ENABLE", 0.0) < 1.0:
+        return f"its firmware is {other.group()}, of {_OTHERS[other.group(1) or other.group()]}"
     return ""
 
 
-def _layout(params: Mapping[str, float], motors: int) -> Layout | None:
+def _layout(frame: Frame, motors: int) -> Layout | None:
     """Places on a circle: ArduPilot knows no size."""
-    rotors = geometry(*frame_numbers(params))
+    rotors = geometry(frame.kind, frame.form)
     if rotors is None or rotors.count != (motors or rotors.count):
         return None
     return Layout(
@@ -70,7 +76,7 @@ def _layout(params: Mapping[str, float], motors: int) -> Layout | None:
         np.where(rotors.turn > 0.0, CCW, CW),
         metric=False,
         sd=_FRAME_SD,
-        source=f"FRAME_CLASS and FRAME_TYPE of the log, {rotors.frame}",
+        source=f"{frame.source}, {rotors.frame}",
     )
 
 
@@ -79,11 +85,17 @@ def _thrust(params: Mapping[str, float]) -> Told[ThrustCurve] | None:
     expo = motor_value(params, "MOT_THST_EXPO", -1.0)
     if not 0.0 <= expo <= 1.0:
         return None
-    low = motor_value(params, "MOT_SPIN_MIN", _SPIN_MIN)
     high = motor_value(params, "MOT_SPIN_MAX", _SPIN_MAX)
+    if "THR_MIN" in params and "MOT_SPIN_MIN" not in params:  # up to Copter 3.3
+        low = 1e-3 * params["THR_MIN"]
+        high = low + (1.0 - low) * high
+        least = f"THR_MIN {params['THR_MIN']:g}, MOT_THST_MAX"
+    else:
+        low = motor_value(params, "MOT_SPIN_MIN", _SPIN_MIN)
+        least = f"MOT_SPIN_MIN {low:g}, MOT_SPIN_MAX"
     if not 0.0 <= low < high <= 1.0:
         low, high = _SPIN_MIN, _SPIN_MAX
-    source = f"MOT_THST_EXPO {expo:g}, MOT_SPIN_MIN {low:g}, MOT_SPIN_MAX {high:g} of the log"
+    source = f"MOT_THST_EXPO {expo:g}, {least} {high:g} of the log"
     return Told(ThrustCurve(expo, low, high), source)
 
 
@@ -95,7 +107,7 @@ def _cells(params: Mapping[str, float]) -> Told[Cells] | None:
     count = max(round(high / _FULL_CELL_V), 1)
     capacity = params.get("BATT_CAPACITY", 0.0)
     cells = Cells(count, high / count, low / count, 3.6 * capacity if capacity > 0.0 else None)
-    return Told(cells, f"MOT_BAT_VOLT_MIN {low:g} and _MAX {high:g} of the log")
+    return Told(cells, f"MOT_BAT_VOLT_MIN {low:g} and _MAX {high:g} (or MOT_THST_BAT_*) of the log")
 
 
 def _imu_position(params: Mapping[str, float]) -> Told[tuple[float, float, float]] | None:

@@ -56,7 +56,7 @@ def _by_events(log: ArduPilotLog) -> list[Span]:
 
 def _ends(log: ArduPilotLog) -> Span | None:
     """Begin and end of what is logged of the motion."""
-    found = [t for n in ("IMU", "ATT", "XKF1", "NKF1") if (t := log.whole(n)) is not None]
+    found = [t for n in ("IMU", "ATT", "XKF1", "NKF1", "EKF1") if (t := log.whole(n)) is not None]
     if not found:
         return None
     return min(int(t.t_us[0]) for t in found), max(int(t.t_us[-1]) for t in found)

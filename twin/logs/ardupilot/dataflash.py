@@ -14,11 +14,10 @@ from .arming import use_the_flight
 from .autopilot import from_ardupilot_autopilot
 from .estimator import primary
 from .geometry import NO_MULTIROTOR, frame_name, geometry
-from .identity import OTHERS, board, firmware
+from .identity import OTHERS, board, firmware, frame_of
 from .log import ArduPilotLog, open_ardupilot
 from .motion import add_motion
 from .outputs import from_ardupilot_commands
-from .parameters import frame_numbers
 from .phases import from_ardupilot_phases, modes, note_failures
 from .rotors import add_rotors
 from .signals import add, add_barometer, add_battery, add_compass, add_imu
@@ -57,7 +56,8 @@ def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     table, t_us = lay_out(log, path, rows, advice)
     phase = label_phases(table["time"].to_numpy(), from_ardupilot_phases(log, used))
     table["phase"] = pd.Series(phase, dtype=object)
-    rotors = geometry(*frame_numbers(log.params))
+    built = frame_of(log)
+    rotors = geometry(built.kind, built.form)
     if rotors is not None and (trim := yaw_trim(table, rotors)):
         facts["yaw trim"] = str(trim)
     if told := modes(log):
@@ -79,9 +79,9 @@ def _facts(log: ArduPilotLog) -> dict[str, str]:
         log.note("error" if log.params.get("Q_ENABLE", 0.0) < 1.0 else "info", "log", message)
     if hardware := board(log):
         facts["hardware"] = hardware
-    numbers = frame_numbers(log.params)
-    if name := NO_MULTIROTOR.get(numbers[0]):
-        log.note("error", "log", f"FRAME_CLASS {numbers[0]}, a {name}: this is no multirotor")
-    if numbers[0]:
-        facts["airframe"] = frame_name(*numbers)
+    frame = frame_of(log)
+    if name := NO_MULTIROTOR.get(frame.kind):
+        log.note("error", "log", f"FRAME_CLASS {frame.kind}, a {name}: this is no multirotor")
+    if frame.kind:
+        facts["airframe"] = frame_name(frame.kind, frame.form)
     return facts

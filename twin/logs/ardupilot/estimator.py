@@ -6,7 +6,8 @@ import numpy as np
 
 from .log import ArduPilotLog, Topic
 
-_EKF2 = 2
+_FAMILIES = {3: "XK", 2: "NK", 1: "EK"}
+"""By AHRS_EKF_TYPE."""
 _MOST = 16
 _SHOWN = 8
 
@@ -16,7 +17,7 @@ class Primary:
     """The core of the EKF that is in charge for most of the flight.
 
     Attributes:
-        family: `XK` of EKF3, `NK` of EKF2, "" without either.
+        family: `XK` of EKF3, `NK` of EKF2, `EK` of the first EKF, "" without any.
         core: Its number.
         imu: Instance of IMU that it uses.
         compass: Instance of MAG.
@@ -38,11 +39,13 @@ def primary(log: ArduPilotLog) -> Primary:
     Source: ArduPilot, LogStructure.h of AP_NavEKF3 (XKF4.PI, XKFS) and EK3_IMU_MASK, of whose
     sensors each core takes one in turn.
     """
-    found = {f: sorted({*log.instances(f"{f}F1"), *log.instances(f"{f}Q")}) for f in ("XK", "NK")}
+    found = {
+        f: sorted({*log.instances(f"{f}F1"), *log.instances(f"{f}Q")}) for f in _FAMILIES.values()
+    }
     there = [f for f, cores in found.items() if cores]
     if not there:
         return Primary("")
-    wanted = "NK" if int(log.params.get("AHRS_EKF_TYPE", 3.0)) == _EKF2 else "XK"
+    wanted = _FAMILIES.get(int(log.params.get("AHRS_EKF_TYPE", 3.0)), "XK")
     family = wanted if wanted in there else there[0]
     cores = found[family]
     states = log.topic(f"{family}F4", _first(log, f"{family}F4"))

@@ -1,18 +1,52 @@
-"""Which firmware wrote a log, on which board."""
+"""Which firmware wrote a log, on which board, of which frame."""
 
 import re
+from dataclasses import dataclass
 
+from .file.history import FRAMES
 from .log import ArduPilotLog
 
-OTHERS = re.compile(r"Ardu(Plane|Rover|Sub)|AntennaTracker|Blimp")
+OTHERS = re.compile(r"(?:Ardu|APM:)(Plane|Rover|Sub)|AntennaTracker|Blimp")
 """Firmware that flies no multirotor, but for quadplanes."""
+_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")
+_FRAME = re.compile(r"Frame: (\w+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The frame that a log names.
+
+    Attributes:
+        kind: FRAME_CLASS, 0 where the log has none.
+        form: FRAME_TYPE.
+        source: Where it is named.
+    """
+
+    kind: int
+    form: int
+    source: str
+
+
+def frame_of(log: ArduPilotLog) -> Frame:
+    """FRAME_CLASS and FRAME_TYPE, of quadplanes with `Q_`; up to Copter 3.4 the frame of which the
+    firmware is (message `Frame: QUAD`) and FRAME."""
+    for stem in ("", "Q_"):
+        if f"{stem}FRAME_CLASS" in log.params:
+            kind, form = (log.params.get(f"{stem}FRAME_{k}", 1.0) for k in ("CLASS", "TYPE"))
+            return Frame(int(kind), int(form), f"{stem}FRAME_CLASS and {stem}FRAME_TYPE of the log")
+    form = int(log.params.get("FRAME_TYPE", log.params.get("FRAME", 1.0)))
+    for text in log.texts("MSG", "Message"):
+        if (found := _FRAME.match(text)) and found[1] in FRAMES:
+            return Frame(
+                FRAMES[found[1]], form, f"FRAME {form} and the message '{text}' of the log"
+            )
+    return Frame(0, form, "")
 
 
 def firmware(log: ArduPilotLog) -> str:
     """What the log says of its firmware, "" where it says nothing."""
-    told = [t for t in log.texts("VER", "FWS") + log.texts("MSG", "Message") if "V" in t]
-    named = [t for t in told if t.startswith("Ardu") or OTHERS.match(t)]
-    return named[0] if named else ""
+    texts = log.texts("VER", "FWS") + log.texts("MSG", "Message")
+    return next((t for t in texts if _FIRMWARE.match(t) and re.search(r"[Vv]\d|solo-", t)), "")
 
 
 def board(log: ArduPilotLog) -> str:

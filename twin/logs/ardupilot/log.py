@@ -13,14 +13,16 @@ from ..flight import Array, Finding, Noted
 from ..px4.order import out_of_place
 from .file.binary import MARK, read_binary
 from .file.definitions import in_si, instance_column
+from .file.history import clock_of, documented_unit
 from .file.messages import Content, Damage, Messages
 from .file.plain import read_plain
 
 STEADY = (
-    *("ATT", "NKF1", "NKF6", "NKQ", "NKQ1", "NKQ2", "XKF1", "XKQ"),
-    *("BARO", "BAR2", "BAT", "CURR", "ESC", *(f"ESC{k}" for k in range(1, 13))),
+    *("ATT", "EKF1", "NKF1", "NKF6", "NKQ", "NKQ1", "NKQ2", "XKF1", "XKQ"),
+    *("BARO", "BAR2", "BAT", *(f"BAT{k}" for k in range(2, 10)), "CURR", "CUR2"),
+    *("CTUN", "ESC", *(f"ESC{k}" for k in range(1, 13))),
     *("GPS", "GPS2", "IMU", "IMU2", "IMU3", "MAG", "MAG2", "MAG3", "MOTB"),
-    *("POS", "PSCD", "PSCE", "PSCN", "RATE", "RCO2", "RCO3", "RCOU", "VIBE"),
+    *("NTUN", "POS", "PSC", "PSCD", "PSCE", "PSCN", "RATE", "RCO2", "RCO3", "RCOU", "VIBE"),
 )
 """Messages at a steady rate."""
 SELDOM = ("DSF", "NKF4", "NKF9", "ORGN", "XKF4", "XKFS")
@@ -31,6 +33,8 @@ NEEDED = ("IMU", "RCOU", "XKF1", "XKQ", "ATT")
 """Some of them, for an error."""
 OLDER = {
     "BARO": ("BARO", "BAR2"),
+    "BAT": ("BAT", *(f"BAT{k}" for k in range(2, 10))),
+    "CURR": ("CURR", "CUR2"),
     "ESC": tuple(f"ESC{k}" for k in range(1, 13)),
     "GPS": ("GPS", "GPS2"),
     "IMU": ("IMU", "IMU2", "IMU3"),
@@ -77,27 +81,30 @@ class Topic(Timed):
         with np.errstate(invalid="ignore"):  # damaged logs hold signalling NaN
             return np.asarray(values.astype(np.float64))
 
-    def si(self, fields: Sequence[str], assumed: str, multiplier: float = 1.0) -> Array:
+    def documented(self, column: str) -> tuple[str, float]:
+        """Unit of a field by ArduPilot's history, and times which its number is in that unit."""
+        told = self.source.definition
+        return documented_unit(self.name, column, told.letters[told.columns.index(column)])
+
+    def si(self, fields: Sequence[str]) -> Array:
         """Fields side by side in SI, shape (n, len(fields)).
 
-        Args:
-            fields: Their names.
-            assumed: Unit where the log gives none (before ArduPilot 3.6).
-            multiplier: Times which the number is in that unit then.
+        In the unit that the log gives, else (before ArduPilot 3.6) in the documented one.
         """
         units = self.source.units
         scaled = []
         for name in fields:
-            factor, _ = in_si(units.labels.get(name, ""), assumed)
+            unit, multiplier = self.documented(name)
+            factor, _ = in_si(units.labels.get(name, ""), unit)
             given = units.multipliers.get(name, 1.0 if name in units.labels else multiplier)
             scaled.append(self.raw(name) * (given * factor))
         with np.errstate(invalid="ignore", over="ignore"):
             return np.column_stack(scaled)
 
-    def contradicted(self, fields: Sequence[str], assumed: str) -> list[str]:
+    def contradicted(self, fields: Sequence[str]) -> list[str]:
         """Those of the fields that the log gives in a unit of another kind."""
         labels = self.source.units.labels
-        return [f for f in fields if in_si(labels.get(f, ""), assumed)[1]]
+        return [f for f in fields if in_si(labels.get(f, ""), self.documented(f)[0])[1]]
 
 
 @dataclass(slots=True)
@@ -217,11 +224,10 @@ def _instance(messages: Messages) -> str:
 
 
 def stamps_us(messages: Messages) -> NDArray[np.int64]:
-    """Times since boot, us, shape (n,); `TimeMS` in logs before ArduPilot 3.3."""
-    if "TimeUS" in messages.data:
-        stamps, factor = messages.data["TimeUS"], 1
-    else:
-        stamps, factor = messages.data["TimeMS"], 1000
+    """Times since boot, us, shape (n,), of messages that have a clock."""
+    clock = clock_of(messages.data)
+    assert clock is not None
+    stamps, factor = messages.data[clock[0]], clock[1]
     if stamps.dtype.kind == "f":
         known = np.isfinite(stamps) & (np.abs(stamps) < _NEVER_US)
         return np.where(known, stamps, _NEVER_US).astype(np.int64) * factor
@@ -240,16 +246,20 @@ def open_ardupilot(path: Path, blob: bytes) -> ArduPilotLog:
     Raises:
         LogError: Nothing in it can be used.
     """
-    wanted = {*STEADY, *SELDOM, *EVENTS}
+    wanted = {*STEADY, *SELDOM, *EVENTS, "TIME"}
     binary = blob.startswith(MARK)
     content = read_binary(blob, wanted) if binary else read_plain(blob, wanted)
-    timed = {
-        name: stamps_us(m)
-        for name, m in content.messages.items()
-        if {"TimeUS", "TimeMS"} & set(m.data) and len(m.places)
-    }
-    content = Content({n: content.messages[n] for n in timed}, content.counts, content.damage)
+    clock = content.messages.get("TIME")
+    first_logger = clock is not None and "StartTime" in clock.data
+    content = Content(_stamped(content.messages), content.counts, content.damage)
+    timed = {name: stamps_us(m) for name, m in content.messages.items()}
     steady = [t for n, t in timed.items() if n in STEADY]
+    if not steady and first_logger:
+        raise LogError(
+            f"{path.name}: a log of PX4's first logger (sdlog2, .px4log, up to PX4 1.5), which has "
+            "the container of ArduPilot and other messages: not read. Convert it to a flight table "
+            "(CSV), SI, FRD and NED."
+        )
     if not steady:
         total = sum(content.counts.values())
         raise LogError(
@@ -265,6 +275,24 @@ def open_ardupilot(path: Path, blob: bytes) -> ArduPilotLog:
     log.start_us = first
     _parameters(log)
     return log
+
+
+def _stamped(found: Mapping[str, Messages]) -> dict[str, Messages]:
+    """Messages that have a clock, and events that have none (up to Copter 3.2) with the time of the
+    last message before them in the file that has one, the first one's before that."""
+    timed = {n: m for n, m in found.items() if clock_of(m.data) and len(m.places)}
+    steady = [m for n, m in timed.items() if n in STEADY]
+    if not steady:
+        return timed
+    places = np.concatenate([m.places for m in steady])
+    order = np.argsort(places, kind="stable")
+    places, stamps = places[order], np.concatenate([stamps_us(m) for m in steady])[order]
+    for name, each in found.items():
+        if name in EVENTS and name not in timed and len(each.places):
+            last = np.maximum(np.searchsorted(places, each.places) - 1, 0)
+            data = {**each.data, "TimeUS": stamps[last]}
+            timed[name] = Messages(each.definition, each.places, data, each.units)
+    return timed
 
 
 def _kept(log: ArduPilotLog, name: str, stamps: NDArray[np.int64]) -> NDArray[np.int64]:

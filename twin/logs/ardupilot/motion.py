@@ -16,6 +16,13 @@ from .signals import add, si
 
 _Q = ("Q1", "Q2", "Q3", "Q4")
 _ANGLES = ("Roll", "Pitch", "Yaw")
+_CONTROLLERS = (
+    (("PSCN", "PN", "VN", 1.0), ("PSCE", "PE", "VE", 1.0), ("PSCD", "PD", "VD", 1.0)),
+    (("PSC", "PX", "VX", 1.0), ("PSC", "PY", "VY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
+    (("NTUN", "PosX", "VelX", 1.0), ("NTUN", "PosY", "VelY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
+)
+"""Message, place, rate and sign per axis of NED: since ArduPilot 4.1, Copter 3.6 to 4.0, up to 3.5;
+CTUN counts upwards."""
 _FASTER = 2.0
 _RESETS = {60: "height", 62: "yaw"}
 """EV of a reset of the estimator."""
@@ -41,21 +48,23 @@ def _add_attitude(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
     """Quaternions of the core in charge, or ATT where that is logged much faster."""
     topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
     angles = log.topic("ATT", None, *_ANGLES)
+    if angles is None and used.family:
+        angles = log.topic(f"{used.family}F1", used.core, *_ANGLES)
     if topic is not None and (angles is None or angles.rate_hz < _FASTER * topic.rate_hz):
-        usable, unit = unit_quaternions(log, si(log, topic, "q", _Q, "1"))
+        usable, unit = unit_quaternions(log, si(log, topic, "q", _Q))
         add(log, rows, "q", QUAT, topic.t_us[usable], unit)
         return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
     if angles is None:
         log.note("warning", "q", "no attitude in the log. Set LOG_BITMASK bit 0 or 1")
         return ""
-    euler = si(log, angles, "q", _ANGLES, "deg")
+    euler = si(log, angles, "q", _ANGLES)
     possible = np.isfinite(euler).all(axis=1) & (np.abs(euler) <= 2.0 * np.pi + 0.01).all(axis=1)
     if not possible.all():
-        message = "samples of ATT left out, an angle is none"
+        message = f"samples of {angles.name} left out, an angle is none"
         log.note("error", "q", message, int(np.count_nonzero(~possible)))
     q = np.asarray(from_euler(*euler[possible].T), dtype=np.float64).T
     add(log, rows, "q", QUAT, angles.t_us[possible], q)
-    return f"ATT, {angles.rate_hz:.0f} Hz"
+    return f"{angles.name}, {angles.rate_hz:.0f} Hz"
 
 
 def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
@@ -63,8 +72,8 @@ def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     pos, vel = ("PN", "PE", "PD"), ("VN", "VE", "VD")
     if topic is not None and topic.has(*pos, *vel):
-        add(log, rows, "pos", POS, topic.t_us, si(log, topic, "pos", pos, "m"))
-        add(log, rows, "vel", VEL, topic.t_us, si(log, topic, "vel", vel, "m/s"))
+        add(log, rows, "pos", POS, topic.t_us, si(log, topic, "pos", pos))
+        add(log, rows, "vel", VEL, topic.t_us, si(log, topic, "vel", vel))
         log.note(
             "info",
             "pos",
@@ -76,20 +85,27 @@ def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
 
 
 def _controller_course(log: ArduPilotLog, rows: Rows) -> str:
-    """What the position controller (PSCN, PSCE, PSCD) is told, where all three speak together."""
-    axes = [log.topic(f"PSC{a}", None, f"P{a}", f"V{a}") for a in "NED"]
-    found = [t for t in axes if t is not None]
-    if len(found) < len(axes):
-        return ""
-    shortest = min(found, key=lambda t: len(t.t_us))
-    for where, names, letter, unit in (("pos", POS, "P", "m"), ("vel", VEL, "V", "m/s")):
-        columns = []
-        for axis, topic in zip("NED", found, strict=True):
-            values = si(log, topic, where, (f"{letter}{axis}",), unit)[:, 0]
-            columns.append(np.interp(shortest.t_us, topic.t_us, values))
-        add(log, rows, where, names, shortest.t_us, np.column_stack(columns))
-    log.note("info", "pos", "no XKF1: position and velocity as the position controller has them")
-    return f"PSCN, PSCE, PSCD, {shortest.rate_hz:.0f} Hz"
+    """What the controllers of position and height are given, where all three axes are there."""
+    for axes in _CONTROLLERS:
+        if any(message not in log.content.messages for message, *_ in axes):
+            continue
+        topics = [log.topic(message, None, place, rate) for message, place, rate, _ in axes]
+        found = [t for t in topics if t is not None]
+        if len(found) < len(axes):
+            continue
+        shortest = min(found, key=lambda t: len(t.t_us))
+        for k, (where, names) in enumerate((("pos", POS), ("vel", VEL)), start=1):
+            columns = []
+            for (_, place, rate, sign), topic in zip(axes, found, strict=True):
+                values = si(log, topic, where, ((place, rate)[k - 1],))[:, 0]
+                columns.append(sign * np.interp(shortest.t_us, topic.t_us, values))
+            add(log, rows, where, names, shortest.t_us, np.column_stack(columns))
+        log.note(
+            "info", "pos", "no XKF1: position and velocity as the position controller has them"
+        )
+        named = ", ".join(dict.fromkeys(t.name for t in found))
+        return f"{named}, {shortest.rate_hz:.0f} Hz"
+    return ""
 
 
 def _global_course(log: ArduPilotLog, rows: Rows) -> str:

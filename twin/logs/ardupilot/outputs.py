@@ -1,7 +1,7 @@
 """Motor commands of a DataFlash log: the pulse widths of RCOU, of the outputs that drive motors."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
-from .geometry import NO_MULTIROTOR, geometry
+from .geometry import CLASSES, NO_MULTIROTOR, geometry
+from .identity import frame_of
 from .log import ArduPilotLog, Topic
-from .parameters import frame_numbers, motor_channels, pulse_range_us
+from .parameters import TRICOPTER, motor_channels, pulse_range_us
 
 _ENOUGH_HZ = 50.0
 _ABSURD = 2.0
@@ -70,12 +71,20 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
 def channels_of(log: ArduPilotLog) -> list[int]:
     """Outputs of the motors: by their functions, else the first ones, as many as the frame has; []
     of what is no multirotor."""
-    if frame_numbers(log.params)[0] in NO_MULTIROTOR:
+    frame = frame_of(log)
+    if frame.kind in NO_MULTIROTOR:
         return []
-    if any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in log.params):
+    if has_functions(log.params):
         return motor_channels(log.params)
-    frame = geometry(*frame_numbers(log.params))
-    return list(range(1, frame.count + 1)) if frame else []
+    if CLASSES.get(frame.kind) == "tri":
+        return list(TRICOPTER)
+    rotors = geometry(frame.kind, frame.form)
+    return list(range(1, rotors.count + 1)) if rotors else []
+
+
+def has_functions(params: Mapping[str, float]) -> bool:
+    """Whether a log has SERVOn_FUNCTION, as since Copter 3.5."""
+    return any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in params)
 
 
 def _widths(get: Callable[[str], Topic | None], channels: list[int]) -> tuple[Topic, Array] | None:
@@ -104,6 +113,8 @@ def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
         channels = channels_of(log)
         outputs = [n for n in ("RCOU", "RCO2", "RCO3") if n in log.content.messages]
         why = f"{', '.join(outputs) or 'no RCOU'} and {len(channels)} motors by SERVOn_FUNCTION"
+        if not has_functions(log.params):
+            why = f"{', '.join(outputs) or 'no RCOU'} and names no frame of known motors"
         log.note("warning", "cmd", f"no motor commands: the log has {why}. Set LOG_BITMASK bit 10")
         return None
     rate_hz = (len(commands.t_us) - 1) / max(1e-6 * float(np.ptp(commands.t_us)), 1e-9)

@@ -3,10 +3,12 @@
 
 from collections.abc import Mapping
 
+from .file.history import NAMES
+
 MOTOR_FUNCTIONS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}
 """SERVOn_FUNCTION of an output that drives a motor: the number of the motor."""
 _OUTPUTS = 32
-_TRICOPTER = (1, 2, 4)
+TRICOPTER = (1, 2, 4)
 """Its motors by number."""
 _DIGITAL = range(4, 9)
 """MOT_PWM_TYPE of DShot, whose outputs are logged as 1000 to 2000."""
@@ -15,16 +17,9 @@ _DIGITAL_US = (1000.0, 2000.0)
 
 def motor_value(params: Mapping[str, float], name: str, default: float) -> float:
     """A parameter of the motors, such as `MOT_SPIN_MIN`, or its default."""
-    return params.get(name, params.get(f"Q_{name.replace('MOT_', 'M_', 1)}", default))
-
-
-def frame_numbers(params: Mapping[str, float]) -> tuple[int, int]:
-    """FRAME_CLASS and FRAME_TYPE; class 0 where the log has none."""
-    found = [
-        params.get(name, params.get(f"Q_{name}", default))
-        for name, default in (("FRAME_CLASS", 0.0), ("FRAME_TYPE", 1.0))
-    ]
-    return int(found[0]), int(found[1])
+    quadplane = f"Q_{name.replace('MOT_', 'M_', 1)}"
+    there = [n for n in (name, quadplane, NAMES.get(name, "")) if n in params]
+    return params[there[0]] if there else default
 
 
 def motor_channels(params: Mapping[str, float]) -> list[int]:
@@ -38,8 +33,8 @@ def motor_channels(params: Mapping[str, float]) -> list[int]:
         if function in MOTOR_FUNCTIONS:
             outputs[MOTOR_FUNCTIONS[function]] = n
     motors = sorted(outputs)
-    if motors[:3] == list(_TRICOPTER) and 3 not in motors:
-        motors = list(_TRICOPTER)  # the seventh tilts the tail
+    if motors[:3] == list(TRICOPTER) and 3 not in motors:
+        motors = list(TRICOPTER)  # the seventh tilts the tail
     elif motors != list(range(1, len(motors) + 1)):
         return []
     return [outputs[m] for m in motors]

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from ..autopilot import as_text
 from ..phases import Span, ground_spans, motion_spans
 from .estimator import Primary
 from .identity import OTHERS, firmware
-from .log import ArduPilotLog
+from .log import ArduPilotLog, Topic
 
 MODES = {
     **dict(
@@ -36,7 +37,7 @@ def from_ardupilot_phases(log: ArduPilotLog, used: Primary) -> list[Span]:
     topic = log.topic(f"{used.family}F1", used.core) if used.family else None
     if topic is None or not topic.has("VN", "VE", "VD"):
         return ground
-    spans = motion_spans(topic.t_s, topic.si(("VN", "VE", "VD"), "m/s"), ground)
+    spans = motion_spans(topic.t_s, topic.si(("VN", "VE", "VD")), ground)
     if spans:
         log.note("info", "phase", "from landed state, speed and climb rate")
     return spans
@@ -60,16 +61,28 @@ def _ground(log: ArduPilotLog) -> list[Span]:
 def modes(log: ArduPilotLog) -> str:
     """Flight modes with the times of their begin, "" where there are none."""
     topic = log.whole("MODE")
-    if topic is None or not topic.has("ModeNum"):
+    if topic is None:
         return ""
     told: list[str] = []
-    numbers = topic.raw("ModeNum")
+    names = mode_names(log, topic)
     in_time = np.flatnonzero(topic.t_s <= (log.length_us or np.inf) * 1e-6)
     before = np.flatnonzero(topic.t_s[in_time] <= 0.0)
     for k in in_time[max(len(before) - 1, 0) :]:
-        told.append(f"{mode_name(log, numbers[k])} from {max(topic.t_s[k], 0.0):.1f} s")
+        told.append(f"{names[k]} from {max(topic.t_s[k], 0.0):.1f} s")
     more = f" and {len(told) - _SHOWN} more" if len(told) > _SHOWN else ""
     return ", ".join(told[:_SHOWN]) + more
+
+
+def mode_names(log: ArduPilotLog, topic: Topic) -> list[str]:
+    """Mode of each MODE by name: from ModeNum, up to Copter 3.1 from Mode (text logs: a name)."""
+    if topic.has("ModeNum"):
+        return [mode_name(log, number) for number in topic.raw("ModeNum").tolist()]
+    modes = topic.source.data["Mode"][topic.rows].tolist()
+    numbers = [float(m) if str(m).isdecimal() else np.nan for m in modes]
+    return [
+        mode_name(log, number) if np.isfinite(number) else as_text(str(mode))
+        for mode, number in zip(modes, numbers, strict=True)
+    ]
 
 
 def mode_name(log: ArduPilotLog, number: float) -> str:

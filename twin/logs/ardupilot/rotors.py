@@ -44,7 +44,7 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
         message = f"left out: ESC reports speeds of {len(found)} of {len(wanted)} motors"
         log.note("warning", "rotor", message)
         return {}
-    speeds = [np.abs(si(log, t, "rotor", ("RPM",), "rpm")[:, 0]) for t in found]
+    speeds = [np.abs(si(log, t, "rotor", ("RPM",))[:, 0]) for t in found]
     if why := _doubt(found, speeds, commands):
         log.note("warning", "rotor", f"left out: {why}", sum(map(len, speeds)))
         return {}

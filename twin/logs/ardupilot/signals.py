@@ -33,15 +33,13 @@ def si(
     topic: Topic,
     where: str,
     fields: tuple[str, ...],
-    assumed: str,
-    multiplier: float = 1.0,
 ) -> Array:
-    """Fields of a topic in SI; a unit that contradicts the documented one is told."""
-    if wrong := topic.contradicted(fields, assumed):
-        label = topic.source.units.labels[wrong[0]]
-        message = f"the log says that {topic.name}.{wrong[0]} is in {label}; taken as {assumed}"
+    """Fields of a topic in SI; a unit that contradicts the documented one is a finding."""
+    if wrong := topic.contradicted(fields):
+        label, unit = topic.source.units.labels[wrong[0]], topic.documented(wrong[0])[0]
+        message = f"the log says that {topic.name}.{wrong[0]} is in {label}; taken as {unit}"
         log.note("error", where, message, len(wrong))
-    return topic.si(fields, assumed, multiplier)
+    return topic.si(fields)
 
 
 def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
@@ -51,10 +49,7 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
         Facts on rates and filters.
     """
     facts: dict[str, str] = {}
-    for where, fields, unit, names in (
-        ("gyro", _GYRO, "rad/s", GYRO),
-        ("acc", _ACC, "m/s/s", ACC),
-    ):
+    for where, fields, names in (("gyro", _GYRO, GYRO), ("acc", _ACC, ACC)):
         there = log.instances("IMU")
         if not there:
             log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
@@ -65,7 +60,7 @@ def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
         if topic is None:
             continue
         delay_us = _filter_delay_us(log, where)
-        values = si(log, topic, where, fields, unit)
+        values = si(log, topic, where, fields)
         add(log, rows, where, names, topic.t_us - delay_us, values)
         raw = topic.raw("GHz") if topic.has("GHz") else np.zeros(1)
         sampled = f", {np.median(raw):.0f} Hz sampled" if np.median(raw) > 0.0 else ""
@@ -81,7 +76,7 @@ def _rates(log: ArduPilotLog, rows: Rows) -> dict[str, str]:
     if topic is None:
         return {}
     delay_us = _filter_delay_us(log, "gyro")
-    rates = si(log, topic, "gyro", _RATES, "deg/s")
+    rates = si(log, topic, "gyro", _RATES)
     add(log, rows, "gyro", GYRO, topic.t_us - delay_us, rates)
     return {"gyro from": f"RATE, {topic.rate_hz:.0f} Hz"}
 
@@ -117,7 +112,7 @@ def add_compass(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
     if len(there) > 1:
         message = f"{len(there)} compasses in the log, the estimator uses number {instance}"
         log.note("info", "mag", message)
-    add(log, rows, "mag", MAG, topic.t_us, si(log, topic, "mag", _MAG, "Gauss", 1e-3))
+    add(log, rows, "mag", MAG, topic.t_us, si(log, topic, "mag", _MAG))
 
 
 def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
@@ -127,14 +122,14 @@ def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
         return
     topic = log.topic("BARO", used.barometer if used.barometer in there else there[0], "Press")
     if topic is not None:
-        pressure = si(log, topic, "baro", ("Press",), "Pa")
+        pressure = si(log, topic, "baro", ("Press",))
         add(log, rows, "baro", ("baro_pa",), topic.t_us, pressure)
 
 
 def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> None:
     """Voltage of the first battery that has one, and its current where it is worth anything."""
     for topic in _batteries(log):
-        volts = si(log, topic, "vbat_v", ("Volt",), "V")
+        volts = si(log, topic, "vbat_v", ("Volt",))
         if np.nanmax(volts, initial=0.0) < _LEAST_V:
             continue
         add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
@@ -145,16 +140,15 @@ def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -
 
 
 def _batteries(log: ArduPilotLog) -> list[Topic]:
-    """Batteries by instance, else CURR of ArduPilot before 3.7."""
-    found = [log.topic("BAT", k, "Volt") for k in log.instances("BAT")]
-    found = found or [log.topic("CURR", None, "Volt")]
+    """Batteries by instance, else CURR of ArduPilot before 3.6."""
+    found = [log.topic(n, k, "Volt") for n in ("BAT", "CURR") for k in log.instances(n)]
     return [t for t in found if t is not None]
 
 
 def _add_current(
     log: ArduPilotLog, rows: Rows, topic: Topic, commands: MotorCommands | None
 ) -> None:
-    amps = si(log, topic, "ibat_a", ("Curr",), "A")
+    amps = si(log, topic, "ibat_a", ("Curr",))
     unknown = np.isnan(amps[:, 0])
     if (doubt := _current_doubt(topic.t_us[~unknown], amps[~unknown, 0], commands)) is not None:
         log.note("warning", "ibat_a", f"left out: {doubt}", len(amps))

@@ -53,11 +53,14 @@ def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
 def fix(log: ArduPilotLog) -> Fix | None:
     """Median of the fixes, None without any."""
     found = _fixes(log)
-    if found is None or not found[1].any() or not found[0].has("Lat", "Lng", "Alt", "GWk", "GMS"):
+    if found is None or not found[1].any():
         return None
     topic, fixed = found
+    date = ("GWk", "GMS") if topic.has("GWk") else ("Week", "TimeMS")  # the latter up to 3.2
+    if not topic.has("Lat", "Lng", "Alt", *date):
+        return None
     where = [float(np.median(topic.raw(c)[fixed])) for c in ("Lat", "Lng", "Alt")]
-    week, ms = (float(np.median(topic.raw(c)[fixed])) for c in ("GWk", "GMS"))
+    week, ms = (float(np.median(topic.raw(c)[fixed])) for c in date)
     if not np.isfinite((*where, week, ms)).all() or not 0.0 < week < _MOST_WEEKS:
         return None
     if abs(where[0]) > 90.0 or abs(where[1]) > 180.0 or not 0.0 <= ms < 7 * 86_400_000:

@@ -23,8 +23,8 @@ def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
         end_s: End of the record, s.
     """
     found = [
-        _course(log, POS, "TP", "m", end_s),
-        _course(log, VEL, "TV", "m/s", end_s),
+        _course(log, POS, "TP", end_s),
+        _course(log, VEL, "TV", end_s),
         _attitude(log, end_s),
         _rates(log, end_s),
     ]
@@ -32,7 +32,7 @@ def setpoints(log: ArduPilotLog, end_s: float) -> tuple[Setpoint, ...]:
 
 
 def _course(
-    log: ArduPilotLog, columns: tuple[str, ...], letters: str, unit: str, end_s: float
+    log: ArduPilotLog, columns: tuple[str, ...], letters: str, end_s: float
 ) -> Setpoint | None:
     """Targets of PSCN, PSCE and PSCD (ArduPilot 4.1 and later), at the times of the last.
 
@@ -47,7 +47,7 @@ def _course(
     for k, (axis, topic) in enumerate(zip(_AXES, axes, strict=True)):
         name = f"{letters}{axis}"
         if topic is not None and topic.has(name):
-            values[:, k] = _nearest(topic, topic.si((name,), unit)[:, 0], times)
+            values[:, k] = _nearest(topic, topic.si((name,))[:, 0], times)
     return setpoint_of(columns, times, values)
 
 
@@ -65,7 +65,7 @@ def _attitude(log: ArduPilotLog, end_s: float) -> Setpoint | None:
     if topic is None or not topic.has(*_ANGLES):
         return None
     topic, times = _until(topic, end_s)
-    roll, pitch, yaw = topic.si(_ANGLES, "deg").T
+    roll, pitch, yaw = topic.si(_ANGLES).T
     q = np.asarray(from_euler(roll, pitch, yaw), dtype=np.float64).T
     return setpoint_of(QUAT, times, q)
 
@@ -75,7 +75,7 @@ def _rates(log: ArduPilotLog, end_s: float) -> Setpoint | None:
     if topic is None or not topic.has(*_RATES):
         return None
     topic, times = _until(topic, end_s)
-    return setpoint_of(GYRO, times, topic.si(_RATES, "deg/s"))
+    return setpoint_of(GYRO, times, topic.si(_RATES))
 
 
 def _until(topic: Topic, end_s: float) -> tuple[Topic, Array]:

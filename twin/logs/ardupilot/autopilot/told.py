@@ -20,7 +20,7 @@ from ...autopilot import (
 )
 from ..arming import ARMED, DISARMED, armed_spans
 from ..log import ArduPilotLog
-from ..phases import SUBSYSTEMS, mode_name, subsystem
+from ..phases import SUBSYSTEMS, mode_names, subsystem
 from .setpoints import setpoints
 
 _LASTING = (2, 3, 5, 6, 8, 9, 11, 16, 17, 18, 23, 26, 27, 29)
@@ -61,10 +61,7 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
 
 def _modes(log: ArduPilotLog, end_s: float) -> tuple[Mode, ...]:
     topic = log.whole("MODE")
-    if topic is None or not topic.has("ModeNum"):
-        return ()
-    names = [mode_name(log, number) for number in topic.raw("ModeNum").tolist()]
-    return modes_of(topic.t_s, names, end_s)
+    return () if topic is None else modes_of(topic.t_s, mode_names(log, topic), end_s)
 
 
 def _armed(log: ArduPilotLog, end_s: float) -> tuple[Stretch, ...]:
