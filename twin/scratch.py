@@ -1,9 +1,29 @@
-"""Temporary files and folders whose names say whose they are, so that those of the dead are found.
+"""Temporary files and folders whose owner can be proven dead, so that what was left is swept.
 
-A process that is killed leaves behind what it was writing. Whoever writes in the same place next
-takes it away: by host, process and the time at which that process started, never by age.
+A killed process leaves behind what it was writing; whoever writes in the same place next removes
+it. Two processes may share a folder without seeing each other: containers with PID namespaces of
+their own, machines on one network file system. So age and process number prove nothing; the
+kernel does. Each scratch folder holds a file `lock` on which its owner keeps an exclusive flock(2)
+until the end, which the kernel releases however the owner ends. The name says where the owner runs:
+
+    .uavtwin-HOST-BOOT-NAMESPACE-PID-START-RANDOM
+
+A leftover of this boot is removed when nobody holds its lock: one kernel keeps the locks of all
+namespaces. If its process is of our own PID namespace, that has to be gone besides. Everything else
+stays:
+
+- of another boot, be it of another machine or of this one before it restarted: a lock of another
+  kernel may be invisible here (NFS with `local_lock`, 9p, virtiofs);
+- without a lock (not taken yet, or not known to this file system), unless its process is of our
+  PID namespace and gone;
+- a link, a file, a name of another form.
+
+HOST is for the reader alone. BOOT is the start of `/proc/sys/kernel/random/boot_id`, NAMESPACE the
+inode of the PID namespace, START field 22 of `/proc/PID/stat`. The lock is taken before the file
+gets its name: an owner between making its folder and locking it has no file `lock`.
 """
 
+import fcntl
 import os
 import platform
 import re
@@ -14,62 +34,75 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PREFIX = ".uavtwin-"
-_HOST = re.sub(r"[^A-Za-z0-9.]", "_", platform.node())[:64] or "host"
-_NAME = re.compile(rf"{re.escape(PREFIX + _HOST)}-([0-9]+)-([0-9]+)-\w+")
+LOCK = "lock"
+"""File in a scratch folder, locked by its owner."""
+_HOST = re.sub(r"[^A-Za-z0-9.]", "_", platform.node())[:16] or "host"
+_NAME = re.compile(
+    rf"{re.escape(PREFIX)}[\w.]+-([0-9a-f]{{12}})-([0-9]+)-([0-9]+)-([0-9]+)-\w+", re.ASCII
+)
+_UNKNOWN = "0" * 12
+"""Boot where the system has no such number: nothing is ever swept there."""
 
 
 @contextmanager
 def scratch_folder(place: Path) -> Iterator[Path]:
-    """A folder in `place`, made after those of dead processes were taken away; gone at the end.
+    """A new folder in `place`, removed at the end; leftovers there are swept first.
+
+    It holds the file `lock`, which is to be left alone.
 
     Raises:
-        OSError: Nothing can be written there.
+        OSError: `place` cannot be written to.
     """
     sweep(place)
-    with tempfile.TemporaryDirectory(
-        prefix=_prefix(), dir=place, ignore_cleanup_errors=True
-    ) as name:
-        yield Path(name)
+    folder = Path(tempfile.mkdtemp(prefix=_prefix(), dir=place))
+    lock: int | None = None
+    try:
+        lock = _lock(folder)
+        yield folder
+    finally:
+        _remove(folder, lock)
 
 
 @contextmanager
 def scratch_file(path: Path) -> Iterator[Path]:
-    """A file beside `path` that takes its place at the end, at once and whole, if nothing failed.
+    """A path of the same name in a scratch folder beside `path`.
+
+    What is written there replaces `path` at the end, at once and whole, with the rights that the
+    umask allows; if something failed, `path` stays as it is.
 
     Raises:
         OSError: It cannot be written.
     """
-    sweep(path.parent)
-    handle, name = tempfile.mkstemp(prefix=_prefix(), dir=path.parent)
-    os.close(handle)
-    try:
-        yield Path(name)
-        os.chmod(name, 0o666 & ~umask())
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with scratch_folder(path.parent) as folder:
+        inner = folder / "file"
+        inner.mkdir()
+        file = inner / path.name
+        yield file
+        file.chmod(0o666 & ~umask())
+        file.replace(path)
 
 
 def leftovers(place: Path) -> Iterator[Path]:
-    """What dead processes of this host left in a folder."""
-    for found in place.glob(f"{PREFIX}*"):
-        match = _NAME.fullmatch(found.name)
-        if match is not None and started(int(match[1])) != int(match[2]):
+    """Scratch folders in `place` whose owner is proven dead, each locked while it is handed out."""
+    for found in sorted(place.glob(f"{PREFIX}*")):
+        lock = _claimed(found)
+        if lock is None:
+            continue
+        try:
             yield found
+        finally:
+            if lock >= 0:
+                os.close(lock)
 
 
 def sweep(place: Path) -> None:
-    """Take away what dead processes of this host left in a folder."""
+    """Remove the leftovers in `place`."""
     for left in leftovers(place):
-        if left.is_dir() and not left.is_symlink():
-            shutil.rmtree(left, ignore_errors=True)
-        else:
-            left.unlink(missing_ok=True)
+        _remove(left, None)
 
 
 def started(process: int) -> int | None:
-    """When a process started, in ticks since the machine did; None: there is none.
+    """Start time of a process, in clock ticks since boot; None: there is no such process.
 
     Source: proc(5), /proc/PID/stat, field 22.
     """
@@ -80,12 +113,86 @@ def started(process: int) -> int | None:
     return int(text.rpartition(")")[2].split()[19])
 
 
-def _prefix() -> str:
-    return f"{PREFIX}{_HOST}-{os.getpid()}-{started(os.getpid())}-"
-
-
 def umask() -> int:
     """Of this process, which cannot be read without being set."""
     found = os.umask(0o077)
     os.umask(found)
     return found
+
+
+def _prefix() -> str:
+    pid = os.getpid()
+    return f"{PREFIX}{_HOST}-{_boot()}-{_namespace()}-{pid}-{started(pid) or 0}-"
+
+
+def _boot() -> str:
+    """The first 48 bits of the boot id, which no two running kernels share."""
+    try:
+        text = Path("/proc/sys/kernel/random/boot_id").read_text()
+    except OSError:
+        return _UNKNOWN
+    return text.replace("-", "")[:12]
+
+
+def _namespace() -> int:
+    """Inode of the PID namespace; 0 where there is none."""
+    try:
+        return os.stat("/proc/self/ns/pid").st_ino
+    except OSError:
+        return 0
+
+
+def _lock(folder: Path) -> int | None:
+    """Take the lock of a new folder; None where the file system has no locks.
+
+    The file gets its name when it is locked.
+    """
+    handle, name = tempfile.mkstemp(prefix=f"{LOCK}-", dir=folder)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    os.rename(name, folder / LOCK)
+    return handle
+
+
+def _claimed(left: Path) -> int | None:
+    """Lock of a folder whose owner is proven dead, -1 where it has none; None: of any other."""
+    match = _NAME.fullmatch(left.name)
+    if match is None or match[1] != _boot() or match[1] == _UNKNOWN:
+        return None
+    if left.is_symlink() or not left.is_dir():
+        return None
+    ours = int(match[2]) == _namespace()
+    if ours and not _gone(int(match[3]), int(match[4])):
+        return None
+    try:
+        lock = os.open(left / LOCK, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return -1 if ours else None
+    except OSError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        return None
+    return lock
+
+
+def _gone(process: int, start: int) -> bool:
+    """Whether a process of our namespace has ended; `/proc` may show another namespace's."""
+    try:
+        shown = os.readlink("/proc/self") == str(os.getpid())
+    except OSError:
+        return False
+    return shown and started(process) != start
+
+
+def _remove(folder: Path, lock: int | None) -> None:
+    """Remove a folder, its lock held until it is empty; an open file may keep a name on NFS."""
+    shutil.rmtree(folder, ignore_errors=True)
+    if lock is not None:
+        os.close(lock)
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,27 +1,48 @@
-"""Output folders: all results or none, none overwritten unless asked, a `run.json` beside them."""
+"""Output folders: all results or none, none overwritten unless asked, a `run.json` beside them.
+
+Results are written into a scratch folder and moved to their place at the end. A new folder appears
+at once. Into a folder that was there (which may be a mount, or somebody's working directory)
+entries are moved one by one; a list of them lies in the scratch folder meanwhile, so that the next
+run can take back what a killed one had begun to move. Taken back is only what is still the file of
+the list, by device, inode, size and SHA-256, and only if that holds for all of them; else nothing
+is touched. The list is trusted no further: names are relative, no link is followed, and a folder
+goes only when it is empty.
+"""
 
 import errno
 import hashlib
 import json
 import os
 import platform
-import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+import stat
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PurePosixPath
+from typing import Any, TypeVar
 
 from twin.errors import TwinError
-from twin.scratch import PREFIX, leftovers, scratch_folder, sweep, umask
+from twin.scratch import PREFIX, leftovers, scratch_file, scratch_folder, sweep, umask
 
+T = TypeVar("T")
 _MOVING = "moving"
-"""In a temporary folder: names of the results that are being moved to their place."""
+"""In a scratch folder: the list of the results that are being moved to their place."""
+_LONGEST_LIST = 2**26
+"""Bytes of a list that is read: some 400,000 results."""
+_RECORD_KEYS = {"verb", "options", "inputs", "packages"}
+"""Of every run.json."""
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
 
 
-def check_folder(out: Path, force: bool) -> None:
+def check_folder(out: Path, force: bool, journal: str = "", beside: Sequence[str] = ()) -> None:
     """Refuse an output folder before the work is done; nothing is made yet.
+
+    Args:
+        out: Folder.
+        force: Whether files in it may be replaced.
+        journal: Name of a file in it that marks an unfinished run, which may be resumed.
+        beside: Names of what else an unfinished run has there.
 
     Raises:
         TwinError: It is a file, it cannot be written, or it holds files and `force` is not given.
@@ -34,15 +55,24 @@ def check_folder(out: Path, force: bool) -> None:
             f"{out}: cannot be written, {there} is "
             f"{'write-protected' if there.is_dir() else 'a file'}. Choose another --out."
         )
-    if out.is_dir() and not force:
-        _undo(out)
-        for entry in out.glob(f"{PREFIX}*"):
+    if not out.is_dir() or force:
+        return
+    unfinished = bool(journal) and (out / journal).is_file()
+    own = {journal, *beside} if unfinished else set()
+    own |= _take_back_all(out, own)
+    others = sorted(entry.name for entry in out.iterdir() if entry.name not in own)
+    for name in others:
+        if name.startswith(PREFIX):
             raise TwinError(
                 f"{out}: another run is writing into it. Choose another --out; or, where that run "
-                f"was killed on another machine, delete {entry.name}."
+                f"was killed on another machine or before a restart, delete {name}."
             )
-        if any(out.iterdir()):
-            raise TwinError(f"{out}: exists and is not empty. Choose another --out or add --force.")
+    if others:
+        besides = f", {others[0]} beside the unfinished run" if unfinished else ""
+        raise TwinError(
+            f"{out}: exists and is not empty{besides}. Choose another --out or add --force."
+        )
+    sweep(out)
 
 
 def check_file(path: Path, force: bool) -> None:
@@ -53,36 +83,45 @@ def check_file(path: Path, force: bool) -> None:
     """
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name a file.")
-    if path.exists() and not force:
+    if os.path.lexists(path) and not force:
         raise TwinError(f"{path}: exists. Choose another --out or add --force.")
 
 
+def check_record(path: Path, force: bool) -> None:
+    """Refuse a file in the place of a run.json that no run has written; see `check_file`."""
+    if not _is_record(path):
+        check_file(path, force)
+
+
 @contextmanager
-def results_folder(out: Path, force: bool) -> Iterator[Path]:
+def results_folder(
+    out: Path, force: bool, journal: str = "", beside: Sequence[str] = ()
+) -> Iterator[Path]:
     """A temporary folder whose content is moved to `out` at the end; nothing is, if that fails.
 
-    Files of `out` that have another name than a result stay.
+    Files of `out` that have another name than a result stay. The journal is removed when the
+    results are in their place.
+
+    Args:
+        out, force, journal, beside: As of `check_folder`.
 
     Raises:
-        TwinError: As `check_folder`, or a result cannot be moved to its place.
+        TwinError: As `check_folder`, or a result cannot be written or moved to its place.
     """
-    check_folder(out, force)
-    with scratch_folder(_nearest(out)) as folder:
+    check_folder(out, force, journal, beside)
+    with _explained(out), scratch_folder(_nearest(out)) as folder:
         results = folder / "results"
         results.mkdir()
         yield results
         readable(results.rglob("*"))
-        try:
-            out.parent.mkdir(parents=True, exist_ok=True)
-            if force:
-                _move(results, out)
-            else:
-                _move_into_empty(results, out, folder)
-        except OSError as error:
-            place = error.filename2 or error.filename
-            raise TwinError(
-                f"{place}: cannot be written: {error.strerror}. Choose another --out."
-            ) from error
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if not folder.is_relative_to(out):
+            _appear(results, out)
+        elif force:
+            _merge(results, out)
+            _finish(out, journal)
+        else:
+            _move_listed(results, out, folder, journal, beside)
 
 
 @contextmanager
@@ -96,15 +135,117 @@ def output_file(path: Path) -> Iterator[Path]:
     """
     if path.is_dir():
         raise TwinError(f"{path}: is a folder; name a file.")
-    try:
+    with _explained(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with scratch_file(path) as file:
+            yield file
+
+
+@contextmanager
+def recorded_file(path: Path, force: bool) -> Iterator[tuple[Path, Callable[..., None]]]:
+    """An output file and the run.json beside it, `STEM.run.json`: both or none.
+
+    Gives a temporary file of the same name, and a function that takes the arguments of `write_run`
+    after the folder. The record is moved first: a run that is killed between the two can be
+    repeated, as a record without its file may be replaced.
+
+    Raises:
+        TwinError: `path` is there and `force` is not given, or it cannot be written.
+    """
+    record = record_of(path)
+    check_file(path, force)
+    check_record(record, force)
+    with _explained(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with scratch_folder(path.parent) as folder:
-            file = folder / path.name
-            yield file
-            readable([file])
-            file.replace(path)
-    except OSError as error:
-        raise TwinError(f"{path}: cannot be written: {error.strerror}.") from error
+            results = folder / "results"
+            results.mkdir()
+
+            def note(
+                verb: str,
+                options: Mapping[str, Any],
+                inputs: Iterable[Path],
+                seed: int | None = None,
+            ) -> None:
+                """Write the record."""
+                write_run(results, verb, options, inputs, seed, record.name)
+
+            yield results / path.name, note
+            readable(results.iterdir())
+            check_file(path, force)
+            check_record(record, force)
+            for name in (record.name, path.name):
+                (results / name).replace(path.with_name(name))
+
+
+def record_of(path: Path) -> Path:
+    """The run.json of a file."""
+    return path.with_name(f"{path.stem}.run.json")
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file is a run.json that a run has written."""
+    try:
+        if path.is_symlink() or path.stat().st_size > _LONGEST_LIST:
+            return False
+        content = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.keys() >= _RECORD_KEYS
+
+
+class OptionalSteps:
+    """Steps at the end of a run that its results are whole without, such as building FMUs.
+
+    One that fails leaves nothing; the other results go to their place all the same.
+
+    Attributes:
+        failed: What failed and why, by step.
+    """
+
+    def __init__(self) -> None:
+        self.failed: list[str] = []
+        self._raised: BaseException | None = None
+
+    @property
+    def incomplete(self) -> str:
+        """For run.json: all that failed; "" if nothing did."""
+        return "; ".join(self.failed)
+
+    def run(self, what: str, folder: Path, write: Callable[[Path], T]) -> T | None:
+        """Write files into a folder of their own, and move them to the results if that succeeds.
+
+        Args:
+            what: The step, for a reader.
+            folder: Of the results.
+            write: Takes the folder to write into.
+
+        Returns:
+            What `write` returned; None: it failed, or one before was interrupted.
+        """
+        if self._raised is not None:
+            self.failed.append(f"{what}: not done")
+            return None
+        try:
+            with scratch_folder(folder) as place:
+                made = place / "step"
+                made.mkdir()
+                result = write(made)
+                _merge(made, folder)
+                return result
+        except (TwinError, OSError) as error:
+            told = error if isinstance(error, TwinError) else error.strerror or error
+            self.failed.append(f"{what}: {' '.join(str(told).split())}")
+        except (Exception, KeyboardInterrupt) as error:
+            interrupted = isinstance(error, KeyboardInterrupt)
+            self.failed.append(f"{what}: {'interrupted' if interrupted else repr(error)}")
+            self._raised = error
+        return None
+
+    def finish(self) -> None:
+        """Raise what was no refusal but a mistake of ours or Ctrl-C, the results being in place."""
+        if self._raised is not None:
+            raise self._raised
 
 
 def readable(files: Iterable[Path]) -> None:
@@ -119,71 +260,192 @@ def readable(files: Iterable[Path]) -> None:
             file.chmod(file.stat().st_mode | rights)
 
 
+@contextmanager
+def _explained(out: Path) -> Iterator[None]:
+    """Errors of the system as one of the place that was asked for."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL:
+            raise TwinError(
+                f"{out}: cannot be written: {error.strerror}. Nothing of this run is there; make "
+                f"room, or choose another --out."
+            ) from error
+        place = Path(error.filename2 or error.filename or out)
+        if not place.absolute().is_relative_to(_nearest(out.absolute())):
+            raise  # an input
+        raise TwinError(
+            f"{place}: cannot be written: {error.strerror or error}. Choose another --out."
+        ) from error
+
+
 def _nearest(out: Path) -> Path:
     """The folder itself, or the nearest one above it that exists."""
     return next(path for path in (out, *out.absolute().parents) if path.exists())
 
 
-def _move_into_empty(results: Path, out: Path, folder: Path) -> None:
-    """Move results to a place where there is nothing else.
-
-    A new folder appears at once. Into one that was there, and may be a mount or somebody's working
-    directory, entries are moved one by one; a list of them lets the next run undo half of it.
-
-    Raises:
-        TwinError: Another run was faster.
-    """
-    if not folder.is_relative_to(out):
-        try:
-            results.rename(out)
-        except OSError as error:
-            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                raise
-        else:
-            return
-    elif {entry.name for entry in out.iterdir()} == {folder.name}:
-        names = sorted(entry.name for entry in results.iterdir())
-        partial = folder / f"{_MOVING}.partial"
-        partial.write_text(json.dumps(names), "utf-8")
-        partial.replace(folder / _MOVING)
-        _move(results, out)
-        return
-    raise TwinError(
+def _taken(out: Path) -> TwinError:
+    return TwinError(
         f"{out}: another run has written into it meanwhile; nothing of this one is there. Choose "
         f"another --out."
     )
 
 
-def _undo(out: Path) -> None:
-    """Take away what runs that are dead had begun to move into a folder that was empty."""
-    for left in leftovers(out):
-        for name in _moved(left):
-            place = out / name
-            if place.is_dir() and not place.is_symlink():
-                shutil.rmtree(place)
-            else:
-                place.unlink(missing_ok=True)
-    sweep(out)
+def _appear(results: Path, out: Path) -> None:
+    """Move results to a place where there was nothing, at once.
 
-
-def _moved(folder: Path) -> list[str]:
-    """Names of results that are in their place already; a list that is not ours names none."""
+    Raises:
+        TwinError: Another run was faster.
+    """
     try:
-        names = json.loads((folder / _MOVING).read_text("utf-8"))
-    except (OSError, ValueError):
-        return []
-    listed = names if isinstance(names, list) else []
-    plain = [n for n in listed if isinstance(n, str) and n not in ("", "..") and n == Path(n).name]
-    return [n for n in plain if not (folder / "results" / n).exists()]
+        results.rename(out)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+            raise _taken(out) from error
+        raise
 
 
-def _move(made: Path, place: Path) -> None:
-    """Move a file or a folder; a folder already there keeps what else it holds."""
-    if made.is_dir() and place.is_dir():
-        for entry in sorted(made.iterdir()):
-            _move(entry, place / entry.name)
-    else:
-        made.replace(place)
+def _move_listed(
+    results: Path, out: Path, folder: Path, journal: str, beside: Sequence[str]
+) -> None:
+    """Move results into a folder that is there, entry by entry, with a list of them meanwhile.
+
+    Raises:
+        TwinError: Something else is there by now.
+    """
+    if {entry.name for entry in out.iterdir()} - {folder.name, journal, *beside}:
+        raise _taken(out)
+    partial = folder / f"{_MOVING}.partial"
+    partial.write_text(json.dumps({n: _identity(results / n) for n in _files(results)}), "utf-8")
+    partial.replace(folder / _MOVING)
+    try:
+        for entry in sorted(results.iterdir()):
+            if os.path.lexists(out / entry.name):
+                raise _taken(out)
+            entry.replace(out / entry.name)
+        _finish(out, journal)
+    except BaseException:
+        _take_back(out, folder)
+        raise
+    (folder / _MOVING).unlink()
+
+
+def _finish(out: Path, journal: str) -> None:
+    """Remove the journal of a run whose results are in their place."""
+    if journal:
+        (out / journal).unlink(missing_ok=True)
+
+
+def _files(folder: Path) -> list[str]:
+    """Files at any depth, as the list names them."""
+    found = (p for p in folder.rglob("*") if not p.is_dir() or p.is_symlink())
+    return sorted(p.relative_to(folder).as_posix() for p in found)
+
+
+def _identity(path: Path) -> list[int | str] | None:
+    """Device, inode, size and hash of a regular file; None: there is no such file."""
+    try:
+        found = path.lstat()
+        if not stat.S_ISREG(found.st_mode):
+            return None
+        return [found.st_dev, found.st_ino, found.st_size, sha256(path)]
+    except OSError:
+        return None
+
+
+def _listed(folder: Path) -> dict[str, Any]:
+    """The list of a scratch folder; empty where it has none, or one that no run has written."""
+    try:
+        path = folder / _MOVING
+        if path.is_symlink() or path.stat().st_size > _LONGEST_LIST:
+            return {}
+        found = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    if not isinstance(found, dict) or not all(map(_is_relative, found)):
+        return {}
+    return found
+
+
+def _is_relative(name: str) -> bool:
+    """Whether a name stays within the folder that it is joined to."""
+    parts = name.split("/")
+    return "\0" not in name and not any(p in ("", ".", "..") for p in parts)
+
+
+def _take_back_all(out: Path, own: set[str]) -> set[str]:
+    """Take back what killed runs had begun to move; names of what they left besides.
+
+    Args:
+        out: Folder.
+        own: What an unfinished run, which is to be resumed, has there.
+
+    Raises:
+        TwinError: Not all that a list names and that is there are the files of the list, or there
+            is something else. Nothing was touched.
+    """
+    dead = set()
+    for left in leftovers(out):
+        dead.add(left.name)
+        listed = _listed(left)
+        there = [n for n in listed if os.path.lexists(out / n)]
+        if not there or (len(there) == len(listed) and not own):
+            continue  # nothing had been moved; or all: that run had finished
+        stranger = _stranger(out, listed, there, own)
+        if stranger is not None:
+            raise TwinError(
+                f"{out}: {stranger} is not what the run that left {left.name} was moving there "
+                f"when it was killed. Nothing was removed. Move your files out of it, or choose "
+                f"another --out."
+            )
+        _take_back(out, left)
+    return dead
+
+
+def _stranger(
+    out: Path, listed: Mapping[str, Any], there: Sequence[str], own: set[str]
+) -> str | None:
+    """Name of something in an output folder that is not a file of the list; None: all are."""
+    for name in there:
+        if not _is_listed(out, name, listed[name]):
+            return name
+    tops = {PurePosixPath(n).parts[0] for n in there}
+    for entry in out.iterdir():
+        if entry.name in tops:
+            inner = (f"{entry.name}/{n}" for n in _files(entry))
+            if (other := next((n for n in inner if n not in listed), None)) is not None:
+                return other
+        elif entry.name not in own and not entry.name.startswith(PREFIX):
+            return entry.name
+    return None
+
+
+def _is_listed(out: Path, name: str, identity: Any) -> bool:
+    """Whether a file of an output folder is that of a list, reached without a link."""
+    above = [out / p for p in list(PurePosixPath(name).parents)[:-1]]
+    return not any(p.is_symlink() for p in above) and _identity(out / name) == identity
+
+
+def _take_back(out: Path, folder: Path) -> None:
+    """Remove the files of a list that are still those of the list, and folders left empty."""
+    listed = _listed(folder)
+    for name, identity in listed.items():
+        if _is_listed(out, name, identity):
+            (out / name).unlink()
+    above = {p for n in listed for p in list(PurePosixPath(n).parents)[:-1]}
+    for inner in sorted(above, key=lambda p: -len(p.parts)):
+        with suppress(OSError):
+            (out / inner).rmdir()
+
+
+def _merge(made: Path, folder: Path) -> None:
+    """Move the entries of one folder into another, which keeps what else it holds."""
+    for entry in sorted(made.iterdir()):
+        place = folder / entry.name
+        if entry.is_dir() and place.is_dir() and not place.is_symlink():
+            _merge(entry, place)
+        else:
+            entry.replace(place)
 
 
 def sha256(path: Path) -> str:
@@ -226,7 +488,8 @@ def write_run(
         inputs: Files that it read.
         seed: Of what is drawn.
         file: Another name, where the folder is not of this run alone.
-        incomplete: Why the results are of a part of the run; "": they are of all of it.
+        incomplete: Why the results are of a part of the run, or which optional steps failed; "":
+            they are of all of it.
         fmus: How each FMU of a simulation was run, by its name there; None: there were none.
     """
     write_json(

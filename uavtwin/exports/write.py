@@ -89,6 +89,7 @@ def export(
     if path.suffix not in products:
         raise TwinError(f"{path}: this is written as {' or '.join(products)}; name such a file.")
     product = replace(products[path.suffix], file=path.name)
+    path.parent.mkdir(parents=True, exist_ok=True)  # others may export into it at the same time
     with results_folder(path.parent, force=True) as folder:
         written = write_products([product], versions, on, folder, progress)
     return ExportResult(path.parent, tuple(written))
