@@ -8,7 +8,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import platformdirs
@@ -85,6 +85,9 @@ def _alone(name: str) -> Iterator[None]:
 
 
 def keep(name: str, content: bytes) -> None:
-    """Keep content under a name; whoever reads finds all of it or nothing."""
-    with scratch_file(cache_folder() / name) as partial:
+    """Keep content under a name; whoever reads finds all of it or nothing.
+
+    Where it cannot be written, on a full disk, it is made again the next time.
+    """
+    with suppress(OSError), scratch_file(cache_folder() / name) as partial:
         partial.write_bytes(hashlib.sha256(content).digest() + content)

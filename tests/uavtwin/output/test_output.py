@@ -205,17 +205,13 @@ def test_results_that_were_all_in_place_are_not_taken_back(tmp_path: Path) -> No
     assert set(tree(tmp_path)) >= {"a.json", "fmi2/a.fmu", "run.json"}
 
 
-def _link(out: Path) -> None:
-    (out / "fmi2").symlink_to(out.parent / "x")
-
-
 ALTERED: dict[str, Callable[[Path], object]] = {
     "written": lambda out: (out / "a.json").write_text("mine"),
     "same size": lambda out: (out / "a.json").write_text("KILLED"),
     "copied": lambda out: Path(shutil.copy(out / "a.json", out / "b")).replace(out / "a.json"),
     "added": lambda out: (out / "thesis.tex").write_text("mine"),
     "added inside": lambda out: (out / "fmi2" / "thesis.tex").write_text("mine"),
-    "linked": lambda out: (out / "fmi2").rename(out.parent / "x") and _link(out),
+    "linked": lambda out: os.symlink((out / "fmi2").rename(out.parent / "x"), out / "fmi2"),
     "link beside": lambda out: (out / "fmi2").symlink_to(out.parent),
 }
 
