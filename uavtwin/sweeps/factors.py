@@ -60,6 +60,22 @@ def scenario_of(base: Scenario, factors: Mapping[str, Value], seed: int) -> Scen
     return replace(base, starts=starts, **changes)
 
 
+def period_of(name: str, units: Mapping[str, str]) -> float | None:
+    """What a whole turn is of a factor that is an angle; None of any other.
+
+    Args:
+        name: Of the factor.
+        units: Of start values, "part.variable" -> unit.
+    """
+    if name == "wind.from":
+        return 360.0
+    unit = units.get(name, "")
+    if name.startswith(EFFECT):
+        effect, _, number = name.removeprefix(EFFECT).partition(".")
+        unit = next((p.unit for p in EFFECTS[effect].parameters if p.name == number), "")
+    return {"rad": 2 * math.pi, "deg": 360.0}.get(unit)
+
+
 def _effects(base: Scenario) -> Mapping[str, Mapping[str, float]]:
     """Numbers of the effects of the base; none where its start values hold."""
     if isinstance(base.effects, Mapping):

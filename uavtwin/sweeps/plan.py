@@ -16,7 +16,7 @@ from ..simulation import DEFAULT_VEHICLE, Scenario, Times, scenario_system, shap
 from ..vehicles import Vehicle, load_vehicle
 from .design import Design
 from .distributions import Value
-from .factors import scenario_of
+from .factors import period_of, scenario_of
 from .outcome import WATCHED
 
 STEP_S = 0.01
@@ -69,12 +69,14 @@ class Plan:
         jobs: Runs, in order.
         points: Factors of each run.
         scenarios: Of each run.
+        periods: Of factors that are angles: what a whole turn is.
     """
 
     stands: tuple[Stand, ...]
     jobs: tuple[Job, ...]
     points: Sequence[Mapping[str, Value]]
     scenarios: Sequence[Scenario]
+    periods: Mapping[str, float]
 
     __repr__ = short_repr
 
@@ -128,6 +130,7 @@ def plan_of(
     checks = [
         _of_system(s) if t is None else _of_twin(t) for s, t in zip(firsts, twins, strict=True)
     ]
+    units = _units_of_system(firsts[0]) if twins[0] is None else _units_of_twin(twins[0])
     jobs = [
         Job(run, k, checks[k](run, s))
         for run, (k, s) in enumerate(zip(where, scenarios, strict=True))
@@ -138,7 +141,8 @@ def plan_of(
         own.mkdir(parents=True, exist_ok=True)
         stands.append(_stand(first, own, duration_s, step_s, whole))
         progress((number + 1) / len(firsts))
-    return Plan(tuple(stands), tuple(jobs), points, scenarios)
+    periods = {n: p for n in design.vary if (p := period_of(n, units)) is not None}
+    return Plan(tuple(stands), tuple(jobs), points, scenarios, periods)
 
 
 Check = Callable[[int, Scenario], Mapping[str, float]]
@@ -180,6 +184,21 @@ def _named(system: System) -> list[str]:
         for port in read_interface(path).ports.values()
         if port.causality == "output"
     ]
+
+
+def _units_of_twin(twin: Assembly) -> dict[str, str]:
+    """Units of its start values, "part.variable" -> unit."""
+    return {f"{k}.{v.name}": v.unit for k, part in twin.parts.items() for v in part.variables}
+
+
+def _units_of_system(first: Scenario) -> dict[str, str]:
+    """Units of the variables of an `.ssp`, "slave.variable" -> unit."""
+    system = read_ssp(Path(first.target))  # holds the unpacked FMUs
+    return {
+        f"{slave}.{port.name}": port.unit or ""
+        for slave, path in system.fmus.items()
+        for port in read_interface(path).ports.values()
+    }
 
 
 def _of_twin(twin: Assembly) -> Check:

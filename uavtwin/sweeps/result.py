@@ -1,7 +1,7 @@
 """A sweep that was run: a row per run."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from shlex import quote
 from typing import Any
@@ -36,6 +36,7 @@ class SweepResult(Shown):
         design: What was varied.
         scenarios: Of each run.
         vehicle: Name or file of what flies where no factor says another, "" for the usual one.
+        periods: Of factors that are angles: what a whole turn is.
     """
 
     name: str
@@ -43,6 +44,8 @@ class SweepResult(Shown):
     design: Design
     scenarios: Sequence[Scenario]
     vehicle: str = ""
+    periods: Mapping[str, float] = field(default_factory=dict)
+    _influences: dict[str, list[Influence]] = field(default_factory=dict, init=False)
 
     @property
     def figures(self) -> list[str]:
@@ -91,7 +94,11 @@ class SweepResult(Shown):
             figure: Column; default: `led_by`.
         """
         figure = figure or self.led_by
-        return influences(self.table, self.design, figure) if figure in self.table else []
+        if figure not in self.table:
+            return []
+        if figure not in self._influences:
+            self._influences[figure] = influences(self.table, self.design, figure, self.periods)
+        return self._influences[figure]
 
     def worst(self, count: int = WORST) -> pd.DataFrame:
         """Rows of the runs that failed, were lost, or were farthest from the setpoint."""
@@ -150,13 +157,15 @@ class SweepResult(Shown):
         ]
         if rows:
             yield TextTable(("figure", "5 %", "median", "95 %", "unit"), tuple(rows))
-        told = [i for i in self.influences() if i.size >= 0]
-        if told:
-            shares = any(np.isfinite(i.total) for i in told)
-            head = (f"what matters for {self.led_by}", "rank", "alone", "in all")
-            rows = [(i.factor, *map(_short, (i.rank, i.first, i.total))) for i in told]
-            width = 4 if shares else 2
-            yield TextTable(head[:width], tuple(row[:width] for row in rows))
+        found = self.influences()
+        if found:
+            total = any(np.isfinite(i.total) for i in found)
+            head = (f"what matters for {self.led_by}", "share of variance", "95 % interval", "rank")
+            rows = [
+                (i.factor, *i.words, _short(i.rank), *([_short(i.total)] if total else []))
+                for i in found
+            ]
+            yield TextTable((*head, "with the others") if total else head, tuple(rows))
 
     def brief(self) -> str:
         """How many runs of what."""

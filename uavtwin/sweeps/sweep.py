@@ -175,7 +175,7 @@ def run_sweep(
             with opened_engine(work.engine, work.workers, work.scheduler) as engine:
                 _fly(plan, flying, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
-            result = SweepResult(base.name, table, design, plan.scenarios, vehicle)
+            result = SweepResult(base.name, table, design, plan.scenarios, vehicle, plan.periods)
             result.save(out / "runs.parquet")
             result.report(out / "report.html")
             write_json(out / "sweep.json", result.json())

@@ -11,11 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import kstest, norm
 
+from twin.effects import EFFECTS
 from twin.errors import TwinError
 from uavtwin.simulation import Scenario
 from uavtwin.sweeps.design import METHODS, Design, factor_of, read_design
 from uavtwin.sweeps.distributions import Choice, Normal, Uniform, Value, distribution_of
-from uavtwin.sweeps.factors import scenario_of
+from uavtwin.sweeps.factors import period_of, scenario_of
 from uavtwin.sweeps.sensitivity import influences
 
 UNIT = {"a": Uniform(0.0, 1.0), "b": Uniform(0.0, 1.0), "c": Uniform(0.0, 1.0)}
@@ -66,10 +67,82 @@ def test_sobol_indices_of_a_known_function() -> None:
     a, b, c = (table[n].to_numpy() for n in "abc")
     table["y"] = np.sin(a) + 7 * np.sin(b) ** 2 + 0.1 * c**4 * np.sin(a)
     told = {i.factor: i for i in influences(table, design, "y")}
-    first, total = ([getattr(told[n], k) for n in "abc"] for k in ("first", "total"))
+    first, total = ([getattr(told[n], k) for n in "abc"] for k in ("share", "total"))
     assert first == pytest.approx([0.3139, 0.4424, 0.0], abs=0.02)
     assert total == pytest.approx([0.5576, 0.4424, 0.2437], abs=0.02)
     assert [i.factor for i in influences(table, design, "y")] == ["a", "b", "c"]
+
+
+def test_sobol_indices_of_words_have_intervals_that_repeat() -> None:
+    vary = {"mission": Choice(("calm", "fast")), "x": Uniform(0.0, 1.0), "idle": Uniform(0.0, 1.0)}
+    design = Design(vary, "saltelli", 5 * 64, 1)
+    table = pd.DataFrame(design.points())
+    table["y"] = 3.0 * (table["mission"] == "fast") + 4 * table["x"]
+    word, number, idle = influences(table, design, "y")
+    assert (word.factor, number.factor, idle.factor) == ("mission", "x", "idle")
+    assert word.low < 2.25 / (2.25 + 16 / 12) < word.high
+    assert word.determined and number.determined and not idle.determined
+    assert repr(influences(table, design, "y")) == repr([word, number, idle])
+
+
+VARIANCE = {"word": 2 / 3 * 1.44, "angle": 0.5, "number": 0.25 / 12, "noise": 0.04}
+
+
+def mixed(runs: int, seed: int) -> tuple[pd.DataFrame, Design]:
+    """A figure that depends on a word, an angle and a number, and on neither of two others."""
+    vary: dict[str, Any] = {
+        "word": Choice(("a", "b", "c")),
+        "angle": Uniform(0.0, 360.0),
+        "number": Uniform(0.0, 1.0),
+        "idle": Uniform(0.0, 1.0),
+        "switch": Choice((True, False)),
+    }
+    design = Design(vary, "latin_hypercube", runs, seed)
+    table = pd.DataFrame(design.points())
+    level = table["word"].map({"a": -1.2, "b": 0.0, "c": 1.2})
+    wave = np.cos(np.radians(table["angle"] - 77.0))  # of no slope over a whole turn
+    noise = 0.2 * np.random.default_rng(seed + 1000).standard_normal(runs)
+    table["y"] = level + wave + 0.5 * table["number"] + noise
+    return table, design
+
+
+def test_words_angles_and_numbers_have_shares_of_one_kind() -> None:
+    """Against the variances that the figure was made of."""
+    table, design = mixed(2000, 3)
+    found = {i.factor: i for i in influences(table, design, "y", {"angle": 360.0})}
+    whole = sum(VARIANCE.values())
+    for name in ("word", "angle", "number"):
+        assert found[name].share == pytest.approx(VARIANCE[name] / whole, abs=0.02)
+        assert found[name].low < VARIANCE[name] / whole < found[name].high
+    assert [*found][:3] == ["word", "angle", "number"]
+    assert not (found["idle"].determined or found["switch"].determined)
+    assert found["idle"].words[0] == "not distinguishable from 0"
+    assert math.isnan(found["word"].rank) and math.isnan(found["angle"].rank)
+    assert found["number"].rank > 0
+
+
+def test_a_factor_without_influence_is_seldom_given_one() -> None:
+    """At most one sweep in twenty, where the intervals hold together as they say."""
+    false = 0
+    for seed in range(60):
+        table, design = mixed(60, seed)
+        found = influences(table, design, "y", {"angle": 360.0})
+        false += any(i.determined for i in found if i.factor in ("idle", "switch"))
+        assert next(i for i in found if i.factor == "word").determined
+    assert false <= 6  # of true 5 %, more are found once in 50
+
+
+def test_too_few_runs_are_said() -> None:
+    table, design = mixed(6, 1)
+    assert {i.words for i in influences(table, design, "y")} == {("too few runs", "")}
+
+
+def test_a_word_that_a_resample_never_draws_costs_nothing() -> None:
+    design = Design({"word": Choice(tuple("abcdefgh"))}, "random", 20, 2)
+    table = pd.DataFrame(design.points())
+    table["y"] = np.arange(20.0)
+    (found,) = influences(table, design, "y")
+    assert np.isfinite([found.share, found.low, found.high]).all()
 
 
 def test_ranks_see_what_goes_up_throughout() -> None:
@@ -78,7 +151,25 @@ def test_ranks_see_what_goes_up_throughout() -> None:
     table["y"] = np.exp(5 * table["b"]) - 1e-3 * table["c"]
     first, *others = influences(table, design, "y")
     assert (first.factor, round(first.rank, 3)) == ("b", 1.0)
+    assert first.share > 0.98
     assert all(abs(i.rank) < 0.25 and math.isnan(i.total) for i in others)
+    assert not any(i.determined for i in others)
+
+
+def test_angles_are_known_by_their_unit() -> None:
+    units = {"part.yaw": "rad", "part.course": "deg", "part.rate": "rad/s", "part.mass": "kg"}
+    periods = {n: period_of(n, units) for n in (*units, "wind.from", "wind.speed", "mission")}
+    turn = 2 * math.pi
+    assert {n: p for n, p in periods.items() if p} == {
+        "part.yaw": turn,
+        "part.course": 360.0,
+        "wind.from": 360.0,
+    }
+    numbers = [
+        (f"effect.{e.name}.{p.name}", p.unit) for e in EFFECTS.values() for p in e.parameters
+    ]
+    assert any(unit == "rad" for _, unit in numbers)
+    assert all((period_of(n, {}) == turn) == (unit == "rad") for n, unit in numbers)
 
 
 def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
