@@ -49,6 +49,7 @@ class Run(Shown):
         facts: What it was run with, for the page.
         ended: What ended it early; None where it came to its end.
         fmus: How each FMU was run, by its name in the system: "FMI 3.0, co-simulation".
+        warnings: What was asked for although it changes nothing.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Run(Shown):
     facts: Mapping[str, Any] = field(default_factory=dict)
     ended: RunError | Interrupted | None = None
     fmus: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
 
     @property
     def claim(self) -> str:
@@ -87,10 +89,11 @@ class Run(Shown):
     def json(self) -> dict[str, Any]:
         """The content of `summary.json`: figures of a flight, empty where nothing flies.
 
-        `incomplete` is in it where the run did not come to its end, and says why.
+        `incomplete` is in it where the run did not come to its end, and says why; `warnings`
+        where something was asked for that changes nothing.
         """
-        why = self.recording.incomplete
-        return summary(self.recording) | ({"incomplete": why} if why else {})
+        more = {"incomplete": self.recording.incomplete, "warnings": list(self.warnings)}
+        return summary(self.recording) | {k: v for k, v in more.items() if v}
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
@@ -134,6 +137,8 @@ class Run(Shown):
                 ("figure", "value", "unit"),
                 tuple((text, f"{figures[k]:.3g}", unit) for k, (text, unit) in _FIGURES.items()),
             )
+        if self.warnings:
+            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """How long, and how many outputs."""
@@ -254,7 +259,10 @@ def run_plan(
         TwinError: As `scenario_system` and `run_scenario`.
     """
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as folder:
-        system = scenario_system(plan, Path(folder), lambda done: progress(_BUILDING * done))
+        warnings: list[str] = []
+        system = scenario_system(
+            plan, Path(folder), lambda done: progress(_BUILDING * done), warnings.append
+        )
         if stop_s is None and duration_s is not None:
             stop_s = system.start_time_s + duration_s
         if trust is not None:
@@ -280,7 +288,7 @@ def run_plan(
         interfaces = {k: read_interface(path) for k, path in system.fmus.items()}
     units = {f"{k}.{p.name}": p.unit or "" for k, i in interfaces.items() for p in i.ports.values()}
     ways = {k: f"FMI {i.description.fmiVersion}, co-simulation" for k, i in interfaces.items()}
-    return Run(plan.name, recording, units, _facts(plan), ended, ways)
+    return Run(plan.name, recording, units, _facts(plan), ended, ways, tuple(warnings))
 
 
 def _facts(plan: Scenario) -> dict[str, Any]:

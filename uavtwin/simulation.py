@@ -18,7 +18,7 @@ from fmus import build
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
-from twin.flight.assembly import Assembly, flying_twin, wind_starts
+from twin.flight.assembly import Assembly, flying_twin, responds_to_wind, wind_starts
 from twin.flight.mission import mission_names
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
@@ -76,12 +76,21 @@ class Scenario:
 
 
 def scenario_system(
-    scenario: Scenario, folder: Path, progress: Callable[[float], None] = lambda _: None
+    scenario: Scenario,
+    folder: Path,
+    progress: Callable[[float], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> System:
     """FMUs and connections of a scenario, built into a folder where it is not an `.ssp`.
 
     What shapes the scenario are start values of the system, so one mission of one vehicle is
     compiled once.
+
+    Args:
+        scenario: What to simulate.
+        folder: For the FMUs.
+        progress: Called with the share built.
+        warn: Called with each sentence of `ineffective`.
 
     Raises:
         TwinError: An unknown mission, effect or start value; a broken `.ssp`.
@@ -95,7 +104,10 @@ def scenario_system(
         raise TwinError(f"{scenario.target}: neither an .ssp file nor a scenario: {known}.")
     vehicle = scenario.vehicle or load_vehicle(DEFAULT_VEHICLE)
     twin = flying_twin(vehicle, str(scenario.target), scenario.controller)
-    starts = _changes(twin, twin.with_starts(shaping_starts(twin, scenario)))
+    shaped = twin.with_starts(shaping_starts(twin, scenario))
+    for text in ineffective(shaped, scenario):
+        warn(text)
+    starts = _changes(twin, shaped)
     if not scenario.fused:
         return replace(system_of(twin, folder, progress=progress), starts=starts)
     model = fused_model(twin, vehicle.name)
@@ -139,6 +151,40 @@ def shaping_starts(twin: Assembly, scenario: Scenario) -> dict[str, float]:
         **switches,
         **scenario.starts,
     }
+
+
+def ineffective(twin: Assembly, scenario: Scenario) -> list[str]:
+    """What a scenario asks for although it changes nothing of this twin, with the way out.
+
+    Args:
+        twin: With the start values of the scenario.
+        scenario: It is flown in.
+    """
+    starts = {f"{k}.{v.name}": v.start for k, part in twin.parts.items() for v in part.variables}
+    off = [
+        f"{name}: changes nothing, {effect} is switched off. Add --effect {effect}, or --start "
+        f"{part}.{effect}.enabled=1."
+        for name in scenario.starts
+        for part, _, rest in [name.partition(".")]
+        for effect, _, number in [rest.partition(".")]
+        if number != "enabled" and starts.get(f"{part}.{effect}.enabled", 1.0) == 0.0
+    ]
+    blown = [
+        name
+        for name, value in {
+            "wind": any(starts.get(f"environment.wind.{a}", 0.0) for a in "xyz"),
+            "gusts": starts.get("environment.gust.enabled", 0.0),
+            "steady_wind": starts.get("airframe.steady_wind.enabled", 0.0),
+        }.items()
+        if value
+    ]
+    if blown and not responds_to_wind(twin):
+        off.append(
+            f"{' and '.join(blown)}: changes nothing, no part of this aircraft responds to the "
+            f"air: its file has no drag. Add --effect rotor_drag, or find its drag with `uavtwin "
+            f"explain`."
+        )
+    return off
 
 
 def _changes(before: Assembly, after: Assembly) -> dict[str, float]:

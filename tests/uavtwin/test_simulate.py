@@ -15,8 +15,16 @@ from page_rigs.figures import figures_of
 from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
+from twin.flight.assembly import flying_twin
 from twin.flight.mission import mission_names
-from uavtwin.simulation import Scenario, run_scenario, scenario_system, summary
+from uavtwin.simulation import (
+    Scenario,
+    ineffective,
+    run_scenario,
+    scenario_system,
+    shaping_starts,
+    summary,
+)
 from uavtwin.vehicles import load_vehicle
 
 VEHICLE = "crazyflie"
@@ -39,6 +47,57 @@ def simulate(capsys: pytest.CaptureFixture[str]) -> Call:
 @pytest.fixture(scope="module")
 def windy(tmp_path_factory: pytest.TempPathFactory) -> System:
     return scenario_system(WINDY, tmp_path_factory.mktemp("windy"))
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "shaped", "says"),
+    [
+        ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0)}, ["wind: changes nothing"]),
+        ("copter_default", {"gusts": True}, ["gusts: changes nothing"]),
+        ("copter_default", {"effects": ("steady_wind",)}, ["steady_wind: changes nothing"]),
+        ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0), "effects": ("rotor_drag",)}, []),
+        ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0), "effects": ("blade_flapping",)}, []),
+        (
+            "copter_default",
+            {"wind_m_s": (1.0, 0.0, 0.0), "effects": {"rotor_drag": {"k_xy_1_s": 0.0}}},
+            ["wind: changes nothing"],
+        ),
+        ("feisi_x150", {"wind_m_s": (15.0, 0.0, 0.0), "gusts": True}, []),
+        ("copter_default", {}, []),
+        (
+            "copter_default",
+            {"starts": {"airframe.rotor_drag.k_xy_1_s": 0.6}},
+            ["airframe.rotor_drag.k_xy_1_s: changes nothing, rotor_drag is switched off"],
+        ),
+        (
+            "copter_default",
+            {
+                "starts": {
+                    "airframe.rotor_drag.k_xy_1_s": 0.6,
+                    "airframe.rotor_drag.enabled": 1.0,
+                    "airframe.mass": 1.5,
+                }
+            },
+            [],
+        ),
+    ],
+)
+def test_what_changes_nothing_is_said(vehicle: str, shaped: Any, says: list[str]) -> None:
+    scenario = Scenario("hover", load_vehicle(vehicle), **shaped)
+    twin = flying_twin(load_vehicle(vehicle))
+    found = ineffective(twin.with_starts(shaping_starts(twin, scenario)), scenario)
+    assert [text.startswith(start) for text, start in zip(found, says, strict=True)] == [
+        True for _ in says
+    ]
+
+
+@pytest.mark.slow
+def test_wind_without_effect_is_a_warning(simulate: Call, tmp_path: Path) -> None:
+    given = ("hover", "--vehicle", "copter_default", "--wind", "15,0,0", "--stop", 1)
+    code, said, warned = simulate(*given, "--out", tmp_path / "o", "--json")
+    assert code == 0
+    assert "warning: wind: changes nothing" in warned
+    assert json.loads(said)["warnings"][0] in warned
 
 
 @pytest.mark.slow

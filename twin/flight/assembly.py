@@ -7,6 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import casadi as ca
+import numpy as np
+
 from ..component import Component, unknown_name
 from ..effects import EFFECTS, RandomForce
 from ..errors import ModelError
@@ -76,6 +79,27 @@ def wind_starts(wind_m_s: Iterable[float], gusts: bool = False) -> dict[str, flo
     """Start values of the air: a steady wind, velocity NED, with gusts or without."""
     names = (f"environment.wind.{a}" for a in "xyz")
     return dict(zip(names, wind_m_s, strict=True)) | gust_switches(gusts)
+
+
+def responds_to_wind(twin: Assembly) -> bool:
+    """Whether the motion of any part depends on the velocity of the air.
+
+    Drag, flapping or inflow may be zero in the vehicle's file: then no wind changes a bit. The
+    derivatives are compared with and without wind at random states, which a dependence that is not
+    identically zero passes with probability 1.
+    """
+    rng = np.random.default_rng(0)
+    for part in twin.parts.values():
+        wind = [i for i, name in enumerate(part.input_names) if name.startswith("wind_")]
+        p, u = part.parameter_values(), part.input_values()
+        rest = np.ravel(ca.DM(part.initial(u, p)).full())
+        for _ in range(4 if wind else 0):
+            x, blown = rest + rng.normal(0.0, 3.0, rest.shape), u.copy()
+            blown[wind] += rng.normal(0.0, 3.0, len(wind))
+            with_wind, without = (ca.DM(part.derivatives(x, v, p)).full() for v in (blown, u))
+            if not np.array_equal(with_wind, without, equal_nan=True):
+                return True
+    return False
 
 
 def gust_switches(on: bool) -> dict[str, float]:

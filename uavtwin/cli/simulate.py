@@ -125,6 +125,8 @@ def simulate(
 
 def _say(run: "Run", out: Path, recordings: Sequence[str], realtime: bool, as_json: bool) -> None:
     """What came of a run; ends the verb where it did not come to its end."""
+    for warning in run.warnings:
+        STDERR.print(f"warning: {warning}", style="yellow", markup=False)
     if as_json:
         print_json(run.json())
     if run.ended is not None:

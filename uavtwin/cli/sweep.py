@@ -22,7 +22,7 @@ from .options import (
     Workers,
     start_values,
 )
-from .printing import STDOUT, print_json, progress
+from .printing import STDERR, STDOUT, print_json, progress
 from .simulate import Aircraft, ScenarioName, aircraft_of, three_numbers
 
 if TYPE_CHECKING:
@@ -133,6 +133,8 @@ def _say(result: "SweepResult", out: Path, as_json: bool) -> None:
     """What came of it; ends the verb where a run failed."""
     if as_json:
         print_json(result.json())
+        for warning in result.warnings:
+            STDERR.print(f"warning: {warning}", style="yellow", markup=False)
     else:
         STDOUT.print(str(result), markup=False)
         STDOUT.print(f"written: {out / 'report.html'}, runs.parquet, sweep.json, run.json")

@@ -1,6 +1,6 @@
 """The aircraft that an autopilot flies: the whole twin as one FMU, driven from outside."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from twin.physics.battery import battery
 from twin.vehicle import Vehicle
 
 from ..exports.parts import LearnedForce, twin
-from ..simulation import Scenario, shaping_starts
+from ..simulation import Scenario, ineffective, shaping_starts
 
 Array = NDArray[np.float64]
 _MOTION = {
@@ -133,6 +133,7 @@ def flying_twin_of(
     compensator: NetworkFile | None = None,
     force: LearnedForce | None = None,
     starts: Mapping[str, float] | None = None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> FlyingTwin:
     """Build and load the twin of a vehicle, its effects on.
 
@@ -143,6 +144,7 @@ def flying_twin_of(
         compensator: Of its sensors, trained to see no measurement.
         force: Learned force and moment inside its equations.
         starts: More start values, "part.variable" -> value.
+        warn: Called with each sentence of `uavtwin.simulation.ineffective`.
 
     Raises:
         TwinError: The vehicle has no motor commands, or what was learned is of another vehicle or
@@ -163,7 +165,10 @@ def flying_twin_of(
     assembly = _with_battery(whole.assembly, vehicle)
     network = whole.compensator
     model = fused_model(assembly, vehicle.name, None if network is None else native_model(network))
-    given = shaping_starts(assembly, scenario or Scenario("hil", vehicle)) | dict(starts or {})
+    flown = scenario or Scenario("hil", vehicle)
+    given = shaping_starts(assembly, flown) | dict(starts or {})
+    for text in ineffective(assembly.with_starts(given), flown):
+        warn(text)
     if network is not None and f"{COMPENSATOR}.{PHASE}" in model.input_names:
         given[f"{COMPENSATOR}.{PHASE}"] = float(max(network.phases.values()))  # unknown
     corrected = () if compensator is None else compensator.channels

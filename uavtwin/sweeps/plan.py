@@ -1,5 +1,6 @@
 """What a sweep will run: the systems, built once each, and the start values of every run."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,15 @@ from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin
 from twin.representation import short_repr
 
-from ..simulation import DEFAULT_VEHICLE, Scenario, Times, scenario_system, shaping_starts, times_of
+from ..simulation import (
+    DEFAULT_VEHICLE,
+    Scenario,
+    Times,
+    ineffective,
+    scenario_system,
+    shaping_starts,
+    times_of,
+)
 from ..vehicles import Vehicle, load_vehicle
 from .design import Design
 from .distributions import Value
@@ -70,6 +79,7 @@ class Plan:
         points: Factors of each run.
         scenarios: Of each run.
         periods: Of factors that are angles: what a whole turn is.
+        warnings: What the windiest run of a system asks for although it changes nothing.
     """
 
     stands: tuple[Stand, ...]
@@ -77,6 +87,7 @@ class Plan:
     points: Sequence[Mapping[str, Value]]
     scenarios: Sequence[Scenario]
     periods: Mapping[str, float]
+    warnings: tuple[str, ...]
 
     __repr__ = short_repr
 
@@ -142,11 +153,26 @@ def plan_of(
         stands.append(_stand(first, own, duration_s, step_s, whole))
         progress((number + 1) / len(firsts))
     periods = {n: p for n in design.vary if (p := period_of(n, units)) is not None}
-    return Plan(tuple(stands), tuple(jobs), points, scenarios, periods)
+    windiest = [
+        max((s for k, s in zip(where, scenarios, strict=True) if k == n), key=_wind)
+        for n in range(len(places))
+    ]
+    idle = {
+        text: None
+        for scenario, twin in zip(windiest, twins, strict=True)
+        if twin is not None
+        for text in ineffective(twin.with_starts(shaping_starts(twin, scenario)), scenario)
+    }
+    return Plan(tuple(stands), tuple(jobs), points, scenarios, periods, tuple(idle))
 
 
 Check = Callable[[int, Scenario], Mapping[str, float]]
 """From a run and its scenario to its start values, each within its range."""
+
+
+def _wind(scenario: Scenario) -> tuple[float, bool]:
+    """By which the windiest of several scenarios is found."""
+    return math.hypot(*scenario.wind_m_s), scenario.gusts
 
 
 def _vehicle(scenario: Scenario) -> Vehicle:

@@ -37,6 +37,7 @@ class SweepResult(Shown):
         scenarios: Of each run.
         vehicle: Name or file of what flies where no factor says another, "" for the usual one.
         periods: Of factors that are angles: what a whole turn is.
+        warnings: What was asked for although it changes nothing.
     """
 
     name: str
@@ -45,6 +46,7 @@ class SweepResult(Shown):
     scenarios: Sequence[Scenario]
     vehicle: str = ""
     periods: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     _influences: dict[str, list[Influence]] = field(default_factory=dict, init=False)
 
     @property
@@ -131,6 +133,7 @@ class SweepResult(Shown):
             "figures": quantiles,
             "influences": [{k: _known(v) for k, v in asdict(i).items()} for i in told],
             "worst": [int(run) for run in self.worst()["run"]],
+            "warnings": list(self.warnings),
         }
 
     def save(self, path: str | Path) -> Path:
@@ -166,6 +169,9 @@ class SweepResult(Shown):
                 for i in found
             ]
             yield TextTable((*head, "with the others") if total else head, tuple(rows))
+
+        if self.warnings:
+            yield "\n".join(self.warnings)
 
     def brief(self) -> str:
         """How many runs of what."""

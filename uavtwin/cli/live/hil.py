@@ -122,7 +122,11 @@ def _twin(
         force = learned_force(model)
     elif model is not None:
         network = compensator(model)
-    return flying_twin_of(vehicle, folder, scenario, network, force)
+    return flying_twin_of(vehicle, folder, scenario, network, force, warn=_warn)
+
+
+def _warn(text: str) -> None:
+    STDERR.print(f"warning: {text}", style="yellow", markup=False)
 
 
 def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilTold":
