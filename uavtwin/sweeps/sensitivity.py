@@ -14,6 +14,7 @@ docs/guide/sweep.md.
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -105,8 +106,9 @@ def influences(
             share = _share(values, y, period, level, design.seed)
             found.append(Influence(name, figure, *share, rank))
         else:
-            first, total = (a[list(design.vary).index(name)].tolist() for a in sobol)
-            found.append(Influence(name, figure, *first, rank, total[0]))
+            first, total = (a[list(design.vary).index(name)] for a in sobol)
+            value, low, high = map(float, first)
+            found.append(Influence(name, figure, value, low, high, rank, float(total[0])))
     return sorted(found, key=lambda i: -i.size)
 
 
@@ -138,7 +140,8 @@ def _share(
 def _functions(values: pd.Series, period: float | None) -> Array:
     """Functions of a factor on which a figure is regressed, shape (runs, functions)."""
     if pd.api.types.is_bool_dtype(values) or not pd.api.types.is_numeric_dtype(values):
-        return pd.get_dummies(values.astype(str), drop_first=True).to_numpy(dtype=np.float64)
+        indicators = pd.get_dummies(values.astype(str), drop_first=True)
+        return np.asarray(indicators, dtype=np.float64)
     x = values.to_numpy(dtype=np.float64)
     levels = len(np.unique(x))
     if period is not None and levels > 2 * _HARMONICS:
@@ -149,7 +152,7 @@ def _functions(values: pd.Series, period: float | None) -> Array:
     return np.asarray(legendre.legvander(place, degree)[:, 1:])
 
 
-def _adjusted_r2(functions: Array, y: Array, weights: Array) -> Array:
+def _adjusted_r2(functions: Array, y: Array, weights: NDArray[Any]) -> Array:
     """Adjusted R² of weighted regressions, shape (b,).
 
     Args:

@@ -74,7 +74,11 @@ def test_sobol_indices_of_a_known_function() -> None:
 
 
 def test_sobol_indices_of_words_have_intervals_that_repeat() -> None:
-    vary = {"mission": Choice(("calm", "fast")), "x": Uniform(0.0, 1.0), "idle": Uniform(0.0, 1.0)}
+    vary: dict[str, Any] = {
+        "mission": Choice(("calm", "fast")),
+        "x": Uniform(0.0, 1.0),
+        "idle": Uniform(0.0, 1.0),
+    }
     design = Design(vary, "saltelli", 5 * 64, 1)
     table = pd.DataFrame(design.points())
     table["y"] = 3.0 * (table["mission"] == "fast") + 4 * table["x"]
