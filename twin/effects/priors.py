@@ -13,6 +13,7 @@ the reason of each row says where its size comes from.
 | LAST | -7 | what would explain almost anything, and is thought of last |
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -47,6 +48,11 @@ class Normal:
         return Normal(k * self.mean, k * self.sd, k * self.day)
 
 
+def nothing_yet(_: Vehicle) -> float:
+    """Of a number that is a change of the model by itself."""
+    return 0.0
+
+
 def always_said(_: Vehicle) -> bool:
     """Of a cause of which a vehicle always says something."""
     return False
@@ -66,6 +72,8 @@ class Prior:
         timed: Whether its number moves signals in time though the effect is no shift of them: no
             linearisation tells such numbers apart.
         least: Smallest number that a flight can tell from none, for a vehicle; None: any.
+        already: What a vehicle's own numbers hold of the quantity that `numbers` are about, in its
+            unit: `numbers` are about the whole, a change of the model is the whole less this.
         unsaid: Whether a vehicle says nothing of the cause, so that it counts as unmeasured.
     """
 
@@ -77,7 +85,17 @@ class Prior:
     start: bool = False
     timed: bool = False
     least: Callable[[Vehicle], float | None] = field(default=lambda _: None, repr=False)
+    already: Callable[[Vehicle], float] = field(default=nothing_yet, repr=False)
     unsaid: Callable[[Vehicle], bool] = field(default=always_said, repr=False)
+
+    def change(self, whole: Normal, vehicle: Vehicle) -> Normal:
+        """Distribution of the change of a vehicle's model, of that of the whole quantity.
+
+        The vehicle's own number is evidence, too, good to a factor of two: half of it widens the
+        distribution.
+        """
+        own = self.already(vehicle)
+        return Normal(whole.mean - own, math.hypot(whole.sd, own / 2), whole.day)
 
     def odds_for(self, vehicle: Vehicle) -> float:
         """Log prior odds that a vehicle's model lacks the effect."""
@@ -108,9 +126,10 @@ PRIORS: dict[str, Prior] = {
     ),
     "motor_lag": Prior(
         UNMEASURED,
-        "15 to 75 ms in all published airframes",
+        "whole lag of all published airframes: 15 to 75 ms",
         {"": Normal(0.03, 0.015)},
         corrects="rotors.lag",
+        already=lambda v: v.rotors.lag_up_s,
         timed=True,
         least=lambda v: None if v.rotors.follows else QUICKEST_LAG_S,
     ),

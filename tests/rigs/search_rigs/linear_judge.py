@@ -11,6 +11,7 @@ from twin.explain.inference.bounds import Bounds
 from twin.explain.inference.evidence import Judge, Noise
 from twin.explain.inference.spectrum import Rows, Spectrum
 from twin.explain.settings import EvidenceSettings
+from twin.physics.sensors.table import SENSORS
 
 Array = NDArray[np.float64]
 
@@ -73,7 +74,7 @@ class Linear:
             for flights in self.channels
         )
         days = np.zeros((len(self.channels[0]), len(beliefs.days)))
-        names = tuple(f"channel_{i}" for i in range(len(rows)))
+        names = tuple(c for s in SENSORS for c in s.channels)[: len(rows)]
         return Spectrum(names, rows, np.zeros(k), days, beliefs.days)
 
     @property
@@ -81,5 +82,5 @@ class Linear:
         k, beliefs = len(self.effects), self.beliefs
         bounds = Bounds(beliefs.low, beliefs.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
-        noise = Noise(self.floor, own, self.silent)
+        noise = Noise(self.floor, own, {}, self.silent)
         return Judge(self.spectrum, noise, beliefs, bounds, EvidenceSettings())

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from ...effects import EFFECTS
 from ...errors import TwinError
@@ -24,6 +23,7 @@ from ...logs import Flight
 from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ...vehicle import Vehicle
+from ..inference.evidence import Factored, best_inside
 from ..inference.fit import Fit
 from ..inference.selection import Naming
 from ..inference.whitening import Block, blocks_of
@@ -175,17 +175,7 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
     if not total.pull.size:
         return 0.5 * total.power
     gram = total.gram + held.precision
-    unit = 1 / np.sqrt(np.diag(gram))
-    root = np.linalg.cholesky(gram * np.outer(unit, unit))
-    best = (
-        lsq_linear(
-            root.T,
-            np.linalg.solve(root, total.pull * unit),
-            (held.low / unit, held.high / unit),
-            method="bvls",
-        ).x
-        * unit
-    )
+    best = best_inside(Factored.of(gram), total.pull, held.low, held.high)
     return float(0.5 * (total.power - 2 * total.pull @ best + best @ gram @ best))
 
 

@@ -215,6 +215,8 @@ def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
         expected = priors[n.effect].of(stem, indoors).sized(about, vehicle)
         if n.shape and n.about.unit == "V":
             expected = priors[n.effect].of(stem, indoors).scaled(n.now)
+        if not n.shape:
+            expected = priors[n.effect].change(expected, vehicle)
         in_file = n.effect in vehicle.effects
         mean[i] = n.now if in_file else expected.mean
         slab[i], day[i] = expected.sd, expected.day

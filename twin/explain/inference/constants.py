@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...physics.sensors.table import BODY, sensor_of
+from ...physics.sensors.table import BODY, Sensor, sensor_of
 from ...vehicle import GRAVITY_M_S2, Vehicle
 from ..settings import EvidenceSettings
 
@@ -17,19 +17,28 @@ def constants_of_days(
     return [_constant(name, vehicle, settings) for name in channels]
 
 
+def sensor_read(channel: str) -> Sensor:
+    """The sensor that a channel is of: that itself, or the one that the pose stands in for
+    (`motion_`) or is compared with (`pose_`)."""
+    sensor = sensor_of(_reading(channel))
+    assert sensor is not None, channel
+    return sensor
+
+
+def _reading(channel: str) -> str:
+    kind, _, read = channel.partition("_")
+    if kind == "motion":
+        return read.replace("rate_", "gyro_rate_")
+    return read if kind == "pose" else channel
+
+
 def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
-    """Of one channel: of a sensor, or of what the pose says in its place (`motion_`) or against it
-    (`pose_`)."""
-    kind, _, read = name.partition("_")
-    against = kind == "pose"
-    if against or kind == "motion":
-        name = read.replace("rate_", "gyro_rate_") if kind == "motion" else read
-    sensor = sensor_of(name)
-    assert sensor is not None, name
-    if against:
+    """Of one channel."""
+    sensor, read = sensor_read(name), _reading(name)
+    if name.startswith("pose_"):
         return settings.trim_pose * (FAST_RAD_S if sensor.rate_unit else GRAVITY_M_S2)
-    columns = sensor.channels if name in sensor.channels else sensor.columns
-    axis = columns.index(name)
+    columns = sensor.channels if read in sensor.channels else sensor.columns
+    axis = columns.index(read)
     size = sensor.size(vehicle)[axis]
     if sensor.group != BODY:
         return settings.trim_other * size

@@ -14,6 +14,9 @@ mere disturbances say nothing of it; that is the prediction-error method with th
 (Ljung, System Identification, sec. 13.4).
 
 kappa, by which all days differ more or less than is usual, is a number of the hypothesis, too.
+
+To each RSS the power of rounding to the least count of the sensor is added: perfect readings, of a
+simulation without noise, are known no better than that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,13 +24,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
 from ...representation import short_repr
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ
 from ..settings import DEFAULT, EvidenceSettings
 from .beliefs import Beliefs
 from .bounds import Bounds
+from .constants import sensor_read
 from .spectrum import BANDS_HZ, Rows, Spectrum
 
 Array = NDArray[np.float64]
@@ -35,6 +40,8 @@ STEPS, HALVINGS = 15, 5
 """Of the search for the best numbers: steps, of one step's length."""
 SETTLED = 0.02
 """A step that gains less, in nats, is the last."""
+LEAST_EIGENVALUE = 1e-12
+"""Of a curvature whose diagonal is one: sums over 1e4 samples are rounded to about this."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +52,13 @@ class Noise:
         floor: Square of the level by channel and band, laws being inexact; of a constant, that of
             the days at kappa = 1.
         own: By channel, how much of its power rows count.
+        rounding: By channel and band, variance of a row by rounding to the sensor's least count.
         silent: Channels and bands that do not vote.
     """
 
     floor: Mapping[tuple[int, int], float]
     own: Array
+    rounding: Mapping[tuple[int, int], float]
     silent: frozenset[tuple[int, int]] = frozenset()
 
     __repr__ = short_repr
@@ -72,7 +81,10 @@ class Noise:
         """
         power, flights = rest.power(), len(rest.rows[0])
         floor, own = {}, np.ones(len(rest.channels))
-        for c, constant in enumerate(constants):
+        rounding: dict[tuple[int, int], float] = {}
+        for c, (name, constant) in enumerate(zip(rest.channels, constants, strict=True)):
+            least = rounding_variance(name)
+            rounding |= {(c, b): float(least[b]) for b in range(1, len(BANDS_HZ))}
             moving = [v for (k, b), v in power.items() if k == c and b]
             n = sum(count for _, count in moving)
             mean = sum(p for p, _ in moving) / max(n, 1)
@@ -82,8 +94,8 @@ class Noise:
                     floor[c, b] = constant**2
                 elif (c, b) in power:
                     p, count = power[c, b]
-                    floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + 1e-24
-        return cls(floor, own, silent)
+                    floor[c, b] = settings.rough**2 * max(p / count, 1e-3 * mean) + least[b]
+        return cls(floor, own, rounding, silent)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,6 +182,7 @@ class Judge:
                 n = sum(1 for r in own if len(r.band)) if b == 0 else len(inside)
                 gram = np.zeros((size, size))
                 gram[corner] = weight * (inside.T @ inside)
+                gram[0, 0] += n * weight * self._noise.rounding.get((c, int(b)), 0.0)
                 grams.append(gram)
                 counts.append(n * weight)
                 floors.append(self._noise.floor[c, int(b)])
@@ -235,7 +248,7 @@ class Judge:
         index = np.concatenate([free, days]).astype(np.intp)
         means = np.concatenate([mean[free], np.zeros(len(days))])
         precision = np.diag(np.concatenate([np.zeros(len(free)), (kappa * self._day) ** -2.0]))
-        precision[: len(free), : len(free)] = np.linalg.inv(inner)
+        precision[: len(free), : len(free)] = Factored.of(inner).inverse()
         return index, means, precision, float(sum(b.odds[e] for e in on))
 
     def _density(self, rss: Array, kappa: float) -> float:
@@ -317,7 +330,8 @@ class Judge:
         left = rss(x)
         now = density(left, x)
         for _ in range(steps if m else 0):
-            h, weight = curvature(left)
+            curved, weight = curvature(left)
+            h = Factored.of(curved)
             y = best_inside(h, weight @ q + precision @ mean, low, high)
             if limited:
                 y = self._allowed(y, free, h)
@@ -336,37 +350,97 @@ class Judge:
             x, left, now = z, new_left, new
             if done:
                 break
-        h, _ = curvature(left)
-        covariance = np.asarray(np.linalg.inv(h), dtype=np.float64)
-        laplace = 0.5 * float(np.linalg.slogdet(precision)[1] - np.linalg.slogdet(h)[1])
+        h = Factored.of(curvature(left)[0])
+        laplace = 0.5 * (Factored.of(precision).log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return Best(now + laplace + odds, kappa, full, free, covariance)
+        return Best(now + laplace + odds, kappa, full, free, h.inverse())
 
-    def _allowed(self, x: Array, free: NDArray[np.intp], h: Array) -> Array:
+    def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers with what nature rules out taken back."""
         own = free < self._k
         bounds = self._bounds.part(free[own].tolist())
         y = x.copy()
-        spread = np.asarray(np.linalg.inv(h), dtype=np.float64)
-        y[own] = bounds.inside(x[own], spread[np.ix_(own, own)])
+        y[own] = bounds.inside(x[own], h.inverse()[np.ix_(own, own)])
         return y
 
 
-def best_inside(h: Array, pull: Array, low: Array, high: Array) -> Array:
+def rounding_variance(channel: str) -> Array:
+    """Variance of a row of the spectrum, by band, of readings rounded to the sensor's least count.
+
+    Rounding errors are white and uniform (Widrow, IRE Trans. Circuit Theory 3, 1956); of a channel
+    that is a rate of change, they are differentiated. Zero for the constant.
+
+    Args:
+        channel: Of a sensor, or of the pose in its place or against it.
+    """
+    sensor = sensor_read(channel)
+    variance = np.full(len(BANDS_HZ), sensor.least_count**2 / 12 * CHANNEL_HZ / GRID_HZ)
+    if sensor.rate_unit and not channel.startswith("pose_"):
+        low, high = BANDS_HZ[:-1], BANDS_HZ[1:]
+        variance[1:] *= (2 * np.pi) ** 2 * (low**2 + low * high + high**2) / 3
+    variance[0] = 0.0
+    return variance
+
+
+@dataclass(frozen=True, slots=True)
+class Factored:
+    """Cholesky factor of a symmetric matrix whose rows and columns are scaled to a diagonal of one.
+
+    Attributes:
+        size: By which rows and columns are multiplied, shape (m,).
+        root: Upper factor R of the scaled matrix R'R, shape (m, m).
+    """
+
+    size: Array
+    root: Array
+
+    @classmethod
+    def of(cls, h: Array) -> "Factored":
+        """Factor a positive definite matrix; one that is not, by rounding, with the eigenvalues of
+        the scaled matrix raised to `LEAST_EIGENVALUE`.
+
+        Args:
+            h: Shape (m, m), its diagonal above zero.
+        """
+        size = 1 / np.sqrt(np.diag(h))
+        scaled = h * np.outer(size, size)
+        try:
+            root = np.linalg.cholesky(scaled + LEAST_EIGENVALUE * np.eye(len(h))).T
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+            raised = np.sqrt(np.maximum(values, LEAST_EIGENVALUE * len(h)))
+            root = np.linalg.qr(raised[:, None] * vectors.T).R
+            root = np.sign(np.diag(root))[:, None] * root
+        return cls(size, np.asarray(root, dtype=np.float64))
+
+    def solve(self, pull: Array) -> Array:
+        """x with h x = pull, shapes (m,) or (m, k)."""
+        scaled = (self.size * pull.T).T
+        return np.asarray((self.size * cho_solve((self.root, False), scaled).T).T)
+
+    def inverse(self) -> Array:
+        """Shape (m, m)."""
+        return self.solve(np.eye(len(self.size)))
+
+    @property
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant."""
+        return 2 * float(np.sum(np.log(np.diag(self.root))) - np.sum(np.log(self.size)))
+
+
+def best_inside(h: Factored, pull: Array, low: Array, high: Array) -> Array:
     """Where a quadratic is best inside ranges: the least of x h x / 2 - pull x.
 
     Args:
-        h: Symmetric, positive definite. Shape (m, m).
+        h: Positive definite, of shape (m, m).
         pull: Shape (m,).
         low: Lower ends, below the upper ones. Shape (m,).
         high: Upper ends. Shape (m,).
     """
-    best = np.asarray(np.linalg.solve(h, pull), dtype=np.float64)
+    best = h.solve(pull)
     if np.all((best >= low) & (best <= high)):
         return best
-    size = 1 / np.sqrt(np.diag(h))  # numbers of one curvature, whatever their units
-    root = np.linalg.cholesky(h * np.outer(size, size)).T
-    aim = solve_triangular(root, pull * size, trans="T")
-    inside = lsq_linear(root, aim, (low / size, high / size), method="bvls").x
-    return np.asarray(np.clip(inside * size, low, high), dtype=np.float64)
+    aim = solve_triangular(h.root, pull * h.size, trans="T")
+    inside = lsq_linear(h.root, aim, (low / h.size, high / h.size), method="bvls").x
+    return np.asarray(np.clip(inside * h.size, low, high), dtype=np.float64)

@@ -17,6 +17,7 @@ from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ..model.model import Model
 from ..settings import DEFAULT, LikelihoodSettings
+from .evidence import rounding_variance
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
@@ -79,7 +80,8 @@ def noise_of(
         for c, u in zip(channels, unexplained, strict=True)
         for k in np.unique(c.piece)
     ]
-    inverse, size = _autoregression(parts, order, settings.roughness)
+    rounding = float(np.mean(rounding_variance(channels[0].name)[1:]))
+    inverse, size = _autoregression(parts, order, settings.roughness, rounding)
     weights = []
     for c, u in zip(channels, unexplained, strict=True):
         size_of = np.abs(_whitened(c, u, inverse)) / size
@@ -87,19 +89,22 @@ def noise_of(
     return Noise(inverse, size, tuple(weights))
 
 
-def _autoregression(parts: Sequence[Array], order: int, roughness: float) -> tuple[Array, float]:
-    """Inverse filter and the deviation of the innovation, with some white noise added."""
+def _autoregression(
+    parts: Sequence[Array], order: int, roughness: float, rounding: float
+) -> tuple[Array, float]:
+    """Inverse filter and the deviation of the innovation, with some white noise added: a share of
+    the power, and the variance of rounding to the least count."""
     long = [r for r in parts if len(r) > 2 * order]
     if order == 0 or not long:
-        return np.ones(1), max(float(np.std(np.concatenate(list(parts)))), 1e-12)
+        return np.ones(1), float(np.sqrt(np.var(np.concatenate(list(parts))) + rounding))
     windows = np.vstack([np.lib.stride_tricks.sliding_window_view(r, order + 1) for r in long])
     past, now = windows[:, :-1][:, ::-1], windows[:, -1]
-    rough = roughness * float(np.mean(now * now)) + 1e-300
+    rough = roughness * float(np.mean(now * now)) + rounding
     a = np.linalg.solve(past.T @ past + rough * len(now) * np.eye(order), past.T @ now)
     innovation = now - past @ a
     gain = 1.0 + float(a @ a)
     size = np.sqrt((1.4826 * np.median(np.abs(innovation))) ** 2 + rough * gain)
-    return np.concatenate([[1.0], -a]), max(float(size), 1e-12)
+    return np.concatenate([[1.0], -a]), float(size)
 
 
 def _whitened(channel: ChannelData, values: Array, inverse: Array) -> Array:

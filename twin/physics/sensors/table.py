@@ -9,6 +9,8 @@ which the twin is evaluated.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...component import Component
 from ...effects import ComponentName
 from ...vehicle import GRAVITY_M_S2, Vehicle
@@ -58,6 +60,8 @@ class Sensor:
         fixed_in_space: Whether it reads a vector that the earth holds still.
         cutoff_hz: Low-pass of the vehicle's sensor, known to it but not to its readings; None.
         noise: Standard deviation of a reading by the vehicle file; 0: not known.
+        least_count: Quantisation step of a usual sensor of the kind, in `unit`. No noise level is
+            taken to be below that of rounding to it.
     """
 
     name: str
@@ -71,6 +75,7 @@ class Sensor:
     group: str
     needs: tuple[str, ...]
     size: Callable[[Vehicle], tuple[float, ...]]
+    least_count: float
     rate_unit: str = ""
     fixed_in_space: bool = False
     cutoff_hz: Callable[[Vehicle], float | None] = _unfiltered
@@ -108,6 +113,7 @@ SENSORS: tuple[Sensor, ...] = (
         BODY,
         (),
         lambda v: (GRAVITY_M_S2,) * 3,
+        GRAVITY_M_S2 / 2048,  # 16 bits over 16 g either way: ICM-20602
         cutoff_hz=lambda v: v.accel_cutoff_hz,
         noise=lambda v: v.sensors.accel_noise_m_s2,
     ),
@@ -123,6 +129,7 @@ SENSORS: tuple[Sensor, ...] = (
         BODY,
         (),
         _agility,
+        float(np.radians(1 / 16.4)),  # 16 bits over 2000 deg/s either way: ICM-20602
         rate_unit="rad/s²",
         cutoff_hz=lambda v: v.gyro_cutoff_hz,
         noise=lambda v: v.sensors.gyro_noise_rad_s,
@@ -139,6 +146,7 @@ SENSORS: tuple[Sensor, ...] = (
         "magnetometer",
         ("q",),
         lambda v: (EARTH_FIELD_T,) * 3,
+        1e-4 / 6842,  # 16 bits over 4 gauss either way: LIS3MDL
         fixed_in_space=True,
         noise=lambda v: v.sensors.mag_noise_t,
     ),
@@ -154,6 +162,7 @@ SENSORS: tuple[Sensor, ...] = (
         "barometer",
         ("pos",),
         lambda v: (FLOW_PA,),
+        1.0,  # 0.01 mbar: MS5611
         noise=lambda v: v.sensors.baro_noise_pa,
     ),
 )

@@ -7,11 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.fft import dct
 from scipy.stats import multivariate_normal
 from search_rigs.linear_judge import Linear
 
-from twin.explain.inference.evidence import Noise, best_inside
+from twin.explain.inference.evidence import (
+    Factored,
+    Noise,
+    best_inside,
+    rounding_variance,
+)
+from twin.explain.inference.spectrum import BANDS_HZ
 from twin.explain.settings import DEFAULT
+from twin.physics.sensors.table import sensor_of
+from twin.residuals.channels import CHANNEL_HZ, GRID_HZ, rate_over_step
 
 Array = NDArray[np.float64]
 LEVEL = DEFAULT.inference.evidence.level
@@ -215,9 +224,50 @@ def test_no_direction_is_better_than_the_best_inside_ranges(seed: int, m: int) -
     size = np.abs(np.linalg.solve(h, pull)) + 1e-3
     low = np.where(rng.random(m) < 0.3, -np.inf, -rng.random(m) * size)
     high = np.where(rng.random(m) < 0.3, np.inf, rng.random(m) * size)
-    x = best_inside(h, pull, low, high)
+    x = best_inside(Factored.of(h), pull, low, high)
     assert np.all((x >= low) & (x <= high))
     down = pull - h @ x
     scale = 1e-7 * (np.abs(h) @ np.abs(x) + np.abs(pull))
     assert np.all((down <= scale) | np.isclose(x, high, rtol=1e-9, atol=0))
     assert np.all((down >= -scale) | np.isclose(x, low, rtol=1e-9, atol=0))
+
+
+@given(st.integers(0, 10_000), st.integers(1, 8), st.integers(0, 3))
+def test_a_curvature_is_factored_whatever_its_units_and_its_rank(
+    seed: int, m: int, lost: int
+) -> None:
+    """Exact inverse and determinant where it is of full rank; none of a rank too low raises."""
+    rng = np.random.default_rng(seed)
+    units = np.exp(rng.uniform(-15, 15, m))
+    root = rng.standard_normal((m + 2 - lost, m)) * units
+    h = root.T @ root + np.diag((1e-9 * units) ** 2)
+    made = Factored.of(h)
+    assert np.all(np.isfinite(made.inverse()))
+    assert np.isfinite(made.log_determinant)
+    scaled = h / np.outer(units, units)
+    if np.linalg.cond(scaled) < 1e5:
+        expected = np.linalg.slogdet(scaled)[1] + 2 * float(np.log(units).sum())
+        assert made.log_determinant == pytest.approx(expected, abs=1e-5)
+        assert made.inverse() * np.outer(units, units) == pytest.approx(
+            np.linalg.inv(scaled), rel=1e-5, abs=1e-5 * float(np.abs(np.linalg.inv(scaled)).max())
+        )
+
+
+def test_rounding_leaves_the_variance_that_is_said() -> None:
+    """Readings rounded to the least count, against the spectrum of what that leaves of them."""
+    rng = np.random.default_rng(8)
+    for name in ("acc_x", "gyro_rate_y"):
+        sensor = sensor_of(name)
+        assert sensor is not None
+        step, n = sensor.least_count, 1 << 16
+        smooth = np.cumsum(rng.standard_normal(n)) * step
+        left = smooth - step * np.round(smooth / step)
+        if sensor.rate_unit:
+            left = rate_over_step(left)
+        freq = np.arange(n) * GRID_HZ / 2 / n
+        power = dct(left, norm="ortho") ** 2 * CHANNEL_HZ / GRID_HZ
+        for b in range(3 if sensor.rate_unit else 1, len(BANDS_HZ)):  # below, ends of the record
+            inside = (freq >= BANDS_HZ[b - 1]) & (freq < BANDS_HZ[b])
+            assert float(power[inside].mean()) == pytest.approx(
+                float(rounding_variance(name)[b]), rel=0.2
+            )
