@@ -95,13 +95,14 @@ class Master:
         Args:
             start_time_s: Time of the first communication point; None: the system's.
             starts: Start values on top of the system's, "slave.variable" -> value.
-            stop_time_s: Told to the slaves, which may refuse to go beyond; None: nothing is.
+            stop_time_s: Stop time that the slaves get, and no run goes beyond; None: they get none.
 
         Raises:
             FmuError: A start value is wrong, a slave refused, a loop has no solution, or an output
                 is no finite number.
         """
         start_s = self.system.start_time_s if start_time_s is None else start_time_s
+        self._stop_s = np.inf if stop_time_s is None else stop_time_s
         values: dict[str, dict[str, float]] = {s.name: {} for s in self.slaves}
         for name, value in {**self.system.starts, **(starts or {})}.items():
             slave, variable = self.system.split(name)
@@ -167,7 +168,7 @@ class Master:
         try:
             with np.errstate(invalid="ignore"):  # `check` looks for what is not finite
                 for done in range(1, steps + 1):
-                    step(self.time_s, step_s)
+                    step(self.time_s, min(step_s, self._stop_s - self.time_s))
                     self.time_s = origin + done * step_s
                     bus.check(self.time_s)
                     if done % every == 0:
@@ -246,7 +247,7 @@ class Master:
         self._ready = False
         try:
             for k in range(1, steps + 1):
-                instant = origin + k * step_s
+                instant = min(origin + k * step_s, self._stop_s)
                 advance_to(
                     instant, self.time_s, control, grids, advance, rollback, bus.positions(compared)
                 )
@@ -290,6 +291,11 @@ class Master:
         if not self._ready:
             raise FmuError("the system is not initialised: call initialize() before run().")
         steps = round((stop_time_s - self.time_s) / step_s)
+        if stop_time_s > self._stop_s:
+            raise FmuError(
+                f"{stop_time_s:g} s is beyond the stop time {self._stop_s:g} s that the FMUs were "
+                f"initialised with: give a later one to initialize()."
+            )
         missed_s = abs(self.time_s + steps * step_s - stop_time_s)
         if steps < 0 or missed_s > 1e-6 * step_s * max(1, steps):
             raise FmuError(

@@ -112,6 +112,7 @@ void core_reset(Instance* c) {
         for (unsigned i = 1; i < p->model->first_output; i++) p->v[i] = p->model->variables[i].start;
         p->ready = 0;
     }
+    c->state->stop_time = HUGE_VAL;
     c->state->mode = INSTANTIATED;
     c->state->outputs = STALE;
 }
@@ -346,6 +347,19 @@ static int step_often(Instance* c, double time, double h, long n) {
     return 0;
 }
 
+/* ---- states of the FMI calling sequence ---- */
+
+static int check_mode(Instance* c, int from, int to, const char* what, const char* done) {
+    static const char* const names[] = {
+        "before initialization", "in initialization mode", "in step mode",   "in event mode",
+        "in continuous-time mode", "after terminate",       "after an error in a step"};
+    const int mode = c->state->mode;
+    if (mode >= from && mode <= to) return 0;
+    snprintf(c->message, sizeof c->message, "%s cannot be %s %s%s", what, done, names[mode],
+             mode >= TERMINATED ? "; reset the FMU first" : "");
+    return -1;
+}
+
 /* ---- variables ---- */
 
 static int check_kind(Instance* c, const Variable* k, int kinds) {
@@ -370,7 +384,7 @@ int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value) {
     Port at = fmu.ports[vr];
     at.variable += (unsigned)i;
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
-    if (check_kind(c, k, kinds)) return -1;
+    if (check_kind(c, k, kinds) || check_mode(c, INITIALIZING, FAILED, k->name, "read")) return -1;
     if (vr == 0) {
         *value = c->state->time;
         return 0;
@@ -388,10 +402,12 @@ int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value) {
     Port at = fmu.ports[vr];
     at.variable += (unsigned)i;
     const Variable* k = &fmu.models[at.part]->variables[at.variable];
-    if (check_kind(c, k, kinds)) return -1;
+    if (check_kind(c, k, kinds) || check_mode(c, INSTANTIATED, IN_TIME, k->name, "set")) return -1;
     if (k->causality >= OUTPUT) return fail(c, "%s is computed and cannot be set", k->name, 0, 0);
     if (k->causality == FIXED_PARAMETER && c->state->mode >= STEPPING)
         return fail(c, "%s is fixed once initialization has ended; reset the FMU first", k->name, 0, 0);
+    if (c->state->mode == IN_TIME && (k->causality != INPUT || k->kind != REAL))
+        return fail(c, "%s can be set in event mode alone, not in continuous-time mode", k->name, 0, 0);
     if (!isfinite(value) && !(k->may_lack && isnan(value)))
         return fail(c, "%s = %g at time %g s is not a finite number", k->name, value, c->state->time);
     if (value < k->minimum) return fail(c, "%s = %g is below its minimum %g", k->name, value, k->minimum);
@@ -414,6 +430,7 @@ static int seed_state(Part* p, unsigned variable, double change) {
 
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                     size_t n_known, const double seed[], double result[]) {
+    if (check_mode(c, INITIALIZING, TERMINATED, "a directional derivative", "asked for")) return -1;
     FOR_EACH_PART(p) memset(p->change, 0, p->model->n_variables * sizeof(double));
     if (c->exchange) memset(c->parts[0].d_x, 0, c->parts[0].model->n_states * sizeof(double));
     for (size_t i = 0; i < n_known; i++) {
@@ -446,19 +463,28 @@ int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, con
 
 /* ---- life cycle ---- */
 
-int core_enter_initialization(Instance* c, double start_time) {
-    if (c->state->mode != INSTANTIATED)
-        return fail(c, "%sinitialization was entered twice; reset the FMU first", "", 0, 0);
+/* Where the simulation begins and must end; HUGE_VAL: where it ends is not known. */
+int core_set_times(Instance* c, double start_time, double stop_time) {
+    if (check_mode(c, INSTANTIATED, INSTANTIATED, "start and stop time", "set")) return -1;
     if (!isfinite(start_time)) return fail(c, "%sstart time %g is not finite", "", start_time, 0);
-    c->state->time = c->state->start_time = start_time;
-    FOR_EACH_PART(p) p->v[0] = start_time;
+    if (!(stop_time >= start_time))
+        return fail(c, "%sstop time %g s is before the start time %g s", "", stop_time, start_time);
+    c->state->start_time = start_time;
+    c->state->stop_time = stop_time;
+    return 0;
+}
+
+int core_enter_initialization(Instance* c) {
+    if (check_mode(c, INSTANTIATED, INSTANTIATED, "initialization", "entered")) return -1;
+    c->state->time = c->state->start_time;
+    FOR_EACH_PART(p) p->v[0] = c->state->time;
     c->state->mode = INITIALIZING;
     c->state->outputs = STALE;
     return 0;
 }
 
 int core_exit_initialization(Instance* c) {
-    if (c->state->mode != INITIALIZING) return fail(c, "%sinitialization was not entered", "", 0, 0);
+    if (check_mode(c, INITIALIZING, INITIALIZING, "initialization", "ended")) return -1;
     if (fmu.n_connections && settle(c, 0)) return -1;
     receive(c); /* what enters states alone may have come after its part's visit */
     FOR_EACH_PART(p)
@@ -470,25 +496,29 @@ int core_exit_initialization(Instance* c) {
 
 int core_step(Instance* c, double time, double h) {
     State* s = c->state;
-    if (s->mode != STEPPING) return fail(c, "%sdoStep before initialization or after terminate", "", 0, 0);
+    if (check_mode(c, STEPPING, STEPPING, "a step", "made")) return -1;
     if (!(h > 0) || !isfinite(h))
         return fail(c, "%scommunication step size %g s must be positive", "", h, 0);
     if (!(fabs(time - s->time) <= 1e-3 * h))
         return fail(c, "%sdoStep at %.9g s, but the FMU is at %.9g s", "", time, s->time);
+    if (time + h > s->stop_time + 1e-3 * h) /* as far as it may be off the time that was reached */
+        return fail(c, "%sdoStep to %.9g s, beyond the stop time %.9g s", "", time + h, s->stop_time);
     int too_long = h / fmu.step > 1e9;
     FOR_EACH_PART(p) too_long |= h / p->model->max_step > 1e9;
     if (too_long) return fail(c, "%scommunication step size %g s is too long", "", h, 0);
     double n = ceil(h / fmu.step - 1e-6);
     double dt = n > 1 ? h / n : h;
     if (n > 1 && fabs(dt - fmu.step) <= 1e-9 * fmu.step) dt = fmu.step;
-    if (step_often(c, time, dt, n > 1 ? (long)n : 1)) return -1;
+    if (step_often(c, time, dt, n > 1 ? (long)n : 1)) {
+        s->mode = FAILED;
+        return -1;
+    }
     s->time = time + h;
     return 0;
 }
 
 int core_terminate(Instance* c) {
-    if (c->state->mode < STEPPING || c->state->mode == TERMINATED)
-        return fail(c, "%sterminate before initialization", "", 0, 0);
+    if (check_mode(c, STEPPING, IN_TIME, "the simulation", "terminated")) return -1;
     c->state->mode = TERMINATED;
     return 0;
 }
@@ -497,14 +527,22 @@ int core_terminate(Instance* c) {
 
 int core_can_exchange(void) { return fmu.n_parts == 1 && fmu.models[0]->continuous != NULL; }
 
-static int check_mode(Instance* c, int from, int to, const char* what) {
-    if (c->state->mode >= from && c->state->mode <= to) return 0;
-    return fail(c, "%s does not go in this mode", what, 0, 0);
-}
-
 static int check_count(Instance* c, size_t n, unsigned expected) {
     if (n == expected) return 0;
     return fail(c, "%sthe importer asks for %.0f numbers, there are %.0f", "", (double)n, expected);
+}
+
+/* A solver may look beyond the stop time on its way there; what it accepts may not be beyond. */
+static int check_stop(Instance* c) {
+    const State* s = c->state;
+    if (s->time <= s->stop_time + 1e-9 * (fabs(s->stop_time) + 1)) return 0;
+    return fail(c, "%sthe time %.9g s is beyond the stop time %.9g s", "", s->time, s->stop_time);
+}
+
+/* Whether this instance has what a solver outside asks for, which is not to be had before `from`. */
+static int check_exchange(Instance* c, int from, const char* what) {
+    if (!c->exchange) return fail(c, "%s: this instance is for co-simulation", what, 0, 0);
+    return check_mode(c, from, TERMINATED, what, "asked for");
 }
 
 /* Instants that nothing felt were passed over: signals count as having always been as they are. */
@@ -544,28 +582,38 @@ static double last_instant(const Instance* c) {
 
 /* An instant sees the inputs before those that the event brings, as that at the end of a step does. */
 int core_enter_event(Instance* c) {
-    if (check_mode(c, IN_EVENT, IN_TIME, "event mode")) return -1;
+    if (check_mode(c, IN_EVENT, IN_TIME, "event mode", "entered") || check_stop(c)) return -1;
     c->state->mode = IN_EVENT;
     return take_instant(c, last_instant(c));
 }
 
 int core_enter_time(Instance* c) {
-    if (check_mode(c, IN_EVENT, IN_EVENT, "continuous-time mode")) return -1;
+    if (check_mode(c, IN_EVENT, IN_EVENT, "continuous-time mode", "entered")) return -1;
     c->state->mode = IN_TIME;
     return 0;
 }
 
 int core_set_time(Instance* c, double time) {
-    if (check_mode(c, IN_EVENT, IN_TIME, "setting the time")) return -1;
+    if (check_mode(c, IN_EVENT, IN_TIME, "the time", "set")) return -1;
     if (!isfinite(time)) return fail(c, "%stime %g is not finite", "", time, 0);
     c->state->time = c->parts[0].v[0] = time;
     return 0;
 }
 
+int core_completed_step(Instance* c) {
+    return check_mode(c, IN_TIME, IN_TIME, "an integrator step", "completed") || check_stop(c) ? -1 : 0;
+}
+
+/* Everything is evaluated when it is asked for. */
+int core_evaluate(Instance* c) {
+    if (c->state->mode == INITIALIZING) return 0;
+    return check_mode(c, IN_EVENT, IN_EVENT, "discrete states", "evaluated");
+}
+
 int core_update(Instance* c, int* states_moved, double* next) {
     const Part* p = &c->parts[0];
     const double instant = last_instant(c);
-    if (check_mode(c, IN_EVENT, IN_EVENT, "updating discrete states") || take_instant(c, instant)) return -1;
+    if (check_mode(c, IN_EVENT, IN_EVENT, "discrete states", "updated") || take_instant(c, instant)) return -1;
     *states_moved = c->state->moved;
     c->state->moved = 0;
     *next = HUGE_VAL;
@@ -575,7 +623,7 @@ int core_update(Instance* c, int* states_moved, double* next) {
 
 int core_get_states(Instance* c, double x[], size_t n) {
     const Part* p = &c->parts[0];
-    if (check_count(c, n, p->model->n_continuous)) return -1;
+    if (check_exchange(c, INITIALIZING, "states") || check_count(c, n, p->model->n_continuous)) return -1;
     if (c->state->mode < STEPPING && refresh(c)) return -1;
     for (size_t i = 0; i < n; i++) x[i] = p->x[p->model->continuous[i].place];
     return 0;
@@ -583,7 +631,7 @@ int core_get_states(Instance* c, double x[], size_t n) {
 
 int core_set_states(Instance* c, const double x[], size_t n) {
     Part* p = &c->parts[0];
-    if (check_count(c, n, p->model->n_continuous) || check_mode(c, IN_EVENT, IN_TIME, "setting states"))
+    if (check_count(c, n, p->model->n_continuous) || check_mode(c, IN_TIME, IN_TIME, "states", "set"))
         return -1;
     for (size_t i = 0; i < n; i++) p->x[p->model->continuous[i].place] = x[i];
     c->state->outputs = STALE;
@@ -592,21 +640,25 @@ int core_set_states(Instance* c, const double x[], size_t n) {
 
 int core_get_derivatives(Instance* c, double dx[], size_t n) {
     const Part* p = &c->parts[0];
-    if (check_count(c, n, p->model->n_continuous) || refresh(c)) return -1;
+    if (check_exchange(c, INITIALIZING, "derivatives") || check_count(c, n, p->model->n_continuous) ||
+        refresh(c))
+        return -1;
     for (size_t i = 0; i < n; i++) dx[i] = p->v[p->model->continuous[i].derivative];
     return 0;
 }
 
 int core_get_nominals(Instance* c, double x[], size_t n) {
     const Model* m = c->parts[0].model;
-    if (check_count(c, n, m->n_continuous)) return -1;
+    if (check_exchange(c, INSTANTIATED, "nominal values") || check_count(c, n, m->n_continuous)) return -1;
     for (size_t i = 0; i < n; i++) x[i] = m->continuous[i].nominal;
     return 0;
 }
 
 int core_get_crossings(Instance* c, double z[], size_t n) {
     const Part* p = &c->parts[0];
-    if (check_count(c, n, p->model->n_crossings) || refresh(c)) return -1;
+    if (check_exchange(c, INITIALIZING, "event indicators") || check_count(c, n, p->model->n_crossings) ||
+        refresh(c))
+        return -1;
     for (size_t i = 0; i < n; i++) z[i] = p->v[p->model->crossings[i]];
     return 0;
 }

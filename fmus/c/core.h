@@ -125,12 +125,13 @@ struct Part {
     int gives;                                        /* whether a connection starts here */
 };
 
-enum { INSTANTIATED, INITIALIZING, STEPPING, IN_EVENT, IN_TIME, TERMINATED };
+/* FAILED: a step broke off, and the states are no longer those of any one time. */
+enum { INSTANTIATED, INITIALIZING, STEPPING, IN_EVENT, IN_TIME, TERMINATED, FAILED };
 /* Which outputs are older than the states: none, those of parts that give nothing, or all. */
 enum { FRESH, REST_STALE, STALE };
 
 typedef struct {
-    double time, start_time;
+    double time, start_time, stop_time; /* stop_time: HUGE_VAL where the importer defined none */
     int32_t mode, outputs;
     int32_t moved, unused; /* whether an event has moved a state that a solver integrates */
     double values[]; /* of the connections, then of the parts */
@@ -163,7 +164,8 @@ size_t core_size(const unsigned vr[], size_t n); /* values of these variables to
 /* Element i of a variable, 0 of a scalar, of one of these kinds. */
 int core_get(Instance* c, unsigned vr, size_t i, int kinds, double* value);
 int core_set(Instance* c, unsigned vr, size_t i, int kinds, double value);
-int core_enter_initialization(Instance* c, double start_time);
+int core_set_times(Instance* c, double start_time, double stop_time);
+int core_enter_initialization(Instance* c);
 int core_exit_initialization(Instance* c);
 int core_derivative(Instance* c, const unsigned unknown[], size_t n_unknown, const unsigned known[],
                     size_t n_known, const double seed[], double result[]);
@@ -175,6 +177,8 @@ int core_can_exchange(void);
 int core_enter_event(Instance* c);
 int core_enter_time(Instance* c);
 int core_set_time(Instance* c, double time);
+int core_completed_step(Instance* c);
+int core_evaluate(Instance* c);
 /* An iteration of an event; *next is HUGE_VAL where no instant is to come. */
 int core_update(Instance* c, int* states_moved, double* next);
 int core_get_states(Instance* c, double x[], size_t n);

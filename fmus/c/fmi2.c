@@ -10,7 +10,6 @@
 typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
-    double start_time;
     int tells; /* of events, category logEvents; errors are always told */
     char name[1]; /* grows with the instance name */
 } Host;
@@ -134,21 +133,17 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fmi2Real tolerance,
                                fmi2Real startTime, fmi2Boolean stopTimeDefined, fmi2Real stopTime) {
-    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
-    host(c)->start_time = startTime;
-    return fmi2OK;
+    (void)toleranceDefined, (void)tolerance;
+    return status(c, core_set_times(c, startTime, stopTimeDefined ? stopTime : HUGE_VAL));
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
-    return status(c, core_enter_initialization(c, host(c)->start_time));
-}
+fmi2Status fmi2EnterInitializationMode(fmi2Component c) { return status(c, core_enter_initialization(c)); }
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
     return event(c, core_exit_initialization(c), "initialized");
 }
 fmi2Status fmi2Terminate(fmi2Component c) { return event(c, core_terminate(c), "terminated"); }
 fmi2Status fmi2Reset(fmi2Component c) {
     core_reset(c);
-    host(c)->start_time = 0;
     return event(c, 0, "reset, now");
 }
 
@@ -236,9 +231,9 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo* info) {
 }
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStatePrior,
                                        fmi2Boolean* enterEventMode, fmi2Boolean* terminateSimulation) {
-    (void)c, (void)noSetFMUStatePrior;
+    (void)noSetFMUStatePrior;
     *enterEventMode = *terminateSimulation = fmi2False;
-    return fmi2OK;
+    return status(c, core_completed_step(c));
 }
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return status(c, core_set_time(c, time)); }
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n) {

@@ -112,8 +112,9 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
                                        fmi3Float64 startTime, fmi3Boolean stopTimeDefined,
                                        fmi3Float64 stopTime) {
-    (void)toleranceDefined, (void)tolerance, (void)stopTimeDefined, (void)stopTime;
-    return status(c, core_enter_initialization(c, startTime));
+    (void)toleranceDefined, (void)tolerance;
+    if (core_set_times(c, startTime, stopTimeDefined ? stopTime : HUGE_VAL)) return status(c, -1);
+    return status(c, core_enter_initialization(c));
 }
 fmi3Status fmi3ExitInitializationMode(fmi3Instance c) {
     return event(c, core_exit_initialization(c), "initialized");
@@ -230,10 +231,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 h, fmi3Boole
 
 fmi3Status fmi3EnterEventMode(fmi3Instance c) { return event(c, core_enter_event(c), "event"); }
 fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) { return status(c, core_enter_time(c)); }
-fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) {
-    (void)c; /* everything is evaluated when it is asked for */
-    return fmi3OK;
-}
+fmi3Status fmi3EvaluateDiscreteStates(fmi3Instance c) { return status(c, core_evaluate(c)); }
 fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean* discreteStatesNeedUpdate,
                                     fmi3Boolean* terminateSimulation,
                                     fmi3Boolean* nominalsOfContinuousStatesChanged,
@@ -252,9 +250,9 @@ fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean* discreteStatesN
 }
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean noSetFMUStatePrior,
                                        fmi3Boolean* enterEventMode, fmi3Boolean* terminateSimulation) {
-    (void)c, (void)noSetFMUStatePrior;
+    (void)noSetFMUStatePrior;
     *enterEventMode = *terminateSimulation = fmi3False;
-    return fmi3OK;
+    return status(c, core_completed_step(c));
 }
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { return status(c, core_set_time(c, time)); }
 fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 x[], size_t n) {

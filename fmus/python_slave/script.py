@@ -26,7 +26,12 @@ Array = NDArray[np.float64]
 COMPONENT = "component.json"
 _VERSION = __name__.encode()
 """In front of each saved state: inside an FMU this name is made of its content."""
-_INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED = range(4)
+_INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED, _FAILED = range(5)
+_WHERE = (
+    *("before initialization", "in initialization mode", "in step mode"),
+    *("after terminate; reset the FMU first", "after an error in a step; reset the FMU first"),
+)
+"""What errors say of a mode."""
 
 
 def read_component(text: str) -> Component:
@@ -85,7 +90,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         self._p = self._v[: len(c.parameters)]
         self._u = self._v[len(c.parameters) : self._first_output]
         self._y = self._v[self._first_output :]
-        self._mode, self._time_s, self._start_s = _INSTANTIATED, 0.0, 0.0
+        self._mode, self._time_s, self._start_s, self._stop_s = _INSTANTIATED, 0.0, 0.0, np.inf
         self._run: Run | None = None
         self._stale = True
 
@@ -99,37 +104,47 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     def setup_experiment(
         self, start_time: float, stop_time: float | None, tolerance: float | None
     ) -> None:
-        """Remember when it starts."""
-        self._start_s = start_time
+        """Remember when it starts, and when it must end."""
+        self._expect("start and stop time", "set", _INSTANTIATED)
+        if not np.isfinite(start_time):
+            self._refuse(f"start time {start_time:g} is not finite")
+        stop_s = np.inf if stop_time is None else stop_time
+        if not stop_s >= start_time:
+            self._refuse(f"stop time {stop_s:g} s is before the start time {start_time:g} s")
+        self._start_s, self._stop_s = start_time, stop_s
 
     def enter_initialization_mode(self) -> None:
         """Begin at the start time."""
-        self._expect(_INSTANTIATED, "initialization was entered twice; reset the FMU first")
+        self._expect("initialization", "entered", _INSTANTIATED)
         self._mode, self._time_s, self._stale = _INITIALIZING, self._start_s, True
 
     def exit_initialization_mode(self) -> None:
         """Find the states at the start."""
-        self._expect(_INITIALIZING, "initialization was not entered")
+        self._expect("initialization", "ended", _INITIALIZING)
         self._run = self._begin()
         self._check_finite("state", self._component.states, self._run.x)
         self._mode, self._stale = _STEPPING, True
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         """One communication step."""
-        self._expect(_STEPPING, "doStep before initialization or after terminate")
+        self._expect("a step", "made", _STEPPING)
         if not 0 < step_size < np.inf:
             self._refuse(f"communication step size {step_size:g} s must be positive")
         if not abs(current_time - self._time_s) <= 1e-3 * step_size:
             self._refuse(f"doStep at {current_time:.9g} s, but the FMU is at {self._time_s:.9g} s")
+        if (end_s := current_time + step_size) > self._stop_s + 1e-3 * step_size:
+            self._refuse(f"doStep to {end_s:.9g} s, beyond the stop time {self._stop_s:.9g} s")
         assert self._run is not None
+        self._mode = _FAILED
         self._run.step(current_time, step_size, self._u)
-        self._time_s, self._stale = current_time + step_size, True
+        self._time_s, self._stale = end_s, True
         self._check_finite("state", self._component.states, self._run.x)
+        self._mode = _STEPPING
         return True
 
     def terminate(self) -> None:
         """Outputs can still be read."""
-        self._expect(_STEPPING, "terminate before initialization")
+        self._expect("the simulation", "terminated", _STEPPING)
         self._mode = _TERMINATED
 
     # -- values ---------------------------------------------------------------------------
@@ -148,7 +163,8 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
 
     def _get(self, vrs: list[int], *kinds: str) -> list[float]:
         for vr in vrs:
-            self._variable(vr, kinds)
+            name = self._variable(vr, kinds).name
+            self._expect(name, "read", *range(_INITIALIZING, len(_WHERE)))
         if self._stale and any(vr > self._first_output for vr in vrs):
             self._put_out()
         return [float(self._v[vr - 1]) for vr in vrs]
@@ -168,6 +184,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     def _set(self, vrs: list[int], values: list[float], *kinds: str) -> None:
         for vr, value in zip(vrs, values, strict=True):
             variable = self._variable(vr, kinds)
+            self._expect(variable.name, "set", _INSTANTIATED, _INITIALIZING, _STEPPING)
             if variable.causality == "output":
                 self._refuse(f"{variable.name} is an output and cannot be set")
             if variable.fixed and self._mode >= _STEPPING:
@@ -204,7 +221,7 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     def _get_fmu_state(self) -> bytes:
         size = self.run_type.saved_size(self._component)
         run = np.zeros(size) if self._run is None else self._run.saved()
-        head = [self._mode, self._time_s, self._start_s]
+        head = [self._mode, self._time_s, self._start_s, self._stop_s]
         return _VERSION + np.concatenate([head, self._p, self._u, run]).tobytes()
 
     def _set_fmu_state(self, state: bytes) -> None:
@@ -214,8 +231,8 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
         if not state.startswith(_VERSION):
             self._refuse("saved state belongs to another FMU or another version of this one")
         values = np.frombuffer(state, offset=len(_VERSION)).copy()
-        (mode, time_s, start_s), v, run = np.split(values, [3, 3 + self._first_output])
-        self._mode, self._time_s, self._start_s = int(mode), float(time_s), float(start_s)
+        (mode, *times), v, run = np.split(values, [4, 4 + self._first_output])
+        self._mode, (self._time_s, self._start_s, self._stop_s) = int(mode), map(float, times)
         self._v[: self._first_output] = v
         self._run = self.run_type.restored(self._component, self._p, run)
         self._stale = True
@@ -233,9 +250,9 @@ class ComponentSlave(Fmi2Slave):  # type: ignore[misc]
     def _refuse(self, why: str) -> None:
         raise ModelError(f"{self._component.name}: {why}")
 
-    def _expect(self, mode: int, otherwise: str) -> None:
-        if self._mode != mode:
-            self._refuse(otherwise)
+    def _expect(self, what: str, done: str, *modes: int) -> None:
+        if self._mode not in modes:
+            self._refuse(f"{what} cannot be {done} {_WHERE[self._mode]}")
 
     def _check_finite(self, kind: str, table: tuple[Any, ...], values: Array) -> None:
         wrong = ~np.isfinite(values)

@@ -206,18 +206,37 @@ def test_warnings_do_not_stop(lag: Callable[[int], Path]) -> None:
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_stop_time_is_passed_on(lag: Callable[[int], Path], fmi: int) -> None:
     """An FMU that refuses to be initialised without."""
-    if fmi == 2:
-        old = "(void)toleranceDefined, (void)tolerance"
-        source = {old: f"if (!stopTimeDefined || stopTime != 3) return fmi2Error; {old}"}
-    else:
-        old = "(void)toleranceDefined, (void)tolerance, (void)stopTimeDefined"
-        source = {old: f"if (!stopTimeDefined || stopTime != 3) return fmi3Error; {old}"}
+    old = "(void)toleranceDefined, (void)tolerance;"
+    source = {old: f"if (!stopTimeDefined || stopTime != 3) return fmi{fmi}Error; {old}"}
     fmu = altered(lag(fmi), f"stops{fmi}.fmu", source=source)
     with Master(System({"a": fmu})) as master:
         with pytest.raises(FmuError, match=r"a \(stops.\.fmu\): (setupExp|enterInit)"):
             master.initialize()
         master.initialize(stop_time_s=3.0)
+        with pytest.raises(FmuError, match=r"3\.1 s is beyond the stop time 3 s"):
+            master.run(3.1, 0.1)
         master.run(3.0, 0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize(
+    ("start_s", "stop_s", "step_s"), [(0, 0.3, 0.1), (0.7, 1.7, 0.1), (0, 1, 1 / 3)]
+)
+def test_no_step_ends_beyond_a_stop_time(
+    lag: Callable[[int], Path], fmi: int, start_s: float, stop_s: float, step_s: float
+) -> None:
+    """Not even by a rounding error: an FMU may compare the numbers as they are."""
+    beyond = "time + h > ((Instance*)c)->state->stop_time"
+    call = "core_step(c, time, h)"
+    source = {call: f"{beyond} ? -1 : {call}"}
+    fmu = altered(lag(fmi), f"strict{fmi}_{start_s}_{step_s:.1f}.fmu", source=source)
+    with Master(System({"a": fmu})) as master:
+        master.initialize(start_s, stop_time_s=stop_s)
+        assert master.run(stop_s, step_s).time_s[-1] == pytest.approx(stop_s)
+        if step_s == 0.1:
+            master.initialize(start_s, stop_time_s=stop_s)
+            master.run_adaptive(stop_s, step_s, 1e-3)
 
 
 def test_nominal_values_and_abilities(lag: Callable[[int], Path]) -> None:

@@ -96,18 +96,20 @@ def test_unknown_value_reference(new: New, fmi: int) -> None:
 
 
 def test_calls_out_of_order(new: New, fmi: int) -> None:
+    """The whole table is in `test_calling_sequence`; these are the words."""
     instance = new("battery", fmi)
-    before = "doStep before initialization or after terminate"
+    before = "a step cannot be made before initialization"
     assert refused(instance, lambda: instance.step(0.0)) == before
-    assert "not entered" in refused(instance, instance.leave)
-    assert "terminate before initialization" in refused(instance, instance.fmu.terminate)
+    assert refused(instance, instance.leave) == "initialization cannot be ended " + before[-21:]
+    assert "terminated before initialization" in refused(instance, instance.fmu.terminate)
     instance.enter()
-    assert refused(instance, lambda: instance.step(0.0)) == before
-    assert "entered twice" in refused(instance, instance.enter)
+    assert "in initialization mode" in refused(instance, lambda: instance.step(0.0))
+    assert "cannot be set in initialization mode" in refused(instance, instance.enter)
     instance.leave()
     instance.step(0.0)
     instance.fmu.terminate()
-    assert refused(instance, lambda: instance.step(1e-3)) == before
+    after = "a step cannot be made after terminate; reset the FMU first"
+    assert refused(instance, lambda: instance.step(1e-3)) == after
     instance.fmu.reset()
     instance.start(time_s=5.0).step(5.0)
 

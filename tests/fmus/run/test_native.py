@@ -96,7 +96,7 @@ def test_c_host_prints_the_messages(fmu_folder: FmuPath, bin_folder: Path, fmi: 
     said = result.stderr.splitlines()
     name = "GUID" if fmi == 2 else "instantiation token"
     assert said[0] == f"{name} does not match: binary and modelDescription.xml differ"
-    assert said[1] == "doStep before initialization or after terminate"
+    assert said[1] == "a step cannot be made before initialization"
     assert said[2] == "doStep at -7 s, but the FMU is at 0.01 s"
     assert said[3] == "no variable has value reference 99999"
     assert any(line.startswith("saved state has ") for line in said)

@@ -221,7 +221,8 @@ def test_what_is_wrong_is_in_the_log(folder: Callable[[str], Path]) -> None:
     refused("no variable has value reference 0", fmu.getReal, [0])
     refused("no variable has value reference 999", fmu.setReal, [999], [1.0])
     refused("vbat_v is of kind real, not integer", fmu.getInteger, [reference["vbat_v"]])
-    refused("doStep before initialization", instance.step, 0.0)
+    refused("vbat_v cannot be read before initialization", instance.get, "vbat_v")
+    refused("a step cannot be made before initialization", instance.step, 0.0)
     instance.start()
     refused("initial.charge is fixed once initialization", instance.set, {"initial.charge": 0.5})
     refused("step size -1 s must be positive", instance.step, 0.0, -1.0)
@@ -234,6 +235,20 @@ def test_what_is_wrong_is_in_the_log(folder: Callable[[str], Path]) -> None:
             [v.name for v in component("battery").parameters].index("initial.charge")
         ]
     )
+    instance.close()
+
+
+def test_no_step_goes_beyond_the_stop_time(folder: Callable[[str], Path]) -> None:
+    instance = Logged(folder("battery"))
+    instance.fmu.setupExperiment(startTime=1.0, stopTime=1.02)
+    instance.fmu.enterInitializationMode()
+    instance.leave()
+    for k in range(2):
+        instance.step(1.0 + 0.01 * k, 0.01)
+    with pytest.raises(FMICallException):
+        instance.step(1.02, 0.01)
+    assert "doStep to 1.03 s, beyond the stop time 1.02 s" in instance.messages[-1]
+    instance.fmu.terminate()
     instance.close()
 
 
