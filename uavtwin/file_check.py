@@ -11,6 +11,7 @@ from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.logs.containers import is_archive_of
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
@@ -113,7 +114,8 @@ def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
         start = file.read(4)
     if path.suffix == ".ssp":
         return _check_system(path)
-    if start[:2] == b"PK" or path.suffix == ".fmu":
+    is_zip = start[:2] == b"PK"
+    if path.suffix == ".fmu" or (is_zip and is_archive_of(path, "modelDescription.xml")):
         return _check_fmu(path)
     if path.suffix == ".toml":
         return _check_vehicle(path)

@@ -4,6 +4,7 @@ A format is its reader, in a module of its own with the format's units and frame
 `FORMATS`. docs/dev/extending/log_format.md adds one step by step.
 """
 
+import re
 import string
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ _TELLING = 4
 """Bytes of a longer signature after which a difference is damage, not another format."""
 _LETTERS = string.ascii_letters.encode() + string.digits.encode() + b" :"
 _CENTURY_US = 946_684_800_000_000, 4_102_444_800_000_000
-_BEFORE_TEXT = b"\xef\xbb\xbf \t\"'"
+_BEFORE_TEXT = b"\xef\xbb\xbf \t\r\n\"'"
 
 
 class Signature(Protocol):
@@ -153,6 +154,8 @@ class LogFormat:
         reader: `MODULE:FUNCTION` below `twin.logs`, imported when the first such file is read.
         packages: Distributions that the reader needs besides numpy and pandas.
         holds: What a flight may be asked for that came from such a file, in a line.
+        sought: What the log begins with so surely that it is looked for behind bytes of another
+            program; None: only the first bytes of the file count.
     """
 
     name: str
@@ -161,6 +164,7 @@ class LogFormat:
     reader: str
     packages: tuple[str, ...]
     holds: str
+    sought: re.Pattern[bytes] | None = None
 
     def __str__(self) -> str:
         return f"{self.name} ({', '.join(self.suffixes)})" if self.suffixes else self.name
@@ -191,6 +195,7 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="px4.ulog:read_ulog",
         packages=("pyulog",),
         holds="whatever was logged; motor commands rebuilt where they were logged too slowly",
+        sought=re.compile(rb"ULog\x01\x12\x35"),
     ),
     LogFormat(
         name="ArduPilot DataFlash",
@@ -199,6 +204,7 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="ardupilot.dataflash:read_dataflash",
         packages=(),
         holds="whatever was logged while the motors ran; rotor speeds of ESC telemetry",
+        sought=re.compile(rb"\xa3\x95\x80\x80YFMT\0"),
     ),
     LogFormat(
         name="ArduPilot DataFlash, text",
@@ -207,6 +213,7 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="ardupilot.dataflash:read_dataflash",
         packages=(),
         holds="the same",
+        sought=re.compile(rb"(?m)^FMT, *128,"),
     ),
     *(
         LogFormat(
@@ -226,6 +233,7 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="betaflight.blackbox:read_blackbox",
         packages=(),
         holds="gyro, acceleration, motor outputs, rotor speeds, battery; mostly no course",
+        sought=re.compile(rb"H Product:Blackbox"),
     ),
     LogFormat(
         name="MAVLink telemetry log",

@@ -5,36 +5,29 @@ from pathlib import Path
 from typing import TypeVar
 
 from ..errors import LogError
-from .doubts import doubts
-from .flight import Flight
-from .formats import (
-    HEAD,
-    LogFormat,
-    Magic,
-    ReadOptions,
-    Signature,
-    known_formats,
-    nearly,
-    recognise,
+from .containers import (
+    CERTAIN,
+    before_the_head,
+    erased,
+    found_behind,
+    is_named,
+    looks_like,
+    unpacked,
 )
+from .doubts import doubts
+from .flight import Finding, Flight
+from .formats import HEAD, LogFormat, Magic, ReadOptions, known_formats, nearly, recognise
 from .table import open_parquet
 from .table.stored import AnyFlight
 
 _F = TypeVar("_F", bound=AnyFlight)
 
-NOT_READ: tuple[tuple[Signature, str], ...] = (
-    (Magic(b"PK\x03\x04"), "a ZIP archive (or FMU). Unpack it first."),
-    (Magic(b"\x1f\x8b"), "gzip-compressed. Unpack it first."),
-    (
-        Magic(b"\xfd"),
-        "perhaps MAVLink as it was sent, without times. A telemetry log (.tlog) has them.",
-    ),
-)
-"""What people try as well, and what to do then."""
-
 
 def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Flight:
-    """Read a flight log or flight table; the format is told by the first bytes.
+    """Read a flight log or flight table, also one in a ZIP archive or compressed by gzip or bzip2.
+
+    The content decides on the format, not the name; bytes of another program before the head of a
+    log are left out and counted.
 
     Args:
         path: File, of one of `formats.FORMATS`.
@@ -46,12 +39,33 @@ def read_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> Fl
     path = Path(path)
     blob = _content(path)
     try:
-        found = recognise(blob)
+        found, blob, findings = _located(blob)
     except LogError as error:
         raise LogError(f"{path.name}: {error}") from None
-    if found is None:
-        raise LogError(f"{path.name}: {_looks_like(blob)} Known formats: {known_formats()}.")
-    return _doubted(found.load()(path, blob, ReadOptions(rebuild_commands)), found)
+    flight = found.load()(path, blob, ReadOptions(rebuild_commands))
+    return _doubted(replace(flight, findings=(*findings, *flight.findings)), found)
+
+
+def _located(blob: bytes) -> tuple[LogFormat, bytes, tuple[Finding, ...]]:
+    """Format and content of the log in a file, and findings on what is around it.
+
+    Raises:
+        LogError: There is none.
+    """
+    inside = unpacked(blob)
+    blob, findings = inside.blob, inside.findings
+    if all_alike := erased(blob):
+        raise LogError(all_alike)
+    if (found := recognise(blob)) is not None:
+        return found, blob, findings
+    if named := is_named(blob, CERTAIN):
+        raise LogError(named)
+    if (behind := found_behind(blob)) is not None:
+        at, found = behind
+        return found, blob[at:], (*findings, before_the_head(blob, at))
+    if damaged := nearly(blob):
+        raise LogError(f"{damaged}. Copy the log again. Known formats: {known_formats()}.")
+    raise LogError(f"{looks_like(blob)} Known formats: {known_formats()}.")
 
 
 def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> AnyFlight:
@@ -100,17 +114,3 @@ def _content(path: Path) -> bytes:
     if not blob:
         raise LogError(f"{path.name}: the file is empty (0 bytes). Copy the log again.")
     return blob
-
-
-def _looks_like(blob: bytes) -> str:
-    """One sentence on what the file seems to be."""
-    if damaged := nearly(blob):
-        return f"{damaged}. Copy the log again."
-    for signature, text in NOT_READ:
-        if signature.matches(blob[:HEAD]):
-            return text
-    head = blob[:64]
-    if all(32 <= b < 127 or b in b"\t\r\n" for b in head):
-        line = head.splitlines()[0].decode("ascii")[:40] if head.strip() else ""
-        return f"text that begins with '{line}', not with a column 'time'."
-    return f"no known flight log (it begins with {blob[:4].hex(' ')})."

@@ -217,7 +217,7 @@ def _check_flat(path: Path, schema: pa.Schema, names: list[str]) -> None:
 def _csv(path: Path, blob: bytes, findings: list[Finding]) -> pa.Table:
     """CSV -> known columns as they are; a last row without line end is dropped and counted."""
     try:
-        text = blob.decode("utf-8-sig")
+        text = blob.decode("utf-8-sig").lstrip("\r\n")
     except UnicodeDecodeError as error:
         raise LogError(
             f"{path.name}: not UTF-8 text at byte {error.start}; save it as such."
