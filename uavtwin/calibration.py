@@ -15,6 +15,7 @@ from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.logs import Flight
+from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
@@ -303,6 +304,7 @@ def calibrate(
     if not fit:
         raise TwinError(f"calibrate: none of the flights can be used: {'; '.join(reasons)}")
     warnings = [f"left out: {reason}" for reason in reasons]
+    warnings += [text for f in fit for text in drive_warnings(f)]
     if unknown := [f.name for f in fit if f.indoors is None]:
         warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
     if draft.calibration is not None:

@@ -49,8 +49,8 @@ def driving_inputs(
     if VOLTAGE not in given and flight.has(VOLTAGE):
         given[VOLTAGE] = Signal(*flight.signal([VOLTAGE])).held(t_s)[:, 0]
     names = aligned.airframe.input_names
-    rates = [n for n in names if n.startswith(SPIN_RATE)]
-    given |= {n: aligned.inputs.u[:, names.index(n)] for n in rates}
+    measured = [n for n in names if n.startswith((SPIN_RATE, "rotor_"))]
+    given |= {n: aligned.inputs.u[:, names.index(n)] for n in measured}
     ahead = np.vstack([true_motion(vehicle, aligned)[1:], np.full((1, len(RIGID)), np.nan)])
     known = np.isfinite(ahead).all(axis=1)
     given["restart"] = (np.isin(np.arange(len(t_s)) + 1, restarts) & known).astype(np.float64)

@@ -11,6 +11,7 @@ from ..errors import LogError, ModelError
 from ..flight.stability import Mission, fly_missions
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
+from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
@@ -164,6 +165,7 @@ def explain(
     cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
     read, away = ([f for f, _ in some] for some in cut)
     partly = [note for some in cut for _, note in some if note is not None]
+    driven = [text for f in (*read, *away) for text in drive_warnings(f)]
     stuck = [s for f in (*read, *away) for s in stuck_channels(f, settings.stochastic.stuck)]
     fit, held = ([without_stuck(f, stuck) for f in some] for some in (read, away))
     parts = _parts(fit, held, vehicle, payloads, settings)
@@ -172,7 +174,7 @@ def explain(
         vehicle,
         tuple(f.name for f in parts.fit or flights),
         reasons=tuple(() if parts.fit else parts.unread),
-        warnings=(*partly, *parts.warnings),
+        warnings=(*partly, *driven, *parts.warnings),
         holdout=parts.away,
         settings=settings,
         since=asked,

@@ -17,6 +17,7 @@ from .containers import (
 from .doubts import doubts
 from .flight import Finding, Flight
 from .formats import HEAD, LogFormat, Magic, ReadOptions, known_formats, nearly, recognise
+from .rotor_lag import with_speeds_in_step
 from .table import open_parquet
 from .table.stored import AnyFlight
 
@@ -92,11 +93,11 @@ def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> An
 
 
 def _doubted(flight: _F, read_as: LogFormat) -> _F:
-    """The flight with its format, and with what its values contradict."""
+    """The flight with its format, late rotor speeds in step, and what its values contradict."""
     said = set(flight.findings)
     more = [f for f in doubts(flight.columns) if f not in said]  # a writer may have noted them
     facts = {"format": read_as.name, **flight.facts}
-    return replace(flight, facts=facts, findings=(*flight.findings, *more))
+    return with_speeds_in_step(replace(flight, facts=facts, findings=(*flight.findings, *more)))
 
 
 def _content(path: Path) -> bytes:

@@ -93,9 +93,19 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
     )
 
 
-class InputSignals:
-    """What a flight holds of the inputs of an airframe, the last sample held.
+def drive_warnings(flight: AnyFlight) -> list[str]:
+    """What the reader of a flight doubts or has changed about the speeds that drive its twin."""
+    return [
+        f"{flight.name}: {f.where}: {f.message}"
+        for f in flight.findings
+        if f.where == "rotor" and f.severity == "warning"
+    ]
 
+
+class InputSignals:
+    """What a flight holds of the inputs of an airframe.
+
+    Commands and voltage hold their last sample; measured rotor speeds are linear between two.
     What no flight table holds, such as the wind, stays at its start value; rotor accelerations are
     those of the measured rotor speeds. Effects of the vehicle by which commands act late act here,
     so that they are to be off in the airframe: a delay line knows no past where an airframe is
@@ -119,10 +129,12 @@ class InputSignals:
             elif flight.has(name):
                 signal = signal_of(flight, [name])
                 delay_s = late_s.get(name.rpartition("_")[0])
-                if delay_s is None:
-                    self._at[i] = partial(_held, signal)
-                else:
+                if delay_s is not None:
                     self._at[i] = partial(_arriving, signal, delay_s)
+                elif name.startswith("rotor_"):
+                    self._at[i] = partial(_speed, signal)
+                else:
+                    self._at[i] = partial(_held, signal)
                 columns.append(name)
             else:
                 notes.append(
@@ -149,6 +161,18 @@ def airframe_inputs(flight: AnyFlight, vehicle: Vehicle, airframe: Component, t_
 
 def _held(signal: AnySignal, t_s: Array) -> Array:
     return signal.held(t_s)[:, 0]
+
+
+def _speed(signal: AnySignal, t_s: Array) -> Array:
+    """A measured speed, held where two samples are too far apart; shape (n,).
+
+    Holding it everywhere would make it late by half an interval.
+    """
+    speed = signal.at(t_s)[:, 0]
+    unknown = np.isnan(speed)
+    if unknown.any():
+        speed[unknown] = signal.held(t_s[unknown])[:, 0]
+    return speed
 
 
 def _arriving(command: AnySignal, delay_s: float, t_s: Array) -> Array:

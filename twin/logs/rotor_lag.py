@@ -1,0 +1,405 @@
+"""Lag of the measured rotor speeds behind the motor commands, and stamps that are late by it.
+
+A rotor follows its command by a first-order lag; a telemetry link adds a pure delay, which no rotor
+has. Both are fitted to the speeds,
+
+    w_i(t) = g_i x_i(t - d) + slow,    T dx_i/dt = c_i - x_i,
+
+by least squares over a grid of (T, d), one gain per motor, variations slower than `_SLOW_S` taken
+out. A second regression asks when the motion that the speeds cause takes place: angular
+acceleration about x and y and specific force along z on the squares of all speeds, with free
+coefficients, so that neither needs the vehicle. Speeds cannot come after what they cause: where
+they do, their stamps are late. Where they do not, the commands act late, and the stamps stay.
+
+Standard deviations are those of a jackknife over blocks of `_BLOCK_S`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, sosfiltfilt
+
+from .columns import ACC, GYRO, MAX_MOTORS, motor_columns
+from .flight import Array, Finding
+from .table.stored import AnyFlight, StoredFlight
+
+_F = TypeVar("_F", bound=AnyFlight)
+
+LONGEST_DEAD_TIME_S = 0.03
+"""Pure delay from a command to its rotor: a frame of 50 Hz servo pulses, 20 ms, is the slowest
+protocol of speed controllers; half as much again for the controller, by judgement."""
+LONGEST_TIME_CONSTANT_S = 0.2
+"""Published first-order lags are 15 to 75 ms, that of the 0.6 m propellers of an 18 kg aircraft is
+0.1 s (Quiver PT1, measured here); twice that, by judgement."""
+LEAST_R2 = 0.3
+"""Below it a regression says nothing."""
+_SURE = 2.0
+"""Standard deviations by which a delay is beyond a limit."""
+_BLOCK_S = 2.0
+_FEWEST_BLOCKS, _MOST_BLOCKS = 5, 150
+_FEWEST_SAMPLES = 40
+_SLOW_S = 1.0
+_TURNING = 0.05  # command
+_MOST_HZ = 50.0
+_CONSTANTS_S = np.array([0.0, 0.01, 0.02, 0.035, 0.05, 0.075, 0.1, 0.14, 0.2, 0.28, 0.4])
+_DELAYS_S = np.arange(-0.1, 0.601, 0.02)
+_NEAR_S = np.arange(-0.04, 0.0401, 0.005)
+_LAG_STEP_S = 0.005
+_INTERPOLATED = 0.1
+"""Of the interval of the commands: by this the smoothing of a straight line between two of them
+shifts the delay, which the jackknife does not show (found at 10 Hz on simulated flights)."""
+_GRID_S = 0.02
+_AHEAD = np.arange(-15, 31)  # steps of the grid by which the motion may be ahead of the speeds
+_BAND_HZ = (0.4, 4.0)
+_LONGEST_RECORD_S = 36_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLag:
+    """By how much the speeds of a flight are behind its commands and its motion.
+
+    Attributes:
+        delay_s: Pure delay behind the commands.
+        delay_sd_s: Its standard deviation.
+        time_constant_s: Of the first-order lag behind the commands, on the grid of the fit.
+        r2: Share of the variance of the speeds that the commands explain.
+        motion_s: By how much the motion is ahead of the speeds; None: it does not show.
+        motion_sd_s: Its standard deviation.
+        motion_r2: Share of the variance of the motion that the speeds explain, so shifted.
+    """
+
+    delay_s: float
+    delay_sd_s: float
+    time_constant_s: float
+    r2: float
+    motion_s: float | None = None
+    motion_sd_s: float = 0.0
+    motion_r2: float = 0.0
+
+    @property
+    def surplus_s(self) -> float:
+        """What a motor cannot have of the lag, s; 0 where it may have all of it."""
+        late_s = self.delay_s + max(self.time_constant_s - LONGEST_TIME_CONSTANT_S, 0.0)
+        return late_s if late_s - _SURE * self.delay_sd_s > LONGEST_DEAD_TIME_S else 0.0
+
+    @property
+    def in_step(self) -> bool:
+        """Whether the motion shows that the stamps of the speeds are right all the same."""
+        if self.motion_s is None:
+            return False
+        return self.motion_s + _SURE * self.motion_sd_s < self.surplus_s / 2
+
+    def __str__(self) -> str:
+        text = (
+            f"{1e3 * self.delay_s:.0f} ms (sd {1e3 * self.delay_sd_s:.0f}) and a time constant of "
+            f"{1e3 * self.time_constant_s:.0f} ms behind the commands (R2 {self.r2:.2f})"
+        )
+        if self.motion_s is None:
+            return text
+        return (
+            f"{text}; {1e3 * self.motion_s:.0f} ms (sd {1e3 * self.motion_sd_s:.0f}) behind the "
+            f"motion (R2 {self.motion_r2:.2f})"
+        )
+
+
+def with_speeds_in_step(flight: _F) -> _F:
+    """The flight with the stamps of its rotor speeds earlier by what no motor can have.
+
+    A fact holds the lag of every flight that shows it; a finding says what was done.
+    """
+    lag = speed_lag(flight)
+    if lag is None:
+        return flight
+    flight = replace(flight, facts={**flight.facts, "rotor lag": str(lag)})
+    late_s = round(lag.surplus_s, 3)
+    if late_s <= 0.0:
+        return flight
+    if lag.in_step:
+        message = (
+            f"the speeds come {lag}: they are in step with the motion, so that the commands are "
+            "early or act late (effect command_delay)"
+        )
+        return _noted(flight, Finding("warning", "rotor", message))
+    message = (
+        f"time stamps were late and are set {1e3 * late_s:.0f} ms earlier: the speeds come {lag}; "
+        f"a motor has a pure delay of at most {1e3 * LONGEST_DEAD_TIME_S:.0f} ms. What is left of "
+        "it is clock_offset.rotor_s"
+    )
+    return _noted(_earlier(flight, late_s), Finding("warning", "rotor", message))
+
+
+def _noted(flight: _F, finding: Finding) -> _F:
+    return replace(flight, findings=(*flight.findings, finding))
+
+
+def _earlier(flight: _F, late_s: float) -> _F:
+    """The flight with its speeds earlier; what falls before the record is left out."""
+    speeds = [c for c in motor_columns("rotor", MAX_MOTORS) if flight.has(c)]
+    if isinstance(flight, StoredFlight):
+        # its rows are those of the file: values move onto the rows that had some
+        mended = dict(flight.mended)
+        for column in speeds:
+            t_s, values = flight.signal([column])
+            known = np.isfinite(flight.columns[column])
+            moved = np.full(len(known), np.nan)
+            moved[known] = np.interp(t_s + late_s, t_s, values[:, 0], right=np.nan)
+            mended[column] = moved
+        return replace(flight, mended=mended)
+    own = flight.table[["time", *speeds]].dropna(how="all", subset=speeds)
+    own = own.assign(time=np.round(own["time"] - late_s, 6))
+    own = own[own["time"] >= flight.table["time"].iloc[0]]
+    rest = flight.table.drop(columns=speeds)
+    nearest = np.round(rest["time"], 6)  # rows of one microsecond are one row
+    table = pd.merge(
+        rest.assign(_key=nearest), own.rename(columns={"time": "_key"}), on="_key", how="outer"
+    ).sort_values("_key", ignore_index=True)
+    table["time"] = table["time"].fillna(table["_key"])
+    if "phase" in table:
+        table["phase"] = table["phase"].ffill()
+    return replace(flight, table=table[list(flight.table.columns)])
+
+
+# -- measured ---------------------------------------------------------------------------------
+
+
+def speed_lag(flight: AnyFlight) -> SpeedLag | None:
+    """By how much the rotor speeds of a flight are behind its commands and its motion.
+
+    Returns:
+        None where it has not both, or they do not show it.
+    """
+    n = next((k for k in range(MAX_MOTORS) if not flight.has(f"rotor_{k + 1}")), MAX_MOTORS)
+    if n == 0 or not flight.has(*motor_columns("cmd", n)):
+        return None
+    numbers = range(1, n + 1)
+    speeds = [_one(flight, f"rotor_{k}") for k in numbers]
+    commands = [_one(flight, f"cmd_{k}") for k in numbers]
+    edges = _blocks([*speeds, *commands], commands)
+    if edges is None:
+        return None
+    behind = _behind_commands(speeds, commands, edges)
+    if behind is None:
+        return None
+    motion = _behind_motion(flight, speeds, edges)
+    return behind if motion is None else replace(behind, **motion)
+
+
+Samples = tuple[Array, Array]
+"""Times, s, and values of one column, shape (n,) each."""
+
+
+def _one(flight: AnyFlight, column: str) -> Samples:
+    t_s, values = flight.signal([column])
+    return t_s, values[:, 0]
+
+
+def _blocks(signals: list[Samples], commands: list[Samples]) -> Array | None:
+    """Begins of the blocks in which all motors turn and every signal has its samples, shape (b,);
+    evenly chosen where there are very many."""
+    if any(len(t) < _FEWEST_SAMPLES for t, _ in signals):
+        return None
+    begin = max(t[0] for t, _ in signals) + _SLOW_S
+    end = min(t[-1] for t, _ in signals) - _SLOW_S
+    if not _FEWEST_BLOCKS * _BLOCK_S <= end - begin < _LONGEST_RECORD_S:
+        return None
+    edges = np.arange(begin, end, _BLOCK_S)
+    good = np.ones(len(edges) - 1, dtype=np.bool_)
+    for t, _ in signals:
+        count = np.diff(np.searchsorted(t, edges))
+        good &= count >= 0.5 * _BLOCK_S / float(np.median(np.diff(t)))
+    middle = (edges[1:] + edges[:-1]) / 2
+    for t, values in commands:
+        good &= np.interp(middle, t, values) > _TURNING
+    chosen = edges[:-1][good]
+    if len(chosen) < _FEWEST_BLOCKS:
+        return None
+    if len(chosen) > _MOST_BLOCKS:
+        chosen = chosen[np.linspace(0, len(chosen) - 1, _MOST_BLOCKS).round().astype(np.intp)]
+    return np.asarray(chosen)
+
+
+def _block_of(t_s: Array, begins: Array) -> NDArray[np.intp]:
+    """Number of the block of each time, -1 outside."""
+    block = np.searchsorted(begins, t_s, side="right") - 1
+    inside = (block >= 0) & (t_s < begins[np.maximum(block, 0)] + _BLOCK_S)
+    return np.asarray(np.where(inside, block, -1), dtype=np.intp)
+
+
+def _without_slow(t_s: Array, values: Array) -> Array:
+    """Values less their mean over `_SLOW_S` to either side."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    low = np.searchsorted(t_s, t_s - _SLOW_S)
+    high = np.searchsorted(t_s, t_s + _SLOW_S, side="right")
+    mean = (total[high] - total[low]) / (high - low)
+    return np.asarray(values - mean, dtype=np.float64)
+
+
+class _Motor:
+    """Speeds of one motor, and what its commands make of them."""
+
+    def __init__(self, speed: Samples, command: Samples, begins: Array) -> None:
+        t_s, values = speed
+        hz = 1.0 / float(np.median(np.diff(t_s)))
+        each = slice(None, None, max(1, round(hz / _MOST_HZ)))
+        near = _block_of(t_s, begins - _SLOW_S) >= 0
+        near |= _block_of(t_s, begins + _SLOW_S) >= 0
+        self._t_s = t_s[near][each]
+        y = _without_slow(self._t_s, values[near][each])
+        block = _block_of(self._t_s, begins)
+        self._inside, self._count = block >= 0, len(begins)
+        self._block = block[self._inside]
+        y = y[self._inside]
+        size = float(np.sqrt(np.mean(y * y)))
+        self._y = y / size if size > 0.0 else y
+        self._grid_s = np.arange(command[0][0], command[0][-1], _LAG_STEP_S)
+        self._command = np.interp(self._grid_s, *command)
+        self.total = self._sums(self._y * self._y)
+
+    def _sums(self, values: Array) -> Array:
+        return np.asarray(np.bincount(self._block, values, self._count), dtype=np.float64)
+
+    def lagged(self, constant_s: float) -> Array:
+        """The command behind a first-order lag, on its grid."""
+        if constant_s <= 0.0:
+            return self._command
+        keep, first = float(np.exp(-_LAG_STEP_S / constant_s)), self._command[0]
+        new = (1.0 - keep) / 2.0  # trapezoidal: no delay of half a step
+        return np.asarray(lfilter([new, new], [1.0, -keep], self._command - first) + first)
+
+    def products(self, lagged: Array, delay_s: float) -> tuple[Array, Array]:
+        """Sums over each block of model squared and of model times speed, shape (b,) each."""
+        model = np.interp(self._t_s - delay_s, self._grid_s, lagged)
+        model = _without_slow(self._t_s, model)[self._inside]
+        return self._sums(model * model), self._sums(model * self._y)
+
+
+def _behind_commands(
+    speeds: list[Samples], commands: list[Samples], begins: Array
+) -> SpeedLag | None:
+    motors = [_Motor(s, c, begins) for s, c in zip(speeds, commands, strict=True)]
+    total = np.array([m.total for m in motors])  # (motors, b)
+    if not (total.sum(axis=1) > 0.0).all():
+        return None
+
+    def table(constants_s: Array, delays_s: Array) -> Array:
+        """Sums of products, shape (2, constants, delays, motors, b)."""
+        found = np.empty((2, len(constants_s), len(delays_s), len(motors), len(begins)))
+        for m, motor in enumerate(motors):
+            for i, constant in enumerate(constants_s):
+                lagged = motor.lagged(float(constant))
+                for k, delay in enumerate(delays_s):
+                    found[:, i, k, m] = motor.products(lagged, float(delay))
+        return found
+
+    def r2(products: Array, blocks: slice | NDArray[np.bool_] = slice(None)) -> Array:
+        """Share of variance explained over some blocks, shape (constants, delays)."""
+        square, cross = products[..., blocks].sum(axis=-1)
+        explained = np.maximum(cross, 0.0) ** 2 / np.maximum(square, 1e-30)
+        return np.asarray(explained.sum(axis=-1) / total[:, blocks].sum())
+
+    coarse = r2(table(_CONSTANTS_S, _DELAYS_S))
+    at, near = divmod(int(coarse.argmax()), len(_DELAYS_S))
+    if coarse.max() < LEAST_R2:
+        return None
+    low, high = _CONSTANTS_S[max(at - 1, 0)], _CONSTANTS_S[min(at + 1, len(_CONSTANTS_S) - 1)]
+    constants_s, delays_s = np.linspace(low, high, 13), _DELAYS_S[near] + _NEAR_S
+    products = table(constants_s, delays_s)
+
+    def best(blocks: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float, float]:
+        found = r2(products, blocks)
+        profile = found.max(axis=0)  # over the time constants
+        k = int(profile.argmax())
+        constant_s = float(constants_s[found[:, k].argmax()])
+        return _vertex(delays_s, profile, k), constant_s, float(profile[k])
+
+    delay_s, constant_s, share = best()
+    sd_s = _jackknife(lambda kept: best(kept)[0], len(begins))
+    interval_s = max(float(np.median(np.diff(t))) for t, _ in commands)
+    return SpeedLag(delay_s, float(np.hypot(sd_s, _INTERPOLATED * interval_s)), constant_s, share)
+
+
+def _behind_motion(
+    flight: AnyFlight, speeds: list[Samples], begins: Array
+) -> dict[str, float] | None:
+    """By how much angular acceleration and specific force are ahead of the speeds."""
+    channels: list[Samples] = []
+    if flight.has(*GYRO):
+        t_s, rates = flight.signal(GYRO)
+        channels += [(t_s, rates[:, 0]), (t_s, rates[:, 1])]
+    turning = len(channels)
+    if flight.has(*ACC):
+        t_s, force = flight.signal(ACC)
+        channels.append((t_s, force[:, 2]))
+    if not channels:
+        return None
+    reach_s = 3.0
+    ends = (begins[0] - reach_s, begins[-1] + _BLOCK_S + reach_s)
+    grid_s = np.arange(*ends, _GRID_S)
+    slowest = min(1.0 / float(np.median(np.diff(t))) for t, _ in (*channels, *speeds))
+    band = (_BAND_HZ[0], min(_BAND_HZ[1], 0.4 * slowest))
+    if band[1] < 2 * band[0]:
+        return None
+    filters = butter(2, band, "band", fs=1 / _GRID_S, output="sos")
+    y = np.column_stack([np.interp(grid_s, *c) for c in channels])
+    y[:, :turning] = np.gradient(y[:, :turning], _GRID_S, axis=0)
+    x = np.column_stack([np.interp(grid_s, t, np.square(w)) for t, w in speeds])
+    y, x = sosfiltfilt(filters, y, axis=0), sosfiltfilt(filters, x, axis=0)
+    block = _block_of(grid_s, begins)
+    for t, _ in channels:  # a block with a hole says nothing
+        count = np.diff(np.searchsorted(t, np.column_stack([begins, begins + _BLOCK_S])), axis=1)
+        hole = count[:, 0] < 0.5 * _BLOCK_S / float(np.median(np.diff(t)))
+        block[hole[np.maximum(block, 0)]] = -1
+    rows = np.flatnonzero(block >= 0)
+    rows = rows[(rows + _AHEAD[0] >= 0) & (rows + _AHEAD[-1] < len(grid_s))]
+    size = np.sqrt(np.mean(np.square(y[rows]), axis=0)) if len(rows) else np.zeros(1)
+    if len(np.unique(block[rows])) < _FEWEST_BLOCKS or not (size > 0.0).all():
+        return None
+    y = y[rows] / size
+    x = x / np.maximum(np.sqrt(np.mean(np.square(x), axis=0)), 1e-30)
+    order = [np.flatnonzero(block[rows] == b) for b in range(len(begins))]
+    there = [r for r in order if len(r)]
+    gram, cross = [], []
+    for ahead in _AHEAD:
+        moved = x[rows + ahead]
+        gram.append([moved[r].T @ moved[r] for r in there])
+        cross.append([moved[r].T @ y[r] for r in there])
+    grams, crosses = np.array(gram), np.array(cross)  # (a, b, n, n), (a, b, n, c)
+    total = np.array([np.sum(np.square(y[r])) for r in there])
+    ridge = 1e-9 * np.eye(x.shape[1])
+
+    def best(kept: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float]:
+        g, c = grams[:, kept].sum(axis=1), crosses[:, kept].sum(axis=1)
+        g = g + ridge * np.trace(g, axis1=1, axis2=2)[:, None, None]
+        share = np.sum(c * np.linalg.solve(g, c), axis=(1, 2)) / total[kept].sum()
+        k = int(share.argmax())
+        return _vertex(np.asarray(_AHEAD * _GRID_S, dtype=np.float64), share, k), float(share[k])
+
+    ahead_s, share = best()
+    if share < LEAST_R2:
+        return None
+    sd_s = _jackknife(lambda kept: best(kept)[0], len(there))
+    return {"motion_s": ahead_s, "motion_sd_s": sd_s, "motion_r2": share}
+
+
+def _vertex(at: Array, values: Array, k: int) -> float:
+    """Place of the top of a parabola through the largest of some values and its neighbours."""
+    if not 0 < k < len(at) - 1:
+        return float(at[k])
+    left, top, right = (float(v) for v in values[k - 1 : k + 2])
+    bend = left - 2.0 * top + right
+    offset = 0.5 * (left - right) / bend if bend < 0.0 else 0.0
+    return float(at[k] + offset * (at[1] - at[0]))
+
+
+def _jackknife(estimate: Callable[[NDArray[np.bool_]], float], blocks: int) -> float:
+    """Standard deviation of an estimate by leaving out one block after another."""
+    found = np.empty(blocks)
+    for b in range(blocks):
+        kept = np.ones(blocks, dtype=np.bool_)
+        kept[b] = False
+        found[b] = estimate(kept)
+    return float(np.sqrt((blocks - 1) / blocks * np.sum(np.square(found - found.mean()))))
