@@ -16,7 +16,7 @@ from ..output import check_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
 from .dataset import JOURNAL, Journal, write_dataset
 from .logs import Log, found_logs, job_number
-from .looking import VERBS, Look, Looking, Verb
+from .looking import VERBS, Found, Look, Looking, Verb
 from .result import FleetResult, result_of
 from .vehicles import numbers_of_files, write_vehicles
 
@@ -147,6 +147,7 @@ def run_fleet(
     force: bool = False,
     progress: Progress = lambda _: None,
     beside: Callable[[FleetResult], None] = lambda _: None,
+    each: Callable[[Found], None] = lambda _: None,
 ) -> FleetResult:
     """Look at the logs that are not done, and write what they say together.
 
@@ -158,6 +159,7 @@ def run_fleet(
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
         beside: Writes what else belongs into the folder; a kill before it has ended costs nothing.
+        each: Called with what is found in each log, or of each aircraft, as it comes.
 
     Raises:
         TwinError: As `fleet`.
@@ -172,10 +174,10 @@ def run_fleet(
             looks = [_look(log) for log in logs]
             together = "explain" in asked.verbs and not asked.alone
             share = 0.5 if together else 1.0
-            _do(looks, looking, engine, journal, lambda d: progress(share * d))
+            _do(looks, looking, engine, journal, lambda d: progress(share * d), each)
             if together:
                 more = aircraft_looks(looks, journal)
-                _do(more, looking, engine, journal, lambda d: progress(share + share * d))
+                _do(more, looking, engine, journal, lambda d: progress(share + share * d), each)
                 looks += more
         write_dataset(journal.lines(looks, journal.places()), out)
         result = result_of(out, "" if base is None else base.name)
@@ -227,7 +229,12 @@ def aircraft_looks(looks: Sequence[Look], journal: Journal) -> list[Look]:
 
 
 def _do(
-    looks: Sequence[Look], looking: Looking, engine: Engine, journal: Journal, progress: Progress
+    looks: Sequence[Look],
+    looking: Looking,
+    engine: Engine,
+    journal: Journal,
+    progress: Progress,
+    each: Callable[[Found], None],
 ) -> None:
     """Do what is not done."""
     left = [k for k in looks if k.job not in journal.done]
@@ -235,6 +242,7 @@ def _do(
     for found in engine.run(looking, _largest_first(left)):
         journal.add(found)
         done += 1
+        each(found)
         progress(done / len(looks))
 
 

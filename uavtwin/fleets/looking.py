@@ -22,7 +22,7 @@ from ..jobs.process import Allowed, ProcessWorker
 from ..vehicles import Vehicle
 from .aircraft import aircraft_name, date_of, file_stem
 from .columns import row
-from .vitals import vitals_of
+from .vitals import misfit, vitals_of
 
 Verb = Literal["check", "gap", "explain"]
 VERBS: tuple[Verb, ...] = ("check", "gap", "explain")
@@ -189,6 +189,8 @@ class Looking:
                 refused.append(f"{verb}: {error}")
                 _say(found, about["log"], aircraft, verb, "problem", str(error))
         about |= vitals_of(flight, hover_of(flight), means)
+        if text := misfit(about.get("carried"), about.get("vehicle") or ""):
+            _say(found, about["log"], aircraft, "gap", "warning", text)
         if refused:
             about |= {"status": "refused", "error": "; ".join(refused)}
         elif about["problems"]:

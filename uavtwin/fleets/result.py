@@ -12,6 +12,7 @@ from ..output import output_file
 from ..shown import Shown, TextTable
 from .dataset import read_table
 from .estimates import Spread, explained_aircraft, spreads
+from .overview import UNNAMED, Overview, of_aircraft, of_logs, table_of
 from .statistics.differences import FEWEST as FEWEST_AIRCRAFT
 from .statistics.trends import FEWEST as FEWEST_FLIGHTS
 from .together import Difference, Drift, compared
@@ -36,6 +37,7 @@ class FleetResult(Shown):
         drifts: Every number over time, the clearest first.
         spreads: Numbers of effects over aircraft.
         explained: Explanations by aircraft.
+        rows: An overview of each aircraft, by name.
     """
 
     folder: Path
@@ -48,6 +50,7 @@ class FleetResult(Shown):
     drifts: tuple[Drift, ...]
     spreads: tuple[Spread, ...]
     explained: Mapping[str, int] = field(default_factory=dict)
+    rows: tuple[Overview, ...] = ()
 
     @property
     def logs(self) -> int:
@@ -70,30 +73,50 @@ class FleetResult(Shown):
         return tuple(d for d in self.drifts if d.told)
 
     @property
+    def misfits(self) -> tuple[str, ...]:
+        """Aircraft, and logs that name none, that their vehicle file does not fit, and why."""
+        rows = [r for r in self.rows if r.name != UNNAMED]
+        if self.unnamed:
+            rows += [r for r in of_logs(self.folder) if not r.aircraft]
+        return tuple(r.misfit for r in rows if r.misfit)
+
+    @property
     def claim(self) -> str:
         """What matters, in one sentence."""
+        about = f"{_many(self.logs, 'log')} of {_many(len(self.aircraft), 'aircraft', '')}"
+        parts = [self._differ(), self._drift()]
+        if misfit := len(self.misfits):
+            parts.append(f"the vehicle file does not fit {misfit} of them")
+        bad = f"{_many(self.bad, 'log')} {'is' if self.bad == 1 else 'are'} damaged or of no use"
+        return f"{about}: {', '.join([*parts, bad])}"
+
+    def _differ(self) -> str:
+        """How many aircraft differ, or why that cannot be determined."""
+        if not self.differences:
+            return f"which aircraft differs cannot be determined ({self._no_differences()})"
         differ = len({d.aircraft for d in self.differing})
+        return f"{differ or 'none'} {'differs' if differ == 1 else 'differ'} from the others"
+
+    def _drift(self) -> str:
+        """How many aircraft drift, or why that cannot be determined."""
+        if not self.drifts:
+            return (
+                f"what drifts cannot be determined (no aircraft has {FEWEST_FLIGHTS} flights "
+                f"whose logs have a date)"
+            )
         drift = len({d.aircraft for d in self.drifting})
-        return (
-            f"{_many(self.logs, 'log')} of {_many(len(self.aircraft), 'aircraft', '')}: "
-            f"{differ or 'none'} {'differs' if differ == 1 else 'differ'} from the others, "
-            f"{drift or 'none'} {'drifts' if drift == 1 else 'drift'} over time, "
-            f"{_many(self.bad, 'log')} {'is' if self.bad == 1 else 'are'} damaged or of no use"
-        )
+        return f"{drift or 'none'} {'drifts' if drift == 1 else 'drift'} over time"
+
+    def _no_differences(self) -> str:
+        if len(self.aircraft) < FEWEST_AIRCRAFT:
+            return f"{_many(len(self.aircraft), 'aircraft', '')}, {FEWEST_AIRCRAFT} are needed"
+        return f"no number is known of {FEWEST_AIRCRAFT} aircraft"
 
     @property
     def cannot(self) -> tuple[str, ...]:
-        """What could not be asked, and why."""
-        found = []
-        if len(self.aircraft) < FEWEST_AIRCRAFT:
-            found.append(
-                f"which aircraft differs: {_many(len(self.aircraft), 'aircraft', '')}, "
-                f"{FEWEST_AIRCRAFT} are needed"
-            )
-        if not self.drifts:
-            found.append(
-                f"what drifts: no aircraft has {FEWEST_FLIGHTS} flights whose logs have a date"
-            )
+        """What could not be determined, and why."""
+        found = [] if self.differences else [self._differ()]
+        found += [] if self.drifts else [self._drift()]
         if self.unnamed:
             found.append(
                 f"{_many(self.unnamed, 'flight')} of an aircraft that the log does not name: in "
@@ -127,6 +150,8 @@ class FleetResult(Shown):
             "unnamed": self.unnamed,
             "dated": self.dated,
             "cannot": list(self.cannot),
+            "misfits": list(self.misfits),
+            "overview": [r.json() for r in self.rows],
             "tests": {"differences": len(self.differences), "drifts": len(self.drifts)},
             "differences": [_finite(asdict(d)) for d in self.differing],
             "drifts": [_finite(asdict(d)) for d in self.drifting],
@@ -142,8 +167,13 @@ class FleetResult(Shown):
         return Path(path)
 
     def sections(self) -> Iterable[str | TextTable]:
-        """The claim, what differs, what drifts, effects, bad logs."""
+        """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
         yield self.claim
+        if self.misfits:
+            yield "\n".join(self.misfits[:MOST_TOLD])
+        if self.rows:
+            yield table_of(self.rows, "aircraft", MOST_TOLD)
+        yield table_of(of_logs(self.folder), "log", MOST_TOLD)
         if self.differing:
             head = ("differs", "number", "its median", "others", "unit", "q")
             yield TextTable(
@@ -186,7 +216,7 @@ class FleetResult(Shown):
             texts = tuple((str(a), str(b), str(c)[:160]) for a, b, c in rows)
             yield TextTable(("log", "status", "why"), texts)
         if self.cannot:
-            yield "Not told: " + "; ".join(self.cannot)
+            yield "\n".join(f"{text[0].upper()}{text[1:]}." for text in self.cannot)
 
     def brief(self) -> str:
         """How many logs of how many aircraft."""
@@ -216,6 +246,7 @@ def result_of(folder: Path, vehicle: str) -> FleetResult:
         tuple(drifts),
         tuple(spreads(folder, explained)),
         explained,
+        tuple(of_aircraft(folder)),
     )
 
 

@@ -41,6 +41,7 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
         result: To show.
         path: HTML file to write; an existing one is replaced.
     """
+    from ..fleets.overview import of_logs, table_of
     from ..fleets.statistics.discovery import FALSE_SHARE
 
     by_aircraft, over_time = _drawn(result)
@@ -53,6 +54,11 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
         facts=_facts(result),
         statuses=result.statuses,
         cannot=result.cannot,
+        misfits=result.misfits[:MOST_ROWS],
+        overviews=[
+            table_of(result.rows, "aircraft", MOST_ROWS),
+            table_of(of_logs(result.folder), "log", MOST_ROWS),
+        ],
         false_share=FALSE_SHARE,
         tests={"differences": len(result.differences), "drifts": len(result.drifts)},
         differing=result.differing[:MOST_ROWS],

@@ -38,6 +38,10 @@ def lines(seed: int = 0, planted: bool = True) -> Iterator[dict[str, Any]]:
             fingerprint=f"{k:064x}",
             carried=usual[number] + heavy + 0.002 * rng.standard_normal(),
             battery_resistance_ohm=0.03 + worn + 5e-4 * rng.standard_normal(),
+            vehicle="copter_default",
+            hover_command=0.5,
+            motor_1=0.04,
+            motor_2=-0.04,
             hover_voltage_v=15.0 + 0.1 * rng.standard_normal(),
             verdict="named",
         )

@@ -8,12 +8,14 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from cli_rig import run
-from fleet_rigs.rows import AIRCRAFT, FLIGHTS, HEAVY, WORN, made_fleet
+from fleet_rigs.rows import AIRCRAFT, FLIGHTS, HEAVY, WORN, lines, made_fleet
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 import uavtwin as ut
 from twin.errors import TwinError
 from uavtwin.fleets.columns import TABLES
+from uavtwin.fleets.dataset import write_dataset
+from uavtwin.fleets.overview import HEADER, of_logs
 from uavtwin.fleets.query import query
 from uavtwin.fleets.result import FleetResult, result_of
 from uavtwin.fleets.vehicles import numbers_of_files, write_vehicles
@@ -40,11 +42,78 @@ def test_what_is_planted_is_told_and_nothing_else(result: FleetResult) -> None:
     assert result.claim.startswith(f"{AIRCRAFT * FLIGHTS + 1} logs of {AIRCRAFT} aircraft: ")
 
 
+def few(folder: Path, keep: tuple[str, ...], carried: float = 1.0) -> FleetResult:
+    """Three flights each of some aircraft."""
+    rows = [
+        line
+        for line in lines()
+        if (line["flights"][0].get("aircraft", "") in keep and line["job"] < 3 * AIRCRAFT)
+    ]
+    for line in rows:
+        line["flights"][0]["carried"] = carried
+    write_dataset(rows, folder)
+    return result_of(folder, "copter_default")
+
+
+def test_nothing_compared_is_never_none(tmp_path: Path) -> None:
+    """Of three aircraft nothing can be compared: no sentence says that none differs."""
+    three = few(tmp_path, ("A01", "A02", "A03"))
+    assert not three.differences and not three.drifts
+    told = str(three)
+    assert "none differ" not in told and "none drift" not in told
+    assert "cannot be determined (3 aircraft, 4 are needed)" in three.claim
+    assert "no aircraft has 6 flights whose logs have a date" in three.claim
+    assert len(three.cannot) == 2
+    three.report(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "None of those compared" not in page and "Not determined." in page
+
+
+def test_four_aircraft_of_which_no_number_is_known_are_not_compared(tmp_path: Path) -> None:
+    write_dataset(
+        (
+            {"flights": [{"log": f"{k}.ulg", "status": "fine", "aircraft": f"A{k % 4}"}]}
+            for k in range(8)
+        ),
+        tmp_path,
+    )
+    found = result_of(tmp_path, "copter_default")
+    assert "no number is known of 4 aircraft" in found.claim
+
+
+def test_every_aircraft_and_every_log_has_a_row(result: FleetResult, tmp_path: Path) -> None:
+    assert [r.name for r in result.rows] == [f"A{k:02d}" for k in range(1, AIRCRAFT + 1)]
+    assert {r.flights for r in result.rows} == {FLIGHTS}
+    heavy, first = (next(r for r in result.rows if r.name == n) for n in (HEAVY, "A01"))
+    assert set(heavy.named) == {"rotor_drag", "mass_offset"}
+    assert not first.named
+    cells = dict(zip(HEADER, heavy.cells(), strict=True))
+    assert cells["hover"] == "0.500"
+    assert (cells["strongest motor"], cells["weakest motor"]) == ("2: -4 %", "1: +4 %")
+    assert cells["named"].startswith("mass offset (")
+    three = few(tmp_path, ("A01", "A02", "A03"))
+    logs = of_logs(tmp_path)
+    assert len(logs) == 9
+    assert all(r.name in str(three) for r in (*three.rows, *logs))
+    assert [r["aircraft"] for r in three.json()["overview"]] == ["A01", "A02", "A03"]
+
+
+@pytest.mark.parametrize(
+    ("carried", "fits"), [(1.14, True), (0.86, True), (1.2, False), (0.7, False)]
+)
+def test_a_file_that_does_not_fit_is_a_finding(tmp_path: Path, carried: float, fits: bool) -> None:
+    found = few(tmp_path, ("A01", "A02", "A03"), carried)
+    assert bool(found.misfits) is not fits
+    assert ("does not fit 3 of them" in found.claim) is not fits
+    if not fits:
+        assert f"A01: in hover the thrust of copter_default is {100 * carried:.0f} %" in str(found)
+
+
 def test_of_a_fleet_without_a_plant_nothing_is_told(tmp_path: Path) -> None:
     silent = result_of(made_fleet(tmp_path, planted=False), "copter_default")
     assert not silent.differing
     assert not silent.drifting
-    assert len(silent.drifts) == 4 * AIRCRAFT  # it was looked for
+    assert len(silent.drifts) == 7 * AIRCRAFT  # every number was tested
 
 
 def test_an_effect_of_most_is_of_the_type_and_one_of_one_its_own(

@@ -17,10 +17,11 @@ from ..options import (
     Workers,
     vehicle_named,
 )
-from ..printing import STDOUT, print_json, progress
+from ..printing import STDERR, STDOUT, print_json, progress
 
 if TYPE_CHECKING:
     from ...fleets.fleet import Asked
+    from ...fleets.looking import Found
     from ...fleets.result import FleetResult
 
 
@@ -71,9 +72,24 @@ def fleet(
     work = Work(engine, workers, scheduler, Allowed(time_limit, memory_limit))
     with progress("looking") as done:
         result = run_fleet(
-            list(logs), asked, out, work, force, done, lambda r: _note(r, out, asked)
+            *(list(logs), asked, out, work, force, done),
+            lambda r: _note(r, out, asked),
+            _found,
         )
     _say(result, out, as_json)
+
+
+def _found(found: "Found") -> None:
+    """One line of what is found in a log, or of an aircraft, as it comes."""
+    from ...fleets.overview import of_log
+
+    for row in found.rows.get("flights", ()):
+        error = f": {row['error']}" if row.get("error") else ""
+        STDERR.print(f"{of_log(row).line()}{error}", markup=False)
+    if "flights" not in found.rows:
+        rows = found.rows.get("effects", ())
+        named = {f"{r['aircraft']}: {r.get('effect') or r['verdict']}": None for r in rows}
+        STDERR.print("\n".join(named), markup=False)
 
 
 def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
@@ -104,5 +120,5 @@ def _say(result: "FleetResult", out: Path, as_json: bool) -> None:
             f"vehicles/, fleet.json, run.json",
             markup=False,
         )
-    if result.bad or result.differing or result.drifting or result.spreads:
+    if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
         raise typer.Exit(Exit.FINDINGS)
