@@ -142,6 +142,12 @@ def shaping_starts(twin: Assembly, scenario: Scenario) -> dict[str, float]:
         if not EFFECTS[name].of_vehicle:
             raise TwinError(f"effect {name} is one of a record; an aircraft that flies has none.")
         block = f"{EFFECTS[name].component}.{name}"
+        part = twin.parts.get(EFFECTS[name].component)
+        if part is not None and f"{name}.enabled" not in {v.name for v in part.parameters}:
+            raise TwinError(
+                f"effect {name} depends on the battery, of which the vehicle file says nothing: "
+                f"add [battery], see docs/guide/vehicle.md."
+            )
         switches[f"{block}.enabled"] = 1.0
         if isinstance(scenario.effects, Mapping):
             switches |= {f"{block}.{k}": x for k, x in scenario.effects[name].items()}

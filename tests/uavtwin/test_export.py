@@ -143,8 +143,8 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
     """Baked into the fused FMU and into the FMUs of the `.ssp`; descriptions alone are read."""
     monkeypatch.setattr("fmus.builder._compile", lambda *_: b"")
     starts = ["airframe.mass=0.03", "imu.seed=4", "mission.wait=0.5"]
-    plan = export_components(["corrected-twin"], Choice("crazyflie", start=starts, mission="tour"))
-    plan(tmp_path, lambda _: None)
+    choice = Choice("crazyflie", start=starts, mission="tour", position="mocap")
+    export_components(["corrected-twin"], choice)(tmp_path, lambda _: None)
     whole = read_interface(tmp_path / "corrected_twin.fmu").description
     values = {v.name: v.start for v in whole.modelVariables}
     system = read_ssp(tmp_path / "corrected_twin.ssp")
@@ -152,6 +152,10 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
         for v in read_interface(path).description.modelVariables:
             assert v.causality == "input" or v.start == values[f"{part}.{v.name}"]
     assert [float(values[s.split("=")[0]]) for s in starts] == [0.03, 4.0, 0.5]
+    sensor = tuple(read_interface(system.fmus["position"]).names("output"))
+    assert sensor == component("position", load_vehicle("crazyflie"), position="mocap").output_names
+    assert {f"position.{name}" for name in sensor} <= values.keys()
+    assert "meas_q_w" in sensor
 
 
 @pytest.mark.slow
@@ -170,6 +174,14 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
         (("corrected-twin",), Choice(start=["airframe.mass=-1"]), "outside its range"),
         (("battery",), Choice(vehicle="copter_default"), "[battery]"),
         (("replay",), Choice(), "--flight"),
+        (("imu",), Choice(drive="commands"), "nothing of imu: it goes with airframe and corr"),
+        (("imu", "airframe"), Choice(mission="tour"), "it goes with mission and corrected-twin."),
+        (("airframe",), Choice(controller="px4"), "it goes with corrected-twin."),
+        (("airframe",), Choice(position="mocap"), "it goes with position and corrected-twin."),
+        (("airframe",), Choice(linear="pos_x"), "--linear pos_x: changes nothing of airframe: it"),
+        (("airframe",), Choice(flight=Path("a.ulg")), "goes with replay."),
+        (("corrected-twin",), Choice(drive="commands", controller="px4"), "--drive mission."),
+        (("corrected-twin",), Choice(drive="commands", mission="tour"), "--drive mission."),
     ],
 )
 def test_wrong_use(names: tuple[str, ...], choice: Choice, text: str) -> None:

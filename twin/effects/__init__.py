@@ -15,6 +15,17 @@ def effects_of(component: ComponentName) -> tuple[Effect, ...]:
     return tuple(e for e in EFFECTS.values() if e.component == component)
 
 
+def effects_for(vehicle: Vehicle) -> tuple[str, ...]:
+    """Effects that an aircraft's components hold, switched on or off: all but those that read the
+    voltage or the current of a battery of which its file states nothing."""
+    known = {"vbat": vehicle.states_voltage, "ibat": vehicle.battery is not None}
+    return tuple(
+        name
+        for name, effect in EFFECTS.items()
+        if name in vehicle.effects or all(known.get(signal, True) for signal in effect.needs)
+    )
+
+
 def acting_late() -> tuple[Effect, ...]:
     """Effects by which signals act later than a record says."""
     return tuple(e for e in EFFECTS.values() if isinstance(e.seen_as, Shift) and e.seen_as.acts)
@@ -60,6 +71,7 @@ __all__ = [
     "Shift",
     "acting_late",
     "ages",
+    "effects_for",
     "effects_of",
     "late_actions",
 ]

@@ -11,14 +11,14 @@ import casadi as ca
 import numpy as np
 
 from ..component import Component, unknown_name
-from ..effects import EFFECTS, RandomForce
+from ..effects import EFFECTS, RandomForce, effects_for
 from ..errors import ModelError
 from ..physics.airframe import airframe
 from ..physics.battery import battery
 from ..physics.environment import environment
 from ..physics.residual_force import ForceLaw, residual_force
 from ..physics.rotors import Drive
-from ..physics.sensors.position import position_sensor
+from ..physics.sensors.position import Kind, position_sensor
 from ..physics.sensors.table import components_of_sensors
 from ..representation import short_repr
 from ..vehicle import Vehicle
@@ -112,9 +112,10 @@ def flying_twin(
     vehicle: Vehicle,
     scenario: str = "hover",
     control: str = "lqr",
-    effects: Iterable[str] = tuple(EFFECTS),
+    effects: Iterable[str] | None = None,
     law: ForceLaw | None = None,
     network: bool = False,
+    position: Kind = "gnss",
 ) -> Assembly:
     """A vehicle with its sensors that flies a mission from standing on the ground.
 
@@ -124,18 +125,21 @@ def flying_twin(
         vehicle: Numbers of the aircraft, and the effects that are switched on.
         scenario: Name of the mission.
         control: Name of the controller, of `CONTROLLERS`.
-        effects: Effects to build in, switched off, as blocks of parameters.
+        effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
+            the vehicle.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
         network: Whether something else adds to the law (`residual_force`).
+        position: Kind of position sensor.
 
     Raises:
         ModelError: There is no such mission or controller.
     """
     if control not in CONTROLLERS:
         raise ModelError(unknown_name("flying twin", "controller", control, CONTROLLERS))
-    effects = tuple(effects)
+    effects = effects_for(vehicle) if effects is None else tuple(effects)
     pilot = {"mission": mission(vehicle, scenario), "controller": CONTROLLERS[control](vehicle)}
-    parts = pilot | _aircraft(vehicle, airframe(vehicle, effects=effects), effects, law, network)
+    body = airframe(vehicle, effects=effects)
+    parts = pilot | _aircraft(vehicle, body, effects, law, network, position)
     if vehicle.battery is not None:
         parts["battery"] = battery(vehicle)
     return Assembly(parts, connected_by_name(parts), mission_duration_s(scenario))
@@ -144,9 +148,10 @@ def flying_twin(
 def driven_twin(
     vehicle: Vehicle,
     drive: Drive,
-    effects: Iterable[str] = tuple(EFFECTS),
+    effects: Iterable[str] | None = None,
     law: ForceLaw | None = None,
     network: bool = False,
+    position: Kind = "gnss",
 ) -> Assembly:
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
 
@@ -156,16 +161,18 @@ def driven_twin(
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
         drive: What drives the rotors.
-        effects: Effects to build in, switched off, as blocks of parameters.
+        effects: Effects to build in, switched off, as blocks of parameters; None: `effects_for`
+            the vehicle.
         law: Of what its equations leave of force and moment; None: nothing is known of it.
         network: Whether something else adds to the law (`residual_force`).
+        position: Kind of position sensor.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive.
     """
-    effects = tuple(effects)
-    body = airframe(vehicle, drive, effects, restart=True)
-    parts = _aircraft(vehicle, body, effects, law, network)
+    effects = effects_for(vehicle) if effects is None else tuple(effects)
+    body = airframe(vehicle, drive, effects, restart=True, voltage=law is not None)
+    parts = _aircraft(vehicle, body, effects, law, network, position)
     return Assembly(parts, connected_by_name(parts), DRIVEN_S)
 
 
@@ -175,6 +182,7 @@ def _aircraft(
     effects: tuple[str, ...],
     law: ForceLaw | None,
     network: bool,
+    position: Kind,
 ) -> dict[str, Component]:
     """The air, an airframe that stands in it, what acts on it beyond its equations, its sensors."""
     beyond = {} if law is None else {"residual_force": residual_force(vehicle, law, network)}
@@ -182,7 +190,7 @@ def _aircraft(
         "environment": environment(vehicle),
         "airframe": body.with_starts(standing(body, vehicle)),
         **{name: make(vehicle, effects) for name, make in components_of_sensors().items()},
-        "position": position_sensor(vehicle, effects),
+        "position": position_sensor(vehicle, effects, position),
         **beyond,
     }
 

@@ -39,6 +39,7 @@ def airframe(
     drive: Drive | None = None,
     effects: Iterable[str] = (),
     restart: bool = False,
+    voltage: bool = False,
 ) -> Component:
     """The airframe of a vehicle as a component; its start values are a hover at 10 m.
 
@@ -55,18 +56,20 @@ def airframe(
             to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
             its motion is the given one; rotors and memories go on as they are. What drives it is
             shown again, `told.cmd_1` and so on, since no part of a twin gives it.
+        voltage: Whether the battery voltage is an input although nothing in the airframe depends on
+            it, for another part that reads its output `voltage`.
 
     Raises:
         ModelError: The vehicle's maps do not allow this drive, or it has no hover trim.
     """
     wanted = {*effects, *vehicle.effects}
     chosen = [e for e in effects_of("airframe") if e.name in wanted]
-    component = _equations(vehicle, drive or vehicle.drive, chosen, restart)
+    component = _equations(vehicle, drive or vehicle.drive, chosen, restart, voltage)
     return component.with_starts(hover_trim(component, vehicle))
 
 
 def _equations(
-    vehicle: Vehicle, drive: Drive, effects: Sequence[Effect], restart: bool
+    vehicle: Vehicle, drive: Drive, effects: Sequence[Effect], restart: bool, voltage: bool
 ) -> Component:
     m = ComponentBuilder(
         "airframe", f"Six-degree-of-freedom airframe of {vehicle.name}, driven by {drive}"
@@ -78,7 +81,8 @@ def _equations(
         periods.insert(0, RESTARTS)
     period = m.sampled(periods[0].seconds, periods[0].description) if periods else ca.SX(0)
     z_ground = m.parameter("ground.z", 0.0, "m", "Ground plane, NED down")
-    motion = _motion(m, vehicle, blocks, z_ground, restart)
+    voltage |= drive == "command" and vehicle.rotors.reference_voltage_v is not None
+    motion = _motion(m, vehicle, blocks, z_ground, voltage or blocks.include("battery_sag"))
     outside = [m.input(name, unit, meaning) for name, unit, meaning in OUTSIDE]
     disturbance = followed(m, motion, period) if restart else []
     if restart:
@@ -125,7 +129,7 @@ def _equations(
 
 
 def _motion(
-    m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX, told: bool
+    m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks, z_ground: ca.SX, measured: bool
 ) -> Motion:
     """Declare the states of the rigid body and its surroundings.
 
@@ -134,7 +138,7 @@ def _motion(
         vehicle: Its numbers.
         blocks: Effects.
         z_ground: NED down.
-        told: The battery voltage is an input, whether it turns the rotors or is looked at alone.
+        measured: Whether the battery voltage is an input; else it is the vehicle's usual one.
     """
     wind_n = [
         m.input(f"wind_{a}", "m/s", f"Velocity of the air, NED {d}")
@@ -142,8 +146,7 @@ def _motion(
     ]
     density = m.input("density", "kg/m3", "Air density", AIR_DENSITY_KG_M3)
     voltage = ca.SX(vehicle.voltage_v)
-    told = told or vehicle.rotors.reference_voltage_v is not None
-    if told or blocks.include("battery_sag"):
+    if measured:
         voltage = m.input("vbat_v", "V", "Battery voltage", vehicle.voltage_v)
     mass = m.parameter("mass", vehicle.mass_kg, "kg", "Take-off mass", minimum=1e-4)
     gravity = m.parameter(

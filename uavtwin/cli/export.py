@@ -32,6 +32,16 @@ DRIVES = {
     "rotor_speed": "rotor_speed",
 }
 """Drives by the words of the option; None: no rotor is driven from outside."""
+_FOR = {
+    "flight": (REPLAY,),
+    "linear": (REPLAY,),
+    "drive": ("airframe", FUSED),
+    "mission": (MISSION, FUSED),
+    "controller": (FUSED,),
+    "position": ("position", FUSED),
+    "model": (COMPENSATOR, FUSED),
+}
+"""Option -> what is made otherwise by it."""
 Components = Annotated[
     list[str],
     typer.Argument(
@@ -188,6 +198,9 @@ class Choice:
         return [p for p in given if p is not None and p.is_file()]
 
 
+_DEFAULT = Choice()
+
+
 def export_components(
     names: Sequence[str], choice: Choice
 ) -> "Callable[[Path, Callable[[float], None]], list[WrittenFile]]":
@@ -226,6 +239,16 @@ def default_vehicle(model: Path | None) -> str:
 
 def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]) -> None:
     """Refuse options that do not go together."""
+    unused = {n for n, used_by in _FOR.items() if not set(used_by) & set(names)}
+    if DRIVES.get(choice.drive or MISSION) is not None:  # a log drives it: nobody flies it
+        unused |= {"controller"} | ({"mission"} - set(names))
+    for option in _FOR:
+        if option in unused and getattr(choice, option) != getattr(_DEFAULT, option):
+            raise TwinError(
+                f"--{option} {getattr(choice, option)}: changes nothing of {', '.join(names)}: it "
+                f"goes with {' and '.join(_FOR[option])}"
+                + (f" that flies a mission, --drive {MISSION}." if FUSED in names else ".")
+            )
     if choice.drive not in (None, *DRIVES):
         raise TwinError(f"--drive {choice.drive}: choose {', '.join(DRIVES)}.")
     if choice.drive == MISSION and FUSED not in names:
@@ -236,8 +259,6 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
         raise TwinError("--python-slave: FMI 2 and single components only; leave the rest native.")
     if choice.model is None and COMPENSATOR in names:
         raise TwinError("compensator needs a trained model: --model FOLDER.")
-    if choice.model is not None and not {COMPENSATOR, FUSED} & set(names):
-        raise TwinError("--model goes with compensator and corrected-twin.")
     if choice.int8 and choice.model is None:
         raise TwinError("--int8 goes with --model: it is the form of a trained compensator.")
 
@@ -255,7 +276,8 @@ def _part(
     drive = cast("Drive | None", DRIVES.get(choice.drive or MISSION))
     if name == FUSED:
         controller = cast("Controller", choice.controller)
-        return parts.twin(vehicle, choice.mission, controller, network, drive, force)
+        kind = cast("Kind", choice.position)
+        return parts.twin(vehicle, choice.mission, controller, network, drive, force, kind)
     if name == REPLAY and choice.flight is not None:
         linear = [c.strip() for c in choice.linear.split(",") if c.strip()]
         return parts.replay(read_flight(choice.flight), linear)

@@ -10,7 +10,7 @@ from cosim.whole_twin import COMPENSATOR
 from fmus import FmuModel, replay_model
 from fmus.compensator import FILE, INT8_FILE, NetworkFile, read_network
 from twin.component import Component, unknown_name
-from twin.effects import EFFECTS
+from twin.effects import effects_for
 from twin.errors import TwinError
 from twin.flight.assembly import CONTROLLERS, Assembly, driven_twin, flying_twin
 from twin.flight.mission import mission
@@ -51,21 +51,21 @@ class Choices:
 def _with_effects(
     make: Callable[[Vehicle, Iterable[str]], Component],
 ) -> Callable[[Vehicle, Choices], Component]:
-    """A sensor of the table, with all its effects built in."""
-    return lambda vehicle, _: make(vehicle, EFFECTS)
+    """A sensor of the table, with the effects that its aircraft can have."""
+    return lambda vehicle, _: make(vehicle, effects_for(vehicle))
 
 
 COMPONENTS: Mapping[str, Callable[[Vehicle, Choices], Component]] = {
-    "airframe": lambda v, c: airframe(v, c.drive, EFFECTS),
+    "airframe": lambda v, c: airframe(v, c.drive, effects_for(v)),
     **{name: _with_effects(make) for name, make in components_of_sensors().items()},
-    "position": lambda v, c: position_sensor(v, EFFECTS, c.position),
+    "position": lambda v, c: position_sensor(v, effects_for(v), c.position),
     "battery": lambda v, _: battery(v),
     "environment": lambda v, _: environment(v),
     "mission": lambda v, c: mission(v, c.mission),
     "controller": lambda v, _: CONTROLLERS["lqr"](v),
     "controller_px4": lambda v, _: CONTROLLERS["px4"](v),
 }
-"""Every component by its name, each with all its effects built in."""
+"""Every component by its name, each with the effects that its aircraft can have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +109,7 @@ def twin(
     compensator: NetworkFile | None = None,
     drive: Drive | None = None,
     force: "LearnedForce | None" = None,
+    position: Kind = "gnss",
 ) -> Twin:
     """The whole twin of a vehicle, all effects built in and those of the vehicle on.
 
@@ -121,12 +122,14 @@ def twin(
             are in it; None: it flies the mission.
         force: Of `learned_force`, learned for this vehicle; its observer is in the driven twin
             alone, which has a motion to follow.
+        position: Kind of position sensor.
 
     Raises:
-        TwinError: An unknown mission, controller or drive, or a compensator or force of another
-            vehicle.
+        TwinError: An unknown mission, controller, drive or position sensor, or a compensator or
+            force of another vehicle.
     """
     model = checked_vehicle(vehicle, "twin")
+    _check_position("twin", position)
     if compensator is not None:
         check_compensator(compensator, model)
     law, network = None, False
@@ -141,10 +144,12 @@ def twin(
             )
         compensator = compensator or force.network
     if drive is None:
-        assembly = flying_twin(model, mission, controller, law=law, network=network)
+        assembly = flying_twin(
+            model, mission, controller, law=law, network=network, position=position
+        )
     else:
         _check_drive("twin", drive)
-        assembly = driven_twin(model, drive, law=law, network=network)
+        assembly = driven_twin(model, drive, law=law, network=network, position=position)
     if force is not None:
         observer = force.model.observer_starts if drive is not None else {}
         assembly = assembly.with_starts(observer | force.model.network_starts)
@@ -177,8 +182,7 @@ def component(
         raise TwinError(unknown_name("component", "component", name, COMPONENTS))
     if drive is not None:
         _check_drive(name, drive)
-    if position not in PRESETS:
-        raise TwinError(unknown_name(name, "position sensor", position, PRESETS))
+    _check_position(name, position)
     return COMPONENTS[name](model, Choices(drive, position, mission))
 
 
@@ -186,6 +190,11 @@ def _check_drive(name: str, drive: str) -> None:
     drives = get_args(Drive)
     if drive not in drives:
         raise TwinError(unknown_name(name, "drive", drive, drives))
+
+
+def _check_position(name: str, position: str) -> None:
+    if position not in PRESETS:
+        raise TwinError(unknown_name(name, "position sensor", position, PRESETS))
 
 
 def replay(flight: Flight, linear: Iterable[str] = ()) -> FmuModel:

@@ -498,7 +498,11 @@ def test_what_does_not_fit_is_refused(folder_of: Folder, tmp_path: Path) -> None
     fine = folder_of("track")
     for names, choice, words in (
         (["compensator"], Choice(), "--model FOLDER"),
-        (["imu"], Choice(VEHICLE, model=fine), "--model goes with"),
+        (
+            ["imu"],
+            Choice(VEHICLE, model=fine),
+            "changes nothing of imu: it goes with compensator and corrected-twin",
+        ),
         (["imu"], Choice(VEHICLE, int8=True), "--int8 goes with --model"),
         (["compensator"], Choice(VEHICLE, model=two), "trained with 2 motors, crazyflie has 4"),
         (["compensator"], Choice(VEHICLE, model=tmp_path), "holds no model.onnx"),

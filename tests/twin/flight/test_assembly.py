@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from typing import cast, get_args
 
 import pytest
 from rig import BUILTIN
@@ -20,6 +21,7 @@ from twin.flight.assembly import (
 )
 from twin.flight.mission import mission_names
 from twin.physics.rotors import Drive
+from twin.physics.sensors.position import PRESETS, Kind
 from twin.vehicle.file import load_vehicle
 
 
@@ -54,6 +56,50 @@ def test_a_driven_twin_wants_rotors_voltage_and_motion(drive: Drive) -> None:
     stem = "cmd" if drive == "command" else "rotor"
     assert {f"airframe.{stem}_4", "airframe.vbat_v", "airframe.restart.q_w"} <= free
     assert "airframe.density" not in free
+
+
+@pytest.mark.parametrize("vehicle", BUILTIN)
+def test_no_input_that_nothing_depends_on(vehicle: str) -> None:
+    """An aircraft without a battery has no input for its voltage or current, whoever drives it,
+    unless an effect of its own depends on them."""
+    model = load_vehicle(vehicle)
+    drives = [d for d in ("command", "rotor_speed") if d == model.drive or model.rotors.from_speed]
+    for twin in (flying_twin(model), *(driven_twin(model, cast(Drive, d)) for d in drives)):
+        for part in twin.parts.values():
+            functions = [(part.outputs, 1), (part.derivatives, 1), (part.initial, 0)]
+            if part.sampling is not None:
+                functions += [(part.sampling.update, 1), (part.sampling.signals, 1)]
+            used = set()
+            for f, argument in functions:
+                rows, columns = f.jac_sparsity(0, argument).get_triplet()
+                used |= {
+                    k
+                    for i, k in zip(rows, columns, strict=True)
+                    if f is not part.outputs or part.output_names[i] != "voltage"
+                }
+            assert {part.input_names[k] for k in used} == set(part.input_names), part.name
+        battery = model.battery is not None
+        assert ("magnetometer.ibat_a" in inputs_of(twin)) == battery
+        assert ("airframe.vbat_v" in inputs_of(twin)) == model.states_voltage
+    sagging = replace(load_vehicle("copter_default"), effects={"battery_sag": {"slope": 1.0}})
+    assert "airframe.vbat_v" in inputs_of(flying_twin(sagging))
+
+
+def inputs_of(twin: Assembly) -> set[str]:
+    return {f"{key}.{name}" for key, part in twin.parts.items() for name in part.input_names}
+
+
+def test_the_position_sensor_is_that_of_the_kind() -> None:
+    """A motion capture system measures the attitude as well."""
+    model, seen = load_vehicle("crazyflie"), {}
+    for kind in get_args(Kind):
+        for twin in (
+            flying_twin(model, position=kind),
+            driven_twin(model, "command", position=kind),
+        ):
+            seen[kind] = "meas_q_w" in twin.parts["position"].output_names
+            assert seen[kind] == (PRESETS[kind].attitude_noise_rad is not None)
+    assert seen == {"gnss": False, "mocap": True}
 
 
 def test_a_battery_is_a_part_where_the_vehicle_has_one() -> None:
