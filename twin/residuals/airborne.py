@@ -1,4 +1,12 @@
-"""Where a flight is in the air: carried by its rotors and above its resting place."""
+"""Where a flight is in the air: carried by its rotors and above its resting place.
+
+What modelled thrust carries the vehicle is told by the flight, not by the weight of the vehicle
+file: the file may be wrong in thrust or mass, which is for others to find. The flight shows that it
+is in the air by, in this order, the land detector of the log, its height, and a specific force that
+follows the thrust: on the ground the legs take the difference.
+"""
+
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -11,6 +19,16 @@ from .measured import MeasuredMotion
 Array = NDArray[np.float64]
 LIFT_OFF_HEIGHT_M = 0.1
 """Above its resting place by this much, a vehicle counts as airborne."""
+CLEAR_HEIGHT_M = 0.5
+"""Above its lowest by this much, a vehicle is in the air, wherever its resting place is."""
+CLEAR_S = 1.0
+"""For this long it has to be."""
+FOLLOWS, BLOCK_S, FEWEST_BLOCKS = 0.7, 0.25, 12
+"""Correlation from which on the specific force follows the thrust, both as means over blocks of
+time, of which so many are needed."""
+LEAST_CARRY, TRUSTED_CARRY = 0.15, 1.5
+"""Modelled thrust over weight below which nothing flies, however wrong the file: idling rotors;
+factor either way by which the file may be off before it is of any concern here."""
 START_S = 0.2
 """From the begin of a record, in which it is told whether it begins in the air."""
 
@@ -25,6 +43,46 @@ def starts_in_air(carried: NDArray[np.bool_], grounded: NDArray[np.bool_], step_
     """
     soon = slice(None, max(1, round(START_S / step_s)))
     return bool(np.median(carried[soon])) and not grounded[0]
+
+
+def carry(
+    thrust_n: Array,
+    grounded: NDArray[np.bool_],
+    height_m: Array,
+    force: Callable[[], Array],
+    step_s: float,
+) -> float | None:
+    """Modelled thrust that carries the vehicle in a flight, N, whatever its file says of the
+    weight; None: the flight does not show that it is in the air.
+
+    Args:
+        thrust_n: Modelled thrust, shape (n,).
+        grounded: Whether the log says that it is on the ground, shape (n,).
+        height_m: NaN where unknown, shape (n,); of no length without a position.
+        force: Gives the specific force along the thrust, m/s^2, NaN where unknown, shape (n,); of
+            no length without an accelerometer.
+        step_s: Step of the grid.
+    """
+    least = CLEAR_S / step_s
+    if grounded.any() and np.sum(~grounded) > least:
+        return float(np.median(thrust_n[~grounded]))
+    known_m = height_m[np.isfinite(height_m)]
+    if len(known_m):
+        above = ~grounded & (height_m > np.quantile(known_m, 0.01) + CLEAR_HEIGHT_M)
+        if np.sum(above) > least:
+            return float(np.median(thrust_n[above]))
+    felt = force()
+    if not len(felt):
+        return None
+    block = max(round(BLOCK_S / step_s), 1)
+    whole = len(felt) // block * block
+    pushed, felt = (v[:whole].reshape(-1, block).mean(axis=1) for v in (thrust_n, felt))
+    strong = np.isfinite(felt)
+    strong &= pushed > np.quantile(pushed, 0.9, method="lower") / 2 if len(pushed) else False
+    x, y = pushed[strong], felt[strong]
+    if len(x) < FEWEST_BLOCKS or not np.std(x) > 0 or not np.std(y) > 0:
+        return None
+    return float(np.median(x)) if np.corrcoef(x, y)[0, 1] > FOLLOWS else None
 
 
 def resting_height(height_m: Array, carried: NDArray[np.bool_]) -> float | None:

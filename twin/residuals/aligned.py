@@ -11,19 +11,23 @@ from ..component import Component
 from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import AnyFlight
+from ..logs.columns import ACC
 from ..physics.airframe import airframe
 from ..physics.rotors import Drive
 from ..physics.sensors.imu import imu
 from ..representation import short_repr
 from ..vehicle import Vehicle
 from .airborne import (
+    LEAST_CARRY,
+    TRUSTED_CARRY,
+    carry,
     in_flight,
     resting_height,
     rotor_thrust,
     starts_in_air,
     why_grounded,
 )
-from .measured import MeasuredMotion, measured_motion
+from .measured import MeasuredMotion, measured_motion, signal_of
 from .teacher_forced import (
     GRID_S,
     Inputs,
@@ -152,6 +156,7 @@ class Alignment:
         rows: How many grid points there are.
         step_s: Step of the grid.
         notes: What was assumed or left out.
+        carries: Modelled thrust over weight in the air, where `airborne` found that far from 1.
     """
 
     def __init__(
@@ -180,6 +185,7 @@ class Alignment:
         self.motion = motion or measured_motion(flight)
         self._signals = InputSignals(flight, vehicle, self.airframe)
         self.notes = self.motion.notes + self._signals.notes
+        self.carries = 1.0
 
     def times(self, first: int, end: int) -> Array:
         """Times of some rows, s."""
@@ -231,6 +237,9 @@ class Alignment:
         """Grid points in flight: not said to be on the ground, carried by the rotors, and above the
         resting place where the record starts at rest and holds a position.
 
+        Rotors carry the vehicle where the modelled thrust is at least half of that which carries it
+        in this flight (`carry`).
+
         Args:
             blocks: All rows.
 
@@ -239,7 +248,7 @@ class Alignment:
         """
         weight = self._vehicle.mass_kg * self._vehicle.gravity_m_s2
         thrust = rotor_thrust(self.airframe, self._vehicle.rotors.count)
-        carried = np.zeros(self.rows, dtype=np.bool_)
+        pushing = np.zeros(self.rows, dtype=np.float32)
         grounded = np.zeros(self.rows, dtype=np.bool_)
         height = np.full(self.rows if self.motion.position is not None else 0, np.nan)
         down = [s.name for s in self.airframe.states].index("pos_z")
@@ -247,11 +256,14 @@ class Alignment:
         for block in blocks:
             rows = slice(block.first, block.end)
             inputs = block.inputs
-            carried[rows] = thrust(inputs.rotor_states, inputs.u)[:, 0] > 0.5 * weight
+            pushing[rows] = thrust(inputs.rotor_states, inputs.u)[:, 0]
             grounded[rows] = (names == "ground")[codes[self._table_rows(block.first, block.end)]]
             if len(height):
                 height[rows] = -block.states[:, down]
         settled = self._flight.settled
+        if settled is None:  # while it was recorded, the weight of the file counted
+            self.carries = self._carries(pushing, grounded, height, weight)
+        carried = pushing > 0.5 * weight * self.carries
         if not len(height) or starts_in_air(carried, grounded, self.step_s):
             resting_m = None
         elif settled is not None:
@@ -265,6 +277,26 @@ class Alignment:
                 f"{why_grounded(self.motion, bool(grounded.all()))}"
             )
         return np.asarray(airborne)
+
+    def _carries(
+        self,
+        pushing: NDArray[np.float32],
+        grounded: NDArray[np.bool_],
+        height_m: Array,
+        weight_n: float,
+    ) -> float:
+        """Modelled thrust over the weight of the file where the flight is in the air; 1 where that
+        is nearly so, or the flight does not show it."""
+
+        def force() -> Array:
+            if not self._flight.has(*ACC):
+                return np.zeros(0)
+            return -signal_of(self._flight, ACC[2:]).at(self.times(0, self.rows))[:, 0]
+
+        own = carry(pushing, grounded, height_m, force, self.step_s)
+        share = 1.0 if own is None else own / weight_n
+        near = share < LEAST_CARRY or 1 / TRUSTED_CARRY < share < TRUSTED_CARRY
+        return 1.0 if near else share
 
     def piece(
         self, block: Block, airborne: NDArray[np.bool_], phases: NDArray[np.str_]
@@ -289,11 +321,19 @@ class Alignment:
         )
 
     def left_out(self, airborne: NDArray[np.bool_]) -> list[str]:
-        """How long the flight is on the ground, in words; nothing where it never is."""
+        """How long the flight is on the ground, in words, and how much of the weight the vehicle
+        carries by its file where it is not, if that is far off."""
         on_ground = float(np.mean(~airborne))
         first_s, last_s = self.times(0, 1)[0], self.times(self.rows - 1, self.rows)[0]
         seconds = on_ground * (last_s - first_s)
-        return [f"{seconds:.1f} s on the ground are left out"] if on_ground > 0 else []
+        notes = [f"{seconds:.1f} s on the ground are left out"] if on_ground > 0 else []
+        if self.carries != 1.0:
+            notes.append(
+                f"in the air the rotors of {self._vehicle.name} carry "
+                f"{100 * self.carries:.0f} % of its weight: check its mass, its thrust and the "
+                f"scale of the commands"
+            )
+        return notes
 
 
 def _quiet(sensor: Component) -> Component:
