@@ -30,7 +30,7 @@ from .stochastic.finding import StochasticEffect
 from .stochastic.search import find_stochastic, find_stuck
 from .stochastic.stuck import Stuck, stuck_channels, without_stuck
 from .unnamed.equations import Equation, explains_better, find_equations
-from .usable import flown, reasons_unusable, with_readings
+from .usable import flown, usable_part, with_readings
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""
@@ -316,12 +316,10 @@ def usable_of(
     payloads: Payloads | None,
     settings: SearchSettings,
 ) -> tuple[list[Flight], list[str]]:
-    """Flights fit for the search, and why the others are not."""
-    found = [
-        (f, reasons_unusable(f, flown(f, vehicle, payloads), settings.usable)) for f in flights
-    ]
-    fit, unread = with_readings([f for f, against in found if not against], vehicle, payloads)
-    return fit, [r for _, against in found for r in against] + unread
+    """Parts of flights fit for the search, and what is left out of them, whole flights included."""
+    found = [usable_part(f, flown(f, vehicle, payloads), settings.usable) for f in flights]
+    fit, unread = with_readings([part for part, _, no in found if not no], vehicle, payloads)
+    return fit, [text for _, less, no in found for text in (no or less)] + unread
 
 
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:

@@ -1,4 +1,10 @@
-"""Is a flight fit for a search at all? Reasons against it, in words, with the way out."""
+"""Which part of a flight is fit for a search, and why the rest is not.
+
+Seconds are left out, not flights: what a blow or a fall leaves of a record is cut in two, and the
+longer part is used; while a motor is at a limit, torque and thrust are not compared, but what the
+accelerometer reads across is. A flight is refused where too little is left, or where its signals
+contradict each other.
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,7 +13,8 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from ..logs import Flight
-from ..logs.columns import ACC, POS, VEL, motor_columns
+from ..logs.columns import ACC, POS, VEL
+from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
@@ -20,25 +27,49 @@ from .settings import DEFAULT, UsableSettings
 Array = NDArray[np.float64]
 _FELT = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
 """What channels of force and torque begin with."""
+Event = tuple[float, float, str]
+"""Start and end of what happened, s, and what it was."""
+
+
+def usable_part(
+    flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
+) -> tuple[Flight, list[str], list[str]]:
+    """The part of a flight from which something can be learnt about a vehicle.
+
+    Args:
+        flight: As read.
+        vehicle: That which flew, a known mass aboard included.
+        settings: What counts as a blow, a fall, too short.
+
+    Returns:
+        The part; what is left out, when and why; why nothing can be learnt, empty for a usable one.
+    """
+    try:
+        aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
+        part, left_out = _longest(flight, aligned, settings)
+        if part is not flight:
+            aligned = align_flight(part, vehicle, 1 / GRID_HZ)
+    except LogError as error:
+        return flight, [], [str(error)]
+    left_out += _saturated(aligned)
+    reasons = [
+        reason
+        for check in (_too_short, _turning, _moving, _upward)
+        for reason in check(part, aligned, settings)
+    ]
+    if reasons and left_out:
+        reasons = [f"{reason} (left out: {'; '.join(left_out)})" for reason in reasons]
+    left_out, reasons = (
+        [f"{flight.name}: {text}" for text in texts] for texts in (left_out, reasons)
+    )
+    return part, left_out, reasons
 
 
 def reasons_unusable(
     flight: Flight, vehicle: Vehicle, settings: UsableSettings = DEFAULT.usable
 ) -> list[str]:
-    """Why nothing can be learnt from a flight about a vehicle; empty for a usable one.
-
-    The vehicle is that which flew, a known mass aboard included.
-    """
-    try:
-        aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
-    except LogError as error:
-        return [str(error)]
-    checks = (_too_short, _saturated, _fallen, _hit, _turning, _moving, _upward)
-    return [
-        f"{flight.name}: {reason}"
-        for check in checks
-        for reason in check(flight, aligned, settings)
-    ]
+    """Why nothing can be learnt from a flight about a vehicle; empty for a usable one."""
+    return usable_part(flight, vehicle, settings)[2]
 
 
 def with_readings(
@@ -58,6 +89,7 @@ def with_readings(
         except LogError as error:
             reasons.append(str(error))
     told = [any(name.startswith(_FELT) for name in names) for _, names in named]
+    every = {n for _, names in named for n in names if n.startswith(_FELT)}
     for (flight, names), body in zip(named, told, strict=True):
         if not names:
             reasons.append(f"{flight.name}: no reading is known for long enough in the air")
@@ -66,9 +98,20 @@ def with_readings(
                 f"{flight.name}: neither accelerometer, gyroscope nor pose with attitude is known "
                 f"for long enough in the air, as in other flights"
             )
+        elif lost := [n for n in sorted(every - {*names}) if _has_read(flight, n)]:
+            reasons.append(
+                f"{flight.name}: {', '.join(lost)} are not known for long enough with no motor at "
+                f"a limit, as in other flights"
+            )
         else:
             kept.append(flight)
     return kept, reasons
+
+
+def _has_read(flight: Flight, channel: str) -> bool:
+    """Whether a flight has the readings that a channel of the IMU is made of."""
+    sensor = sensor_of(channel)
+    return sensor is not None and flight.has(*sensor.columns)
 
 
 def flown(flight: Flight, vehicle: Vehicle, payloads: Payloads | None) -> Vehicle:
@@ -82,46 +125,100 @@ def _too_short(flight: Flight, aligned: AlignedFlight, settings: UsableSettings)
         yield f"only {seconds:.1f} s in the air; at least {settings.shortest_s:g} s are needed"
 
 
-def _saturated(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
-    commands = motor_columns("cmd", sum(c.startswith("cmd_") for c in flight.table))
-    if not commands or not flight.has(*commands):
-        return
-    values = Signal(*flight.signal(commands)).held(aligned.inputs.t_s[aligned.airborne])
-    near = settings.at_limit
-    at_limit = np.any((values <= near) | (values >= 1 - near), axis=1)
-    if np.mean(at_limit) > settings.most_saturated:
-        yield (
-            f"a motor is at a limit for {100 * np.mean(at_limit):.0f} % of the time in the air: "
-            f"commands no longer say what the motors do"
-        )
+def _saturated(aligned: AlignedFlight) -> list[str]:
+    """How long torque and thrust are not compared."""
+    at_limit = aligned.saturated & aligned.airborne
+    if not at_limit.any():
+        return []
+    seconds, share = np.sum(at_limit) / GRID_HZ, np.sum(at_limit) / np.sum(aligned.airborne)
+    return [
+        f"{seconds:.1f} s ({100 * share:.0f} % of the time in the air) of gyro_rate and acc_z, in "
+        f"which a motor is at a limit"
+    ]
 
 
-def _fallen(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
+def _longest(
+    flight: Flight, aligned: AlignedFlight, settings: UsableSettings
+) -> tuple[Flight, list[str]]:
+    """The longest part of a flight between blows and falls, and what is left out for it."""
+    t = aligned.inputs.t_s
+    events = sorted([*_falls(aligned, settings), *_blows(flight, aligned, settings)])
+    if not events:
+        return flight, []
+    free, since = [], float(t[0])
+    for start, end, _ in events:
+        if start > since:
+            free.append((since, start))
+        since = max(since, end)
+    if since < t[-1]:
+        free.append((since, float(t[-1])))
+    if not free:
+        raise LogError(f"{flight.name}: {events[0][2]}.")
+    first, last = max(free, key=lambda span: _in_air(aligned, *span))
+    left_out = []
+    if first > t[0]:
+        why = [what for _, end, what in events if end <= first][-1]
+        seconds = _in_air(aligned, float(t[0]), first)
+        left_out.append(f"up to {first:.1f} s ({seconds:.1f} s in the air): {why}")
+    if last < t[-1]:
+        why = next(what for start, _, what in events if start >= last)
+        seconds = _in_air(aligned, last, float(t[-1]))
+        left_out.append(f"from {last:.1f} s on ({seconds:.1f} s in the air): {why}")
+    return flight.between(first, last), left_out
+
+
+def _in_air(aligned: AlignedFlight, first_s: float, last_s: float) -> float:
+    """Time in the air within a span, s."""
+    t = aligned.inputs.t_s
+    return float(np.sum(aligned.airborne & (t >= first_s) & (t <= last_s))) / GRID_HZ
+
+
+def _falls(aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
+    """Where it is upside down, from when it was last upright until it is again, and where it lies
+    on its side at the end."""
     if aligned.motion.attitude is None:
         return
-    t = aligned.inputs.t_s
+    t, margin = aligned.inputs.t_s, settings.around_s
     _, x, y, _ = aligned.motion.attitude.at(t).T
     upright = 1 - 2 * (x * x + y * y)  # cosine of the tilt
+    standing = np.flatnonzero(upright >= settings.tipped_cos)
+
+    def around(k: int) -> tuple[float, float]:
+        """When it was upright before a row, and when it is again."""
+        place = int(np.searchsorted(standing, k))
+        before = t[standing[place - 1]] if place else t[0]
+        after = t[standing[place]] if place < len(standing) else t[-1]
+        return float(before) - margin, float(after) + margin
+
     over = aligned.airborne & (upright < 0)
-    if np.sum(over) > settings.upside_down_s * GRID_HZ:
-        yield f"upside down at {t[np.argmax(over)]:.1f} s: crashed, or aerobatics"
-        return
-    end = upright[np.isfinite(upright)][-round(GRID_HZ) :]
-    if len(end) and np.median(end) < settings.tipped_cos:
-        yield "lies on its side at the end of the record: crashed"
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], over.astype(np.int8), [0]])))
+    fallen = False
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - first > settings.upside_down_s * GRID_HZ:
+            fallen = True
+            yield *around(int(first)), f"upside down at {t[first]:.1f} s, a crash or aerobatics"
+    known = np.flatnonzero(np.isfinite(upright))
+    end_rows = known[-round(GRID_HZ) :]
+    if not fallen and len(end_rows) and np.median(upright[end_rows]) < settings.tipped_cos:
+        start, _ = around(int(end_rows[-1]))
+        yield start, float(t[-1]), "it lies on its side at the end of the record, a crash"
 
 
-def _hit(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:
+def _blows(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[Event]:
+    """Where the specific force is one that no flight reaches."""
     if not flight.has(*ACC):
         return
-    signal = Signal(*flight.signal(ACC))
-    force = np.linalg.norm(
-        Signal(signal.t_s, zero_phase(signal, settings.impact_hz)).at(aligned.inputs.t_s), axis=1
-    )
-    hit = aligned.airborne & (force > settings.impact_m_s2)
-    if hit.any():
-        when, size = aligned.inputs.t_s[np.argmax(hit)], np.max(force[hit]) / GRAVITY_M_S2
-        yield f"hits something at {when:.1f} s: {size:.0f} g"
+    signal, t = Signal(*flight.signal(ACC)), aligned.inputs.t_s
+    force = np.linalg.norm(Signal(signal.t_s, zero_phase(signal, settings.impact_hz)).at(t), axis=1)
+    hit = np.flatnonzero(aligned.airborne & (force > settings.impact_m_s2))
+    for rows in np.split(hit, np.flatnonzero(np.diff(hit) > settings.around_s * GRID_HZ) + 1):
+        if len(rows):
+            size = np.max(force[rows]) / GRAVITY_M_S2
+            yield (
+                float(t[rows[0]]) - settings.around_s,
+                float(t[rows[-1]]) + settings.around_s,
+                f"hits something at {t[rows[0]]:.1f} s, {size:.0f} g",
+            )
 
 
 def _turning(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) -> Iterator[str]:

@@ -7,6 +7,7 @@ follows the thrust: on the ground the legs take the difference.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -46,7 +47,7 @@ def starts_in_air(carried: NDArray[np.bool_], grounded: NDArray[np.bool_], step_
 
 
 def carry(
-    thrust_n: Array,
+    thrust_n: NDArray[np.floating[Any]],
     grounded: NDArray[np.bool_],
     height_m: Array,
     force: Callable[[], Array],

@@ -41,6 +41,8 @@ from .teacher_forced import (
 Array = NDArray[np.float64]
 LONGEST_FLIGHT_S = 10_000.0
 """Of what is held in memory the most is one signal of the flight, or 200 Hz of all states."""
+AT_LIMIT = 1e-3
+"""A command this close to 0 or 1 is at its limit: what the motor does is not told by it."""
 BLOCK_ROWS = 1 << 18
 """Rows of a block: with inputs and states some 70 MB."""
 
@@ -71,6 +73,13 @@ class AlignedFlight:
     notes: tuple[str, ...]
 
     __repr__ = short_repr
+
+    @property
+    def saturated(self) -> NDArray[np.bool_]:
+        """Whether a command that drives the rotors is at an end of its range, shape (n,)."""
+        columns = [i for i, n in enumerate(self.inputs.columns) if n.startswith("cmd_")]
+        commands = self.inputs.u[:, columns]
+        return np.asarray(np.any((commands <= AT_LIMIT) | (commands >= 1 - AT_LIMIT), axis=1))
 
     def predicted(self, *stems: str) -> tuple[Array, ...]:
         """Outputs of the airframe at every grid point, for each stem those that begin with it.

@@ -112,20 +112,14 @@ class Measured:
             predicted: Shape (n_grid, c).
             slopes: Shape (n_grid, c, k).
         """
-        both = np.concatenate([predicted[:, :, None], slopes], axis=2)
-        both = self.filtered(both, self.filters_hz)
-        return [
-            ChannelData(
-                name,
-                self.unit,
-                self.t_s,
-                self.values[:, i],
-                self.values[:, i] - both[:, i, 0],
-                both[:, i, 1:],
-                self.piece,
-            )
-            for i, name in enumerate(self.names)
-        ]
+        found = []
+        for i, name in enumerate(self.names):  # one by one: slopes of all fill the memory
+            both = np.column_stack([predicted[:, i], slopes[:, i]])
+            both = self.filtered(both, self.filters_hz)
+            own, answer = self.values[:, i], both[:, 1:]
+            residual = own - both[:, 0]
+            found.append(ChannelData(name, self.unit, self.t_s, own, residual, answer, self.piece))
+        return found
 
 
 EVERY = round(GRID_HZ / CHANNEL_HZ)

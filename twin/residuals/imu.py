@@ -61,6 +61,8 @@ def imu_readings(
     vehicle: Vehicle,
     aligned: AlignedFlight,
     together: bool = False,
+    axes: slice = slice(0, 3),
+    left_out: NDArray[np.bool_] | None = None,
 ) -> Measured | None:
     """Readings of a sensor of the IMU in the air, filtered and thinned out.
 
@@ -70,13 +72,16 @@ def imu_readings(
         vehicle: Its low-pass of the sensor is one that a prediction has to pass.
         aligned: The flight on a grid of `GRID_HZ`.
         together: Whether both sensors of the IMU keep the same rows, wherever both are known.
+        axes: Which of x, y and z.
+        left_out: Grid points that do not count, shape (n,).
 
     Returns:
         None where no piece of flight is long enough.
     """
     t_s = aligned.inputs.t_s
     raw = readings_on_grid(sensor, flight, t_s)
-    return _readings(sensor, flight, vehicle, t_s, raw, _known(aligned), together)
+    known = _known(aligned) if left_out is None else _known(aligned) & ~left_out
+    return _readings(sensor, flight, vehicle, t_s, raw, known, together, axes)
 
 
 def _known(aligned: AlignedFlight) -> NDArray[np.bool_]:
@@ -92,13 +97,14 @@ def _readings(
     raw: Array,
     known: NDArray[np.bool_],
     together: bool = False,
+    axes: slice = slice(0, 3),
 ) -> Measured | None:
     """See `imu_readings`."""
     return measured(
-        sensor.channels,
+        sensor.channels[axes],
         sensor.channel_unit,
         t_s,
-        raw,
+        raw[:, axes],
         known,
         min(BAND_HZ, 0.35 * signal_of(flight, sensor.columns).rate_hz),
         sensor.cutoff_hz(vehicle),

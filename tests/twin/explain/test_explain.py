@@ -16,12 +16,14 @@ from twin.explain.estimates import listed_effects
 from twin.explain.explanation import explain
 from twin.explain.holdout import ChannelGap, Comparison, compare_holdout
 from twin.explain.localization import localize
+from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
 from twin.explain.settings import DEFAULT
 from twin.explain.split import held_out_spans, hidden
-from twin.explain.usable import reasons_unusable
+from twin.explain.usable import reasons_unusable, usable_part
 from twin.flight.stability import fly_missions
 from twin.logs import Flight
+from twin.residuals.channels import GRID_HZ
 from twin.vehicle import Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.write import Written, with_effect_sections
@@ -169,18 +171,6 @@ SPOILT: dict[str, tuple[dict[str, Change], str]] = {
         {"vel_x": lambda t: t["vel_y"], "vel_y": lambda t: -t["vel_x"]},
         "not the rate of change",
     ),
-    "saturated": (
-        {"cmd_1": lambda t: np.where(t["time"] % 3 < 1, 1.0, t["cmd_1"])},
-        "a motor is at a limit",
-    ),
-    "hit": ({"acc_x": lambda t: np.where(t["time"].between(5, 5.1), 200, t["acc_x"])}, "hits"),
-    "upside down": (
-        {
-            "q_w": lambda t: t["q_w"].where(t["time"] < 7, 0),
-            "q_x": lambda t: t["q_x"].where(t["time"] < 7, 1),
-        },
-        "upside down at 7.0 s",
-    ),
 }
 
 
@@ -198,6 +188,84 @@ def test_a_spoilt_flight_is_told_by_its_reason(flight: Flight, kind: str) -> Non
     reasons = reasons_unusable(replace(flight, table=table), COPTER)
     assert any(word in reason for reason in reasons), reasons
     assert all(reason.startswith("dragged: ") for reason in reasons)
+
+
+PARTLY: dict[str, tuple[dict[str, Change], str, float, float]] = {
+    "hit": (
+        {"acc_x": lambda t: np.where(t["time"].between(7, 7.1), 200, t["acc_x"])},
+        "from 6.0 s on",
+        0.0,
+        6.0,
+    ),
+    "bump": (
+        {"acc_x": lambda t: np.where(t["time"].between(2.5, 2.6), 200, t["acc_x"])},
+        "up to 3.",
+        3.6,
+        np.inf,
+    ),
+    "upside down": (
+        {
+            "q_w": lambda t: t["q_w"].where(t["time"] < 7, 0),
+            "q_x": lambda t: t["q_x"].where(t["time"] < 7, 1),
+        },
+        "upside down at 7.0 s",
+        0.0,
+        6.0,
+    ),
+    "lies on its side": (
+        {
+            "q_w": lambda t: t["q_w"].where(t["time"] < 7, np.sqrt(0.7)),
+            "q_x": lambda t: t["q_x"].where(t["time"] < 7, np.sqrt(0.3)),
+        },
+        "lies on its side",
+        0.0,
+        6.0,
+    ),
+}
+"""What happens, what is said of it, and the part that is used."""
+
+
+def spoilt(flight: Flight, changes: dict[str, Change]) -> Flight:
+    table = flight.table.copy()
+    for column, change in changes.items():
+        known = table[column].notna()
+        values = change(flight.table)
+        table[column] = pd.Series(values, index=table.index).where(known)
+    return replace(flight, table=table)
+
+
+@pytest.mark.parametrize("kind", PARTLY)
+def test_seconds_are_left_out_and_not_the_flight(flight: Flight, kind: str) -> None:
+    changes, word, first, last = PARTLY[kind]
+    part, left_out, reasons = usable_part(spoilt(flight, changes), COPTER)
+    assert reasons == []
+    (said,) = left_out
+    assert word in said, said
+    assert part.time_s[0] == pytest.approx(max(first, flight.time_s[0]), abs=0.05)
+    assert part.time_s[-1] == pytest.approx(min(last, flight.time_s[-1]), abs=0.05)
+
+
+def test_a_motor_at_its_limit_hides_torque_and_thrust_alone(flight: Flight) -> None:
+    """For two seconds; what is read across the thrust counts all the time."""
+    at_limit = {"cmd_1": lambda t: np.where(t["time"].between(4, 6), 1.0, t["cmd_1"])}
+    saturated = spoilt(flight, at_limit)
+    part, (said,), reasons = usable_part(saturated, COPTER)
+    assert reasons == [] and part is saturated
+    assert "gyro_rate and acc_z" in said
+    by_name = {
+        c.name: c for c in model_of([saturated], COPTER, [EFFECTS["rotor_drag"]]).channels([])[0]
+    }
+    whole = {c.name: c for c in model_of([flight], COPTER, [EFFECTS["rotor_drag"]]).channels([])[0]}
+    np.testing.assert_array_equal(by_name["acc_x"].t_s, whole["acc_x"].t_s)
+    for name in ("acc_z", "gyro_rate_x"):
+        assert len(by_name[name].t_s) < len(whole[name].t_s)
+        assert not np.any(np.abs(by_name[name].t_s - 5) < 1 - 1 / GRID_HZ)
+
+
+def test_what_is_left_has_to_be_long_enough(flight: Flight) -> None:
+    hit = {"acc_x": lambda t: np.where(t["time"] % 3 < 0.1, 200, t["acc_x"])}
+    (reason,) = reasons_unusable(spoilt(flight, hit), COPTER)
+    assert "s in the air" in reason and "hits something" in reason
 
 
 def test_too_short_and_never_airborne(flight: Flight) -> None:

@@ -91,13 +91,19 @@ class Beliefs:
         return np.array([i for i, c in enumerate(self.cause) if c in wanted], dtype=np.intp)
 
     def tension(self, values: Mapping[str, float]) -> dict[str, float]:
-        """By number, how many prior deviations a value is away from what was expected."""
+        """By number, how many prior deviations a value is away from what was expected; of a number
+        that cannot be zero, such as a factor, in its logarithm."""
         place = {n: i for i, n in enumerate(self.names)}
-        return {
-            n: abs(v - self.mean[place[n]]) / self.slab[place[n]]
-            for n, v in values.items()
-            if n in place
-        }
+        found = {}
+        for name, value in values.items():
+            if (i := place.get(name)) is None:
+                continue
+            mean, sd = self.mean[i], self.slab[i]
+            if min(self.low[i], mean, value) > 0:
+                found[name] = float(abs(np.log(value / mean)) / (sd / mean))
+            else:
+                found[name] = float(abs(value - mean) / sd)
+        return found
 
 
 def parameter_of(number: Number) -> tuple[EffectParameter, str]:

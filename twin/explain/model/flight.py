@@ -166,7 +166,8 @@ class FlightModel:
             if part.rate:
                 predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
             if part.as_logged is not None:
-                return self._logged(part.as_logged, columns, theta, predicted, slopes)
+                shown = self._logged(part.as_logged, columns, theta, predicted, slopes)
+                return shown[0][:, part.axes], shown[1][:, part.axes]
         else:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
             at = part.batch.value(theta, part.at)

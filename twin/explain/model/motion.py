@@ -24,7 +24,7 @@ from ...residuals.channels import (
 )
 from ...residuals.measured import Signal, rates_of
 from .numbers import ACCELEROMETER, DRIVES, GYROSCOPE, PLACE, TURN, Number, age_of
-from .parts import Part, Seen, in_body, moving, pull_of_pose, reaching
+from .parts import Part, Seen, driven_apart, in_body, moving, pull_of_pose, reaching
 
 Array = NDArray[np.float64]
 FORCE, TORQUE = (tuple(f"motion_{kind}_{a}" for a in "xyz") for kind in ("acc", "rate"))
@@ -50,19 +50,24 @@ def motion_parts(seen: Seen, unfelt: Collection[str]) -> list[Part]:
     pull = pull_of_pose(seen) if ACCELEROMETER in unfelt else None
     if pull is not None:
         narrow = min(band, SHARE_OF_RATE * _rate_of_velocity(seen.flight))
-        readings = _readings(seen, FORCE, "m/s²", in_body(q_nb, pull), narrow)
         turned = reach | {n.effect for n in seen.numbers if n.turns_pose}
         shown = partial(_force_as_logged, q_nb, seen.numbers)
-        found.append((readings, slice(0, 3), turned, False, shown))
+        force = in_body(q_nb, pull)
+        for axes, left_out in driven_apart(seen, False):
+            readings = _readings(seen, FORCE[axes], "m/s²", force[:, axes], narrow, left_out)
+            found.append((readings, slice(0, 3), turned, False, shown, axes))
     if GYROSCOPE in unfelt:
         turning = rate_over_step(on_grid(rates_of(attitude), t))
-        readings = _readings(seen, TORQUE, "rad/s²", turning, band)
+        ((_, left_out),) = driven_apart(seen, True)
+        readings = _readings(seen, TORQUE, "rad/s²", turning, band, left_out)
         shown = partial(_torque_as_logged, seen.numbers)
-        found.append((readings, slice(3, 6), reach, True, shown))
+        found.append((readings, slice(3, 6), reach, True, shown, slice(0, 3)))
     nothing = np.zeros((0, 0))
     return [
-        Part(readings, None, nothing, nothing, outputs, {}, effects, rate, as_logged=shown)
-        for readings, outputs, effects, rate, shown in found
+        Part(
+            readings, None, nothing, nothing, outputs, {}, effects, rate, as_logged=shown, axes=axes
+        )
+        for readings, outputs, effects, rate, shown, axes in found
         if readings is not None and len(readings.t_s)
     ]
 
@@ -78,9 +83,15 @@ def _rate_of_velocity(flight: Flight) -> float:
 
 
 def _readings(
-    seen: Seen, names: Sequence[str], unit: str, values: Array, band_hz: float
+    seen: Seen,
+    names: Sequence[str],
+    unit: str,
+    values: Array,
+    band_hz: float,
+    left_out: NDArray[np.bool_] | None,
 ) -> Measured | None:
     known = seen.aligned.airborne & np.all(np.isfinite(seen.aligned.states), axis=1)
+    known = known if left_out is None else known & ~left_out
     return measured(names, unit, seen.aligned.inputs.t_s, values, known, band_hz, None)
 
 

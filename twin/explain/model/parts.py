@@ -1,7 +1,7 @@
 """What is compared of a flight: readings, and what predicts them, whatever measured them."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ class Part:
         older: Rows with position and attitude from so many seconds later, where they do.
         as_logged: Where the pose is what is compared with the airframe alone, no IMU in between:
             `(values on the grid, numbers) -> values` as a pose of that age and heading shows them.
+        axes: Which of these are the readings.
         averaged: Signals of the pose in whose place the motion itself would be predicted from.
         sampled: `values on the grid, shape (n, k, m) -> values` as they are seen at the samples of
             the pose alone, where the readings are; None: the readings are as they were read.
@@ -79,11 +80,30 @@ class Part:
     turning: Array | None = None
     older: Callable[[float, float], Array] | None = None
     as_logged: Callable[[Array, Array], Array] | None = None
+    axes: slice = field(default_factory=lambda: slice(0, 3))
     averaged: frozenset[str] = frozenset()
     sampled: Callable[[Array], Array] | None = None
     carried: Array | None = None
 
     __repr__ = short_repr
+
+
+def driven_apart(seen: Seen, rate: bool) -> list[tuple[slice, NDArray[np.bool_] | None]]:
+    """Axes of a specific force, or of an angular acceleration, with the grid points to leave out.
+
+    While a motor is at a limit its command does not tell thrust and torque; what acts across the
+    thrust does not depend on it.
+
+    Args:
+        seen: A flight and its twin.
+        rate: Whether of the angular acceleration.
+    """
+    saturated = seen.aligned.saturated
+    if not (saturated & seen.aligned.airborne).any():
+        return [(slice(0, 3), None)]
+    if rate:
+        return [(slice(0, 3), saturated)]
+    return [(slice(0, 2), None), (slice(2, 3), saturated)]
 
 
 def pull_signal(seen: Seen) -> tuple[AnySignal, int] | None:

@@ -12,7 +12,7 @@ from ...residuals.channels import POSE_BAND_HZ, measured, shifted
 from ...residuals.imu import OF_IMU, imu_readings
 from ...residuals.measured import Signal
 from .numbers import DRIVES, PLACE, TURN
-from .parts import Part, Seen, late_by, moving, named, reaching, rows_of
+from .parts import Part, Seen, driven_apart, late_by, moving, named, reaching, rows_of
 from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
@@ -26,13 +26,17 @@ def imu_parts(seen: Seen) -> list[Part]:
     for k, sensor in enumerate(OF_IMU):
         if not flight.has(*sensor.columns):
             continue
-        readings = imu_readings(sensor, flight, seen.vehicle, seen.aligned)
-        if readings is not None:
-            late = late_by(seen, (sensor.signal,), ())
-            reach = reaching("airframe", sensor.component) | moving(seen, (*PLACE, *TURN, *DRIVES))
-            outputs, rate = slice(3 * k, 3 * k + 3), bool(sensor.rate_unit)
-            reach |= {name.partition(".")[0] for name in late}
-            found.append(Part(readings, None, nothing, nothing, outputs, late, reach, rate))
+        late = late_by(seen, (sensor.signal,), ())
+        reach = reaching("airframe", sensor.component) | moving(seen, (*PLACE, *TURN, *DRIVES))
+        reach |= {name.partition(".")[0] for name in late}
+        rate = bool(sensor.rate_unit)
+        for axes, left_out in driven_apart(seen, rate):
+            readings = imu_readings(
+                sensor, flight, seen.vehicle, seen.aligned, axes=axes, left_out=left_out
+            )
+            if readings is not None:
+                outputs = slice(3 * k + axes.start, 3 * k + axes.stop)
+                found.append(Part(readings, None, nothing, nothing, outputs, late, reach, rate))
     return found
 
 

@@ -18,12 +18,6 @@ class UsableSettings(Group):
         "made up: is searched in a minute",
     )
     block_s: float = setting(10.0, "s", "such a part begins at a multiple of this", "made up")
-    most_saturated: float = setting(
-        0.2, "share", "of the time in the air that motors may spend at a limit", "made up", 1.0
-    )
-    at_limit: float = setting(
-        1e-3, "1", "a command this close to 0 or 1 is at its limit", "made up", 0.5
-    )
     impact_m_s2: float = setting(
         5 * GRAVITY_M_S2,
         "m/s²",
@@ -31,6 +25,12 @@ class UsableSettings(Group):
         "made up",
     )
     impact_hz: float = setting(20.0, "Hz", "low-pass of that force", "made up")
+    around_s: float = setting(
+        1.0,
+        "s",
+        "left out before and after a blow, and beside the upright ends of a fall",
+        "made up",
+    )
     upside_down_s: float = setting(0.2, "s", "upside down for longer is a crash", "made up")
     tipped_cos: float = setting(
         0.5,
