@@ -56,6 +56,7 @@ TOPICS = (
     "vehicle_attitude_setpoint",
     "vehicle_command",
     "vehicle_gps_position",
+    "vehicle_imu",
     "vehicle_imu_status",
     "vehicle_land_detected",
     "vehicle_local_position",

@@ -20,6 +20,7 @@ from .control import (
     raw_times,
     resample,
 )
+from .imu import from_px4_interval
 from .log import Px4Log, Topic
 from .mixers import airframe_mixer, mixer_names, mixer_scale
 from .outputs import MotorCommands, Outputs
@@ -169,7 +170,7 @@ def _gyro(log: Px4Log) -> Gyro:
     )
     # windows of a damaged log may overlap; whole ones never do
     room_s = np.diff(topic.t_s, prepend=-np.inf)
-    window_s = np.minimum(topic.data["gyro_integral_dt"] * 1e-6, room_s)
+    window_s = np.minimum(from_px4_interval(topic.data["gyro_integral_dt"]) * 1e-6, room_s)
     status = log.topic("vehicle_imu_status", 0, "gyro_rate_hz")
     rates = topic.array("gyro_rad", 3)
     good = (np.abs(rates) < _DAMAGED).all(axis=1) & (window_s > 0.0) & (window_s < 0.05)

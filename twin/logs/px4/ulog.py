@@ -4,30 +4,23 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from ..assemble import Rows, add_signal, lay_out
 from ..attitude import unit_quaternions
-from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
+from ..columns import POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..phases import label_phases
 from .airframe import from_px4_airframe
 from .autopilot import from_px4_autopilot
 from .commands import from_px4_commands
+from .imu import add_barometer, add_imu, add_magnetometer, from_px4_gauss
 from .log import Px4Log, Topic, open_px4
 from .outputs import MotorCommands
 from .phases import from_px4_phases
 from .rotors import add_rotors, from_px4_rpm
 from .site import from_px4_site
 
-_GAUSS_T = 1e-4
-_NO_RELATIVE_TIME = 2**31 - 1
-_SAME_ROW_US = 600
-_LONGEST_WINDOW_US = 100_000
-_FARTHEST_US = 30_000  # between accelerometer and gyro of one message; sound logs: under 5 ms
-_EARLIEST_US = 2**62
-_OVERLAP = 1.5
 _LEAST_V = 1.0
 _CELL_V = (2.5, 4.6)  # discharged, and the highest voltage of any lithium cell
 _SAGS_V = 0.02  # a regulated supply does less
@@ -44,9 +37,9 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     log = open_px4(path, blob)
     rows = Rows()
     facts = _facts(log)
-    _imu(log, rows, facts)
-    _magnetometer(log, rows)
-    _barometer(log, rows)
+    filtered = add_imu(log, rows, facts)
+    add_magnetometer(log, rows)
+    add_barometer(log, rows)
     _estimate(log, rows)
     commands = from_px4_commands(log, options.rebuild_commands)
     _end(log)
@@ -61,15 +54,10 @@ def read_ulog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     phase = label_phases(table["time"].to_numpy(), from_px4_phases(log))
     table["phase"] = pd.Series(phase, dtype=object)
     facts |= rows.coverage(t_us)
-    airframe = from_px4_airframe(log, filtered=not log.instances("sensor_combined"))
+    airframe = from_px4_airframe(log, filtered=filtered)
     autopilot = from_px4_autopilot(log, float(table["time"].iloc[-1]))
     site = from_px4_site(log)
     return Flight(path.stem, table, tuple(log.findings), facts, path, site, airframe, autopilot)
-
-
-def from_px4_gauss(field: Array) -> Array:
-    """Magnetic field, gauss -> T."""
-    return field * _GAUSS_T
 
 
 def _facts(log: Px4Log) -> dict[str, str]:
@@ -85,134 +73,6 @@ def _facts(log: Px4Log) -> dict[str, str]:
         facts["airframe"] = f"SYS_AUTOSTART {log.params['SYS_AUTOSTART']:.0f}"
     facts["clock"] = f"t = 0 is {log.start_us * 1e-6:.6f} s after boot, the start of the log"
     return facts
-
-
-def _imu(log: Px4Log, rows: Rows, facts: dict[str, str]) -> None:
-    """Accelerometer and gyro, stamped with the middle of the time that each sample averages."""
-    fields = [f"{s}[{k}]" for s in ("gyro_rad", "accelerometer_m_s2") for k in range(3)]
-    topic = log.topic("sensor_combined", 0, *fields)
-    if topic is None:
-        _filtered_imu(log, rows)
-        return
-    gyro_us, gyro_dt = _window(log, topic, "gyro_integral_dt", topic.t_us)
-    told = topic.data.get("accelerometer_timestamp_relative", np.zeros(len(topic.t_us)))
-    relative = told.astype(np.int64)
-    has_acc = np.abs(relative) < _FARTHEST_US
-    acc_end = topic.t_us + np.where(has_acc, relative, 0)
-    acc_us, _ = _window(log, topic, "accelerometer_integral_dt", acc_end)
-    gyro, acc = topic.array("gyro_rad", 3), topic.array("accelerometer_m_s2", 3)
-    together = has_acc & (np.abs(acc_us - gyro_us) < _SAME_ROW_US)
-    acc_us = np.where(together, gyro_us, acc_us)
-    none = relative == _NO_RELATIVE_TIME
-    if none.any():
-        count = int(np.count_nonzero(none))
-        log.note("info", "acc", "rows of sensor_combined without an acceleration sample", count)
-    if not (has_acc | none).all():
-        log.note(
-            "error",
-            "acc",
-            "samples left out, accelerometer_timestamp_relative is beyond 0.03 s",
-            int(np.count_nonzero(~has_acc & ~none)),
-        )
-    acc_us, acc = acc_us[has_acc], acc[has_acc]
-    log.note(
-        "info",
-        "sensor_combined",
-        f"samples are means over {np.median(gyro_dt) / 1e3:.1f} ms; their time is the middle of "
-        f"that, {np.median(topic.t_us - gyro_us) / 1e3:.1f} ms before the time stamp of the log",
-    )
-    for where, names, t_us, values in (("gyro", GYRO, gyro_us, gyro), ("acc", ACC, acc_us, acc)):
-        rising = np.diff(np.maximum.accumulate(t_us), prepend=-_EARLIEST_US) > 0
-        if not rising.all():
-            count = int(np.count_nonzero(~rising))
-            log.note("error", where, "samples dropped whose averaging times overlap", count)
-        add_signal(log, rows, where, names, t_us[rising], values[rising])
-    _gaps(log, topic, gyro_dt, facts)
-    clipping = topic.data.get("accelerometer_clipping")
-    if clipping is not None and np.any(clipping):
-        count = int(np.count_nonzero(clipping))
-        log.note("warning", "acc", "samples in which the accelerometer was at its limit", count)
-
-
-def _window(
-    log: Px4Log, topic: Topic, field: str, end_us: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Middle and length of the averaging windows that end at `end_us`, us; length 0 if unknown."""
-    if not topic.has(field):
-        return end_us, np.zeros(len(end_us), dtype=np.int64)
-    length = topic.data[field].astype(np.int64)
-    possible = (length > 0) & (length < _LONGEST_WINDOW_US)
-    if not possible.all():
-        log.note(
-            "warning",
-            topic.name,
-            f"samples whose {field} is not within 0 to 0.1 s: their own time is taken",
-            int(np.count_nonzero(~possible)),
-        )
-    over = possible[1:] & (length[1:] > _OVERLAP * np.diff(topic.t_us))
-    if over.any():
-        log.note(
-            "warning",
-            topic.name,
-            f"samples whose {field} reaches back over the sample before: their middle is off",
-            int(np.count_nonzero(over)),
-        )
-    length = np.where(possible, length, 0)
-    return end_us - length // 2, length
-
-
-def _gaps(log: Px4Log, topic: Topic, window_us: NDArray[np.int64], facts: dict[str, str]) -> None:
-    """Count IMU samples that were taken but did not arrive in the log."""
-    steps = np.diff(topic.t_us)
-    if len(steps) == 0 or not window_us.any():
-        return
-    gaps = np.maximum(steps - window_us[1:], 0)
-    lost = int(np.round(gaps[gaps > 0.1 * window_us[1:]].sum() / window_us.mean()))
-    span_s = (topic.t_us[-1] - topic.t_us[0]) * 1e-6
-    facts["imu_rate"] = (
-        f"{(len(steps) + lost) / span_s:.0f} Hz sampled, {len(steps) / span_s:.0f} Hz in the log"
-    )
-    if lost:
-        log.note(
-            "warning",
-            "sensor_combined",
-            f"{100 * lost / (len(steps) + lost):.0f} % of the samples are missing; the longest gap "
-            f"is {steps.max() / 1e3:.1f} ms. Nothing is filled in",
-            lost,
-        )
-
-
-def _filtered_imu(log: Px4Log, rows: Rows) -> None:
-    """Second choice: the filtered signals that the controllers use."""
-    for name, where, names in (
-        ("vehicle_acceleration", "acc", ACC),
-        ("vehicle_angular_velocity", "gyro", GYRO),
-    ):
-        topic = log.topic(name, 0, "xyz[0]", "xyz[1]", "xyz[2]")
-        if topic is None:
-            log.note("warning", where, f"neither sensor_combined nor {name} is in the log")
-            continue
-        log.note("warning", where, f"from {name}: low-pass filtered on board, bias removed")
-        add_signal(log, rows, where, names, topic.t_us, topic.array("xyz", 3))
-
-
-def _magnetometer(log: Px4Log, rows: Rows) -> None:
-    """Magnetometer of the first instance."""
-    topic = log.topic("vehicle_magnetometer", 0, *(f"magnetometer_ga[{k}]" for k in range(3)))
-    if topic is None:
-        return
-    if len(log.instances("vehicle_magnetometer")) > 1:
-        log.note("info", "mag", "several magnetometers in the log, the first is used")
-    add_signal(log, rows, "mag", MAG, topic.t_us, from_px4_gauss(topic.array("magnetometer_ga", 3)))
-
-
-def _barometer(log: Px4Log, rows: Rows) -> None:
-    """Static pressure."""
-    topic = log.topic("vehicle_air_data", 0, "baro_pressure_pa")
-    if topic is not None:
-        add_signal(
-            log, rows, "baro", ("baro_pa",), topic.t_us, topic.columns(("baro_pressure_pa",))
-        )
 
 
 def _end(log: Px4Log) -> None:
