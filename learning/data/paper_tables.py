@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from twin.errors import LogError
+from twin.logs.table.parquet import damage_told, opened
 
 from .channels import CHANNELS, PHASE_CODES
 from .flights import ResidualFlight
@@ -70,7 +70,8 @@ def _read(path: Path) -> tuple[Array, Array]:
             f"{path}: there is no such file. Give the folder with the paper's residual tables, "
             f"takeoff_flight1.parquet and so on."
         )
-    table = pd.read_parquet(path)
+    with opened(path, path.name) as file, damage_told(path.name):
+        table = file.read().to_pandas()
     found = []
     for side in ("real_", "sim_"):
         columns = [side + _STEMS[c[:-1]] + c[-1] for c in CHANNELS]

@@ -8,7 +8,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from twin.errors import ModelError
+from twin.errors import LogError, ModelError
+from twin.logs.table.parquet import opened
 
 from .channels import channels_named
 from .flights import ResidualFlight
@@ -37,11 +38,12 @@ def read_residuals(path: Path) -> list[ResidualFlight]:
         ModelError: It is missing or no such file.
     """
     try:
-        table = pq.read_table(path)
+        with opened(path, path.name) as file:
+            table = file.read()
         rate_hz = float(table.schema.metadata[_RATE])
         frame = table.to_pandas()
         parts = [_flight(str(k), f, rate_hz) for k, f in frame.groupby("flight", sort=False)]
-    except (OSError, pa.ArrowInvalid, KeyError, TypeError, ValueError) as error:
+    except (LogError, OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
         raise ModelError(
             f"{path}: the residuals a model was trained on cannot be read ({error}); "
             "train the model anew."

@@ -84,7 +84,8 @@ def hover_of(flight: AnyFlight) -> Hover | None:
     """Hover of a flight: by its phases, else where it is slow, else all that it flew.
 
     Returns:
-        None where it has no commands and no rotor speeds, or less than 2 s in the air.
+        None where it has no commands and no rotor speeds, all of them 0, or less than 2 s in the
+        air.
     """
     columns = drives(flight)
     if not columns:
@@ -95,7 +96,7 @@ def hover_of(flight: AnyFlight) -> Hover | None:
     step_s = np.minimum(np.diff(t_s, append=t_s[-1]), _LONGEST_STEP_S)
     for rows, hovers, where in _choices(flight, t_s, told):
         seconds = float(step_s[rows].sum())
-        if seconds >= LEAST_S:
+        if seconds >= LEAST_S and told[rows].any():
             speeds = _speeds(flight, t_s[rows], told.shape[1])
             return Hover(
                 flight.name,

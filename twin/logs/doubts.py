@@ -30,6 +30,7 @@ def doubts(table: Columns) -> list[Finding]:
         *_doubt_frames(table),
         *_doubt_height(table),
         *_frozen(table, there),
+        *_unpowered(table, there),
         *doubt_turning(table, there),
         *doubt_velocity(table, there),
     ]
@@ -203,6 +204,25 @@ def _frozen(table: Columns, there: Signals) -> list[Finding]:
         for (name, begin, end), moving in zip(found, moves, strict=True)
         if moving
     ]
+
+
+def _unpowered(table: Columns, there: Signals) -> list[Finding]:
+    """Commands or rotor speeds that are all 0 while the phase says that it flies."""
+    flying = np.logical_or.reduce([np.asarray(table["phase"] == p) for p in _AIRBORNE])
+    if not flying.any():
+        return []
+    found = []
+    for name in ("cmd", "rotor"):
+        if name not in there:
+            continue
+        t_s, values = samples(table, there[name])
+        row = np.clip(np.searchsorted(table["time"], t_s), 0, len(flying) - 1)
+        off = flying[row] & ~values.any(axis=1)
+        seconds = float(np.diff(t_s, append=t_s[-1:])[off].sum())
+        if seconds > _FROZEN_S:
+            message = f"all 0 for {seconds:.1f} s of flight: are these the outputs of the motors?"
+            found.append(Finding("error", name, message))
+    return found
 
 
 def _still(t_s: Array, values: Array, may_stand: bool) -> list[tuple[float, float]]:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.errors import TwinError
+from twin.logs.table.parquet import damage_told, opened
 
 from ..jobs import journal
 from ..output import output_file
@@ -124,8 +125,10 @@ def read_table(
         filters: As of `pyarrow.parquet.read_table`.
     """
     names = None if columns is None else list(columns)
-    found = pq.read_table(path_of(folder, table), columns=names, filters=filters)
-    frame: pd.DataFrame = found.to_pandas()
+    path = path_of(folder, table)
+    with damage_told(path.name):
+        found = pq.read_table(path, columns=names, filters=filters)
+        frame: pd.DataFrame = found.to_pandas()
     return frame
 
 
@@ -133,7 +136,8 @@ def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str
     """Combinations of values of some columns of text, in order of appearance; memory holds a piece
     of the table."""
     found: dict[tuple[str, ...], None] = {}
-    with pq.ParquetFile(path_of(folder, table)) as file:
+    path = path_of(folder, table)
+    with opened(path, path.name) as file, damage_told(path.name):
         for piece in file.iter_batches(columns=list(columns)):
             frame = piece.to_pandas().drop_duplicates()
             found |= dict.fromkeys(frame[list(columns)].itertuples(index=False, name=None))
@@ -141,7 +145,7 @@ def distinct(folder: Path, table: str, columns: Sequence[str]) -> list[tuple[str
 
 
 def check_dataset(folder: Path) -> None:
-    """Refuse a folder without the tables.
+    """Refuse a folder without the tables, or with others of their names.
 
     Raises:
         TwinError: It is none of `uavtwin fleet`.
@@ -153,3 +157,15 @@ def check_dataset(folder: Path) -> None:
             f". Give the --out of `uavtwin fleet`; one that was interrupted has its tables when "
             f"the same command has ended."
         )
+    for table in TABLES:
+        path = path_of(folder, table)
+        with opened(path, path.name) as file:
+            there, own = file.schema_arrow, schema(table)
+        wrong = [
+            n for n in own.names if n not in there.names or there.field(n).type != own.field(n).type
+        ]
+        if wrong:
+            raise TwinError(
+                f"{path}: columns {', '.join(wrong[:5])} are missing, or of another type than "
+                f"`uavtwin fleet` writes. Run it again into another folder."
+            )

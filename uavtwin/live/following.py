@@ -129,6 +129,11 @@ class FollowingTwin:
         self._go_on(sample.t_us)
         return True
 
+    def restart(self) -> None:
+        """Forget the state and all that was measured: another flight begins."""
+        self._x, self._has_commands = None, False
+        self._measured.clear()
+
     def read(self) -> Reading:
         """What it reads now."""
         assert self._x is not None
@@ -139,7 +144,11 @@ class FollowingTwin:
     def _go_on(self, t_us: int) -> None:
         """Step to a time."""
         pause_us = t_us - self._t_us
-        if self._x is None or not 0 <= pause_us <= _LONGEST_US:
+        if (
+            self._x is None
+            or not 0 <= pause_us <= _LONGEST_US
+            or not np.isfinite(self._x).all()  # its state diverged
+        ):
             with BUILDING:
                 start = self._start.initial(self._u, self._p)
                 self._x = np.asarray(start, dtype=np.float64).ravel()

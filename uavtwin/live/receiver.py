@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 from twin.logs.mavlink.dialect import BAD, GCS, Message, dialect, parser
 from twin.logs.mavlink.link import Link, Sequence
@@ -11,8 +10,11 @@ from twin.logs.mavlink.tlog import checksum_of
 from twin.logs.mavlink.unpacked import unpacked
 
 Sender = tuple[str, int]
-_MOST_SENDERS = 64
-"""Of which what they send is taken apart: one that makes up addresses fills no memory."""
+_MOST_OTHERS = 32
+"""Other senders that are listed by name; messages of more are counted together."""
+MORE_OTHERS = "further senders"
+_FEW = 10
+"""A sender of fewer messages that is silent gives its place to the next aircraft."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,8 @@ class Receiver:
         garbage: Bytes that are no message.
         wrong: Frames whose checksum or length is wrong.
         version_1: Messages of MAVLink 1.
-        others: Messages of other systems, or of the same id from elsewhere, by who sent them.
+        others: Messages of other systems, or of the same id from elsewhere, by who sent them: the
+            first 32, and `MORE_OTHERS`.
         link: Sequence numbers.
         silent: Whether the aircraft has not been heard for a while, and may send from another port.
     """
@@ -55,7 +58,10 @@ class Receiver:
     others: Counter[str] = field(default_factory=Counter)
     link: Link = field(default_factory=Link)
     silent: bool = False
-    _parsers: dict[Sender, Any] = field(default_factory=dict)
+    _asked: int | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._asked = self.system
 
     @property
     def sequence(self) -> Sequence:
@@ -66,16 +72,7 @@ class Receiver:
         """Messages of the aircraft in a datagram, those that came before left out."""
         self.datagrams += 1
         self.octets += len(datagram)
-        if sender not in self._parsers:
-            if len(self._parsers) >= _MOST_SENDERS:
-                self.others["more senders than are listened to"] += 1
-                return
-            self._parsers[sender] = parser()
-        reader, found = self._parsers[sender], unpacked(datagram)
-        if found is None:
-            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(datagram) or ()]
-            self._drop_rest(reader)
-        for message, frame in found:
+        for message, frame in self._taken_apart(datagram):
             if message.get_type() == BAD:
                 self._count_bad(frame)
             elif self._is_of_the_aircraft(message, sender) and not self.link.add(
@@ -87,12 +84,17 @@ class Receiver:
                 self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
                 yield Received(message, frame)
 
-    def _drop_rest(self, reader: Any) -> None:
-        """A frame does not go on in the next datagram."""
-        if left := reader.buf_len():
-            self.garbage += left
-            reader.buf, reader.buf_index = bytearray(), 0
-            reader.expected_length = dialect.HEADER_LEN_V1 + 2
+    def _taken_apart(self, datagram: bytes) -> list[tuple[Message, bytes]]:
+        """Messages of a datagram with their frames.
+
+        A frame does not go on in the next datagram: nothing is kept of a sender.
+        """
+        found = unpacked(datagram)
+        if found is None:
+            reader = parser()
+            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(datagram) or ()]
+            self.garbage += reader.buf_len()
+        return found
 
     def _count_bad(self, content: bytes) -> None:
         if content and content[0] in (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2):
@@ -103,21 +105,26 @@ class Receiver:
     def _is_of_the_aircraft(self, message: Message, sender: Sender) -> bool:
         system = message.get_srcSystem()
         if message.get_type() == "HEARTBEAT" and message.type == GCS:
-            self.others[f"ground station, system {system}"] += 1
-            return False
+            return self._is_other(f"ground station, system {system}")
+        if self.silent and self.sender != sender and self.sequence.received < _FEW:
+            self.system, self.sender = self._asked, None  # what was heard first was no aircraft
         if self.sender is None and self.system in (None, system) and _is_vehicle(message):
             self.system, self.sender = system, sender
         if self.sender is None:
             return False
         if system != self.system:
-            self.others[f"system {system} at {sender[0]}:{sender[1]}"] += 1
-            return False
+            return self._is_other(f"system {system} at {sender[0]}:{sender[1]}")
         if sender != self.sender and not (self.silent and sender[0] == self.sender[0]):
-            self.others[f"system {system} again, at {sender[0]}:{sender[1]}"] += 1
-            return False
+            return self._is_other(f"system {system} again, at {sender[0]}:{sender[1]}")
         if sender != self.sender:
             self.sender = sender  # of the same machine, after a silence
         return True
+
+    def _is_other(self, who: str) -> bool:
+        """Count a message that is not of the aircraft."""
+        known = who in self.others or len(self.others) < _MOST_OTHERS
+        self.others[who if known else MORE_OTHERS] += 1
+        return False
 
 
 def _is_vehicle(message: Message) -> bool:

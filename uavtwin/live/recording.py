@@ -2,11 +2,13 @@
 
 `raw.tlog` holds every message with the time at which it came. Tables grow as Arrow streams
 (`flight.arrows`) and become Parquet (`flight.parquet`) at the end. A new section, after the
-aircraft's clock began anew, has a number: `flight_2.parquet`.
+aircraft's clock began anew, has a number: `flight_2.parquet`. `errors.txt` holds tracebacks of
+parts of the program that failed in flight (`parts.py`).
 """
 
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -121,16 +123,18 @@ class Recording:
         self._alarms.flush()
 
     def close(self) -> None:
-        """End all files."""
-        self._end_section()
-        self.raw.close()
-        self._alarms.close()
+        """End all files, each whatever becomes of the others."""
+        with ExitStack() as stack:
+            for end in (self._alarms.close, self.raw.close, self._end_section):
+                stack.callback(end)
 
     def _end_section(self) -> None:
-        for name, table in self._tables.items():
-            table.close()
-            fold(table.path, self.folder / f"{self._stem(name)}.parquet")
-        self._tables = {}
+        tables, self._tables = self._tables, {}
+        with ExitStack() as stack:
+            for name, table in tables.items():
+                parquet = self.folder / f"{self._stem(name)}.parquet"
+                stack.callback(fold, table.path, parquet)
+                stack.callback(table.close)  # before it is folded
 
     def _stem(self, name: str) -> str:
         return name if self._section == 1 else f"{name}_{self._section}"

@@ -18,9 +18,8 @@ PROBE_US = 1_000_000
 """From the first sample on, in which it is seen what comes of several sources."""
 _SILENT_US = 5_000_000
 """After so long another source of a signal takes its place."""
-_BACK_US, _AHEAD_US = 1_000_000, 60_000_000
-_STREAK = 20
-"""So many times one after the other that are far off are a clock that began anew."""
+_MOST_WAITING = 100_000
+"""Samples that may wait: of a clock that stands still none would ever be released."""
 _CRUISE_M_S = 1.0
 _PHASES = {
     dialect.MAV_LANDED_STATE_ON_GROUND: "ground",
@@ -28,29 +27,6 @@ _PHASES = {
     dialect.MAV_LANDED_STATE_LANDING: "land",
 }
 Columns = dict[str, NDArray[np.float64] | NDArray[np.object_]]
-
-
-@dataclass(slots=True)
-class ClockJumps:
-    """Tells a clock that began anew from times that are damaged, or of another clock."""
-
-    strays: int = 0
-    _newest_us: int | None = None
-    _streak: int = 0
-
-    def add(self, t_us: int) -> str:
-        """What a time is: `fine`, `stray`, or `anew`."""
-        newest = self._newest_us
-        if newest is None or -_BACK_US <= t_us - newest <= _AHEAD_US:
-            self._newest_us = t_us if newest is None else max(newest, t_us)
-            self._streak = 0
-            return "fine"
-        self._streak += 1
-        if self._streak < _STREAK:
-            self.strays += 1
-            return "stray"
-        self._newest_us, self._streak = t_us, 0
-        return "anew"
 
 
 @dataclass(slots=True)
@@ -80,6 +56,11 @@ class RowBuffer:
     _landed: int = 0
     _speed_m_s: float = 0.0
 
+    @property
+    def waiting(self) -> int:
+        """Number of samples that were not handed over yet."""
+        return len(self._heap)
+
     def add(self, sample: Sample) -> None:
         """Take a sample."""
         if self._first_us is None:
@@ -101,6 +82,7 @@ class RowBuffer:
         """
         if self._first_us is None or not self._heap:
             return None
+        everything = everything or len(self._heap) > _MOST_WAITING
         if not everything and self._newest_us - self._first_us < PROBE_US:
             return None
         until = self._newest_us if everything else self._newest_us - self.hold_us

@@ -4,6 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,6 +16,7 @@ from twin.logs.flight import Finding
 from twin.logs.mavlink.decoder import MavlinkDecoder
 from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.samples import Sample
+from twin.logs.mavlink.stamps import Stamp
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
@@ -24,10 +26,11 @@ from .arrivals import Arrivals, Datagram
 from .clock import ClockWatch
 from .following import Following, FollowingTwin
 from .page.feed import PageFeed
+from .parts import Part, Parts
 from .publisher import DEFAULT_SYSTEM, Publisher
-from .receiver import Receiver
+from .receiver import Received, Receiver
 from .recording import Recording
-from .rows import HOLD_S, ClockJumps, RowBuffer
+from .rows import HOLD_S, RowBuffer
 from .told import RATES_HZ, LinkTold, LiveTold, missing
 from .worker import Batch, Worker
 
@@ -52,7 +55,6 @@ _MANY = 50
 """After so many datagrams at once the next are not waited for."""
 _CLOCKED = ("acc", "gyro")
 """Signals by whose times the aircraft's clock is known."""
-_UNSTAMPED = ("BATTERY_STATUS", "SYS_STATUS", "EXTENDED_SYS_STATE", "ESC_TELEMETRY")
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,10 +146,12 @@ class LiveSession:
             self._socket.close()
             raise
         self._receiver = Receiver(options.system)
+        self._heard_s = time.monotonic()
         self._packer = parser(255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
-        self._jumps, self._asked_ns = ClockJumps(), 0
+        self._parts = Parts(options.record)
+        self._decoder, self._asked_ns = MavlinkDecoder(self._motors), 0
         self._alarms: dict[tuple[int, str, float], dict[str, Any]] = {}
-        self._late = 0
+        self._late = self._astray = 0
         self._requested = False
         self._begin()
         self._publisher = (
@@ -165,13 +169,13 @@ class LiveSession:
             self._alarm,
             compensator,
             (lambda _: None) if self._publisher is None else self._publisher.anomaly,
+            self._parts,
         )
         with BUILDING:
             self._twin = FollowingTwin(self.worker.equations, options.following)
 
     def _begin(self) -> None:
         """All that goes by the aircraft's clock, from the begin."""
-        self._decoder = MavlinkDecoder(self._motors)
         self._rows = RowBuffer(round(1e6 * self.options.hold_s))
         self._clock = ClockWatch()
 
@@ -201,20 +205,21 @@ class LiveSession:
                 self._receive()
                 now = time.monotonic()
                 if now >= next_rows:
-                    self._hand_over(now - self._heard_s > max(_PAUSE_S, 2 * self.options.hold_s))
+                    self.hand_over(now - self._heard_s > max(_PAUSE_S, 2 * self.options.hold_s))
                     next_rows = now + HAND_OVER_S
                 if self._publisher is not None:
-                    self._publisher.tick(self._receiver.system)
+                    tick, aircraft = self._publisher.tick, self._receiver.system
+                    self._parts.run(Part.PUBLISHER, tick, aircraft)
                 if now >= next_ask:
                     self._ask()
                     next_ask = now + ASK_S
                 if now >= next_told:
-                    told(self.known((time.process_time() - began_cpu) / max(now - began, 1e-3)))
+                    busy = (time.process_time() - began_cpu) / max(now - began, 1e-3)
+                    self._parts.run(Part.PAGE, told, self.known(busy))
                     next_told = now + every_s
-                if self.worker.error is not None or self._is_over(now, began):
+                if self._is_over(now, began):
                     break
         finally:
-            self._hand_over(True)
             self._close()
         return self.known((time.process_time() - began_cpu) / (time.monotonic() - began))
 
@@ -225,7 +230,7 @@ class LiveSession:
         if self._publisher is not None:
             self._publisher.alarm(alarm)
         if self._page is not None:
-            self._page.alarm(alarm, self.worker.sections)
+            self._parts.run(Part.PAGE, self._page.alarm, alarm, self.worker.sections)
 
     def _is_over(self, now: float, began: float) -> bool:
         options = self.options
@@ -235,15 +240,24 @@ class LiveSession:
         silent_s = options.until_silent_s
         return heard and silent_s is not None and now - self._heard_s >= silent_s
 
+    def end(self) -> LiveTold:
+        """End without `run`: what was taken is recorded; what is known at the end."""
+        self._close()
+        return self.known()
+
     def _close(self) -> None:
-        self._socket.close()
-        if self._publisher is not None:
-            self._publisher.close()
-        try:
-            self.worker.close()
-        finally:
-            if self._recording is not None:
-                self._recording.close()
+        with ExitStack() as stack:
+            stack.callback(self._end_recording)
+            stack.callback(self.worker.close)
+            if self._publisher is not None:
+                stack.callback(self._publisher.close)
+            stack.callback(self._socket.close)
+            self.hand_over(True)
+
+    def _end_recording(self) -> None:
+        if self._recording is not None:
+            self._parts.wake()
+            self._parts.run(Part.TABLES, self._recording.close)
 
     # -- what comes ---------------------------------------------------------------------------
 
@@ -257,45 +271,51 @@ class LiveSession:
             time.sleep(_GATHER_S)
         self._count = 0
         for datagram in self._arrivals.take(_AT_ONCE):
-            self._take(datagram)
+            self.take(datagram)
             self._count += 1
 
-    def _take(self, datagram: Datagram) -> None:
-        at_s = datagram.at_s
-        for received in self._receiver.messages(datagram.content, datagram.sender):
+    def take(self, datagram: Datagram) -> None:
+        """Take a datagram: record its messages, hand their samples on."""
+        come = self._parts.run(Part.RECEIVER, self._messages, datagram)
+        for received in come or ():
             self._heard_s, self._receiver.silent = time.monotonic(), False
             if self._recording is not None:
-                self._recording.raw.add(datagram.at_us, received.frame)
-            message = received.message
-            if message.get_type() == "TIMESYNC":
-                self._timesync(message, at_s)
-                continue
-            if message.get_type() == "STATUSTEXT" and self._page is not None:
-                self._page.said(int(message.severity), str(message.text))
-            for sample in self._decoder.samples(message):
-                if not self._take_sample(sample, at_s):
-                    break
+                self._parts.run(Part.RAW, self._recording.raw.add, datagram.at_us, received.frame)
+            self._parts.run(Part.DECODER, self._take_message, received.message, datagram.at_s)
             self._request_rates()
 
-    def _take_sample(self, sample: Sample, at_s: float) -> bool:
-        """Take a sample, unless its time is far from that of all others."""
-        if sample.source not in _UNSTAMPED:
-            verdict = self._jumps.add(sample.t_us)
-            if verdict == "stray":
-                return False
-            if verdict == "anew":
-                self._new_section()
+    def _messages(self, datagram: Datagram) -> list[Received]:
+        return list(self._receiver.messages(datagram.content, datagram.sender))
+
+    def _take_message(self, message: Message, at_s: float) -> None:
+        if message.get_type() == "TIMESYNC":
+            self._timesync(message, at_s)
+            return
+        if message.get_type() == "STATUSTEXT" and self._page is not None:
+            said = int(message.severity), str(message.text)
+            self._parts.run(Part.PAGE, self._page.said, *said)
+        samples = self._decoder.samples(message)
+        if self._decoder.stamp is Stamp.RESTART:
+            self._new_section()
+        elif self._decoder.stamp is Stamp.MISLED:
+            self._forget_strays()
+        for sample in samples:
+            self._take_sample(sample, at_s)
+
+    def _take_sample(self, sample: Sample, at_s: float) -> None:
         if sample.group in _CLOCKED:
             self._clock.came(sample.t_us * 1e-6, at_s)
         self._rows.add(sample)
-        if self._publisher is None and self._page is None:
-            return True
+        if self._publisher is not None or self._page is not None:
+            self._parts.run(Part.SHOWN, self._follow, sample, at_s)
+
+    def _follow(self, sample: Sample, at_s: float) -> None:
+        """Fly the twin that is shown and published up to a sample."""
         flies = self._twin.take(sample)
         if flies and self._publisher is not None:
             self._publisher.reading(sample.t_us, self._twin, at_s)
         if self._page is not None:
-            self._show(self._page, sample, flies, at_s)
-        return True
+            self._parts.run(Part.PAGE, self._show, self._page, sample, flies, at_s)
 
     def _show(self, page: PageFeed, sample: Sample, flies: bool, at_s: float) -> None:
         """Hand the page what is new, at readings of the gyroscope."""
@@ -307,18 +327,29 @@ class LiveSession:
 
     def _new_section(self) -> None:
         """The aircraft's clock began anew: what came before is a flight of its own."""
-        self._hand_over(True)
+        self.hand_over(True)
         self._late += sum(self._rows.late.values())
+        self._decoder.dropped.clear()
+        self._twin.restart()
         self._begin()
         self.worker.new_section()
 
-    def _hand_over(self, everything: bool = False) -> None:
+    def _forget_strays(self) -> None:
+        """What came so far had stray stamps."""
+        if self._rows.zero_us is not None:  # rows of it are recorded: they stay a flight section
+            self._new_section()
+            return
+        self._astray += self._rows.waiting
+        self._twin.restart()
+        self._begin()
+
+    def hand_over(self, everything: bool = False) -> None:
         """Give rows on to the twin and to the disk."""
-        rows = self._rows.take(everything)
+        rows = self._parts.run(Part.ROWS, self._rows.take, everything)
         if rows is not None:
             self.worker.add(Batch(rows, *self._noted()))
         if self._recording is not None:
-            self._recording.raw.flush()
+            self._parts.run(Part.RAW, self._recording.raw.flush)
 
     def _noted(self) -> tuple[dict[str, str], tuple[Finding, ...]]:
         """What a recording notes of the flight by now."""
@@ -348,6 +379,8 @@ class LiveSession:
         if not m.tc1:
             answered_s = (at_s + time.monotonic()) / 2
             self._send(dialect.MAVLink_timesync_message(round(1e9 * answered_s), m.ts1))
+        elif not self._decoder.is_near(m.tc1 // 1000):
+            return  # of another clock than the stamps
         elif 0 < m.ts1 <= 1e9 * at_s and 1e9 * at_s - m.ts1 < 10e9:
             self._clock.answered(1e-9 * m.ts1, 1e-9 * m.tc1, at_s)
 
@@ -405,7 +438,7 @@ class LiveSession:
             total.reordered,
             total.jumps,
             self._late + sum(self._rows.late.values()),
-            self._jumps.strays,
+            self._decoder.strays + self._astray,
             receiver.garbage,
             receiver.wrong,
             receiver.version_1,
@@ -426,4 +459,5 @@ class LiveSession:
             math.nan if self._publisher is None else self._publisher.age_p99_s,
             tuple(list(self._alarms.values())),
             worker.model,
+            tuple(f"{f.where} {f.message}" for f in self._parts.findings),
         )

@@ -126,6 +126,7 @@ class LiveTold:
             it was made of; NaN: nothing was published.
         alarms: Each as it was told last, `alarms.alarm_json`.
         model: The compensator; None: there is none.
+        errors: What failed while the flight was recorded, once each.
     """
 
     link: LinkTold
@@ -141,6 +142,7 @@ class LiveTold:
     published_age_p99_s: float = math.nan
     alarms: tuple[Mapping[str, Any], ...] = ()
     model: ModelTold | None = None
+    errors: tuple[str, ...] = ()
 
     def json(self) -> dict[str, Any]:
         """As JSON has it: null for what is not a finite number."""

@@ -18,6 +18,7 @@ from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
 from twin.vehicle import Vehicle
 
 from .alarms import Evidence, alarm_json
+from .parts import Part, Parts
 from .recording import Recording
 from .rows import Columns
 
@@ -51,13 +52,12 @@ class _End:
 
 
 class Worker:
-    """Takes rows in, tells residuals and alarms.
+    """Takes rows in, tells residuals and alarms. An error of a part ends that part of the section.
 
     Attributes:
         sections: How many flights there were.
         flight_s: Time of the newest row.
         units: Of the channels.
-        error: What ended it; None: nothing did.
         equations: Of the twin.
     """
 
@@ -71,15 +71,16 @@ class Worker:
         on_alarm: Callable[[Alarm], None] = lambda _: None,
         compensator: "RunningCompensator | None" = None,
         on_anomaly: Callable[[float], None] = lambda _: None,
+        parts: Parts | None = None,
     ) -> None:
         self._vehicle, self._recording, self._horizon_s = vehicle, recording, horizon_s
+        self._parts = parts or Parts()
         self._new_evidence, self._on_block, self._on_alarm = evidence, on_block, on_alarm
         self._compensator, self._on_anomaly = compensator, on_anomaly
         self._queue: Queue[Batch | _NewSection | _End] = Queue(_WAITING)
         self._thread = threading.Thread(target=self._work, name="twin", daemon=True)
         self.sections, self.flight_s = 1, 0.0
         self.units: dict[str, str] = {}
-        self.error: BaseException | None = None
         self._sums: dict[str, tuple[int, float]] = {}
         with BUILDING:
             self.equations = Equations.of(vehicle, vehicle.drive)
@@ -95,15 +96,9 @@ class Worker:
         self._queue.put(_NewSection())
 
     def close(self) -> None:
-        """Tell what is left, and end.
-
-        Raises:
-            BaseException: What ended the thread before.
-        """
+        """Tell what is left, and end."""
         self._queue.put(_End())
         self._thread.join()
-        if self.error is not None:
-            raise self.error
 
     @property
     def waits_for(self) -> str:
@@ -124,40 +119,38 @@ class Worker:
         self._running = RunningResiduals(
             self._vehicle, horizon_s=self._horizon_s, equations=self.equations
         )
-        with BUILDING:
-            self._evidence = self._new_evidence()
+        self._evidence = self._parts.run(Part.ALARMS, self._built_evidence)
         self._sums = {}
         if self._compensator is not None:
-            self._compensator.begin()
+            self._parts.run(Part.COMPENSATOR, self._compensator.begin)
         self._updated_s: float | None = None
+
+    def _built_evidence(self) -> Evidence | None:
+        with BUILDING:
+            return self._new_evidence()
 
     def _work(self) -> None:
         while True:
             item = self._queue.get()
-            if self.error is not None and not isinstance(item, _End):
-                continue  # nobody waits for a thread that has ended
-            try:
-                if isinstance(item, Batch):
-                    self._take(item)
-                else:
-                    self._finish()
-                    if isinstance(item, _NewSection):
-                        self._anew()
-            except BaseException as error:
-                self.error = error
+            if isinstance(item, Batch):
+                self._take(item)
+                continue
+            self._finish()
             if isinstance(item, _End):
                 return
+            self._anew()
 
     def _take(self, batch: Batch) -> None:
         rows = batch.rows
         if self._running.lacks([c for c in rows if c not in ("time", "phase")]):
             self._finish()
             self._anew()
-        self._running.append(rows)
+        self._parts.run(Part.TWIN, self._running.append, rows)
         if self._recording is not None:
-            settled = self._running.settled
-            self._recording.add_rows(rows, batch.facts, batch.findings, settled)
-        self._weigh(rows)
+            settled, found = self._running.settled, (*batch.findings, *self._parts.findings)
+            add = self._recording.add_rows
+            self._parts.run(Part.TABLES, add, rows, batch.facts, found, settled)
+        self._parts.run(Part.ALARMS, self._weigh, rows)
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
             self._updated_s = float(rows["time"][0])
@@ -165,7 +158,7 @@ class Worker:
         behind_s = self.flight_s - self._updated_s
         if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
-            self._tell(self._running.update())
+            self._tell(self._parts.run(Part.TWIN, self._running.update))
 
     def _weigh(self, rows: Columns) -> None:
         """Ask for alarms: here and nowhere else."""
@@ -179,12 +172,13 @@ class Worker:
 
     def _finish(self) -> None:
         """Tell what the section leaves, and note what was settled in it."""
-        self._tell(self._running.update(final=True))
+        self._tell(self._parts.run(Part.TWIN, self._running.update, final=True))
 
     def _anew(self) -> None:
         self.sections += 1
+        self._parts.wake()
         if self._recording is not None:
-            self._recording.begin_section()
+            self._parts.run(Part.TABLES, self._recording.begin_section)
         self._begin()
 
     def _tell(self, block: ResidualBlock | None) -> None:
@@ -196,10 +190,14 @@ class Worker:
             self._sums[channel.name] = n + len(r), total + float(r @ r)
             self.units[channel.name] = channel.unit
         if self._recording is not None:
-            self._recording.add_residuals(block)
-        self._on_block(block)
+            self._parts.run(Part.TABLES, self._recording.add_residuals, block)
+        self._parts.run(Part.PAGE, self._on_block, block)
         if self._compensator is not None:
-            with BUILDING:
-                said = self._compensator.update(block.flight, block.end_s)
-            if said is not None:
-                self._on_anomaly(float(said.anomaly.max()))
+            self._parts.run(Part.COMPENSATOR, self._correct, self._compensator, block)
+
+    def _correct(self, compensator: "RunningCompensator", block: ResidualBlock) -> None:
+        """Run the compensator on the newest seconds."""
+        with BUILDING:
+            said = compensator.update(block.flight, block.end_s)
+        if said is not None:
+            self._on_anomaly(float(said.anomaly.max()))

@@ -23,6 +23,9 @@ from .settings import RunningSettings
 Array = NDArray[np.float64]
 EDGES = (0, 1, 3, 7, 18)
 """First coefficient of each band, and the end of the last; the k-th is at k / (2 * 0.5 s) Hz."""
+_RESOLVED = 1e-8
+"""Least power of any band over the least of the mean's: a reading that is frozen, or a flight
+without noise, has no power."""
 LONG = 4
 """Frames of a mean over two seconds."""
 Key = tuple[int, int]
@@ -91,7 +94,7 @@ class Levels:
         s = self._settings
         first = KEPT * (s.floor * self.constant[key]) ** 2
         others = [s.rough**2 * _power(rows[a:b, 0]) for a, b in self._bands[key][1:]]
-        return np.array([first, *others])
+        return np.maximum([first, *others], _RESOLVED * first)
 
     def weights(self, key: Key, rows: Array, innovation: Array) -> Array:
         """One over the variance of each coefficient of a frame, shape (25,); levels follow it.

@@ -18,6 +18,8 @@ from .feed import FRAME_S
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]
+_LEAST_POWER = 1e-12
+"""Of a reading in a sub-band, (m/s^2)^2 or (rad/s)^2: one that is frozen has none."""
 CELL = 6.0
 """Degrees of freedom of the power of a reading in a sub-band of a frame: ten bins under a Hann
 window."""
@@ -109,7 +111,7 @@ class Shaking:
         """Learn the power of the quiet start."""
         loud = [f.loud for f in frames if f.loud.size]
         if len(loud) > 3:
-            self._usual = np.maximum(np.mean(loud, axis=0), 1e-12)
+            self._usual = np.maximum(np.mean(loud, axis=0), _LEAST_POWER)
 
     def follow(self, frame: Frame) -> None:
         """Look at the next frame."""
@@ -120,7 +122,8 @@ class Shaking:
         self._past.append((frame.number, over, frame.loud - self._usual))
         if float(np.median(over)) < self._settings.louder:
             share = FRAME_S / self._settings.forget_s
-            self._usual = self._usual * (1 + share * (np.minimum(over, 4.0) - 1))
+            usual = self._usual * (1 + share * (np.minimum(over, 4.0) - 1))
+            self._usual = np.maximum(usual, _LEAST_POWER)
 
     def signs(self, wanted: Iterable[str]) -> list[Sign]:
         """What shakes now, of some effects: the likeliest beginning."""
@@ -132,7 +135,8 @@ class Shaking:
         mean = np.cumsum(over[::-1], axis=0)[::-1] / counts
         least = np.minimum.accumulate(over[::-1], axis=0)[::-1]
         n = self._settings.tempered * CELL * counts
-        gain = 0.5 * n * (mean - 1 - np.log(mean)) - self._settings.level_nats
+        more = np.maximum(mean, 1.0)  # what is quieter is not heard
+        gain = 0.5 * n * (more - 1 - np.log(more)) - self._settings.level_nats
         heard = (least > self._settings.louder) & (gain > 0)
         evidence = np.where(heard, gain, 0.0).sum(axis=(1, 2))[:-2]
         best = int(np.argmax(evidence))

@@ -14,7 +14,8 @@
 | vbat_v, ibat_a | BATTERY_STATUS, SYS_STATUS | mV, cA, without a time |
 | phase | EXTENDED_SYS_STATE | landed or not, without a time |
 
-A message without a time of its own gets the newest time that its system has told.
+Every stamp passes `stamps.StampGate` and every number `MavlinkDecoder._sound` before a message
+becomes a sample. A message without a time gets the newest time of the aircraft's clock.
 """
 
 import math
@@ -28,6 +29,7 @@ from ..columns import MAX_MOTORS
 from ..limits import LIMITS
 from .dialect import AUTOPILOTS, GCS, MOTORS, Message, dialect
 from .samples import LANDED, Sample
+from .stamps import Stamp, StampGate
 
 ROTOR_ARRAY = "rotor_rads"
 """Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""
@@ -39,6 +41,10 @@ _PULSES_US = (1000.0, 2000.0)
 _FIRST_MOTOR = 33
 """SERVOn_FUNCTION of ArduPilot's motor 1."""
 _UNKNOWN_16 = 65535
+_MOST_PARAMETERS = 4096
+"""Names of parameters that are kept; autopilots have up to some 2000."""
+_MOST_REASONS = 200
+_NO_ATTITUDE = (math.nan,) * 4
 _FRAMES_B = (dialect.MAV_FRAME_BODY_NED, dialect.MAV_FRAME_BODY_FRD)
 _PULSE_PARAMETERS = (
     ("PWM_MIN", "PWM_MAX"),
@@ -55,10 +61,12 @@ class MavlinkDecoder:
     Attributes:
         motors: How many; of the heartbeat where not given.
         autopilot: Of the heartbeat, in words; "" before it came.
-        kinds: How many messages of each kind came.
-        dropped: How many samples were left out, by signal and why.
-        parameters: By name, as told by PARAM_VALUE.
-        newest_us: The newest time told so far, us; None: none yet.
+        kinds: Number of messages of each known kind.
+        dropped: Number of samples and numbers that were left out, by signal and reason.
+        parameters: Finite values of PARAM_VALUE by name.
+        stamp: What the stamp of the last message was; None: it has none. After `RESTART` the
+            samples returned belong to a clock that began anew; after `MISLED` all samples before
+            them are of stray stamps.
     """
 
     def __init__(self, motors: int | None = None) -> None:
@@ -66,16 +74,61 @@ class MavlinkDecoder:
         self.kinds: Counter[str] = Counter()
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.parameters: dict[str, float] = {}
-        self.newest_us: int | None = None
+        self.stamp: Stamp | None = None
+        self._gate = StampGate()
+        self._held: list[list[Sample]] = []
+        self._strays = 0
         self._fixed_motors = motors is not None
         self._rpm: dict[int, Sequence[float]] = {}
 
+    @property
+    def newest_us(self) -> int | None:
+        """The newest time of the aircraft's clock, us; None: none came."""
+        return self._gate.newest_us
+
+    @property
+    def strays(self) -> int:
+        """Number of messages whose stamp is far from all others."""
+        return self._strays + len(self._held)
+
+    def is_near(self, t_us: int) -> bool:
+        """Whether a time, us, is within a minute of the aircraft's clock."""
+        return self._gate.near(t_us)
+
     def samples(self, message: Message) -> list[Sample]:
-        """What a message carries: nothing, or samples that are finite and within limits."""
+        """Samples of a message, finite, within limits, and of the aircraft's clock.
+
+        Samples of stray stamps wait: they are returned when the clock turns out to have begun
+        anew (`stamp`).
+        """
         kind = message.get_type()
+        self.stamp = None
+        if kind not in _READ:
+            self.kinds[kind if kind in _NAMES else _UNKNOWN] += 1
+            return []
         self.kinds[kind] += 1
-        read = _READ.get(kind)
-        return [] if read is None else [s for s in read(self, message) if self._sound(s)]
+        found = [s for s in _READ[kind](self, message) if self._sound(s)]
+        if self.stamp is None or (self.stamp is Stamp.FINE and not self._held):
+            return found
+        if self.stamp is Stamp.IMPOSSIBLE:
+            self._drop("time", f"{kind} has a time after the year 2255")
+            return []
+        if self.stamp is Stamp.STRAY:
+            if self._gate.lead == 1:
+                self._forget_held()
+            self._held.append(found)
+            return []
+        if self.stamp is Stamp.FINE:
+            if not self._gate.lead:
+                self._forget_held()
+            return found
+        before = [s for samples in self._held for s in samples]
+        self._held = []
+        return [*before, *found]
+
+    def _forget_held(self) -> None:
+        self._strays += len(self._held)
+        self._held = []
 
     def _sound(self, sample: Sample) -> bool:
         """Whether a sample can be one; one that cannot is counted."""
@@ -84,21 +137,27 @@ class MavlinkDecoder:
             why = "a value is NaN or infinite"
         elif max(map(abs, values)) > limit:
             why = f"a value is beyond {limit:g} (SI)"
-        elif sample.group == "q" and abs(math.hypot(*values) - 1.0) > 0.1:
+        elif sample.group == "q" and not _is_unit(values):
             why = "the quaternion has not norm 1"
         elif sample.group in ("baro", "rotor") and min(values) < 0.0:
             why = "a value is negative"
         else:
             return True
-        self.dropped[sample.group, why] += 1
+        self._drop(sample.group, why)
         return False
+
+    def _drop(self, group: str, why: str) -> None:
+        """Count what is left out, under a bounded number of reasons."""
+        key = group, why
+        if key not in self.dropped and len(self.dropped) >= _MOST_REASONS:
+            key = "others", "of further kinds"
+        self.dropped[key] += 1
 
     # -- times ------------------------------------------------------------------------------
 
     def _at(self, t_us: int) -> int:
-        """A time that the aircraft told."""
-        if self.newest_us is None or t_us > self.newest_us or self.newest_us - t_us > 1_000_000:
-            self.newest_us = t_us
+        """A time of the aircraft, us, as its message has it."""
+        self.stamp = self._gate.add(t_us)
         return t_us
 
     def _at_ms(self, message: Message) -> int:
@@ -125,7 +184,10 @@ class MavlinkDecoder:
         whole = m.param_type not in (dialect.MAV_PARAM_TYPE_REAL32, dialect.MAV_PARAM_TYPE_REAL64)
         if whole and self.autopilot == "PX4":  # sends the bytes of the integer
             value = float(np.float32(value).view(np.int32))
-        self.parameters[name] = value
+        if not math.isfinite(value):
+            self._drop("parameters", f"{name} is NaN or infinite"[:80])
+        elif name in self.parameters or len(self.parameters) < _MOST_PARAMETERS:
+            self.parameters[name] = value
         yield from ()
 
     def _highres_imu(self, m: Message) -> Found:
@@ -147,7 +209,7 @@ class MavlinkDecoder:
     def _raw_imu(self, m: Message) -> Found:
         t = self._at(m.time_usec)
         if self.autopilot != "ArduPilot":
-            self.dropped["acc", "RAW_IMU says its units with ArduPilot alone"] += 1
+            self._drop("acc", "RAW_IMU says its units with ArduPilot alone")
             return iter(())
         return self._integers(m, t)
 
@@ -164,7 +226,7 @@ class MavlinkDecoder:
     def _odometry(self, m: Message) -> Found:
         t, kind = self._at(m.time_usec), "ODOMETRY"
         if m.frame_id != dialect.MAV_FRAME_LOCAL_NED:
-            self.dropped["pos", f"ODOMETRY in frame {m.frame_id}, not LOCAL_NED"] += 1
+            self._drop("pos", f"ODOMETRY in frame {m.frame_id}, not LOCAL_NED")
             return
         position, q, velocity = (m.x, m.y, m.z), tuple(m.q), (m.vx, m.vy, m.vz)
         if _told(position):
@@ -175,10 +237,12 @@ class MavlinkDecoder:
             return
         if m.child_frame_id == dialect.MAV_FRAME_LOCAL_NED:
             yield Sample("vel", kind, t, velocity)
-        elif m.child_frame_id in _FRAMES_B and _told(q):
+        elif m.child_frame_id in _FRAMES_B and _is_unit(q) and all(map(math.isfinite, velocity)):
             yield Sample("vel", kind, t, tuple(float(v) for v in to_ned(q, velocity)))
+        elif m.child_frame_id in _FRAMES_B:
+            self._drop("vel", "ODOMETRY's velocity along the body, without an attitude")
         else:
-            self.dropped["vel", f"ODOMETRY's velocity in frame {m.child_frame_id}"] += 1
+            self._drop("vel", f"ODOMETRY's velocity in frame {m.child_frame_id}")
 
     def _quaternion(self, m: Message) -> Found:
         yield Sample("q", "ATTITUDE_QUATERNION", self._at_ms(m), (m.q1, m.q2, m.q3, m.q4))
@@ -302,6 +366,8 @@ _READ: dict[str, Callable[[MavlinkDecoder, Message], Found]] = {
 }
 USED = frozenset(i for i, kind in dialect.mavlink_map.items() if kind.msgname in _READ)
 """Ids of the messages that are read."""
+_NAMES = frozenset(kind.msgname for kind in dialect.mavlink_map.values())
+_UNKNOWN = "of unknown kind"
 
 
 def _scaled(values: Iterable[float], factor: float) -> tuple[float, ...]:
@@ -313,5 +379,12 @@ def _told(values: Iterable[float]) -> bool:
     return not any(v != v for v in values)
 
 
+def _is_unit(q: Sequence[float]) -> bool:
+    """Whether a quaternion has norm 1, as float32 and a little beyond."""
+    return abs(math.hypot(*q) - 1.0) <= 0.1
+
+
 def _from_euler(m: Message) -> tuple[float, ...]:
+    if not all(map(math.isfinite, (m.roll, m.pitch, m.yaw))):
+        return _NO_ATTITUDE
     return tuple(float(v) for v in from_euler(m.roll, m.pitch, m.yaw))

@@ -1,6 +1,8 @@
 """MAVLink telemetry log -> Flight."""
 
+from array import array
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from .decoder import USED, MavlinkDecoder
 from .dialect import BAD, dialect, parser
 from .link import Link
 from .samples import GROUPS, LANDED, Sample, best_source
+from .stamps import Stamp
 from .tlog import Frame, frames
 
 _ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
@@ -29,6 +32,60 @@ _NAMED = {
 }
 _SEEN = 8
 """Kinds of message that an error lists."""
+
+
+class _Samples:
+    """Samples of one system by signal, source and width, as arrays: 8 bytes a number."""
+
+    def __init__(self) -> None:
+        self._columns: dict[tuple[str, str, int], tuple[array[int], array[float]]] = {}
+
+    def __len__(self) -> int:
+        return sum(len(t) for t, _ in self._columns.values())
+
+    def add(self, samples: Iterable[Sample]) -> None:
+        """Take samples in order of arrival."""
+        for sample in samples:
+            key = sample.group, sample.source, len(sample.values)
+            if key not in self._columns:
+                self._columns[key] = array("q"), array("d")
+            times, values = self._columns[key]
+            times.append(sample.t_us)
+            values.extend(sample.values)
+
+    def counts(self) -> dict[str, Counter[str]]:
+        """Number of samples by group and source."""
+        counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
+        for (group, source, _), (times, _) in self._columns.items():
+            counts[group][source] += len(times)
+        return counts
+
+    def sources(self) -> dict[str, str]:
+        """The best source of each group."""
+        return {group: best_source(counts) for group, counts in self.counts().items()}
+
+    def by_group(self) -> dict[str, tuple[NDArray[np.int64], Array]]:
+        """Times, us, and values of each signal, of its best source, in order of arrival.
+
+        Of several widths that of the most samples is taken: the aircraft may send late how many
+        motors it has.
+        """
+        found = {}
+        for group, source in self.sources().items():
+            widths = {
+                w: len(t)
+                for (g, s, w), (t, _) in self._columns.items()
+                if (g, s) == (group, source)
+            }
+            width = max(widths, key=lambda w: widths[w])
+            times, flat = self._columns[group, source, width]
+            t_us = np.array(times, dtype=np.int64)
+            values = np.array(flat, dtype=np.float64).reshape(-1, width)
+            if _is_reordered(t_us):
+                order = np.argsort(t_us, kind="stable")
+                t_us, values = t_us[order], values[order]
+            found[group] = t_us, values
+        return found
 
 
 @dataclass(slots=True)
@@ -54,7 +111,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     log, link = _Log(), Link()
     system, decoder, samples = _aircraft(path, log, link, blob)
     rows = Rows()
-    by_group = _by_group(samples)
+    by_group = samples.by_group()
     if not by_group:
         raise LogError(
             f"{path.name}: of {link.of(system).received} messages of system {system} none holds a "
@@ -77,7 +134,7 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     told = [] if landed is None else _phases(table, landed[0] - start_us - t_us[0], landed[1])
     phase = label_phases(table["time"].to_numpy(), told)
     table["phase"] = pd.Series(phase, dtype=object)
-    facts |= _sources(samples) | rows.coverage(t_us)
+    facts |= {f"source {g}": s for g, s in samples.sources().items()} | rows.coverage(t_us)
     _note(log, decoder, link, system, table)
     mended, doubts = validate(path.name, {str(c): table[c].to_numpy() for c in table})
     table = table.assign(**mended)
@@ -86,10 +143,11 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
 
 def _aircraft(
     path: Path, log: _Log, link: Link, blob: bytes
-) -> tuple[int, MavlinkDecoder, list[Sample]]:
+) -> tuple[int, MavlinkDecoder, _Samples]:
     """The system of the most samples, what it is, and its samples in order of arrival."""
     decoders: defaultdict[int, MavlinkDecoder] = defaultdict(MavlinkDecoder)
-    samples: defaultdict[int, list[Sample]] = defaultdict(list)
+    samples: defaultdict[int, _Samples] = defaultdict(_Samples)
+    astray: Counter[int] = Counter()
     reader, lost, wrong, twice = parser(), 0, 0, 0
     for frame in frames(blob):
         if not isinstance(frame, Frame):
@@ -105,7 +163,12 @@ def _aircraft(
             if link.add(frame.system, frame.component, frame.number, frame.checksum):
                 twice += 1
                 continue
-            samples[frame.system] += decoders[frame.system].samples(message)
+            decoder = decoders[frame.system]
+            found = decoder.samples(message)
+            if decoder.stamp is Stamp.MISLED:
+                astray[frame.system] += len(samples[frame.system])
+                samples[frame.system] = _Samples()
+            samples[frame.system].add(found)
     if lost:
         log.note("error", "file", "bytes that are no stamped MAVLink frame", lost)
     if wrong:
@@ -114,49 +177,25 @@ def _aircraft(
         log.note("info", "file", "messages that came twice, left out", twice)
     if not link.sequences:
         raise LogError(f"{path.name}: no whole MAVLink frame in {len(blob)} bytes. Copy it again.")
-    heard = Counter({s: link.of(s).received for s, _ in link.sequences})
+    heard = {s: link.of(s).received for s in link.systems}
     system = max(heard, key=lambda s: (len(samples[s]), heard[s]))
-    for other in sorted(s for s in samples if samples[s] and s != system):
+    others = sorted((len(samples[s]), s) for s in samples if samples[s] and s != system)[::-1]
+    for count, other in others[:_SEEN]:
         message = f"another aircraft, system {other}, left out; system {system} is read"
-        log.note("warning", "aircraft", message, len(samples[other]))
+        log.note("warning", "aircraft", message, count)
+    if more := others[_SEEN:]:
+        message = f"samples of {len(more)} further systems left out; system {system} is read"
+        log.note("warning", "aircraft", message, sum(count for count, _ in more))
+    if stray := decoders[system].strays + astray[system]:
+        message = "messages left out, their time is far from the aircraft's clock"
+        log.note("warning", "time", message, stray)
     return system, decoders[system], samples[system]
-
-
-def _counts(samples: list[Sample]) -> dict[str, Counter[str]]:
-    counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
-    for sample in samples:
-        counts[sample.group][sample.source] += 1
-    return counts
-
-
-def _by_group(samples: list[Sample]) -> dict[str, tuple[NDArray[np.int64], Array]]:
-    """Times, us, and values of each signal, of its best source, in order of arrival."""
-    best = {group: best_source(counts) for group, counts in _counts(samples).items()}
-    kept: defaultdict[str, list[Sample]] = defaultdict(list)
-    for sample in samples:
-        if sample.source == best[sample.group]:
-            kept[sample.group].append(sample)
-    found = {}
-    for group, several in kept.items():
-        widths = Counter(len(s.values) for s in several)
-        width = widths.most_common(1)[0][0]  # the aircraft may say late how many motors it has
-        same = [s for s in several if len(s.values) == width]
-        t_us = np.array([s.t_us for s in same], dtype=np.int64)
-        order = np.argsort(t_us, kind="stable") if _is_reordered(t_us) else np.arange(len(t_us))
-        values = np.array([s.values for s in same], dtype=np.float64)  # noqa: PD011
-        found[group] = t_us[order], values[order]
-    return found
 
 
 def _is_reordered(t_us: NDArray[np.int64]) -> bool:
     """Whether times run back by less than a second: messages that overtook each other."""
     back = np.diff(t_us)
     return bool((back < 0).any() and back.min() > -1_000_000)
-
-
-def _sources(samples: list[Sample]) -> dict[str, str]:
-    """Facts: which message each signal is from."""
-    return {f"source {g}": best_source(c) for g, c in _counts(samples).items()}
 
 
 def _phases(table: pd.DataFrame, t_us: NDArray[np.int64], state: Array) -> list[Span]:

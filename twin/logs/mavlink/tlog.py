@@ -3,6 +3,7 @@
 The time is in us since 1970, 8 bytes, the most significant first.
 """
 
+import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ _YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
 _DAY_US = 86_400_000_000
 _V1, _V2 = MARKERS
 _SIGNATURE = 13
+_BEGIN = re.compile(rb"(?s)(?=\x00[\x03-\x0e].{6}[\xfd\xfe])")
+"""A stamp of the years 2000 to 2100 by its first two bytes, and the first byte of a frame."""
 
 
 def checksum_of(frame: bytes) -> int:
@@ -60,7 +63,9 @@ def frames(blob: bytes) -> Iterator[Frame | int]:
         length = _length(blob, at + _HEAD) if _begins(blob, at, before) else 0
         end = at + _HEAD + length
         if not length or end > len(blob) or not (end == len(blob) or _follows(blob, end)):
-            at, lost = at + 1, lost + 1
+            found = _BEGIN.search(blob, at + 1)
+            begin = len(blob) if found is None else found.start()
+            at, lost = begin, lost + begin - at
             continue
         if lost:
             yield lost

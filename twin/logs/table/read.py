@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as csv
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...errors import LogError
@@ -20,7 +19,8 @@ from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..validate import check_columns, validate
 from .notes import Notes, read_notes
-from .stored import ParquetColumns, StoredFlight, damaged
+from .parquet import damage_told, opened
+from .stored import ParquetColumns, StoredFlight
 
 _LONGEST_LINE = 1_000_000
 _MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
@@ -38,8 +38,9 @@ def header(path: Path) -> list[str]:
         line = file.readline(_LONGEST_LINE)
     if line.startswith(b"PAR1"):
         try:
-            return [str(name) for name in pq.read_schema(path).names]
-        except (pa.ArrowException, OSError):
+            with opened(path, path.name) as file:
+                return list(file.schema_arrow.names)
+        except LogError:
             return []  # it is said why when it is read
     text = line.decode("utf-8-sig", errors="replace").strip()
     return [c.strip().strip('"') for c in text.split(",")] if text.startswith("time") else []
@@ -86,10 +87,8 @@ def open_parquet(path: Path) -> StoredFlight | None:
     Raises:
         LogError: It contradicts the definition of the flight table.
     """
-    try:
-        schema, size = pq.read_schema(path), pq.read_metadata(path)
-    except (pa.ArrowException, OSError) as error:
-        raise damaged(path, error) from None
+    with opened(path, path.name) as file:
+        schema, size = file.schema_arrow, file.metadata
     held = [n for n in schema.names if is_known(n) and n != "phase"]
     plain = all(_is_plain(schema.field(n).type) for n in held if schema.names.count(n) == 1)
     if size.num_rows * (len(held) + 1) <= HELD_CELLS or not plain or {*held} & {*EULER}:
@@ -139,24 +138,17 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
 
 def _parquet(path: Path, blob: bytes) -> tuple[pa.Table, Notes, list[Finding]]:
     """Parquet -> known columns as they are, what the writer noted, and what is found of columns."""
-    try:
-        file = pq.ParquetFile(io.BytesIO(blob))
-        _check_size(path, file.metadata.num_rows, file.metadata.num_columns)
-        schema = file.schema_arrow
+    with opened(blob, path.name) as file:
+        schema, size = file.schema_arrow, file.metadata
+        _check_size(path, size.num_rows, size.num_columns)
         _check_once(path, schema.names)
-        texts = [f.name for f in schema if not _is_number(f.type)]
         held = [n for n in schema.names if is_known(n)]
         found = check_columns(path.name, schema.names)
         _check_flat(path, schema, held)
-        # A text that stands in many rows is held once. In this thread: one of pyarrow's that still
-        # runs when the interpreter ends aborts it, 50 times in 360 short reads on a busy machine.
-        whole = pq.ParquetFile(io.BytesIO(blob), read_dictionary=texts, pre_buffer=False)
-        raw = whole.read(columns=held, use_threads=False)
-    except (pa.ArrowException, OSError, ValueError, NotImplementedError) as error:
-        raise LogError(
-            f"{path.name}: damaged Parquet file of {len(blob)} bytes ({error}). A Parquet file "
-            "cut short cannot be read at all: copy it again."
-        ) from None
+    # A text that stands in many rows is held once.
+    texts = [n for n in held if not _is_number(schema.field(n).type)]
+    with opened(blob, path.name, texts, size) as file, damage_told(path.name):
+        raw = file.read(columns=held, use_threads=False)
     return raw, read_notes(schema.metadata), found
 
 

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ...errors import LogError
@@ -20,6 +19,7 @@ from ..airframe import Airframe
 from ..autopilot import Autopilot
 from ..columns import Columns, over
 from ..flight import Array, Finding, Flight, Settled, Site, finite_rows, missing_signal
+from .parquet import damage_told, opened
 
 _BATCH = 1 << 16
 """Rows that are unpacked at a time."""
@@ -41,10 +41,8 @@ class ParquetColumns(Columns):
             LogError: It is damaged.
         """
         self._path, self._names = path, tuple(names)
-        try:
-            self._metadata = pq.read_metadata(path)
-        except (pa.ArrowException, OSError) as error:
-            raise damaged(path, error) from None
+        with opened(path, path.name) as file:
+            self._metadata = file.metadata
         groups = range(self._metadata.num_row_groups)
         sizes = [self._metadata.row_group(g).num_rows for g in groups]
         self._edges = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
@@ -128,22 +126,17 @@ class ParquetColumns(Columns):
 
     def _batches(self, groups: Sequence[int], name: str) -> Iterator[pa.Array]:
         """A column of some row groups, some thousand rows at a time."""
-        try:
-            with pq.ParquetFile(self._path, metadata=self._metadata, pre_buffer=False) as file:
-                for batch in file.iter_batches(
-                    _BATCH, row_groups=list(groups), columns=[name], use_threads=False
-                ):
-                    yield batch.column(0)
-        except (pa.ArrowException, OSError) as error:
-            raise damaged(self._path, error) from None
-
-
-def damaged(path: Path, error: Exception) -> LogError:
-    """The error of a Parquet file that cannot be read."""
-    return LogError(
-        f"{path.name}: damaged Parquet file ({error}). A Parquet file cut short cannot be read at "
-        f"all: copy it again."
-    )
+        name_of_file = self._path.name
+        with opened(self._path, name_of_file, metadata=self._metadata) as file:
+            batches = file.iter_batches(
+                _BATCH, row_groups=list(groups), columns=[name], use_threads=False
+            )
+            while True:
+                with damage_told(name_of_file):
+                    batch = next(batches, None)
+                if batch is None:
+                    return
+                yield batch.column(0)
 
 
 @dataclass(frozen=True, slots=True)

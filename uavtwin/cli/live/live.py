@@ -149,7 +149,7 @@ def live(
         _print(told, record)
     if demo:
         _tell_truth(told)
-    if told.link.system is None or told.waits_for:
+    if told.link.system is None or told.waits_for or told.errors:
         raise typer.Exit(Exit.FINDINGS)
 
 
@@ -252,6 +252,7 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
         ended = True
 
     said: set[tuple[Any, ...]] = set()
+    failed: set[str] = set()
 
     def say(told: "LiveTold") -> None:
         """A line, and alarms that are new or over."""
@@ -261,6 +262,10 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
             if key not in said:
                 said.add(key)
                 STDERR.print(f"ALARM: {alarm['text']}", style="bold red", markup=False)
+        for error in told.errors:
+            if error not in failed:
+                failed.add(error)
+                STDERR.print(f"{error}. The rest goes on.", style="bold red", markup=False)
         if shown is not None:
             shown.feed.known(told)
 
@@ -276,6 +281,8 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
 
 def _print(told: "LiveTold", record: Path | None) -> None:
     """What is known at the end."""
+    from ...live.parts import ERRORS
+
     STDOUT.print(told.line(), markup=False)
     for name, value in told.rms.items():
         STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}", markup=False)
@@ -283,6 +290,10 @@ def _print(told: "LiveTold", record: Path | None) -> None:
         STDOUT.print(f"alarm: {alarm['text']}", markup=False)
     if told.model is not None and told.model.rms:
         _print_model(told.model, told.units)
+    for error in told.errors:
+        STDERR.print(f"in flight {error}", style="red", markup=False)
+    if told.errors and record is not None:
+        STDERR.print(f"tracebacks: {record / ERRORS}", style="red", markup=False)
     for text in told.missing.values():
         STDERR.print(text, style="yellow", markup=False)
     for who, count in told.link.others.items():

@@ -115,6 +115,7 @@ class PageFeed:
         """What the aircraft says of itself (STATUSTEXT)."""
         known = 0 <= severity < len(_SEVERITIES)
         name = _SEVERITIES[severity] if known else "unknown"
+        text = text.encode("utf-8", "replace").decode()
         self._hub.tell("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
 
     def known(self, told: LiveTold) -> None:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from sample_logs import flight_table
 
+from twin.draft.hover import hover_of
 from twin.errors import LogError
 from twin.logs import Flight, read_flight
 
@@ -163,3 +164,69 @@ def test_a_text_in_many_rows_is_held_once(tmp_path: Path) -> None:
     assert tracemalloc.get_traced_memory()[1] < 50e6
     tracemalloc.stop()
     assert held.bytes_allocated() - before < 50e6
+
+
+def with_column(name: str, column: pa.Array) -> pa.Table:
+    table = pa.Table.from_pandas(flight_table(), preserve_index=False)
+    return table.append_column(name, column)
+
+
+ROWS = len(flight_table())
+DEEP = pa.array(np.zeros(ROWS))
+for _ in range(90):
+    DEEP = pa.StructArray.from_arrays([DEEP], ["s"])
+
+
+@pytest.mark.parametrize(
+    "column",
+    [
+        pa.array([{"a": [1]}] * ROWS),
+        pa.array([[1, 2]] * ROWS),
+        pa.array([[("a", 1)]] * ROWS, type=pa.map_(pa.string(), pa.int64())),
+        pa.array([b"\xff"] * ROWS),
+        DEEP,
+    ],
+    ids=["struct", "list", "map", "bytes", "deep"],
+)
+def test_columns_of_others_may_hold_anything(tmp_path: Path, column: pa.Array) -> None:
+    """They are named and not read; where one has the name of a signal, it is refused."""
+    flight = read(tmp_path, parquet(with_column("foo", column)))
+    assert [f.where for f in flight.findings if "not a column" in f.message] == ["foo"]
+    with pytest.raises(LogError, match=r"column baro_pa holds|deeply nested"):
+        read(tmp_path, parquet(with_column("baro_pa", column)))
+
+
+def test_a_name_that_is_no_text(tmp_path: Path) -> None:
+    blob = parquet(with_column("foo_bar", pa.array(np.zeros(ROWS))))
+    with pytest.raises(LogError, match=r"flight: damaged Parquet file .a column name is not UTF-8"):
+        read(tmp_path, blob.replace(b"foo_bar", b"\xff\xfe\xfa_bar"))
+
+
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [
+        ({b"k" * (17 << 20): b"v"}, "the footer of this Parquet file has"),
+        ({b"k": b"v" * (5 << 20)}, "damaged Parquet file"),
+        ({f"{k}".encode(): b"" for k in range(100_001)}, "damaged Parquet file"),
+    ],
+)
+def test_metadata_of_a_table_has_a_bound(
+    tmp_path: Path, metadata: dict[bytes, bytes], said: str
+) -> None:
+    table = pa.Table.from_pandas(flight_table(), preserve_index=False)
+    blob = parquet(table.replace_schema_metadata(metadata))
+    with pytest.raises(LogError, match=said):
+        read(tmp_path, blob)
+
+
+def test_commands_that_are_zero_in_flight_are_a_finding(tmp_path: Path) -> None:
+    frame = flight_table().assign(phase="hover")
+    frame["time"] = 0.01 * np.arange(ROWS)
+    frame = pd.concat([frame] * (500 // ROWS + 1), ignore_index=True)
+    frame["time"] = 0.01 * np.arange(len(frame))
+    for i in range(1, 5):
+        frame[f"cmd_{i}"] = 0.0
+    flight = read(tmp_path, parquet(pa.Table.from_pandas(frame, preserve_index=False)))
+    (found,) = [f for f in flight.findings if f.where == "cmd"]
+    assert found.severity == "error" and "all 0 for" in found.message
+    assert hover_of(flight) is None
