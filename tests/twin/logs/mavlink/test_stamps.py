@@ -141,7 +141,7 @@ def _letters(kind: type) -> str:
 
 def _packed(kind: type, values: list[float]) -> bytes:
     """A frame with these values in the order of the wire."""
-    payload = kind.unpacker.pack(*values)  # type: ignore[attr-defined]
+    payload: bytes = kind.unpacker.pack(*values)  # type: ignore[attr-defined]
     number = kind.id  # type: ignore[attr-defined]
     head = struct.pack("<BBBBBBHB", len(payload), 0, 0, 0, 1, 1, number % 65536, number >> 16)
     checksum = dialect.x25crc(head + payload + bytes([kind.crc_extra]))  # type: ignore[attr-defined]
