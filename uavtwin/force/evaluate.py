@@ -255,10 +255,11 @@ def _rows(model: str, flight: str, flown: OpenLoop) -> list[dict[str, Any]]:
 
 
 def over_explained(table: pd.DataFrame, model: str, horizon_s: float = CLAIMED_S) -> "pd.Series":
-    """Rms of a twin over that of the explained one, by flight, quantity and axis."""
+    """Rms of a twin over that of the explained one, by flight, quantity and axis; none where the
+    explained one is exact."""
     at = table[table["horizon_s"] == horizon_s]
     rms = at.pivot(index=["flight", "quantity", "axis"], columns="model", values="rms")
-    return rms[model] / rms[EXPLAINED]
+    return rms[model] / rms[EXPLAINED].where(rms[EXPLAINED] > 0)
 
 
 def summary(table: pd.DataFrame) -> pd.DataFrame:

@@ -101,7 +101,9 @@ def _force_result(content: Mapping[str, Any]) -> Result:
     ]
     for kind in ("median", "largest"):
         name = f"over the explained twin after {CLAIMED_S:g} s, {kind} cell"
-        metrics.append({"type": "ratio", "name": name, "value": own[f"over_explained_{kind}"]})
+        metrics.append(
+            {"type": "ratio", "name": name, "value": _known(own[f"over_explained_{kind}"])}
+        )
     best = {q: min(summed, key=itemgetter(q)) for q in quantities}
     worse = [
         f"{q}: {r['model']} is off by {number(r[q])}, it by {number(own[q])}"
@@ -114,7 +116,7 @@ def _force_result(content: Mapping[str, Any]) -> Result:
             ["twin", *(f"{q}, {u}" for q, u in quantities.items())],
             [[r["model"], *(number(r[q]) for q in quantities)] for r in summed],
         ),
-        tuple(metrics),
+        tuple(m for m in metrics if isfinite(m["value"])),
         tuple(worse),
     )
 

@@ -218,21 +218,22 @@ def by_group(found: Evaluation) -> pd.DataFrame:
 
 def evaluation_claim(found: Evaluation) -> str:
     """One sentence: where the model beats the best baseline, and where it does not."""
-    rows = by_group(found)
-    better, worse = [], []
-    for group, part in rows.groupby("group", sort=False):
-        own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
-        best = float(part.loc[~part["model"].isin((MODEL, LINEAR_PART)), "rmse"].min())
-        if own < best:
-            better.append(f"{group} by {percent(1 - own / best)}")
-        elif own > best:
-            worse.append(f"{group} by {percent(own / best - 1)}")
     what = _task(found.model)
     if found.model.info.protocol == "reconstruct":
         return (
             f"{what}: the model sees the measurement it repeats; holding that measurement itself "
             "leaves nothing, and no model can beat it."
         )
+    better, worse = [], []
+    for group, part in by_group(found).groupby("group", sort=False):
+        own = float(part.loc[part["model"] == MODEL, "rmse"].iloc[0])
+        best = float(part.loc[~part["model"].isin((MODEL, LINEAR_PART)), "rmse"].min())
+        if own < best:
+            better.append(f"{group} by {percent(1 - own / best)}")
+        elif own > best:
+            worse.append(
+                f"{group} by {percent(own / best - 1)}" if best else f"{group} (baseline exact)"
+            )
     text = f"better than the best trivial baseline for {', '.join(better)}" if better else ""
     text += ("; " if better and worse else "") + (f"worse for {', '.join(worse)}" if worse else "")
     return f"{what}: {text or 'as good as the best trivial baseline everywhere'}."

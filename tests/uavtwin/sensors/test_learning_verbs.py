@@ -5,6 +5,8 @@ import re
 import stat
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import fmpy
 import numpy as np
@@ -26,6 +28,7 @@ from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 from uavtwin.driving import driving_inputs
 from uavtwin.sensors.compiled import compiled_compensator
+from uavtwin.sensors.evaluation import Evaluation, evaluation_claim
 
 COPTER = load_vehicle("copter_default")
 PLANT = replace(
@@ -193,6 +196,54 @@ def test_a_family_in_closed_form_goes_through_the_same_verbs(
     if preset == "mean":
         assert all(left[g, "model"] == left[g, "mean"] for g in ("gyro", "acc"))
     assert "Anomaly score" not in (tmp_path / "e" / "report.html").read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_a_model_that_repeats_what_it_sees(
+    logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Under the protocol `reconstruct` the baseline that holds the measurement leaves exactly 0."""
+    flights = [logs["one"], logs["two"], "--vehicle", "copter_default", "--rate", 50]
+    out = tmp_path / "model"
+    _run("train", *flights, "--preset", "mean", "--protocol", "reconstruct", "--out", out)
+    capsys.readouterr()
+    _run("evaluate", out, logs["three"], "--out", tmp_path / "e", "--json")
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["claim"].startswith("reconstruct: the model sees the measurement it repeats")
+    assert 0.0 in {r["rmse"] for r in printed["groups"] if r["model"] != "model"}
+    assert "no model can beat it" in (tmp_path / "e" / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("own", "baselines", "text"),
+    [
+        (
+            1.0,
+            (2.0, 4.0),
+            "track, 1 samples (10 ms) ahead: better than the best trivial baseline "
+            "for acc by 50 %.",
+        ),
+        (3.0, (2.0, 4.0), "worse for acc by 50 %."),
+        (2.0, (2.0, 4.0), "as good as the best trivial baseline everywhere."),
+        (1.0, (0.0, 4.0), "worse for acc (baseline exact)."),
+        (0.0, (0.0, 4.0), "as good as the best trivial baseline everywhere."),
+        (0.0, (2.0, 4.0), "for acc by 100 %."),
+        (1.0, (np.nan, np.nan), "as good as the best trivial baseline everywhere."),
+    ],
+)
+def test_the_claim_of_an_evaluation(
+    own: float, baselines: tuple[float, ...], text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Shares of a baseline, one that leaves exactly nothing among them."""
+    names = ("model", "hold", "mean")
+    rows = [
+        {"group": "acc", "model": m, "rmse": v}
+        for m, v in zip(names, (own, *baselines), strict=True)
+    ]
+    monkeypatch.setattr("uavtwin.sensors.evaluation.by_group", lambda _: pd.DataFrame(rows))
+    info = SimpleNamespace(protocol="track", horizon=1, rate_hz=100.0)
+    found = cast(Evaluation, SimpleNamespace(model=SimpleNamespace(info=info)))
+    assert evaluation_claim(found).endswith(text)
 
 
 @pytest.mark.slow
