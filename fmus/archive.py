@@ -8,6 +8,7 @@ import re
 import stat
 import struct
 import zipfile
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -186,15 +187,13 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
     if len(members) > MAX_MEMBERS:
         return [f"the archive has {len(members)} members, more than {MAX_MEMBERS}"]
     problems = []
-    seen: set[str] = set()
+    seen: dict[str, tuple[str, int, int]] = {}
     for member in members:
         name = member.orig_filename
         if is_unsafe(name):
             problems.append(f"unsafe path in the archive: {name!r}")
-        key = name.rstrip("/").casefold()
-        if key in seen:
-            problems.append(f"the archive holds {name!r} twice")
-        seen.add(key)
+        if seen.setdefault(name.rstrip("/").casefold(), _content(member)) != _content(member):
+            problems.append(f"the archive holds {name!r} twice, with different content")
         kind = stat.S_IFMT(member.external_attr >> 16)
         if kind == stat.S_IFLNK:
             problems.append(f"{name!r} is a link")
@@ -211,6 +210,25 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
     if unpacked > MAX_UNPACKED_BYTES:
         problems.append(f"unpacks to {unpacked} bytes, more than {MAX_UNPACKED_BYTES}")
     return problems
+
+
+def repeated_entries(members: Iterable[zipfile.ZipInfo]) -> list[str]:
+    """Entries that an archive holds more than once, equal each time; one sentence each.
+
+    They do no harm, but whoever wrote the archive did not mean them. Entries of one name that are
+    not equal are among the `member_problems`.
+    """
+    counts = Counter(map(_content, members))
+    return [
+        f"the archive holds {name!r} {count} times, the same each time"
+        for (name, _, _), count in counts.items()
+        if count > 1
+    ]
+
+
+def _content(member: zipfile.ZipInfo) -> tuple[str, int, int]:
+    """Name, size and checksum."""
+    return member.orig_filename, member.file_size, member.CRC
 
 
 def is_unsafe(name: str) -> bool:

@@ -15,6 +15,7 @@ from cosim.system import System
 from cosim.whole_twin import STEP_S, fused_model, system_of
 from cosim.worker import WorkerMaster
 from fmus import build
+from fmus.archive import archive_members, repeated_entries
 from twin.component import unknown_name
 from twin.effects import EFFECTS
 from twin.errors import TwinError
@@ -90,7 +91,7 @@ def scenario_system(
         scenario: What to simulate.
         folder: For the FMUs.
         progress: Called with the share built.
-        warn: Called with each sentence of `ineffective`.
+        warn: Called with each sentence of `ineffective`, and on equal entries of an archive.
 
     Raises:
         TwinError: An unknown mission, effect or start value; a broken `.ssp`.
@@ -98,6 +99,9 @@ def scenario_system(
     if scenario.is_system:
         given = read_ssp(Path(scenario.target))
         _check_bare(scenario)
+        for file in dict.fromkeys((Path(scenario.target), *given.fmus.values())):
+            for text in repeated_entries(archive_members(file)):
+                warn(f"{file.name}: {text}.")
         return replace(given, starts={**given.starts, **scenario.starts})
     if scenario.target not in mission_names():
         known = ", ".join(mission_names())

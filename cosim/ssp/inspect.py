@@ -14,6 +14,7 @@ from fmus.archive import (
     MAX_MEMBERS,
     MAX_UNPACKED_BYTES,
     archive_members,
+    repeated_entries,
 )
 from fmus.inspect import FmuReport, brief, inspect_fmu
 from fmus.names import shown
@@ -70,7 +71,8 @@ def inspect_ssp(path: Path) -> SspReport:
         if too_much := _too_much(files):
             return _report(path, root, {}, (too_much,), None)
         fmus = {str(p.relative_to(folder)): _looked_at(p) for p in files}
-        problems = [
+        problems = repeated_entries(archive_members(path, "SSP"))
+        problems += [
             f"{shown(member)}: {problem}"
             for member, found in fmus.items()
             for problem in ([found] if isinstance(found, str) else found.problems)

@@ -18,7 +18,7 @@ from lxml import etree
 from twin.errors import FmuError
 from twin.representation import short_repr
 
-from ..archive import DESCRIPTION, Archive, open_archive
+from ..archive import DESCRIPTION, Archive, open_archive, repeated_entries
 from ..names import shown
 from .library_header import library_problem, library_suffix
 
@@ -67,7 +67,7 @@ def inspect_fmu(path: Path) -> FmuReport:
         copy.writestr(DESCRIPTION, archive.description)
     description, wrong = _description(path, alone)
     problems = [*archive.problems, *wrong, *name_problems(description)]
-    problems += _number_problems(archive.root)
+    problems += [*_number_problems(archive.root), *repeated_entries(archive.members)]
     if not archive.problems:  # else its members are not read
         problems += _member_problems(archive)
     platforms = sorted(

@@ -101,6 +101,22 @@ def test_problems_are_listed(name: str, tmp_path: Path) -> None:
     assert any(text in p for p in report.problems), report.problems
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_equal_entries_are_a_finding(tmp_path: Path) -> None:
+    path = written(lambda m: m, tmp_path / "drive.ssp")
+    for again, expected in (
+        (lambda old: old, f"the archive holds {MOTOR!r} 2 times, the same each time"),
+        (lambda old: old + b"x", "'resources/motor.fmu' twice, with different content"),
+    ):
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr(MOTOR, again(archive.read(MOTOR)))
+        try:
+            (problem,) = inspect_ssp(path).problems
+        except FmuError as error:
+            problem = str(error)
+        assert expected in problem
+
+
 def test_what_is_not_used_is_a_note(tmp_path: Path) -> None:
     report = inspect_ssp(written(lambda m: {**m, "resources/x.fmu": m[MOTOR]}, tmp_path / "x.ssp"))
     assert report.problems == ()

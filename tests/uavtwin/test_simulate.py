@@ -1,6 +1,7 @@
 """`uavtwin simulate`: scenarios fly, what shapes them acts, same seed same bytes, wrong use."""
 
 import json
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -200,7 +201,11 @@ def test_an_ssp_takes_start_values_and_no_other_shape(
 ) -> None:
     ssp = write_ssp(windy, tmp_path / "windy.ssp")
     starts = ("--start", "environment.wind.x=-3", "--start", "environment.gust.enabled=0")
-    code, said, _ = simulate(ssp, *starts, "--stop", "0.5", "--out", tmp_path / "o")
+    with zipfile.ZipFile(ssp, "a") as archive, pytest.warns(UserWarning, match="Duplicate name"):
+        archive.writestr("SystemStructure.ssd", archive.read("SystemStructure.ssd"))
+    code, said, told = simulate(ssp, *starts, "--stop", "0.5", "--out", tmp_path / "o")
+    repeated = "the archive holds 'SystemStructure.ssd' 2 times, the same each time."
+    assert f"warning: windy.ssp: {repeated}" in " ".join(told.split())
     assert code == 0
     assert said.startswith("windy.ssp: 0.5 s simulated")  # still on the ground: nothing to judge
     table = pd.read_parquet(tmp_path / "o" / "recording.parquet")

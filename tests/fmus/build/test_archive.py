@@ -3,6 +3,7 @@
 import stat
 import zipfile
 from collections.abc import Callable
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from cosim.slave.slave import Slave
 from fmus import build, component_model
 from fmus.archive import unpack
+from fmus.inspect import inspect_fmu
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
 from twin.vehicle.file import load_vehicle
@@ -102,6 +104,19 @@ def test_hostile_archives_are_refused(kind: str, good: Members, tmp_path: Path) 
         Slave("imu", path)
     assert [p.name for p in tmp_path.iterdir()] == ["hostile.fmu"]
     assert not Path("/tmp/uavtwin-evil").exists()
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_equal_entries_are_a_finding_and_do_no_harm(good: Members, tmp_path: Path) -> None:
+    """Some tools add a file each time they are asked; which of them is read does not matter."""
+    path, library = tmp_path / "repeated.fmu", "binaries/linux64/imu.so"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for info, content in [*good, *(m for m in good if m[0].filename == library)]:
+            archive.writestr(copy(info), content)
+    assert inspect_fmu(path).problems == (
+        f"the archive holds {library!r} 2 times, the same each time",
+    )
+    Slave("imu", path).close()
 
 
 def test_a_bomb_is_refused_by_what_it_says(good: Members, tmp_path: Path) -> None:
