@@ -104,10 +104,11 @@ def test_problems_are_listed(name: str, tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:Duplicate name")
 def test_equal_entries_are_a_finding(tmp_path: Path) -> None:
     path = written(lambda m: m, tmp_path / "drive.ssp")
-    for again, expected in (
+    cases: tuple[tuple[Callable[[bytes], bytes], str], ...] = (
         (lambda old: old, f"the archive holds {MOTOR!r} 2 times, the same each time"),
         (lambda old: old + b"x", "'resources/motor.fmu' twice, with different content"),
-    ):
+    )
+    for again, expected in cases:
         with zipfile.ZipFile(path, "a") as archive:
             archive.writestr(MOTOR, again(archive.read(MOTOR)))
         try:
