@@ -3,10 +3,13 @@
 import numpy as np
 
 from ..errors import ModelError
+from ..logs import Flight
 from ..logs.airframe import Place
+from ..physics.atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
 from ..vehicle import GRAVITY_M_S2
 from ..vehicle.geomagnetism import world_field
 from ..vehicle.gravity import normal_gravity_m_s2
+from ..vehicle.sensors import SEA_LEVEL_TEMPERATURE_K
 from .making import Making, percent, rounded
 from .noise import SENSORS, noise_of
 
@@ -37,15 +40,40 @@ def draft_site(m: Making) -> float:
         when = _year(m, place, source)
         value = f"{latitude:.4f}, {longitude:.4f} deg, {place.height_m:.0f} m{when}"
         m.say("site", f"{value}; gravity {gravity:.4f} m/s2", source)
-    for flight in m.flights:
-        if flight.has("baro_pa"):
-            t_s, pressure = flight.signal(("baro_pa",))
-            value_pa = float(np.median(pressure[t_s < t_s[0] + _START_S]))
-            source = f"barometer in the first {_START_S:g} s of {flight.name}"
-            m.file.number("site.pressure", round(value_pa, 1), "Pa", source, _BARO_SD_PA)
-            m.say("pressure", f"{value_pa:.0f} Pa", source)
-            break
+    with_baro = [f for f in m.flights if f.has("baro_pa")]
+    with_baro.sort(key=lambda f: not f.has("pos_z"))
+    if with_baro:
+        value_pa, where = pressure_at_origin(with_baro[0])
+        source = f"barometer of {with_baro[0].name}, {where}"
+        m.file.number("site.pressure", round(value_pa, 1), "Pa", source, _BARO_SD_PA)
+        m.say("pressure", f"{value_pa:.0f} Pa at pos_z = 0", source)
     return gravity
+
+
+def pressure_at_origin(flight: Flight) -> tuple[float, str]:
+    """Static pressure at pos_z = 0, Pa, and how it was found.
+
+    Median of the first 2 s of the barometer in which the height is known, each reading reduced to
+    pos_z = 0 by the barometer's own equation (`physics.sensors.barometer`) at 288.15 K there: over
+    15 m of height, 20 K less are 13 Pa more. Without a height the readings are taken as they are.
+    """
+    t_s, pressure = flight.signal(("baro_pa",))
+    read = pressure[:, 0]
+    if flight.has("pos_z"):
+        t_pos, down = flight.signal(("pos_z",))
+        known = (t_s >= t_pos[0]) & (t_s <= t_pos[-1])
+        if known.any():
+            first = known & (t_s < t_s[known][0] + _START_S)
+            height_m = 0.0 - np.interp(t_s[first], t_pos, down[:, 0])
+            ratio = 1.0 - LAPSE_K_M * height_m / SEA_LEVEL_TEMPERATURE_K
+            power = GRAVITY_M_S2 / (GAS_CONSTANT_J_KG_K * LAPSE_K_M)
+            reduced = float(np.median(read[first] / ratio**power))
+            return reduced, (
+                f"first {_START_S:g} s, {float(np.median(height_m)):.1f} m above pos_z = 0, "
+                "reduced to it"
+            )
+    start = read[t_s < t_s[0] + _START_S]
+    return float(np.median(start)), f"first {_START_S:g} s, whose height is not known"
 
 
 def _year(m: Making, place: Place, source: str) -> str:

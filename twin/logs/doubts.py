@@ -10,6 +10,7 @@ from .agreement import Signals, doubt_force, doubt_turning, doubt_velocity, samp
 from .clock import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL, Columns
 from .flight import Array, Finding
+from .incidents import incidents
 
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
@@ -33,6 +34,7 @@ def doubts(table: Columns) -> list[Finding]:
         *_unpowered(table, there),
         *doubt_turning(table, there),
         *doubt_velocity(table, there),
+        *incidents(table),
     ]
     if not any(f.where == "acc" and f.severity == "error" for f in found):
         found += doubt_force(table, there)  # else it would say the same again

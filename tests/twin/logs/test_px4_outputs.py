@@ -329,3 +329,15 @@ def test_two_batteries_at_once_are_a_finding() -> None:
     pair = {"battery_status": battery(16.0, 1), "battery_status:1": battery(15.9, 1, number=2)}
     flight = read({"MAV_TYPE": 2}, **pair)
     assert "0, 1 are all connected" in messages(flight, "vbat_v", "warning")
+
+
+def test_a_controller_that_reads_a_lower_voltage_is_named_by_its_motor() -> None:
+    """The slots are those of motors 3, 1, 4, 2; that of motor 4 reads half a volt less."""
+    motors = (3, 1, 4, 2)
+    status = speeds(motors)
+    for k, motor in enumerate(motors):
+        volts = 16.0 - (0.5 if motor == 4 else 0.0)
+        status[f"esc[{k}].esc_voltage"] = np.full(len(T_S), volts, dtype=np.float32)
+    flight = read({"CA_ROTOR_COUNT": 4}, pulses(commanded(4)), esc_status=status)
+    told = [f.message for f in flight.findings if "speed controller of motor" in f.message]
+    assert len(told) == 1 and "motor 4 reads 15.50 V, 0.50 V below" in told[0]

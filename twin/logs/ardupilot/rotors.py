@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from ..assemble import Rows
 from ..columns import motor_columns
 from ..flight import Array
+from ..incidents import lower_voltage
 from .log import ArduPilotLog, Topic
 from .outputs import MotorCommands
 from .signals import add, si
@@ -45,6 +46,13 @@ def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) ->
         log.note("warning", "rotor", message)
         return {}
     speeds = [np.abs(si(log, t, "rotor", ("RPM",))[:, 0]) for t in found]
+    log.findings += lower_voltage(
+        {
+            m: si(log, t, "vbat_v", ("Volt",))[s > 0.0, 0]
+            for m, (t, s) in enumerate(zip(found, speeds, strict=True), start=1)
+            if t.has("Volt")
+        }
+    )
     if why := _doubt(found, speeds, commands):
         log.note("warning", "rotor", f"left out: {why}", sum(map(len, speeds)))
         return {}

@@ -12,6 +12,7 @@ import numpy as np
 from ..assemble import Rows, add_signal
 from ..columns import motor_columns
 from ..flight import Array
+from ..incidents import lower_voltage
 from .log import Px4Log, Topic
 from .outputs import FIRST_FUNCTION, MOST_FUNCTIONS, motor_count, motor_functions
 
@@ -34,6 +35,15 @@ class _Slot:
     def rpm(self) -> Array:
         return self.topic.columns((f"esc[{self.number}].esc_rpm",))[:, 0]
 
+    @property
+    def volts(self) -> Array:
+        """Supply voltage where the motor turns, V; none where the slot has no such field."""
+        name = f"esc[{self.number}].esc_voltage"
+        if not self.topic.has(name):
+            return np.zeros(0)
+        volts: Array = self.topic.columns((name,))[:, 0]
+        return volts[np.abs(self.rpm) > 0.0]
+
 
 def from_px4_rpm(rpm: Array) -> Array:
     """Rotor speed, rpm of either sign -> rad/s, not negative."""
@@ -55,6 +65,7 @@ def add_rotors(log: Px4Log, rows: Rows, motors: int | None) -> dict[str, str]:
     if not topics:
         return {}
     found, alive = _slots(log, topics)
+    log.findings += lower_voltage({m: s.volts for m, s in found.items()})
     count = motors or motor_count(log) or len(found)
     lacking = [str(m) for m in range(1, count + 1) if m not in found]
     if lacking or not found:

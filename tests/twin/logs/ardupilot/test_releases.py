@@ -396,3 +396,14 @@ def test_a_log_of_px4s_first_logger_is_named(tmp_path: Path) -> None:
     )
     with pytest.raises(LogError, match=r"PX4.*sdlog2.*px4log"):
         read(tmp_path, blob)
+
+
+@pytest.mark.parametrize("name", ["Solo", "Copter 4.0"])
+def test_a_controller_that_reads_half_a_volt_less_is_told(tmp_path: Path, name: str) -> None:
+    release = RELEASES[name]
+    messages = flown(release)
+    for k in range(1, 5):
+        messages[f"ESC{k}"] |= {"Volt": VOLTS - (0.5 if k == 3 else 0.0)}
+    blob = dataflash(messages, dict(release.params), units=False, kinds=release.kinds)
+    told = [f.message for f in read(tmp_path, blob).findings if f.where == "vbat_v"]
+    assert len(told) == 1 and "motor 3 reads 15.6" in told[0] and "0.50 V below" in told[0]
