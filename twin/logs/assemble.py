@@ -121,7 +121,7 @@ def add_signal(
     """
     absurd = beyond(where, values)
     if absurd.any():
-        log.note("error", where, told(where), int(absurd.sum()))
+        log.note("error", where, told(where, values[absurd]), int(absurd.sum()))
     early, broken = rows.add(names, t_us[~absurd], values[~absurd])
     if early:
         log.note("info", where, f"samples left out, taken before {begin}", early)

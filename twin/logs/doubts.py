@@ -11,6 +11,7 @@ from .clock import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL, Columns
 from .flight import Array, Finding
 from .incidents import incidents
+from .limits import other_unit
 
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
@@ -112,6 +113,8 @@ def _doubt_units(table: Columns) -> list[Finding]:
         message = (
             f"median {np.median(mag):.3g} T: the Earth has 2.5e-5 to 6.5e-5 T (1 gauss = 1e-4 T)"
         )
+        if unit := other_unit("mag", float(np.median(mag))):
+            message = f"{message}; {unit}"
         found.append(Finding("error", "mag", message))
     turning = [v[v > 0] for c in table if c.startswith("rotor_") for v in (table[c],)]
     speed = np.concatenate(turning) if turning else np.zeros(0)
@@ -121,13 +124,15 @@ def _doubt_units(table: Columns) -> list[Finding]:
         found.append(Finding("error", "rotor", message))
     for column, low, high, message in (
         ("baro_pa", 2e4, 1.2e5, "expected in Pa, about 101325 at sea level"),
-        ("vbat_v", 2.0, 500.0, "expected in V"),
-        ("ibat_a", -1e3, 1e3, "expected in A"),
+        ("vbat_v", 2.0, 120.0, "expected in V, 2 to 120"),
+        ("ibat_a", -400.0, 400.0, "expected in A, up to 400"),
     ):
         if len(values := _finite(table, column)):
             median = float(np.median(values))
             if not low <= median <= high:
-                found.append(Finding("error", column, f"median {median:.4g}: {message}"))
+                unit = other_unit(column.removesuffix("_pa"), abs(median))
+                more = f"; {unit}" if unit else ""
+                found.append(Finding("error", column, f"median {median:.4g}: {message}{more}"))
     return found
 
 

@@ -211,7 +211,9 @@ def _bounded(table: Columns) -> tuple[dict[str, Array], list[Finding]]:
         if out.any():
             for column in there:
                 mended[column] = np.where(out, np.nan, table[column])
-            found.append(Finding("error", signal, told(signal), int(np.count_nonzero(out))))
+            left_out = np.column_stack([table[column][out] for column in there])
+            message = told(signal, left_out)
+            found.append(Finding("error", signal, message, int(np.count_nonzero(out))))
     commands = [c for c in table if c.startswith("cmd_")]
     count, worst = 0, 0.5
     for column in commands:
