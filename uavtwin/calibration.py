@@ -304,7 +304,7 @@ def calibrate(
     if not fit:
         raise TwinError(f"calibrate: none of the flights can be used: {'; '.join(reasons)}")
     warnings = [f"left out: {reason}" for reason in reasons]
-    warnings += [text for f in fit for text in drive_warnings(f)]
+    warnings += [text for f in fit for text in drive_warnings(f, draft)]
     if unknown := [f.name for f in fit if f.indoors is None]:
         warnings.append(UNKNOWN_SITE.format(", ".join(unknown)))
     if draft.calibration is not None:

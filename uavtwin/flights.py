@@ -20,12 +20,16 @@ _SHOWN = 6
 """Names of a folder that a message lists."""
 
 
-def read_flights(*patterns: str | Path, rebuild_commands: bool | None = None) -> list[Flight]:
+def read_flights(
+    *patterns: str | Path, rebuild_commands: bool | None = None, trust_vehicle: bool = False
+) -> list[Flight]:
     """Read flight logs and flight tables.
 
     Args:
         patterns: Files, or patterns such as `logs/fit_*.ulg` and `logs/**/*.parquet`.
         rebuild_commands: As for `read_flight`.
+        trust_vehicle: Whether what the logs state of their rotors is left out, so that no vehicle
+            contradicts it.
 
     Returns:
         Flights in the order of the patterns, those of one pattern by name with numbers counted
@@ -38,10 +42,13 @@ def read_flights(*patterns: str | Path, rebuild_commands: bool | None = None) ->
         raise LogError("read_flights: no file and no pattern given, e.g. 'logs/fit_*.ulg'.")
     paths = [path for pattern in patterns for path in _matching(pattern)]
     once = {path.resolve(): path for path in reversed(paths)}
-    return read_alike(list(dict.fromkeys(once[p.resolve()] for p in paths)), rebuild_commands)
+    files = list(dict.fromkeys(once[p.resolve()] for p in paths))
+    return read_alike(files, rebuild_commands, trust_vehicle)
 
 
-def read_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> list[Flight]:
+def read_alike(
+    paths: Sequence[Path], rebuild_commands: bool | None = None, trust_vehicle: bool = False
+) -> list[Flight]:
     """Read flights that are compared with one vehicle.
 
     Commands of one aircraft are read in the same way; flights of one file name are named by as much
@@ -51,30 +58,44 @@ def read_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> l
         paths: Files.
         rebuild_commands: As for `read_flight`. None: where the commands of one flight cannot be
             rebuilt, or are not those that were flown, those of none of the same aircraft are.
+        trust_vehicle: As of `read_flights`.
 
     Raises:
         LogError: A file cannot be used, or two hold the same flight.
     """
     flights = [read_flight(path, rebuild_commands=rebuild_commands) for path in paths]
-    return _alike(paths, flights, rebuild_commands)
+    return _alike(paths, flights, rebuild_commands, trust_vehicle)
 
 
-def open_alike(paths: Sequence[Path], rebuild_commands: bool | None = None) -> list[AnyFlight]:
+def open_alike(
+    paths: Sequence[Path], rebuild_commands: bool | None = None, trust_vehicle: bool = False
+) -> list[AnyFlight]:
     """The same, long flight tables left in their files."""
     flights = [open_flight(path, rebuild_commands=rebuild_commands) for path in paths]
-    return _alike(paths, flights, rebuild_commands)
+    return _alike(paths, flights, rebuild_commands, trust_vehicle)
 
 
-def _alike(paths: Sequence[Path], flights: Sequence[_F], rebuild: bool | None) -> list[_F]:
+def _alike(
+    paths: Sequence[Path], flights: Sequence[_F], rebuild: bool | None, trust_vehicle: bool
+) -> list[_F]:
     """Flights that were read one by one, as `read_alike` has them."""
     _check_distinct(paths, flights)
     several = _commands_alike(paths, flights) if rebuild is None else flights
     names = _distinct_names(paths, several)
+    if trust_vehicle:
+        several = [_without_rotors(f) for f in several]
     told = [(n, aircraft_told(f)) for n, f in zip(names, several, strict=True)]
     return [
         replace(f, name=n, findings=(*f.findings, *_strangers(own, told)))
         for f, (n, own) in zip(several, told, strict=True)
     ]
+
+
+def _without_rotors(flight: _F) -> _F:
+    """The flight without what its log states of the rotors."""
+    if flight.airframe is None:
+        return flight
+    return replace(flight, airframe=replace(flight.airframe, rotors=None, layout=None))
 
 
 def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F]:

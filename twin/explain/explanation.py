@@ -165,7 +165,7 @@ def explain(
     cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
     read, away = ([f for f, _ in some] for some in cut)
     partly = [note for some in cut for _, note in some if note is not None]
-    driven = [text for f in (*read, *away) for text in drive_warnings(f)]
+    driven = [text for f in (*read, *away) for text in drive_warnings(f, vehicle)]
     stuck = [s for f in (*read, *away) for s in stuck_channels(f, settings.stochastic.stuck)]
     fit, held = ([without_stuck(f, stuck) for f in some] for some in (read, away))
     parts = _parts(fit, held, vehicle, payloads, settings)

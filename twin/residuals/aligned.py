@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..component import Component
+from ..draft.consistency import consistency
 from ..effects import EFFECTS, NoiseFloor, acting_late
 from ..errors import LogError
 from ..logs import AnyFlight
@@ -193,7 +194,8 @@ class Alignment:
         self.step_s = float(next_s - start_s)
         self.motion = motion or measured_motion(flight)
         self._signals = InputSignals(flight, vehicle, self.airframe)
-        self.notes = self.motion.notes + self._signals.notes
+        told = consistency(flight, vehicle).warnings
+        self.notes = (*told, *self.motion.notes, *self._signals.notes)
         self.carries = 1.0
 
     def times(self, first: int, end: int) -> Array:

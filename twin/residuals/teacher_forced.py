@@ -17,6 +17,7 @@ from ..component import Component
 from ..component.along import Along
 from ..component.building import BUILDING
 from ..component.sampled import noiseless_outputs
+from ..draft.consistency import check_airframe, consistency
 from ..effects import acting_late, late_actions
 from ..effects.timing import COMMAND_PERIOD_S
 from ..errors import LogError
@@ -72,7 +73,9 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
 
     Raises:
         LogError: The flight has neither, or not for each rotor of the vehicle.
+        ModelError: The log states other rotors than the vehicle has.
     """
+    check_airframe(flight, vehicle)
     n = vehicle.rotors.count
     rotors, commands = motor_columns("rotor", n), motor_columns("cmd", n)
     for stem, what in (("rotor", "rotor speeds"), ("cmd", "motor commands")):
@@ -93,13 +96,15 @@ def choose_drive(flight: AnyFlight, vehicle: Vehicle) -> Drive:
     )
 
 
-def drive_warnings(flight: AnyFlight) -> list[str]:
-    """What the reader of a flight doubts or has changed about the speeds that drive its twin."""
-    return [
-        f"{flight.name}: {f.where}: {f.message}"
+def drive_warnings(flight: AnyFlight, vehicle: Vehicle) -> list[str]:
+    """What the reader of a flight doubts or has changed about the speeds that drive its twin, and
+    what its log says otherwise than the vehicle file."""
+    read = [
+        f"{f.where}: {f.message}"
         for f in flight.findings
         if f.where == "rotor" and f.severity == "warning"
     ]
+    return [f"{flight.name}: {t}" for t in (*read, *consistency(flight, vehicle).warnings)]
 
 
 class InputSignals:

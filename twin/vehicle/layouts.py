@@ -27,6 +27,10 @@ class Layout:
         metric: Whether positions are in m.
         sd: Standard deviation of a coordinate over the arm, the size being right.
         source: What says so.
+        places_known: Whether the places were stated, not assumed.
+        senses_known: Whether the directions were.
+        place_keys: Parameter of the place of a rotor, `{}` for its number from 0; "": the source.
+        sense_keys: The same of its direction.
     """
 
     position: Array
@@ -34,11 +38,23 @@ class Layout:
     metric: bool
     sd: float
     source: str
+    places_known: bool = True
+    senses_known: bool = True
+    place_keys: str = ""
+    sense_keys: str = ""
 
     @property
     def count(self) -> int:
         """Number of rotors."""
         return len(self.direction)
+
+    def place_key(self, rotor: int) -> str:
+        """What states the place of a rotor, numbered from 0."""
+        return self.place_keys.format(rotor) or self.source
+
+    def sense_key(self, rotor: int) -> str:
+        """What states the direction of a rotor, numbered from 0."""
+        return self.sense_keys.format(rotor) or self.source
 
     @property
     def arm(self) -> float:

@@ -175,6 +175,7 @@ class Vehicle:
         doubts: What looks odd but is not refused.
         effects: Effects that are switched on (`twin.effects`), each with all its parameters.
         calibration: What flights have told of its numbers together; None: nobody has asked them.
+        file: Name of the file that it was read from; "": none.
     """
 
     name: str
@@ -198,6 +199,7 @@ class Vehicle:
     gravity_m_s2: float = GRAVITY_M_S2
     deviations: Mapping[str, Deviation] = field(default_factory=dict)
     calibration: Calibration | None = None
+    file: str = field(default="", repr=False, compare=False)
 
     __repr__ = short_repr
 

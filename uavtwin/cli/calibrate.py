@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .explain import flight_payloads, site_record
-from .options import Exit, Force, Indoor, Json, Payload, Rebuild, VehicleName
+from .options import Exit, Force, Indoor, Json, Payload, Rebuild, TrustVehicle, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections, progress
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ def calibrate(
         "calibrated.toml"
     ),
     rebuild_commands: Rebuild = None,
+    trust_vehicle: TrustVehicle = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -38,7 +39,7 @@ def calibrate(
     for path in (out, record):
         check_file(path, force)
     draft = load_vehicle(vehicle)
-    read = read_alike(flights, rebuild_commands)
+    read = read_alike(flights, rebuild_commands, trust_vehicle)
     payloads = flight_payloads(payload or [], [f.name for f in read])
     with progress("calibrating") as step:
         found = calibration.calibrate(read, draft, payloads=payloads, indoors=indoor, progress=step)
@@ -46,6 +47,7 @@ def calibrate(
         "vehicle": Path(vehicle).name,
         "payload": payload or [],
         "rebuild_commands": rebuild_commands,
+        "trust_vehicle": trust_vehicle,
         "indoors": {f.name: site_record(f, indoor) for f in read},
         "left_out": [f.name for f in read if f.name not in found.flights],
     }

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild
+from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle
 from .printing import STDOUT, print_damage, print_json, print_sections, progress
 
 
@@ -26,6 +26,7 @@ def evaluate(
     ] = None,
     out: Out = Path("evaluation"),
     rebuild_commands: Rebuild = None,
+    trust_vehicle: TrustVehicle = False,
     csv: Csv = False,
     mcap: Mcap = False,
     force: Force = False,
@@ -52,7 +53,7 @@ def evaluate(
         for name, path in (("explained", explained), ("physics", physics))
         if path is not None
     }
-    read = read_alike(flights, rebuild_commands)
+    read = read_alike(flights, rebuild_commands, trust_vehicle)
     with progress("comparing") as step:
         found = evaluate_folder(model, read, **others, progress=step)
     options = {
@@ -60,6 +61,7 @@ def evaluate(
         "explained": None if explained is None else Path(explained).name,
         "physics": None if physics is None else Path(physics).name,
         "rebuild_commands": rebuild_commands,
+        "trust_vehicle": trust_vehicle,
         "series": list(forms),
     }
     numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)

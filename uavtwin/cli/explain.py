@@ -19,6 +19,7 @@ from .options import (
     Out,
     Payload,
     Rebuild,
+    TrustVehicle,
     named_numbers,
     vehicle_named,
 )
@@ -56,6 +57,7 @@ def explain(
     payload: Payload = None,
     indoor: Indoor = None,
     rebuild_commands: Rebuild = None,
+    trust_vehicle: TrustVehicle = False,
     seed: Annotated[int, typer.Option(min=0, help="Of every bootstrap.")] = 0,
     no_fmus: Annotated[bool, typer.Option("--no-fmus", help="Build no FMUs.")] = False,
     out: Out = Path("explain"),
@@ -80,7 +82,7 @@ def explain(
     model, held = load_vehicle(given), holdout or []
     if since is not None:
         explanation.check_calibrated(model)
-    fit, away = _read(flights, held, rebuild_commands)
+    fit, away = _read(flights, held, rebuild_commands, trust_vehicle)
     payloads = flight_payloads(payload or [], [f.name for f in (*fit, *away)])
     with progress("explaining") as step:
         found = explanation.explain(
@@ -98,6 +100,7 @@ def explain(
         "no_fmus": no_fmus,
         "payload": payload or [],
         "rebuild_commands": rebuild_commands,
+        "trust_vehicle": trust_vehicle,
         "series": list(forms),
         "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
     }
@@ -122,7 +125,10 @@ def _print(found: "ExplainResult", written: Sequence[str], as_json: bool) -> Non
 
 
 def _read(
-    flights: Sequence[Path], held: Sequence[Path], rebuild_commands: bool | None
+    flights: Sequence[Path],
+    held: Sequence[Path],
+    rebuild_commands: bool | None,
+    trust_vehicle: bool,
 ) -> "tuple[list[AnyFlight], list[AnyFlight]]":
     """Flights to fit on, and those held out, all read in the same way.
 
@@ -134,7 +140,7 @@ def _read(
     for path in held:
         if path.resolve() in {p.resolve() for p in flights}:
             raise TwinError(f"{path}: is a flight of the fit; --holdout takes others.")
-    read = open_alike([*flights, *held], rebuild_commands)
+    read = open_alike([*flights, *held], rebuild_commands, trust_vehicle)
     return read[: len(flights)], read[len(flights) :]
 
 

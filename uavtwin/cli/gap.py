@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, VehicleName
+from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def gap(
         float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
     ] = 0.5,
     rebuild_commands: Rebuild = None,
+    trust_vehicle: TrustVehicle = False,
     csv: Csv = False,
     mcap: Mcap = False,
     force: Force = False,
@@ -35,13 +36,14 @@ def gap(
     check_folder(out, force)
     forms = chosen_forms(csv, mcap)
     model = load_vehicle(vehicle)
-    flights = open_alike(logs, rebuild_commands)
+    flights = open_alike(logs, rebuild_commands, trust_vehicle)
     with progress("comparing") as step:
         found = gaps.gap(flights, model, horizon_s=horizon, progress=step)
     options = {
         "vehicle": Path(vehicle).name,
         "horizon": horizon,
         "rebuild_commands": rebuild_commands,
+        "trust_vehicle": trust_vehicle,
         "series": list(forms),
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs

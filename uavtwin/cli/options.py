@@ -109,6 +109,14 @@ Rebuild = Annotated[
         show_default=False,
     ),
 ]
+TrustVehicle = Annotated[
+    bool,
+    typer.Option(
+        "--trust-vehicle",
+        help="Compare although the log states other rotors (number, order, places, senses) than "
+        "the vehicle file.",
+    ),
+]
 
 
 def vehicle_named(given: str | None, default: str) -> str:

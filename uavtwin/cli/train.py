@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .options import Exit, Force, Json, Out, Rebuild, VehicleName
+from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName
 from .printing import STDOUT, print_damage, print_json, progress
 
 if TYPE_CHECKING:
@@ -62,6 +62,7 @@ def train(
     ] = "unknown",
     out: Out = Path("model"),
     rebuild_commands: Rebuild = None,
+    trust_vehicle: TrustVehicle = False,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
@@ -79,7 +80,7 @@ def train(
 
     check_extra_learn()
     twin = load_vehicle(vehicle)
-    read = read_alike(flights, rebuild_commands)
+    read = read_alike(flights, rebuild_commands, trust_vehicle)
     with progress("training") as step:
         trained = train_model(
             read,
@@ -100,6 +101,7 @@ def train(
     options = {
         "vehicle": Path(vehicle).name,
         "rebuild_commands": rebuild_commands,
+        "trust_vehicle": trust_vehicle,
         "license": license,
         **trained.options,
     }

@@ -50,6 +50,7 @@ class Asked:
         verbs: Of `VERBS`.
         alone: Whether each flight is explained by itself, or each aircraft with all its flights.
         indoors: Whether all flew within walls; None: as each log says.
+        trust_vehicle: Whether rotors that the logs state otherwise than the file are left out.
     """
 
     vehicle: str | None = None
@@ -57,6 +58,7 @@ class Asked:
     verbs: tuple[Verb, ...] = VERBS
     alone: bool = True
     indoors: bool | None = None
+    trust_vehicle: bool = False
 
     def __post_init__(self) -> None:
         if (self.vehicle is None) == (self.per_aircraft is None):
@@ -200,11 +202,19 @@ def looking_of(
     texts = {stem: v.text for stem, v in own.items()}
     vehicle = "" if base is None else base.text
     content = [uavtwin.__version__, vehicle, texts, asked.verbs, asked.alone, asked.indoors]
-    content += [asdict(allowed)]
+    content += [asdict(allowed), asked.trust_vehicle]
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     file = asked.vehicle or f"{asked.per_aircraft}"
     return Looking(
-        key, vehicle, texts, Path(file).name, asked.verbs, asked.alone, asked.indoors, allowed
+        key,
+        vehicle,
+        texts,
+        Path(file).name,
+        asked.verbs,
+        asked.alone,
+        asked.indoors,
+        allowed,
+        asked.trust_vehicle,
     )
 
 

@@ -93,6 +93,7 @@ class Looking:
         alone: Whether each flight is explained by itself.
         indoors: Whether all flew within walls; None: as each log says.
         allowed: What a job may use.
+        trust_vehicle: As of `uavtwin.flights.read_flights`.
     """
 
     key: str
@@ -103,6 +104,7 @@ class Looking:
     alone: bool = True
     indoors: bool | None = None
     allowed: Allowed = field(default_factory=Allowed)
+    trust_vehicle: bool = False
 
     def name(self, look: Look) -> str:
         """Number of the job."""
@@ -140,7 +142,7 @@ class Looking:
         found = Found(look.job)
         about = found.add("flights", log=look.names[0], bytes=look.bytes, status="fine")
         try:
-            (flight,) = open_alike([Path(look.paths[0])])
+            (flight,) = open_alike([Path(look.paths[0])], trust_vehicle=self.trust_vehicle)
         except TwinError as error:
             about |= {"status": "unreadable", "error": str(error)}
             return found
@@ -200,7 +202,7 @@ class Looking:
         """Rows of an aircraft with all of its flights."""
         found = Found(look.job)
         try:
-            flights = open_alike([Path(p) for p in look.paths])
+            flights = open_alike([Path(p) for p in look.paths], trust_vehicle=self.trust_vehicle)
             _explain(flights, self._vehicle(look.aircraft), self.indoors, "", found, look.aircraft)
         except TwinError as error:
             _say(found, "", look.aircraft, "explain", "problem", str(error))

@@ -152,11 +152,12 @@ def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str
     layout = frame("betaflight x", _SEEN if sure else _DOUBT)
     if not sure:
         log.note("info", "cmd", f"the log does not tell the mixer: {_DOUBT}")
+        layout = replace(layout, places_known=False)
     yaw = seen.get("yaw", 0.0)
     if abs(yaw) < _SURE:
         message = "the log does not tell yaw_motors_reversed: motors 1 and 4 taken for clockwise"
         log.note("info", "cmd", message)
-        return layout, facts
+        return replace(layout, senses_known=False), facts
     if yaw < 0.0:
         facts["propellers"] = "reversed, as the motors follow the yaw controller"
         turned: NDArray[np.float64] = -layout.direction

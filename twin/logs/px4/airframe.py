@@ -130,6 +130,9 @@ def _allocated(log: Px4Log, motors: int) -> Layout | None:
         metric,
         _TYPED_SD,
         f"CA_ROTOR0..{motors - 1}_PX, _PY, _PZ and the signs of _KM of the log",
+        senses_known=bool(np.ptp(np.sign(turn)) > 0),  # all of one sense: the default, never set
+        place_keys="CA_ROTOR{}_PX, _PY of the log",
+        sense_keys="CA_ROTOR{}_KM of the log",
     )
 
 

@@ -117,6 +117,7 @@ def parse_vehicle(text: str, file: str) -> Vehicle:
         effects=switched_on.values,
         sources={**vehicle.sources, **switched_on.sources},
         deviations={**vehicle.deviations, **switched_on.deviations},
+        file=file,
     )
 
 

@@ -14,6 +14,7 @@ from ..options import (
     Json,
     Out,
     Scheduler,
+    TrustVehicle,
     Workers,
     vehicle_named,
 )
@@ -46,6 +47,7 @@ def fleet(
         typer.Option(help="Explain each flight, or each aircraft with all its flights."),
     ] = "flight",
     indoor: Indoor = None,
+    trust_vehicle: TrustVehicle = False,
     engine: Engine = "local",
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -68,7 +70,7 @@ def fleet(
     named = None if per_aircraft else vehicle_named(vehicle, "") or None
     listed: Any = tuple(v.strip() for v in verbs.split(",") if v.strip())
     both = vehicle if per_aircraft else named
-    asked = Asked(both, per_aircraft, listed, each == "flight", indoor)
+    asked = Asked(both, per_aircraft, listed, each == "flight", indoor, trust_vehicle)
     work = Work(engine, workers, scheduler, Allowed(time_limit, memory_limit))
     with progress("looking") as done:
         result = run_fleet(
@@ -102,6 +104,7 @@ def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
         "verbs": list(asked.verbs),
         "each": "flight" if asked.alone else "aircraft",
         "indoor": asked.indoors,
+        "trust_vehicle": asked.trust_vehicle,
         "logs": result.logs,
     }
     folder = asked.per_aircraft
