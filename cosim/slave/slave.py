@@ -32,7 +32,8 @@ from .interface import SCALARS, Port, read_interface
 
 Array = NDArray[np.float64]
 _OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5
-_LAST_SUCCESSFUL_TIME = 2
+_LAST_SUCCESSFUL_TIME, _TERMINATED = 2, 3
+"""Of `fmi2StatusKind`."""
 _LONGEST = 1000
 """Characters of what an FMU says that are passed on."""
 
@@ -305,6 +306,7 @@ class Slave:
         t, h = step.time_s.value, step.step_s.value
         what = f"step at {t:g} s"
         event, terminate, early, _ = bytes(step.flags)
+        terminate = terminate or (status == _DISCARD and self._wants_end())
         if status == _PENDING and self.interface.fmi == 2:
             raise self._error(what, "asynchronous steps (fmi2Pending) are not supported.")
         if status == _DISCARD or (status <= _WARNING and (terminate or early)):
@@ -318,6 +320,14 @@ class Slave:
         if status <= _WARNING and event:
             raise self._error(what, "the FMU asks for event mode, which is not supported.")
         self.judge(status, what)
+
+    def _wants_end(self) -> bool:
+        """Whether an FMU that discarded a step asks to end the simulation."""
+        if self.interface.fmi == 3:
+            return False  # told by a flag of the step
+        ends = ctypes.c_int(0)
+        self.library.call("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ends))()
+        return bool(ends.value)
 
     def _reached_s(self) -> float:
         if self.interface.fmi == 3:

@@ -52,7 +52,7 @@ class Mixed(Fmi2Slave):
 
 @pytest.fixture(scope="module")
 def mixed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A pythonfmu slave; it gives up its fifth step."""
+    """A pythonfmu slave; it asks to end the simulation in its fifth step."""
     from pythonfmu.builder import FmuBuilder
 
     folder = tmp_path_factory.mktemp("mixed")
@@ -96,12 +96,13 @@ def test_scalars_of_all_types(mixed: Path) -> None:
     assert run["b.y"].tolist() == [0, 0, 0.5, 1.0, 1.5]
 
 
-def test_a_step_given_up(mixed: Path) -> None:
+def test_a_step_that_ends_the_simulation(mixed: Path) -> None:
     with Master(System({"a": mixed})) as master:
         master.initialize()
         with pytest.raises(
             FmuError,
-            match=r"a \(Mixed\.fmu\): step at 0\.4 s: the FMU gave up at .* s instead of 0\.5 s: .*"
+            match=r"a \(Mixed\.fmu\): step at 0\.4 s: the FMU asked to end the simulation at .* s "
+            r"instead of 0\.5 s: .*"
             r"Choose a shorter step or an earlier stop time",
         ):
             master.run(1.0, 0.1)
