@@ -12,7 +12,6 @@ Computer Physics Communications 181 (2010) 259-270 for the design that Sobol' in
 """
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import product
@@ -25,13 +24,17 @@ from scipy.stats import qmc
 
 from twin.component import unknown_name
 from twin.errors import TwinError
+from twin.vehicle.file.read import toml_tree
 
 from .distributions import Distribution, Value, distribution_of
 
 Array = NDArray[np.float64]
 METHODS = ("latin_hypercube", "sobol", "random", "grid", "saltelli")
 """How points are chosen."""
-MOST_RUNS = 10_000_000
+MOST_RUNS = 1_000_000
+MOST_VALUES = 10_000_000
+"""Runs times factors: some 0.5 GB."""
+_MOST_BYTES = 1 << 20
 DEFAULT_RUNS = 100
 _KEYS = ("method", "runs", "seed", "vary")
 
@@ -69,9 +72,22 @@ class Design:
         runs = DEFAULT_RUNS if self.runs is None else self.runs
         if not self.vary:
             return [{} for _ in range(runs)]
+        self._check_values(runs)
         shares = self._shares(runs, len(self.vary))
         columns = [d.at(shares[:, i]) for i, d in enumerate(self.vary.values())]
         return [dict(zip(self.vary, row, strict=True)) for row in zip(*columns, strict=True)]
+
+    def _check_values(self, runs: int) -> None:
+        """Refuse what would not fit in memory.
+
+        Raises:
+            TwinError: It would not.
+        """
+        if runs * len(self.vary) > MOST_VALUES:
+            raise TwinError(
+                f"sweep: {runs} runs of {len(self.vary)} factors; at most {MOST_VALUES} values are "
+                f"held in memory. Take fewer runs, or several sweeps with other seeds."
+            )
 
     def _shares(self, runs: int, width: int) -> Array:
         """Shares of probability, shape (runs, width)."""
@@ -87,7 +103,7 @@ class Design:
                     f"sobol with {runs} runs: its points are balanced for powers of 2. Take {low} "
                     f"or {2 * low} runs, or latin_hypercube."
                 )
-            return np.asarray(qmc.Sobol(width, rng=rng).random(runs))
+            return _sobol(width, rng, runs)
         return self._saltelli(runs, width, rng)
 
     def _saltelli(self, runs: int, width: int, rng: np.random.Generator) -> Array:
@@ -99,7 +115,7 @@ class Design:
                 f"saltelli with {runs} runs of {width} factors: needs ({width} + 2) times a power "
                 f"of 2. Take {(width + 2) * near} runs."
             )
-        both = np.asarray(qmc.Sobol(2 * width, rng=rng).random(n))
+        both = _sobol(2 * width, rng, n)
         a, b = both[:, :width], both[:, width:]
         mixed = [np.where(np.arange(width) == i, b, a) for i in range(width)]
         return np.vstack([a, b, *mixed])
@@ -120,8 +136,19 @@ class Design:
                 f"grid: {count} combinations, --runs says {self.runs}. Leave it out, or choose "
                 f"another method."
             )
+        self._check_values(count)
         combinations = product(*(d.levels for d in self.vary.values()))
         return [dict(zip(self.vary, row, strict=True)) for row in combinations]
+
+
+def _sobol(width: int, rng: np.random.Generator, count: int) -> Array:
+    """Scrambled Sobol' points, shape (count, width)."""
+    if width > qmc.Sobol.MAXDIM:
+        raise TwinError(
+            f"sweep: {width} dimensions of Sobol' points, at most {qmc.Sobol.MAXDIM} are known. "
+            f"Take latin_hypercube."
+        )
+    return np.asarray(qmc.Sobol(width, rng=rng).random(count))
 
 
 def read_design(path: Path) -> Design:
@@ -131,9 +158,13 @@ def read_design(path: Path) -> Design:
         TwinError: Not readable, or wrong; the text names file, key and value.
     """
     try:
-        content = tomllib.loads(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        with path.open("rb") as file:
+            text = file.read(_MOST_BYTES + 1).decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
         raise TwinError(f"{path}: no design: {error}") from error
+    if len(text) > _MOST_BYTES:
+        raise TwinError(f"{path.name}: a design has at most {_MOST_BYTES} bytes.")
+    content = toml_tree(text, path.name)
     for key in content:
         if key not in _KEYS:
             raise TwinError(unknown_name(path.name, "key", key, _KEYS))

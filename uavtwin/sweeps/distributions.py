@@ -31,6 +31,9 @@ class Distribution(Protocol):
         """Values at shares of probability, shape (n,), each within 0..1."""
 
 
+_LARGEST, _SHOWN = 1e100, 60
+
+
 @dataclass(frozen=True, slots=True)
 class Uniform:
     """Between two numbers, all alike; or their logarithms.
@@ -126,8 +129,8 @@ def distribution_of(name: str, given: Any, file: str) -> Distribution:
         raise TwinError(f"{where}: an empty list. Write {_FORMS}.")
     for value in values:
         wrong = not isinstance(value, bool | int | float | str)
-        if wrong or (isinstance(value, int | float) and not math.isfinite(value)):
-            raise TwinError(f"{where}: {value!r} is no value. Write {_FORMS}.")
+        if wrong or (isinstance(value, int | float) and not _is_finite(value)):
+            raise TwinError(f"{where}: {_said(value)} is no value. Write {_FORMS}.")
     alike = tuple(float(v) if type(v) is int else v for v in values)
     if len({type(v) for v in alike}) > 1:
         raise TwinError(f"{where}: {list(values)} are of several kinds: mix none.")
@@ -168,6 +171,17 @@ def _number(where: str, key: str, value: Any) -> float:
     Raises:
         TwinError: It is none.
     """
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise TwinError(f"{where}: {key} = {value!r}: needs a finite number.")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not _is_finite(value):
+        raise TwinError(f"{where}: {key} = {_said(value)}: needs a finite number below 1e100.")
     return float(value)
+
+
+def _is_finite(value: float) -> bool:
+    """Whether a number, however long it is written, leaves sums finite."""
+    return -_LARGEST < value < _LARGEST
+
+
+def _said(value: Any) -> str:
+    """A value for a message, cut short."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

@@ -15,7 +15,7 @@ from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read, recorded
-from .layout import Layout
+from .layout import AXIS_FAULTS, Layout, draw_axis_fault
 
 _TYPES = {
     **{"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2", "c": "<i2", "C": "<u2"},
@@ -28,6 +28,7 @@ SENSED = {
     "XKF1": ("VN", "VE", "VD", "PN", "PE", "PD"),
 }
 """Signals of the table that always move a little."""
+AXES = {"IMU": SENSED["IMU"], "XKF1": ("VN", "VE", "VD")}
 STEADY = (*SENSED, "RCOU", "BAT", "BARO", "MAG")
 _FMT = 0x80
 _FMT_SIZE = 89
@@ -88,6 +89,7 @@ class DataFlash:
     file = "input.bin"
     visible = frozenset(
         {"stamp_add", "stamp_times", "gap", "freeze", "absurd", "back", "cut", "redefine", "unit"}
+        | {*AXIS_FAULTS}
     )
 
     def bases(self) -> dict[str, bytes]:
@@ -107,7 +109,9 @@ class DataFlash:
         if rng.random() < 0.35 or len(steady) < 2:  # one alone contradicts nothing
             return _within_messages(draw_bytes(rng, blob), blob)
         names = ["stamp_add", "stamp_times", "gap", "absurd", "back", "redefine", "unit"]
-        name = rng.choice([*names, "any_field", "length", *(["freeze"] if moving else [])])
+        name = rng.choice(
+            [*names, "any_field", "length", *(["freeze", *AXIS_FAULTS] if moving else [])]
+        )
         given: dict[str, Any] = {"topic": rng.choice(steady)}
         match name:
             case "stamp_add":
@@ -117,6 +121,10 @@ class DataFlash:
                 given["by"] = rng.choice((1000, 10, 3))
             case "gap":
                 given |= {"at": rng.uniform(0.4, 0.6), "lasting_s": rng.choice((0.4, 1.0, 5.0))}
+            case "axis_sign" | "axis_scale" | "axis_freeze":
+                topic = rng.choice([t for t in AXES if t in topics])
+                given = {"topic": topic, "field": rng.choice(AXES[topic])}
+                given |= draw_axis_fault(rng, name)
             case "freeze":
                 given = {"topic": rng.choice(moving), "from": rng.uniform(0.2, 0.4)}
             case "absurd":
@@ -161,6 +169,10 @@ class DataFlash:
                 return _redefined(blob, place, given)
             case "unit":
                 return _with_unit(blob, place, given["with"])
+            case "axis_sign" | "axis_scale" | "axis_freeze":
+                if given["field"] not in place.fields:
+                    return blob
+                return place.with_axis_fault(blob, name, given)
             case "freeze":
                 return _frozen(blob, place, given["from"])
             case "any_field" | "absurd":

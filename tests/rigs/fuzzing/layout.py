@@ -1,5 +1,6 @@
 """Where numbers stand in a binary log, to read and to change them there."""
 
+import random
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,3 +36,36 @@ class Layout:
             new = np.ascontiguousarray(values.astype(kind)).view(np.uint8)
         raw[place] = new.reshape(len(self.at), -1)
         return raw.tobytes()
+
+    def with_axis_fault(self, blob: bytes, name: str, given: dict[str, Any]) -> bytes:
+        """The log with one axis negated, scaled or frozen."""
+        values = self.get(blob, given["field"])
+        values = axis_fault(values.astype(np.float64), name, given)
+        return self.put(blob, given["field"], values)
+
+
+AXIS_FAULTS = ("axis_sign", "axis_scale", "axis_freeze")
+
+
+def draw_axis_fault(rng: random.Random, name: str) -> dict[str, Any]:
+    """Arguments of a fault of one axis, besides which axis it is."""
+    match name:
+        case "axis_scale":
+            return {"by": rng.choice((0.3, 3.0))}
+        case "axis_freeze":
+            return {"from": rng.uniform(0.0, 0.3)}
+        case _:
+            return {}
+
+
+def axis_fault(values: NDArray[np.float64], name: str, given: dict[str, Any]) -> Any:
+    """One axis of a sensor negated, scaled, or frozen to the end."""
+    match name:
+        case "axis_sign":
+            return -values
+        case "axis_scale":
+            return given["by"] * values
+        case _:
+            out, first = values.copy(), int(given["from"] * len(values))
+            out[first:] = out[first] if len(out) else 0.0
+            return out

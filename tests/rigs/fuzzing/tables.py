@@ -19,6 +19,7 @@ from twin.logs import read_flight
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read
+from .layout import AXIS_FAULTS, axis_fault, draw_axis_fault
 
 _NOTES = ("[" * 50_000, '{"findings": [{"count": null}]}', '{"site": 3}', "{", '{"facts": []}')
 _NAMES = ("cmd_" + "9" * 5000, "acc_X", "", "time", "\x00", "x" * 100_000, "phase", "cmd_13")
@@ -55,6 +56,7 @@ class Tables:
     load: Callable[[io.BytesIO], pd.DataFrame]
     visible: frozenset[str] = frozenset(
         {"scale", "gap", "ends", "freeze", "absurd", "sign", "shuffle", "time_times"}
+        | {*AXIS_FAULTS}
     )
 
     def bases(self) -> dict[str, bytes]:
@@ -74,7 +76,17 @@ class Tables:
             stems = []
         names = ["cell", "rows", "wide", "name", "text", "note"]
         names += (
-            ["scale", "gap", "ends", "freeze", "absurd", "sign", "shuffle", "time_times"]
+            [
+                "scale",
+                "gap",
+                "ends",
+                "freeze",
+                "absurd",
+                "sign",
+                "shuffle",
+                "time_times",
+                *AXIS_FAULTS,
+            ]
             if stems
             else []
         )
@@ -119,6 +131,9 @@ class Tables:
                 given = {"column": column, "to": repr(rng.choice((1e38, 1e308, 1e10)))}
             case "sign":
                 given = {"column": rng.choice(("acc_z", "vel_x", "vel_z", "pos_y", "pos_z"))}
+            case "axis_sign" | "axis_scale" | "axis_freeze":
+                axes = [c for c in columns if c[:-1] in ("acc_", "gyro_", "vel_")]
+                given = {"column": rng.choice(axes)} | draw_axis_fault(rng, name)
             case "shuffle":
                 given = {"stem": rng.choice(("q", "vel", "gyro")), "seed": rng.getrandbits(32)}
             case "time_times":
@@ -185,6 +200,9 @@ def _changed(frame: pd.DataFrame, name: str, given: dict[str, Any]) -> pd.DataFr
             frame.loc[n // 3 :, given["column"]] = float(given["to"])
         case "sign":
             frame[given["column"]] *= -1.0
+        case "axis_sign" | "axis_scale" | "axis_freeze":
+            values = frame[given["column"]].to_numpy(dtype=np.float64)
+            frame[given["column"]] = axis_fault(values, name, given)
         case "shuffle":
             order = np.random.default_rng(given["seed"]).permutation(n)
             frame[stem] = frame[stem].to_numpy()[order]

@@ -13,7 +13,7 @@ from sample_logs import SAMPLES, moving_topics, ulog, ulog_message
 
 from .engine import Seen, Step
 from .flights import ABSURD, apply_bytes, draw_bytes, read, recorded
-from .layout import Layout
+from .layout import AXIS_FAULTS, Layout, draw_axis_fault
 
 _TYPES = {
     **{f"{u}int{n}_t": f"<{u[:1] or 'i'}{n // 8}" for u in ("", "u") for n in (8, 16, 32, 64)},
@@ -35,6 +35,12 @@ SENSED = {
     "vehicle_local_position": ("x", "y", "z", "vx", "vy", "vz"),
 }
 """Signals of the table that always move a little."""
+AXES = {
+    "sensor_combined": tuple(
+        f"{s}[{k}]" for s in ("gyro_rad", "accelerometer_m_s2") for k in range(3)
+    ),
+    "vehicle_local_position": ("vx", "vy", "vz"),
+}
 INPUTS = {
     **SENSED,
     "actuator_controls_0": ("control[0]", "control[3]"),
@@ -85,7 +91,7 @@ class ULogs:
     file = "input.ulg"
     visible = frozenset(
         {"stamp_add", "stamp_times", "sample_time", "window", "gap", "ends", "freeze", "absurd"}
-        | {"back"}
+        | {"back", *AXIS_FAULTS}
     )
 
     def bases(self) -> dict[str, bytes]:
@@ -112,7 +118,9 @@ class ULogs:
             "absurd",
             "back",
         ]
-        name = rng.choice([*names, "any_field", "nest", *(["freeze"] if moving else [])])
+        name = rng.choice(
+            [*names, "any_field", "nest", *(["freeze", *AXIS_FAULTS] if moving else [])]
+        )
         if name == "nest":
             return name, {"depth": rng.choice((2, 20, 50)), "width": rng.choice((1, 2, 300))}
         topic = rng.choice([t for t in STEADY if t in topics] or sorted(topics))
@@ -151,6 +159,12 @@ class ULogs:
                 given |= {"at": rng.uniform(0.2, 0.9)}
             case "freeze":
                 given = {"topic": rng.choice(moving), "from": rng.uniform(0.2, 0.4)}
+            case "axis_sign" | "axis_scale" | "axis_freeze":
+                topic = rng.choice([t for t in AXES if t in topics] or moving)
+                fields = [f for f in AXES.get(topic, ()) if f in topics[topic].fields]
+                if not fields:
+                    return draw_bytes(rng, blob)
+                given = {"topic": topic, "field": rng.choice(fields)} | draw_axis_fault(rng, name)
             case "absurd":
                 used = [t for t in INPUTS if t in topics and {*INPUTS[t]} & {*topics[t].fields}]
                 if not used:
@@ -201,6 +215,8 @@ class ULogs:
                 return _without(blob, place.at[inside])
             case "ends":
                 return _without(blob, place.at[int(given["at"] * n) :])
+            case "axis_sign" | "axis_scale" | "axis_freeze":
+                return place.with_axis_fault(blob, name, given)
             case "sample_time":
                 return place.put(blob, "timestamp_sample", np.full(n, given["to"], np.uint64))
             case "freeze":

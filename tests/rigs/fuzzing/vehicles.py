@@ -1,10 +1,17 @@
-"""Vehicle files: numbers, keys, tables and lines of the TOML changed."""
+"""Vehicle files and designs of sweeps: numbers, keys, tables and lines of the TOML changed."""
 
 import random
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import resources
+from itertools import islice
 from pathlib import Path
 from typing import Any
+
+from uavtwin.simulation import Scenario
+from uavtwin.sweeps.design import read_design
+from uavtwin.sweeps.factors import scenario_of
 
 from .checked import read_checked
 from .engine import Seen, Step
@@ -26,17 +33,57 @@ _NAMES = ("mass", "x", "value", "source", "unit", "a.b", "body.mass", '""', "é"
 _BYTES = ("flip", "cut", "repeat", "remove")
 
 
-class Vehicles:
-    """The kind."""
+_DESIGNS = {
+    "hypercube": b"""method = "latin_hypercube"
+runs = 64
+seed = 3
+[vary]
+"airframe.mass" = { low = 1.2, high = 1.6 }
+"wind.speed" = { mean = 4.0, sd = 2.0, low = 0.0, high = 12.0 }
+"wind.direction" = { low = 0.0, high = 360.0 }
+gusts = [true, false]
+controller = ["lqr", "px4"]
+""",
+    "grid": b"""method = "grid"
+[vary]
+"effects.rotor_drag.scale" = { low = 0.5, high = 2.0, steps = 5, scale = "log" }
+"airframe.mass" = [1.2, 1.4, 1.6]
+""",
+    "saltelli": b"""method = "saltelli"
+runs = 64
+[vary.airframe]
+mass = { low = 1.2, high = 1.6 }
+[vary.wind]
+speed = { mean = 4.0, sd = 2.0 }
+""",
+}
 
-    file = "input.toml"
+
+def _built_in() -> dict[str, bytes]:
+    folder = resources.files("twin.vehicle.built_in")
+    files = (f for f in folder.iterdir() if f.name.endswith(".toml"))
+    return {f.name.removesuffix(".toml"): f.read_bytes() for f in files}
+
+
+def _read_design(path: Path) -> Seen:
+    """As `uavtwin sweep` up to the first system that is built."""
+    design = read_design(path)
+    points = design.points()
+    scenarios = [
+        scenario_of(Scenario("tour"), point, design.seed + run)
+        for run, point in enumerate(islice(points, 64))
+    ]
+    return Seen(repr((len(points), scenarios)), frozenset())
+
+
+@dataclass(frozen=True)
+class Toml:
+    """A kind of TOML file."""
+
+    file: str
+    bases: Callable[[], dict[str, bytes]]
+    read: Callable[[Path], Seen]
     visible: frozenset[str] = frozenset()
-
-    def bases(self) -> dict[str, bytes]:
-        """The built-in ones."""
-        folder = resources.files("twin.vehicle.built_in")
-        files = (f for f in folder.iterdir() if f.name.endswith(".toml"))
-        return {f.name.removesuffix(".toml"): f.read_bytes() for f in files}
 
     def draw(self, rng: random.Random, blob: bytes) -> Step:
         """Most of them know the format."""
@@ -72,10 +119,6 @@ class Vehicles:
         return _changed(blob.decode("utf-8", "surrogateescape"), name, given).encode(
             "utf-8", "surrogateescape"
         )
-
-    def read(self, path: Path) -> Seen:
-        """As `uavtwin check`."""
-        return read_checked(path)
 
 
 def _changed(text: str, name: str, given: dict[str, Any]) -> str:
@@ -124,4 +167,5 @@ def _put(text: str, what: re.Pattern[str], at: int, new: Any) -> str:
     return text[: one.start()] + (new if isinstance(new, str) else new(one[0])) + text[one.end() :]
 
 
-KIND = Vehicles()
+VEHICLES = Toml("input.toml", _built_in, read_checked)
+DESIGNS = Toml("design.toml", lambda: _DESIGNS, _read_design)

@@ -20,6 +20,9 @@ _MOST_KEYS = 500
 QUEUE = 64
 """Messages that wait for one viewer, about three seconds."""
 MOST_VIEWERS = 32
+SILENT_S = 60.0
+"""The page asks for the time every 2 s, in the background once a minute: where there are too many
+viewers, one that has asked for nothing for longer gives its place to a new one."""
 
 
 class Viewer:
@@ -27,12 +30,22 @@ class Viewer:
 
     Attributes:
         dropped: Messages that it lost, because it did not keep up.
+        heard_s: When it asked for anything last, on the clock of the hub.
+        ended: Whether it has to go.
     """
 
-    def __init__(self, wake: Callable[[], object], history: list[bytes]) -> None:
+    def __init__(
+        self, wake: Callable[[], object], history: list[bytes], now_s: float = 0.0
+    ) -> None:
         self._wake, self._history = wake, history
         self._queue: deque[bytes] = deque()
-        self.dropped = 0
+        self.dropped, self.heard_s, self.ended = 0, now_s, False
+
+    def end(self) -> None:
+        """Make it go; from any thread."""
+        self.ended = True
+        with contextlib.suppress(RuntimeError):
+            self._wake()
 
     def put(self, message: bytes) -> None:
         """A message for it; from any thread."""
@@ -99,10 +112,15 @@ class Hub:
             wake: Called from any thread when something waits for it.
         """
         with self._lock:
+            now = self._clock()
             if len(self._viewers) >= MOST_VIEWERS:
-                return None
+                quietest = min(self._viewers, key=lambda v: v.heard_s)
+                if now - quietest.heard_s <= SILENT_S:
+                    return None
+                self._viewers.remove(quietest)
+                quietest.end()
             history = [*self._newest.values(), *(m for _, m in self._past)]
-            viewer = Viewer(wake, history)
+            viewer = Viewer(wake, history, now)
             self._viewers.append(viewer)
             return viewer
 

@@ -16,6 +16,7 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from twin.errors import TwinError
 
@@ -30,6 +31,11 @@ _START_S = 20.0
 _GRACE_S = 2
 _TOO_MANY = 1013
 """WebSocket: try again later."""
+_MOST_IDLE = 64
+"""Connections that may be open without a request; of more, the oldest is closed."""
+_REQUEST_S, _ANSWER_S = 5.0, 60.0
+"""Time for a request to be complete, and for its answer to be taken."""
+_BACKLOG = 128
 
 
 class _Question(msgspec.Struct):
@@ -57,6 +63,63 @@ class _Guarded:
             await PlainTextResponse(why, 403)(scope, receive, send)
 
 
+class _Connection(H11Protocol):
+    """A connection until it is a WebSocket, with a time limit.
+
+    Without one, who opens connections and says nothing keeps viewers out.
+    """
+
+    _limit: asyncio.TimerHandle | None = None
+    _waits_since: float | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """As asyncio has it."""
+        super().connection_made(transport)
+        self._wait()
+        idle = [
+            (c._waits_since, c)
+            for c in self.connections
+            if isinstance(c, _Connection) and c._waits_since is not None
+        ]
+        if len(idle) > _MOST_IDLE:
+            min(idle, key=lambda since: since[0])[1]._abort()
+
+    def data_received(self, data: bytes) -> None:
+        """As asyncio has it."""
+        super().data_received(data)
+        if self not in self.connections:  # it is a WebSocket now, or closed
+            self._end()
+        elif self._waits_since is not None and self.cycle and not self.cycle.response_complete:
+            self._end()
+            self._limit = self.loop.call_later(_ANSWER_S, self._abort)
+
+    def on_response_complete(self) -> None:
+        """As uvicorn has it."""
+        super().on_response_complete()
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """As asyncio has it."""
+        self._end()
+        super().connection_lost(exc)
+
+    def _wait(self) -> None:
+        """A request is due."""
+        self._end()
+        self._waits_since = self.loop.time()
+        self._limit = self.loop.call_later(_REQUEST_S, self._abort)
+
+    def _end(self) -> None:
+        self._waits_since = None
+        if self._limit is not None:
+            self._limit.cancel()
+            self._limit = None
+
+    def _abort(self) -> None:
+        self._end()
+        self.transport.abort()
+
+
 class PageServer:
     """Serves the page of a live flight until it is closed."""
 
@@ -79,7 +142,7 @@ class PageServer:
         config = uvicorn.Config(
             _Guarded(Starlette(routes=routes), Doors(where.host, token)),
             loop="asyncio",
-            http="h11",
+            http=_Connection,
             ws="websockets-sansio",
             ws_max_size=_LONGEST,
             ws_max_queue=4,
@@ -89,7 +152,6 @@ class PageServer:
             access_log=False,
             server_header=False,
             proxy_headers=False,
-            limit_concurrency=100,
             timeout_graceful_shutdown=_GRACE_S,
         )
         self._server = uvicorn.Server(config)
@@ -129,7 +191,8 @@ class PageServer:
         await websocket.accept()
         viewer = self._hub.join(lambda: loop.call_soon_threadsafe(bell.set))
         if viewer is None:
-            await websocket.close(_TOO_MANY)
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+                await websocket.close(_TOO_MANY)
             return
         sender = asyncio.create_task(_send(websocket, viewer, bell))
         hearer = asyncio.create_task(_hear(websocket, viewer))
@@ -147,7 +210,7 @@ class PageServer:
 async def _send(websocket: WebSocket, viewer: Viewer, bell: asyncio.Event) -> None:
     """All that waits, whenever something does; as fast as the viewer takes it."""
     told = 0
-    while True:
+    while not viewer.ended:
         bell.clear()
         if waiting := viewer.take():
             await websocket.send_text(waiting.decode())
@@ -163,6 +226,7 @@ async def _hear(websocket: WebSocket, viewer: Viewer) -> None:
     with contextlib.suppress(WebSocketDisconnect, msgspec.MsgspecError, KeyError):
         while True:
             question = msgspec.json.decode(await websocket.receive_text(), type=_Question)
+            viewer.heard_s = time.monotonic()
             now_ms = 1e3 * time.time()
             answer = {"kind": "pong", "ping": question.ping, "at": now_ms}
             viewer.put(msgspec.json.encode(answer))
@@ -174,7 +238,7 @@ def _listening(where: Address) -> socket.socket:
     try:
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind(where.pair)
-        opened.listen(32)
+        opened.listen(_BACKLOG)
     except OSError as error:
         opened.close()
         raise TwinError(

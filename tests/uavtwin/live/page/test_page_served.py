@@ -19,7 +19,7 @@ from uavtwin.live.address import Address
 from uavtwin.live.page.band import LEARNT_S, ExpectedBands
 from uavtwin.live.page.document import document
 from uavtwin.live.page.doors import page_address
-from uavtwin.live.page.hub import MOST_VIEWERS, QUEUE, Hub
+from uavtwin.live.page.hub import MOST_VIEWERS, QUEUE, SILENT_S, Hub
 from uavtwin.live.page.server import PageServer
 
 TOKEN = "correct horse"
@@ -255,3 +255,81 @@ def test_the_expected_band_is_that_of_the_first_seconds() -> None:
         bands.add([channel(t_s, 3 + sd * rng.standard_normal(100))])
     low, high = bands.bands["acc_x", 0.0]
     assert low == pytest.approx(3 - 1.96, abs=0.15) and high == pytest.approx(3 + 1.96, abs=0.15)
+
+
+def opened(server: PageServer, sends: bytes = b"") -> socket.socket:
+    """A connection that says something, or nothing, and waits."""
+    one = socket.socket()
+    one.settimeout(20)
+    one.connect(server.where.pair)
+    one.sendall(sends)
+    return one
+
+
+@pytest.mark.parametrize(
+    "sends",
+    [b"", b"G", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX: "],
+    ids=["silent", "byte", "head"],
+)
+def test_idle_connections_keep_nobody_out(sends: bytes) -> None:
+    """300 connections that complete no request; the page, and a viewer of it, are there at once."""
+    with served() as (_, server):
+        idle = [opened(server, sends) for _ in range(300)]
+        try:
+            began = time.monotonic()
+            assert get(server)[0] == 200
+            with looked(server):
+                pass
+            assert time.monotonic() - began < 10.0
+        finally:
+            for one in idle:
+                one.close()
+
+
+@pytest.mark.slow
+def test_a_connection_without_a_request_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So is one whose answer nobody takes, and one that begins a second request; a viewer stays."""
+    monkeypatch.setattr("uavtwin.live.page.server._REQUEST_S", 0.3)
+    monkeypatch.setattr("uavtwin.live.page.server._ANSWER_S", 0.6)
+    whole = b"GET /elsewhere HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with served() as (hub, server), looked(server) as viewer:
+        for sends in (b"", b"G", whole + b"GET "):
+            one = opened(server, sends)
+            began = time.monotonic()
+            while _left(one):
+                pass
+            assert time.monotonic() - began < 10.0
+            one.close()
+        taken = opened(server, b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        time.sleep(2.0)
+        assert _left_bytes(taken) < 5e6
+        taken.close()
+        hub.tell("said", {"n": 1})
+        assert messages(viewer, 1)[0]["n"] == 1
+
+
+def _left(one: socket.socket) -> bytes:
+    try:
+        return one.recv(65536)
+    except ConnectionResetError:
+        return b""
+
+
+def _left_bytes(one: socket.socket) -> int:
+    """Bytes until the connection ends; it must end."""
+    count = 0
+    while got := _left(one):
+        count += len(got)
+    return count
+
+
+def test_a_silent_viewer_gives_its_place_to_a_new_one() -> None:
+    now = [0.0]
+    hub = Hub(clock=lambda: now[0])
+    viewers = [hub.join(lambda: None) for _ in range(MOST_VIEWERS)]
+    now[0] = SILENT_S + 1.0
+    for viewer in viewers[1:]:
+        assert viewer is not None
+        viewer.heard_s = now[0]
+    assert hub.join(lambda: None) is not None and viewers[0] is not None and viewers[0].ended
+    assert hub.join(lambda: None) is None and hub.viewers == MOST_VIEWERS
