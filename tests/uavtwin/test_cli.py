@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -13,7 +14,9 @@ import pandas as pd
 import pytest
 from cli_rig import run
 
-from twin.logs import write_flight
+from twin.logs import read_flight, write_flight
+from twin.logs.airframe import Airframe
+from twin.vehicle import layouts
 from twin.vehicle.file import load_vehicle, vehicle_text
 from uavtwin.demo.flights import fly
 
@@ -242,6 +245,30 @@ def test_bad_flights_get_one_clear_error(
         assert said.startswith("error: "), (name, said)
         assert word in said, (name, said)
         assert not (tmp_path / "o").exists(), name
+
+
+@pytest.mark.slow
+def test_rotors_that_contradict_the_log_are_refused_before_any_search(
+    capsys: pytest.CaptureFixture[str], table: Path, tmp_path: Path
+) -> None:
+    log, mine = tmp_path / "stated.parquet", tmp_path / "mine.toml"
+    stated = Airframe(layout=layouts.frame("x", "SYS_AUTOSTART 4001 of the log"))
+    write_flight(replace(read_flight(table), airframe=stated), log)
+    text, right = vehicle_text(VEHICLE)[0], '["ccw", "ccw", "cw", "cw"]'
+    assert right in text
+    mine.write_text(text.replace(right, '["cw", "cw", "ccw", "ccw"]'))
+    out = tmp_path / "o"
+    for verb in (("gap",), ("explain", "--no-fmus"), ("calibrate",), ("train",)):
+        code, _, said = run(capsys, *verb, log, "--vehicle", mine, "--out", out)
+        assert code == 2, verb
+        assert said.startswith("error: stated.parquet: the vehicle file contradicts"), (verb, said)
+        assert "rotors.direction of mine.toml says cw for rotor 1" in said
+        assert "SYS_AUTOSTART 4001 of the log" in said
+        assert not out.exists(), verb
+    code, _, said = run(capsys, "gap", log, "--vehicle", mine, "--out", out, "--trust-vehicle")
+    assert code == 0, said
+    code, _, said = run(capsys, "gap", log, "--vehicle", VEHICLE, "--out", out, "--force")
+    assert code == 0, said
 
 
 @pytest.mark.slow

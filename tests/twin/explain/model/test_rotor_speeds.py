@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rig import fitted
 from search_rigs.hypotheses import against, fit_set
 from search_rigs.library import library
 
@@ -106,6 +107,24 @@ def test_a_lag_is_told_from_commands_alone(kind: str, lagging: Flight) -> None:
         assert fitted.values["motor_lag.tau_s"] == pytest.approx(0.05, rel=0.15)
     else:  # measured speeds have the lag in them already: there is nothing to explain
         assert fit_set(problem, ["rotor_drag"]).gain < 10
+
+
+@pytest.mark.slow
+def test_late_stamps_of_the_speeds_are_estimated(dragged: Flight) -> None:
+    """20 ms, which a motor may have, so that no reader takes them off; against the same flight as
+    it is."""
+    flight, name = without(dragged, COMMANDS), "clock_offset.rotor_s"
+    table = flight.table.copy()
+    for column in SPEEDS:
+        known = table[column].notna()
+        t_s = table.loc[known, "time"]
+        table.loc[known, column] = np.interp(t_s - 0.02, t_s, table.loc[known, column])
+    before, after = (
+        fitted(model_of([f], VEHICLE, [EFFECTS["clock_offset"]]), [name])[name]
+        for f in (flight, replace(flight, table=table))
+    )
+    assert before == pytest.approx(0.0, abs=0.006)
+    assert after - before == pytest.approx(0.02, abs=0.004)
 
 
 @pytest.mark.slow
