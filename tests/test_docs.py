@@ -137,7 +137,7 @@ def test_every_key_of_check_and_draft_is_documented() -> None:
     documented = _json_keys("vehicle draft --json") | _json_keys("check --json")
     told = hover_of(flight)
     assert told is not None
-    hover = hover_json(told)
+    hover = hover_json(told, None)
     for keys in (
         drafted,
         drafted["hover"],

@@ -9,22 +9,24 @@ from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.calibration import calibrate as fitted
-from twin.explain.estimates import UNTOLD
-from twin.explain.explanation import UNKNOWN_SITE, sited, usable_of
+from twin.explain.estimates import UNTOLD, Estimate
+from twin.explain.explanation import UNKNOWN_SITE, hovers_of, sited, usable_of
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.logs import Flight
+from twin.residuals.hover import HoverDiagnosis
 from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
 from .explanation import check_payloads
 from .flights import checked_flights
-from .report.figures import pretty_unit
-from .report.gap import number
-from .report.spoken import joined, said
-from .report.words import TOLD_BY_PRIOR, interval
+from .report.figures import number
+from .report.headline import Headline, calibrated_headline
+from .report.hover import hover_sentence
+from .report.spoken import joined, readable
+from .report.words import TOLD_BY_PRIOR, number_cells, title
 from .shown import Shown, TextTable, counted
 
 if TYPE_CHECKING:
@@ -75,11 +77,13 @@ class CalibrateResult(Shown):
         details: Everything that was fitted.
         draft: The vehicle as it stood.
         warnings: What to keep in mind, the worst first.
+        hovers: Diagnosis of the draft in the hover of each flight that hovers.
     """
 
     details: Calibrated = field(repr=False)
     draft: vehicles.Vehicle
     warnings: tuple[str, ...] = ()
+    hovers: tuple[HoverDiagnosis, ...] = ()
 
     @property
     def flights(self) -> tuple[str, ...]:
@@ -97,35 +101,24 @@ class CalibrateResult(Shown):
         """Numbers that these flights do not tell, "effect.number"."""
         return self.details.untold
 
-    @property
-    def sentence(self) -> str:
-        """How many numbers these flights tell, and the largest in words."""
+    @cached_property
+    def headline(self) -> Headline:
+        """How many numbers these flights determine, and the effects that take most."""
         told = [n for n in self._numbers() if n.full not in self.untold]
-        words = self._words()
         lead = (
             f"{counted(self.flights, 'flight')} of {self.draft.name} "
-            f"{'tells' if len(self.flights) == 1 else 'tell'} {len(told)} of its numbers"
+            f"{'determines' if len(self.flights) == 1 else 'determine'} {len(told)} of its numbers"
         )
-        return f"{lead}: {'; '.join(words[:3])}." if words else f"{lead}."
-
-    def _words(self) -> list[str]:
-        """A clause for each effect of the aircraft that stands out, the most important first."""
-        told: dict[str, dict[str, float]] = {}
-        for n in self._numbers():
-            change = self._values[n.full] - (n.about.neutral or 0.0)
-            clear = abs(change) > max(self._half(n), n.about.smallest)
-            if clear and n.full not in self.untold and EFFECTS[n.effect].of_vehicle:
-                told.setdefault(n.effect, {})[n.name] = change
-        return [said(e, change, since=False) for e, change in told.items()]
+        return calibrated_headline(self.details, lead)
 
     @property
-    def _values(self) -> Mapping[str, float]:
-        fit = self.details.fit
-        return fit.values  # noqa: PD011 (no pandas)
+    def sentence(self) -> str:
+        """The headline in words."""
+        return self.headline.text
 
-    def _half(self, n: Number) -> float:
-        place = self.details.fit.numbers.index(n)
-        return float(self.details.fit.half_widths[place])
+    @property
+    def _estimates(self) -> Mapping[str, Estimate]:
+        return self.details.estimates
 
     def _numbers(self) -> list[Number]:
         """Numbers in the order of what matters: the aircraft, its sensors, its records; of each
@@ -134,7 +127,7 @@ class CalibrateResult(Shown):
         own = [n for n in fit.numbers if not n.shape]
 
         def size(n: Number) -> float:
-            return abs(self._values[n.full] - (n.about.neutral or 0.0)) / n.about.smallest
+            return abs(self._estimates[n.full].change) / n.about.smallest
 
         most = {n.effect: max(size(m) for m in own if m.effect == n.effect) for n in own}
         untold = {e: all(m.full in self.untold for m in own if m.effect == e) for e in most}
@@ -152,13 +145,11 @@ class CalibrateResult(Shown):
         """The numbers of this aircraft, in words; what flights do not tell says so."""
         rows = []
         for n in self._numbers():
-            value, half = self._values[n.full], self._half(n)
+            estimate = self._estimates[n.full]
             rows.append(
                 (
                     n.full,
-                    number(value),
-                    pretty_unit(n.about.unit) if n.about.unit != "1" else "",
-                    interval((value - half, value + half)),
+                    *number_cells(estimate.value, n.about.unit, estimate.ci95),
                     TOLD_BY_PRIOR if n.full in self.untold else "",
                     n.about.description,
                 )
@@ -172,13 +163,10 @@ class CalibrateResult(Shown):
         units = {n.full: n.about.unit for n in self.details.problem.model.numbers}
         rows = []
         for name, sd in known.days.items():
-            out = [
-                f"{flight} {own[name][0]:+.3g}"
-                for flight, own in self.details.days.items()
-                if name in own
-            ]
-            unit = "" if units[name] == "1" else pretty_unit(units[name])
-            rows.append((name, number(sd), unit, ", ".join(out)))
+            days = {f: own[name][0] for f, own in self.details.days.items() if name in own}
+            (shown, *values), unit = readable(units[name], sd, *days.values())
+            out = [f"{flight} {v:+.3g}" for flight, v in zip(days, values, strict=True)]
+            rows.append((name, number(shown), unit, ", ".join(out)))
         header = ("between flights", "standard deviation", "unit", "stands out")
         return TextTable(header, tuple(rows))
 
@@ -201,22 +189,25 @@ class CalibrateResult(Shown):
         """The same for programs."""
         known = self.details.vehicle.calibration
         assert known is not None
-        values, share = self._values, self.details.prior_share
         return {
+            "headline": self.headline.json(),
             "vehicle": self.draft.name,
             "flights": list(self.flights),
             "warnings": list(self.warnings),
+            "hover": [h.json() for h in self.hovers],
             "numbers": [
                 {
                     "name": n.full,
-                    "value": values[n.full],
+                    "value": t.value,
                     "unit": n.about.unit,
-                    "ci95": [values[n.full] - self._half(n), values[n.full] + self._half(n)],
+                    "ci95": None if t.ci95 is None else list(t.ci95),
+                    "no_effect": t.no_effect,
                     "before": n.now,
-                    "prior_share": share.get(n.full, 1.0),
+                    "prior_share": t.prior_share,
                     "told": n.full not in self.untold,
                 }
                 for n in self._numbers()
+                for t in [self._estimates[n.full]]
             ],
             "untold": list(self.untold),
             "days": {
@@ -237,8 +228,10 @@ class CalibrateResult(Shown):
             yield "\n".join(self.warnings)
 
     def told(self) -> Iterable[str | TextTable]:
-        """Sentence, numbers, what is not told, days, what to fly next."""
+        """Sentence, hover, numbers, what is not told, days, what to fly next."""
         yield self.sentence
+        for h in self.hovers:
+            yield f"{h.flight}: {hover_sentence(self.draft.name, h)}"
         yield self.numbers_table()
         if self.untold:
             yield (
@@ -315,7 +308,12 @@ def calibrate(
             + (f", so {', '.join(again)} count twice; calibrate the draft instead" if again else "")
         )
     found = fitted(fit, draft, progress, payloads, settings.inference)
-    return CalibrateResult(found, draft, tuple(warnings))
+    warnings += [
+        f"these flights act as if there were {title(effect)}: {why}; nothing is wrong with "
+        f"the aircraft in a calibration, so it is left out"
+        for effect, why in found.refused.items()
+    ]
+    return CalibrateResult(found, draft, tuple(warnings), hovers_of(fit, draft))
 
 
 def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.Vehicle:
@@ -328,6 +326,7 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
     flights = made.calibration.flights if made.calibration is not None else ()
     sources, deviations = dict(draft.sources), dict(draft.deviations)
     half = {n.full: float(w) for n, w in zip(fit.numbers, fit.half_widths, strict=True)}
+    half |= {n: (t.ci95[1] - t.ci95[0]) / 2 for n, t in found.estimates.items() if t.ci95}
     effects = {k: dict(v) for k, v in made.effects.items()}
     for effect in (e for e in fit.effects if e in effects):
         own = [n for n in fit.numbers if n.effect == effect and n.name in effects[effect]]

@@ -13,6 +13,7 @@ from twin.errors import TwinError
 from twin.explain import explanation as inner
 from twin.explain.estimates import estimates_of, listed_effects, probability_of, rivals
 from twin.explain.explanation import Explanation
+from twin.explain.model.numbers import numbers_of, with_effects
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
 from twin.explain.stochastic.finding import SURE
@@ -26,15 +27,15 @@ from .exports.write import export_parts
 from .flights import opened_flights
 from .output import output_file, write_json
 from .report.explain import write_explain_report
-from .report.gap import number
+from .report.headline import Headline, got_worse, headline
+from .report.hover import hover_sentence
 from .report.words import (
     by_prior,
     calibrated_rows,
     certainty,
-    claim,
     day_rows,
     instead,
-    interval,
+    number_cells,
     shrink_words,
     title,
 )
@@ -62,10 +63,26 @@ class ExplainResult(Shown):
         """In a word: named, nothing, unnamed, cannot_tell, unusable."""
         return self.details.verdict
 
+    @cached_property
+    def headline(self) -> Headline:
+        """The answer, and the numbers that it gives."""
+        return headline(self.details)
+
     @property
     def sentence(self) -> str:
-        """The answer in one sentence."""
-        return claim(self.details)
+        """The answer in words."""
+        return self.headline.text
+
+    @property
+    def hover(self) -> tuple[str, ...]:
+        """Diagnosis of the vehicle as it stood in the hover of each flight, a sentence each."""
+        name = self.details.vehicle.name
+        return tuple(f"{h.flight}: {hover_sentence(name, h)}" for h in self.details.hovers)
+
+    @property
+    def got_worse(self) -> str:
+        """The channel of the held-out flights that got worst; "" where none did."""
+        return got_worse(self.details)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -79,8 +96,15 @@ class ExplainResult(Shown):
 
     @cached_property
     def vehicle(self) -> vehicles.Vehicle:
-        """The vehicle with the named effects on; as it stood where none is named."""
+        """The vehicle with the named effects on; as it stood where none is named. Of a single
+        flight, the constants of its day are in it, each marked in its source."""
         return explained_vehicle(self.details)
+
+    @cached_property
+    def vehicle_today(self) -> vehicles.Vehicle | None:
+        """Of several flights, the same with the constants of the day of the last one; None where
+        none stands out of it."""
+        return vehicle_today(self.details)
 
     @property
     def vehicle_before(self) -> vehicles.Vehicle:
@@ -118,17 +142,14 @@ class ExplainResult(Shown):
             told = estimates_of(self.details, effect)
             for i, e in enumerate(told):
                 head = (title(effect), certainty(probability_of(self.details, effect)))
+                value, unit, ends = number_cells(e.value, e.number.about.unit, e.ci95)
                 rows.append(
                     (
                         *(head if i == 0 else ("", "")),
                         e.number.name,
-                        number(e.value),
-                        e.number.about.unit,
-                        ", ".join(
-                            t
-                            for t in (interval(e.ci95), by_prior(self.details, e.prior_share))
-                            if t
-                        ),
+                        value,
+                        unit,
+                        ", ".join(t for t in (ends, by_prior(self.details, e.prior_share)) if t),
                         rival if i == 0 else "",
                         instead(self.details, effect) if i == 0 else "",
                     )
@@ -197,7 +218,7 @@ class ExplainResult(Shown):
 
     def json(self) -> dict[str, Any]:
         """The content of `explain.json`."""
-        return explain_json(self.details)
+        return _json(self.details)
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""
@@ -206,9 +227,12 @@ class ExplainResult(Shown):
         return Path(path)
 
     def sections(self) -> Iterable[str | TextTable]:
-        """The sentence, candidates, what to fly next, before and after, what was in doubt,
-        warnings."""
+        """The sentence, what got worse, hover, candidates, what to fly next, before and after, what
+        was in doubt, warnings."""
         yield self.sentence
+        if self.got_worse:
+            yield self.got_worse
+        yield from self.hover
         if self.effects:
             yield self.candidates_table()
         if self.details.next_manoeuvre is not None:
@@ -226,6 +250,12 @@ class ExplainResult(Shown):
             f"{type(self).__name__}: {self.verdict}{what}; {self.details.vehicle.name}, fitted on "
             f"{counted(self.details.flights, 'flight')}"
         )
+
+
+def _json(found: Explanation) -> dict[str, Any]:
+    """The content of `explain.json`: what was found, and the headline over it."""
+    verdict, *others = explain_json(found).items()
+    return dict([verdict, ("headline", headline(found).json()), *others])
 
 
 def _series(
@@ -356,7 +386,45 @@ def explained_vehicle(found: Explanation) -> vehicles.Vehicle:
             deviations.pop(key, None)
             if (sd := _deviation(ci95)) > 0:
                 deviations[key] = Deviation.of([sd], [value])
-    return replace(vehicles.Vehicle.of(found.added), sources=sources, deviations=deviations)
+    made = replace(vehicles.Vehicle.of(found.added), sources=sources, deviations=deviations)
+    if len(found.flights) > 1:
+        return made
+    return _on_day(found, made, found.flights[0]) or made
+
+
+def vehicle_today(found: Explanation) -> vehicles.Vehicle | None:
+    """The explained vehicle with the constants of the day of the last of several flights; None
+    where nothing was added, or none stands out."""
+    if found.added is None or len(found.flights) < 2:
+        return None
+    return _on_day(found, explained_vehicle(found), found.flights[-1])
+
+
+def _on_day(found: Explanation, vehicle: vehicles.Vehicle, flight: str) -> vehicles.Vehicle | None:
+    """A vehicle with what stands out of the day of a flight and an aircraft can have; None where
+    nothing does."""
+    days = {} if found.naming is None else found.naming.days.get(flight, {})
+    effects = dict.fromkeys(n.partition(".")[0] for n in days)
+    own = {
+        n.full: n.now + days[n.full][0]
+        for n in numbers_of([EFFECTS[e] for e in effects if EFFECTS[e].of_vehicle], vehicle)
+        if n.full in days
+    }
+    if not own:
+        return None
+    values = {n: float(f"{v:.{inner.DIGITS}g}") for n, v in own.items()}
+    made = with_effects(vehicle, [e for e in effects if EFFECTS[e].of_vehicle], values)
+    sources, deviations = dict(vehicle.sources), dict(vehicle.deviations)
+    for name, value in values.items():
+        key, (difference, sd) = f"effects.{name}", days[name]
+        sources[key] = (
+            f"uavtwin explain, of the day of {flight} alone: {difference:+.3g} there, "
+            f"standard deviation {sd:.3g}"
+        )
+        deviations.pop(key, None)
+        if sd > 0:
+            deviations[key] = Deviation.of([float(f"{sd:.4g}")], [value])
+    return replace(vehicles.Vehicle.of(made), sources=sources, deviations=deviations)
 
 
 def _deviation(ci95: tuple[float, float] | None) -> float:
@@ -383,13 +451,15 @@ def write_explanation(
     Returns:
         Names of the files.
     """
-    write_json(folder / "explain.json", explain_json(found))
+    write_json(folder / "explain.json", _json(found))
     write_explain_report(found, folder / "report.html")
     written = ["report.html", "explain.json"]
     if found.added is None:
         return written
     vehicle = explained_vehicle(found)
     written.append(vehicle.save(folder / "vehicle.toml").name)
+    if (today := vehicle_today(found)) is not None:
+        written.append(today.save(folder / "vehicle_today.toml").name)
     of_vehicle = (EFFECTS[e] for e in found.effects if EFFECTS[e].of_vehicle)
     names = sorted({e.component for e in of_vehicle})
     if fmus and names:

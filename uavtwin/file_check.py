@@ -200,9 +200,10 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         LogError: The flight cannot be compared with the vehicle.
     """
     hover = hover_of(flight)
+    beside, diagnosis = ({}, None) if vehicle is None else hover_beside(flight, hover, vehicle)
     facts = {
         **aircraft_facts(flight, hover),
-        **({} if vehicle is None else hover_beside(flight, hover, vehicle)),
+        **beside,
         "holds": ", ".join(c for c in flight.columns if c != "time" and flight.has(c)),
         "rows": f"{len(flight.time_s)}",
         "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
@@ -228,7 +229,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         uses,
         told=tuple(f"{component}: {', '.join(names)}" for component, names in told.effects.items()),
         not_told=tuple(f"{', '.join(names)}: {why}" for why, names in told.unknown.items()),
-        hover=None if hover is None else hover_json(hover),
+        hover=None if hover is None else hover_json(hover, diagnosis),
     )
 
 

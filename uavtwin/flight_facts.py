@@ -7,7 +7,8 @@ import numpy as np
 from twin.draft import Hover, drives
 from twin.errors import LogError
 from twin.logs import AnyFlight
-from twin.residuals.flight_gap import means_of
+from twin.residuals.flight_gap import diagnosis_of
+from twin.residuals.hover import HoverDiagnosis
 from twin.vehicle import Vehicle
 from twin.vehicle.layouts import Layout
 
@@ -37,27 +38,31 @@ def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
     return facts
 
 
-def hover_json(hover: Hover) -> dict[str, Any]:
-    """A hover as numbers."""
+def hover_json(hover: Hover, diagnosis: HoverDiagnosis | None) -> dict[str, Any]:
+    """A hover as numbers, and the diagnosis of a twin in it."""
     volts = hover.voltage_v
     return {
         "drive": "command" if hover.cmd is not None else "rotor_speed",
         "level": hover.level,
         "each": list(hover.each),
+        "split": list(hover.split),
         "seconds": hover.seconds,
         "hovers": hover.hovers,
         "voltage_v": None if volts is None else float(np.median(volts)),
+        "twin": None if diagnosis is None else diagnosis.json(),
     }
 
 
-def hover_beside(flight: AnyFlight, hover: Hover | None, vehicle: Vehicle) -> dict[str, str]:
-    """The hover of a flight beside that of a vehicle.
+def hover_beside(
+    flight: AnyFlight, hover: Hover | None, vehicle: Vehicle
+) -> tuple[dict[str, str], HoverDiagnosis | None]:
+    """The hover of a flight beside that of a vehicle, and the diagnosis of its twin.
 
     Raises:
         LogError: The flight cannot be compared with the vehicle.
     """
     if hover is None:
-        return {f"hover of {vehicle.name}": "nothing to compare: the flight has none"}
+        return {f"hover of {vehicle.name}": "nothing to compare: the flight has none"}, None
     if hover.motors != vehicle.rotors.count:
         raise LogError(
             f"{flight.name}: {hover.motors} rotors; {vehicle.name} has {vehicle.rotors.count}."
@@ -69,10 +74,10 @@ def hover_beside(flight: AnyFlight, hover: Hover | None, vehicle: Vehicle) -> di
         facts[f"hover of {vehicle.name}"] = (
             f"{own:.3g} for its {vehicle.mass_kg:.4g} kg; the flight {told:.3g}"
         )
-    means = means_of(flight, vehicle)
-    if means is not None:
-        facts["side by side"] = hover_sentence(vehicle.name, means)
-    return facts
+    diagnosis = diagnosis_of(flight, vehicle, hover)
+    if diagnosis is not None:
+        facts["side by side"] = hover_sentence(vehicle.name, diagnosis)
+    return facts, diagnosis
 
 
 def _kind(flight: AnyFlight) -> str:
@@ -97,8 +102,8 @@ def _level(hover: Hover) -> str:
 
 def _split(hover: Hover, layout: Layout | None) -> str:
     """How much each motor does over their mean, and pairs of them over the others."""
-    each = np.array(hover.each) / np.mean(hover.each)
-    shares = (f"{k} {round(100 * (u - 1)):+d} %" for k, u in enumerate(each, start=1))
+    each = np.array(hover.split)
+    shares = (f"{k} {round(100 * u):+d} %" for k, u in enumerate(each, start=1))
     text = f"motor {', '.join(shares)} from their mean"
     if layout is None or layout.count != len(each):
         return text

@@ -13,6 +13,7 @@ from twin.vehicle import Vehicle
 from .flights import opened_flights
 from .output import output_file
 from .report.gap import claim, write_gap_report
+from .report.headline import Headline
 from .report.hover import hover_sentence
 from .report.overview import Overview, overview
 from .series.table import TWIN, Column, Series, compared
@@ -45,10 +46,15 @@ class GapResult(Shown):
         return claim(rank(summaries(self.flights)))
 
     @property
+    def headline(self) -> Headline:
+        """The claim, which gives no fitted number."""
+        return Headline(self.claim)
+
+    @property
     def hover(self) -> tuple[str, ...]:
         """What the hover of each flight says of the twin, a sentence each."""
         return tuple(
-            f"{g.flight}: {hover_sentence(g.vehicle, g.means)}" for g in self.flights if g.means
+            f"{g.flight}: {hover_sentence(g.vehicle, g.hover)}" for g in self.flights if g.hover
         )
 
     @property
@@ -130,7 +136,7 @@ class GapResult(Shown):
 
     def json(self) -> dict[str, Any]:
         """The content of `gap.json`."""
-        return gap_json(self.flights)
+        return {"headline": self.headline.json(), **gap_json(self.flights)}
 
     def report(self, path: str | Path) -> Path:
         """Write the page, one HTML file that opens offline; returns its path."""

@@ -21,8 +21,8 @@ from twin.logs import read_flight, write_flight
 from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.report.headline import headline
 from uavtwin.report.spoken import said
-from uavtwin.report.words import claim
 
 COPTER = ut.load_vehicle("copter_default")
 DRAG_1_S = 0.5
@@ -87,7 +87,7 @@ def written(
         ("accel_bias", {"x_m_s2": 0.3}, "its accelerometer reads 0.3 m/s² more in x than it did"),
         ("parasitic_drag", {"c_1_m": 0.1}, "parasitic drag (c_1_m 0.1 1/m)"),
         ("rotor_drag", {"k_xy_1_s": 0.3}, "it brakes by 0.3 m/s² more for each m/s of airspeed"),
-        ("rotor_drag", {"height_m": 0.02}, "rotor drag (height_m 0.02 m)"),
+        ("rotor_drag", {"height_m": 0.02}, "rotor drag (height_m 20 mm)"),
     ],
 )
 def test_a_change_is_said_as_a_pilot_says_it(
@@ -282,11 +282,17 @@ def loaded(calibrated: dict[str, Any], folder: Path) -> ut.ExplainResult:
 def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
     assert loaded.effects == ("mass_offset",)
     told = re.fullmatch(
-        r"Since the calibration on one, two and three: it carries (0\.\d+) kg more \(.* sure\).*",
+        r"Since the calibration on one, two and three: it carries ([\d.]+) (k?g) more \(.*",
         loaded.sentence,
     )
     assert told is not None, loaded.sentence
-    assert float(told[1]) == pytest.approx(LOADED_KG, rel=0.1)
+    assert float(told[1]) / (1 if told[2] == "kg" else 1e3) == pytest.approx(LOADED_KG, rel=0.1)
+    assert loaded.json()["headline"] == {
+        "text": loaded.sentence,
+        "numbers": ["mass_offset.mass_kg"],
+    }
+    (mass,) = loaded.json()["effects"][0]["parameters"].values()
+    assert mass["no_effect"] == 0.0
     assert loaded.json()["since"] == ["one", "two", "three"]
     assert "rotor_drag.k_xy_1_s" in str(loaded.calibrated_table())
     assert "told by the calibration" in str(loaded.calibrated_table())
@@ -314,8 +320,8 @@ def test_a_tie_names_both(loaded: ut.ExplainResult) -> None:
         naming=replace(naming, probabilities=chances, credible={}),
     )
     assert isinstance(tied, Explanation)
-    text = claim(tied)
-    assert text.startswith("Since the calibration on one, two and three: either it carries 0.1")
+    text = headline(tied).text
+    assert text.startswith("Since the calibration on one, two and three: either it carries ")
     assert text.endswith("(40 %): these flights cannot tell.")
     assert explain_json(tied)["since"] == ["one", "two", "three"]
 

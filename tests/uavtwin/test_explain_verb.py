@@ -31,8 +31,10 @@ from uavtwin import explanation as explain_files
 from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
+from uavtwin.explanation import explained_vehicle, vehicle_today
 from uavtwin.report.explain import write_explain_report
-from uavtwin.report.words import certainty, claim
+from uavtwin.report.headline import headline
+from uavtwin.report.words import certainty
 
 pytestmark = pytest.mark.slow
 COPTER = load_vehicle("copter_default")
@@ -291,7 +293,9 @@ def test_a_tie_is_told_as_a_tie(named: Run, tmp_path: Path) -> None:
         *naming.best.effects,
         *other.effects,
     }
-    assert claim(tied).startswith("These flights cannot tell what the model lacks: rotor drag")
+    assert headline(tied).text.startswith(
+        "These flights cannot tell what the model lacks: rotor drag"
+    )
     assert tied.added is None
     write_explain_report(tied, tmp_path / "report.html")
     page = (tmp_path / "report.html").read_text()
@@ -303,13 +307,13 @@ def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
     """A model that does not fly, and an interval that holds what the model has already."""
     found = named.found
     assert found is not None and found.naming is not None
-    assert "next to none" not in claim(found) and "does not fly" not in claim(found)
+    assert "next to none" not in headline(found).text and "does not fly" not in headline(found).text
     fallen = replace(found, missions=(Mission("hover", False, math.nan, "it tips over"),))
-    assert claim(fallen).endswith("The model with it does not fly hover in closed loop.")
+    assert headline(fallen).text.endswith("The model with it does not fly hover in closed loop.")
     told = found.naming.told
     wide = replace(told, half_widths=100 * np.abs(told.half_widths))
     vague = replace(found, naming=replace(found.naming, told=wide))
-    assert "These flights do not tell how large rotor drag is" in claim(vague)
+    assert "Rotor drag may be zero: these flights do not determine it." in headline(vague).text
 
 
 def test_nothing_hidden_nothing_named(folder: Path) -> None:
@@ -321,6 +325,7 @@ def test_nothing_hidden_nothing_named(folder: Path) -> None:
     assert out.json["verdict"] == "nothing"
     assert out.json["effects"] == []
     assert out.json["nothing_probability"] > 0.9
+    assert re.search(r" A loss below [\d.]+ % .* would not show in these flights\.", out.stdout)
     assert all(g["before"] == g["after"] for g in out.json["gap"].values())
     files = {"explain.json", "report.html", "run.json", "series"}
     assert {p.name for p in out.out.iterdir()} == files
@@ -405,3 +410,43 @@ def test_a_payload_is_told_by_flight() -> None:
 def test_a_wrong_payload_is_refused(text: str, says: str) -> None:
     with pytest.raises(TwinError, match=re.escape(says)):
         flight_payloads([text], ("one",))
+
+
+def test_constants_of_the_day_go_into_the_vehicle_of_a_single_flight(named: Run) -> None:
+    """With several, into that of today, which is of the last one."""
+    found = named.found
+    assert found is not None and found.naming is not None
+    days = {
+        "one": {},
+        "two": {"accel_bias.x_m_s2": (0.26, 0.04), "clock_offset.pose_s": (0.1, 0.01)},
+    }
+    several = replace(found, naming=replace(found.naming, days=days))
+    assert "accel_bias" not in explained_vehicle(several).effects
+    today = vehicle_today(several)
+    assert today is not None
+    assert today.effects["accel_bias"]["x_m_s2"] == pytest.approx(0.26)
+    assert today.effects["rotor_drag"] == explained_vehicle(several).effects["rotor_drag"]
+    assert "clock_offset" not in today.effects
+    key = "effects.accel_bias.x_m_s2"
+    assert today.sources[key].startswith("uavtwin explain, of the day of two alone: +0.26 there")
+    assert today.deviations[key].numbers == (0.04,)
+    single = replace(several, flights=("two",))
+    assert vehicle_today(single) is None
+    assert explained_vehicle(single).effects == today.effects
+    quiet = replace(several, naming=replace(found.naming, days={"two": {}}))
+    assert vehicle_today(quiet) is None
+
+
+def test_the_headline_and_its_numbers(named: Run) -> None:
+    content = named.json
+    assert content["headline"] == {
+        "text": named.stdout.splitlines()[0],
+        "numbers": ["rotor_drag.k_xy_1_s"],
+    }
+    number = content["effects"][0]["parameters"]["k_xy_1_s"]
+    assert number["no_effect"] == 0.0 < number["ci95"][0]
+    assert number["prior_share"] <= 0.5
+    hidden = {entry["cause"]: entry for entry in content["not_visible"]}
+    assert "rotor_drag" not in hidden
+    assert 0 < hidden["mass_offset"]["smallest_detectable"]["value"] < 0.5 * COPTER.mass_kg
+    assert hidden["mass_offset"]["smallest_detectable"]["unit"] == "kg"

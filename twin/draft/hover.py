@@ -1,4 +1,4 @@
-"""The part of a flight in which the rotors carry the weight, and what they are told meanwhile."""
+"""The part of a flight in which the rotors carry the weight, and their commands meanwhile."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Rows = NDArray[np.bool_]
 LEAST_S = 2.0
 """A shorter stretch is no hover."""
 _SLOW_M_S = 0.5
-_LONGEST_STEP_S = 0.2  # of what one command stands for
+LONGEST_STEP_S = 0.2  # of what one command stands for
 _NOT_FLOWN = ("ground", "takeoff", "land")
 
 
@@ -65,6 +65,12 @@ class Hover:
         return tuple(np.median(self._told, axis=0).tolist())
 
     @property
+    def split(self) -> tuple[float, ...]:
+        """Of each motor the command, else the speed, over the mean of all, less one."""
+        each = np.array(self.each)
+        return tuple((each / each.mean() - 1).tolist())
+
+    @property
     def _told(self) -> Array:
         told = self.cmd if self.cmd is not None else self.rotor_rad_s
         assert told is not None
@@ -93,7 +99,7 @@ def hover_of(flight: AnyFlight) -> Hover | None:
     t_s, told = flight.signal(columns)
     if len(t_s) < 2:
         return None
-    step_s = np.minimum(np.diff(t_s, append=t_s[-1]), _LONGEST_STEP_S)
+    step_s = np.minimum(np.diff(t_s, append=t_s[-1]), LONGEST_STEP_S)
     for rows, hovers, where in _choices(flight, t_s, told):
         seconds = float(step_s[rows].sum())
         if seconds >= LEAST_S and told[rows].any():

@@ -1,23 +1,25 @@
 """The numbers of one aircraft, told by normal flights of it: all of them, together."""
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..effects import EFFECTS
+from ..effects.priors import CHANGES, RARE
 from ..errors import LogError
 from ..logs import Flight
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
-from .estimates import UNTOLD
-from .inference.beliefs import Beliefs, beliefs_of
+from .estimates import UNTOLD, Estimate, fitted_estimates
+from .inference.beliefs import Beliefs, beliefs_of, effect_of
 from .inference.evidence import Judge
 from .inference.fit import Fit, fit_of
 from .inference.refit import Problem, State
 from .inference.search import calibration_start, search
-from .inference.selection import days_of
+from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
 from .model.numbers import with_effects
 from .model.payload import Payloads
@@ -33,6 +35,7 @@ class Calibrated:
     Attributes:
         vehicle: With the numbers, and with how well they are known together.
         fit: The numbers with their intervals.
+        estimates: The same by "effect.number", shapes left out; `no_effect` is the neutral value.
         prior_share: Posterior over prior deviation of each number of `fit`: 1 where the flights
             say nothing.
         untold: Numbers, "effect.number", shapes left out, that these flights do not tell: they
@@ -41,15 +44,21 @@ class Calibrated:
             what all flights share, and its standard deviation.
         problem: What was fitted.
         state: The numbers and the residuals there.
+        shares: By effect, the largest share of the power of a force or moment channel that it
+            takes, and the channel.
+        refused: Effects that the flights would have and that a sound aircraft has not, and why.
     """
 
     vehicle: Vehicle
     fit: Fit
+    estimates: Mapping[str, Estimate]
     prior_share: Mapping[str, float]
     untold: tuple[str, ...]
     days: Mapping[str, Mapping[str, tuple[float, float]]]
     problem: Problem
     state: State
+    shares: Mapping[str, tuple[float, str]]
+    refused: Mapping[str, str]
 
     __repr__ = short_repr
 
@@ -80,8 +89,19 @@ def calibrate(
         flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
     problem = Problem.of(model, beliefs_of(model, trusted=False), settings.evidence, gated=True)
-    start = calibration_start(problem.beliefs)
-    found = search(problem, start, progress=lambda done: progress(0.1 + 0.85 * done))
+    found = search(
+        problem,
+        calibration_start(problem.beliefs),
+        progress=lambda done: progress(0.1 + 0.45 * done),
+    )
+    refused = _refused(problem, found.state, settings)
+    if refused:
+        problem = _without(problem, refused)
+        found = search(
+            problem,
+            calibration_start(problem.beliefs),
+            progress=lambda done: progress(0.55 + 0.4 * done),
+        )
     state = replace(found.state, best=found.judge.here_as(found.state.effects, found.state.kappa))
     best, beliefs = state.best, problem.beliefs
     free = [int(i) for i in best.free if i < len(beliefs.now)]
@@ -104,7 +124,50 @@ def calibrate(
         _of_records(fit),
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=told)
-    return Calibrated(made, fit, share, tuple(untold), days_of(problem, best), problem, state)
+    days, shares = days_of(problem, best), shares_of(problem, state)
+    estimates = _estimates(fit, beliefs, share, settings)
+    return Calibrated(
+        made, fit, estimates, share, tuple(untold), days, problem, state, shares, refused
+    )
+
+
+def _refused(problem: Problem, state: State, settings: InferenceSettings) -> dict[str, str]:
+    """Effects that come with damage or a load, are rare on a sound aircraft, and would be larger
+    than `explain` believes: nothing is wrong with the aircraft, that is what a calibration is told.
+    """
+    b, found = problem.beliefs, {}
+    damage = [c for c in state.effects if b.odds[c] <= RARE and effect_of(c) in CHANGES]
+    values = problem.values(state.best.x)
+    tension = b.tension({b.names[i]: values[b.names[i]] for i in b.of(damage) if not b.shape[i]})
+    for name, away in tension.items():
+        if away > settings.selection.tension:
+            found[name.partition(".")[0]] = (
+                f"{name} = {values[name]:.3g} would be {away:.1f} deviations from what such a "
+                f"number is expected to be"
+            )
+    return found
+
+
+def _without(problem: Problem, effects: Collection[str]) -> Problem:
+    """The same search without some effects."""
+    odds = {c: v for c, v in problem.beliefs.odds.items() if effect_of(c) not in effects}
+    return replace(problem, beliefs=replace(problem.beliefs, odds=odds))
+
+
+def _estimates(
+    fit: Fit, beliefs: Beliefs, share: Mapping[str, float], settings: InferenceSettings
+) -> dict[str, Estimate]:
+    """Every number with its interval, which the number of effects that are fitted together widens
+    as it does in `explain`."""
+    told = {n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNTOLD}
+    wider = math.sqrt(1 + settings.selection.beside * len(told))
+    found = {}
+    for effect in fit.effects:
+        for t in fitted_estimates(fit, beliefs, effect, wider):
+            if not t.number.shape:
+                neutral, known = t.number.about.neutral, share.get(t.number.full, 1.0)
+                found[t.number.full] = replace(t, no_effect=neutral, prior_share=known)
+    return found
 
 
 def _untold_beyond(beliefs: Beliefs, judge: Judge, state: State) -> list[str]:

@@ -4,9 +4,11 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from scipy.stats import norm
+
 from ..effects import EFFECTS
 from .explanation import Explanation
-from .inference.beliefs import effect_of
+from .inference.beliefs import Beliefs, effect_of, parameter_of
 from .inference.fit import INTERVAL, Fit
 from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
@@ -16,6 +18,9 @@ MOST_RIVALS = 5
 """That are listed."""
 UNTOLD = 0.7
 """Posterior over prior deviation of a number from which on flights do not tell it."""
+MOST_OF_PRIOR = 0.5
+"""The same for a number that a headline gives: the flights say more of it than the prior."""
+_CREDIBLE = 0.95
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +30,8 @@ class Estimate:
     Attributes:
         number: What it is.
         value: In its unit.
+        no_effect: Its value where the effect is absent, or has not changed; None: a shape, which
+            has none.
         ci95: 95 % interval; None: it has none.
         prior_share: Posterior over prior deviation: 1 where the flights say nothing; None: it has
             no prior.
@@ -33,9 +40,92 @@ class Estimate:
 
     number: Number
     value: float
+    no_effect: float | None
     ci95: tuple[float, float] | None
     prior_share: float | None = None
     tension: float | None = None
+
+    @property
+    def may_be_none(self) -> bool:
+        """Whether the 95 % interval contains `no_effect`; of a shape, and without one, no."""
+        if self.ci95 is None or self.no_effect is None:
+            return False
+        return self.ci95[0] <= self.no_effect <= self.ci95[1]
+
+    @property
+    def determined(self) -> bool:
+        """Whether a headline may give it: the 95 % interval excludes `no_effect`, and the flights
+        say more of it than the prior."""
+        known = self.ci95 is not None and self.no_effect is not None and not self.may_be_none
+        return known and (self.prior_share or 0.0) <= MOST_OF_PRIOR
+
+    @property
+    def change(self) -> float:
+        """Difference from `no_effect`; of a shape from 0."""
+        return self.value - (self.no_effect or 0.0)
+
+
+def credible_interval(number: Number, value: float, half_width: float) -> tuple[float, float]:
+    """95 % interval of a number whose posterior is normal in the search, inside its physical range.
+
+    A factor (no effect: 1) is log-normal, with `value` as its median and the coefficient of
+    variation of the search: what doubles is as far away as what halves. Any other quantity that
+    cannot be negative has the normal posterior truncated at its physical minimum, and the interval
+    is that of highest density: it contains the minimum exactly where no effect is credible.
+
+    Args:
+        number: Gives the physical range.
+        value: Mode of the posterior, in the unit of the number.
+        half_width: Of the 95 % interval of a normal posterior.
+
+    Returns:
+        Lower and upper end.
+    """
+    sd, about = half_width / INTERVAL, number.about
+    if not sd > 0 or not math.isfinite(sd):
+        return value - half_width, value + half_width
+    if parameter_of(number)[0].bounds[0] < 0:
+        return value - half_width, value + half_width
+    if about.neutral and about.bounds[0] > 0 and value > 0:
+        spread = math.exp(INTERVAL * math.sqrt(math.log1p((sd / value) ** 2)))
+        return value / spread, value * spread
+    least = min(about.bounds[0], value)
+    inside = float(norm.cdf((value - least) / sd))
+    half = sd * float(norm.ppf((1 + _CREDIBLE * inside) / 2))
+    if value - half >= least:
+        return value - half, value + half
+    return least, value + sd * float(norm.ppf(1 - inside + _CREDIBLE * inside))
+
+
+def fitted_estimates(
+    fitted: Fit, beliefs: Beliefs, effect: str, wider: float = 1.0
+) -> list[Estimate]:
+    """The numbers of an effect in one fit.
+
+    Args:
+        fitted: Values and half widths.
+        beliefs: Priors of the same search.
+        effect: Identifier.
+        wider: Factor on the half widths.
+    """
+    tension = beliefs.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
+    place = {n: i for i, n in enumerate(beliefs.names)}
+    found = []
+    for n, w in zip(fitted.numbers, fitted.half_widths, strict=True):
+        if n.effect != effect:
+            continue
+        i, value = place[n.full], fitted.values[n.full]
+        found.append(
+            Estimate(
+                n,
+                value,
+                None if n.shape else float(beliefs.now[i] + beliefs.held[i]),
+                credible_interval(n, value, wider * float(w)),
+                min(1.0, float(w) / INTERVAL / float(beliefs.slab[i])),
+                tension[n.full],
+            )
+        )
+    return found
 
 
 def listed_effects(found: Explanation) -> list[str]:
@@ -105,54 +195,25 @@ def told_together(found: Explanation) -> int:
     return len(listed_effects(found)) + len(resembled)
 
 
-def intervals(found: Explanation) -> dict[str, tuple[float, float]]:
-    """95 % intervals of what is told, "effect.number" -> low, high.
-
-    Those of the posterior hold what noise and prior leave open. The more effects are told, the more
-    is open beside that, which `SelectionSettings.beside` counts.
-    """
-    assert found.naming is not None
-    told = found.naming.told
-    wider = math.sqrt(1 + found.naming.settings.beside * told_together(found))
-    return {
-        n.full: (told.values[n.full] - wider * float(w), told.values[n.full] + wider * float(w))
-        for n, w in zip(told.numbers, told.half_widths, strict=True)
-    }
-
-
 def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
-    """The numbers of an effect that is listed, where it is there."""
+    """The numbers of an effect that is listed, where it is there.
+
+    The more effects are told, the more is open beside what the posterior holds, which
+    `SelectionSettings.beside` counts.
+    """
     beside = beside_mean(found, effect)
     if beside is not None:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)
         own = beside.intervals
         return [
-            Estimate(n, beside.values[n.full], own.get(n.full))
+            Estimate(n, beside.values[n.full], n.about.neutral, own.get(n.full))
             for n in numbers
             if n.full in beside.values
         ]
-    assert found.naming is not None
-    told, beliefs = found.naming.told, found.naming.problem.beliefs
-    tension, sure = beliefs.tension(told.values), intervals(found)
-    prior = dict(zip(beliefs.names, beliefs.slab, strict=True))
-    return [
-        Estimate(
-            n,
-            told.values[n.full],
-            sure[n.full],
-            min(1.0, float(w) / INTERVAL / prior[n.full]),
-            tension[n.full],
-        )
-        for n, w in zip(told.numbers, told.half_widths, strict=True)
-        if n.effect == effect
-    ]
-
-
-def may_be_none(found: Explanation, effect: str) -> bool:
-    """Whether an effect has numbers, and the interval of each holds what the model has already: the
-    flights are better with it, whichever of them it is."""
-    told = [t for t in estimates_of(found, effect) if t.ci95 is not None]
-    return bool(told) and all(t.ci95[0] <= t.number.now <= t.ci95[1] for t in told if t.ci95)
+    naming = found.naming
+    assert naming is not None
+    wider = math.sqrt(1 + naming.settings.beside * told_together(found))
+    return fitted_estimates(naming.told, naming.problem.beliefs, effect, wider)
 
 
 def where_felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -11,6 +11,8 @@ from ..errors import LogError, ModelError
 from ..flight.stability import Mission, fly_missions
 from ..logs import AnyFlight, Flight, Site
 from ..representation import short_repr
+from ..residuals.flight_gap import diagnosis_of
+from ..residuals.hover import HoverDiagnosis
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
@@ -86,6 +88,7 @@ class Explanation:
         since: Flights of the calibration since which it is asked what has changed; None: it is
             asked what the model lacks.
         recorded: All flights as they were read, stuck readings still in them.
+        hovers: Diagnosis of the model as it stood in the hover of each of them that hovers.
     """
 
     verdict: Verdict
@@ -108,6 +111,7 @@ class Explanation:
     settings: SearchSettings = DEFAULT
     since: tuple[str, ...] | None = None
     recorded: tuple[AnyFlight, ...] = ()
+    hovers: tuple[HoverDiagnosis, ...] = ()
 
     __repr__ = short_repr
 
@@ -196,7 +200,11 @@ def explain(
         return replace(found, reasons=(str(error),))
     names = [f.name for f in flights]
     found = _named(found, naming, [s for s in stuck if s.flight in names])
-    found = replace(found, warnings=(*found.warnings, *_not_felt(naming)))
+    found = replace(
+        found,
+        warnings=(*found.warnings, *_not_felt(naming)),
+        hovers=hovers_of(found.recorded, vehicle),
+    )
     progress(0.65)
     found = _with_equations(found, seed)
     progress(0.75)
@@ -297,6 +305,12 @@ _F = TypeVar("_F", bound=AnyFlight)
 def sited(flight: _F, indoors: bool | None) -> _F:
     """The flight indoors or outdoors, as somebody says; None: as it says itself."""
     return flight if indoors is None else replace(flight, site=Site(indoors, "as told"))
+
+
+def hovers_of(flights: Sequence[AnyFlight], vehicle: Vehicle) -> tuple[HoverDiagnosis, ...]:
+    """Diagnosis of a vehicle's twin in the hover of each flight that hovers."""
+    found = (diagnosis_of(f, vehicle) for f in flights)
+    return tuple(h for h in found if h is not None)
 
 
 def _not_felt(naming: Naming) -> list[str]:

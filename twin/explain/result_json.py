@@ -43,6 +43,8 @@ def explain_json(found: Explanation) -> dict[str, Any]:
         "calibrated": [
             {"effect": e, "parameters": _parameters(found, e)} for e in calibrated_effects(found)
         ],
+        "hover": [h.json() for h in found.hovers],
+        "not_visible": _not_visible(found),
         "per_flight": {} if found.naming is None else _per_flight(found.naming),
         "unnamed": [_equation(e) for e in found.unnamed],
         "where": [_place(p) for p in found.where],
@@ -79,11 +81,27 @@ def _parameters(found: Explanation, effect: str) -> dict[str, Any]:
             "value": t.value,
             "unit": t.number.about.unit,
             "ci95": t.ci95,
+            "no_effect": t.no_effect,
             "prior_share": t.prior_share,
             "tension": t.tension,
         }
         for t in estimates_of(found, effect)
     }
+
+
+def _not_visible(found: Explanation) -> list[dict[str, Any]]:
+    """Effects that are not named, and the smallest change that these flights would show."""
+    detectable = {} if found.naming is None else found.naming.detectable
+    named = listed_effects(found)
+    return [
+        {
+            "cause": effect,
+            "number": d.number.partition(".")[2],
+            "smallest_detectable": None if d.value is None else {"value": d.value, "unit": d.unit},
+        }
+        for effect, d in detectable.items()
+        if effect not in named
+    ]
 
 
 def _per_flight(naming: Naming) -> dict[str, Any]:

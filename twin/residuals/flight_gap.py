@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..draft.hover import Hover, hover_of
 from ..errors import LogError
 from ..frames import AXES, rotation_vector
 from ..logs import AnyFlight
@@ -19,8 +20,8 @@ from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
 from .channels import GRID_HZ
 from .gap import Channel, FlightGap
+from .hover import HoverDiagnosis, diagnose
 from .imu import imu_channels
-from .means import HoverMeans, hover_means
 from .short_horizon import READ, window_ends, window_starts
 from .teacher_forced import GRID_S
 
@@ -70,19 +71,29 @@ def flight_gap(
         phases=alignment.spans(),
         warnings=tuple([*alignment.notes, *notes, *warnings]),
         facts=dict(flight.facts),
-        means=hover_means(channels, vehicle),
+        hover=diagnose(channels, vehicle, hover_of(flight)),
         origin=origin_of(flight.airframe),
     )
 
 
-def means_of(flight: AnyFlight, vehicle: Vehicle) -> HoverMeans | None:
-    """What a hover says of a twin, without all else of the gap.
+def diagnosis_of(
+    flight: AnyFlight, vehicle: Vehicle, hover: Hover | None = None
+) -> HoverDiagnosis | None:
+    """Diagnosis of a twin in the hover of a flight, without all else of the gap.
+
+    Args:
+        flight: As read.
+        vehicle: Of the twin.
+        hover: Of the flight, where it is at hand.
 
     Raises:
         LogError: The flight cannot be compared with this vehicle.
     """
+    hover = hover or hover_of(flight)
+    if hover is None or not hover.hovers:
+        return None
     aligned = align_flight(flight, vehicle, 1 / GRID_HZ)
-    return hover_means(imu_channels(flight, vehicle, aligned), vehicle)
+    return diagnose(imu_channels(flight, vehicle, aligned), vehicle, hover)
 
 
 def _wrong_vehicle(channels: Sequence[Channel], vehicle: Vehicle) -> list[str]:

@@ -18,7 +18,7 @@ from ..representation import short_repr
 from .spectra import SLOW_HZ, slow_part, spectrum
 
 if TYPE_CHECKING:
-    from .means import HoverMeans
+    from .hover import HoverDiagnosis
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,7 @@ class FlightGap:
         phases: Spans (name, start s, end s) in order of time.
         warnings: What a reader of the numbers must know.
         facts: Printable facts of the log (rates, match of the rebuilt commands, ...).
-        means: What its hover says of the twin; None: it has none.
+        hover: Diagnosis of the twin in hover; None: it has none.
         origin: From where its positions are counted; None: not known.
     """
 
@@ -86,7 +86,7 @@ class FlightGap:
     phases: tuple[tuple[str, float, float], ...]
     warnings: tuple[str, ...]
     facts: dict[str, str]
-    means: "HoverMeans | None" = None
+    hover: "HoverDiagnosis | None" = None
     origin: Place | None = None
 
     __repr__ = short_repr
@@ -396,13 +396,7 @@ def _flight_json(gap: FlightGap) -> dict[str, Any]:
         "n": sum(len(c.t_s) for c in gap.channels),
         "phases": [{"name": n, "start_s": a, "end_s": b} for n, a, b in gap.phases],
         "facts": dict(gap.facts),
-        "hover": None
-        if gap.means is None
-        else {
-            "carried": gap.means.carried,
-            "back_m": gap.means.back_m,
-            "right_m": gap.means.right_m,
-        },
+        "hover": None if gap.hover is None else gap.hover.json(),
     }
 
 

@@ -162,6 +162,10 @@ def print_explanation(found: "ExplainResult") -> None:
     for warning in found.warnings:
         STDERR.print(warning, style="yellow", markup=False)
     STDOUT.print(found.sentence, style="bold", markup=False)
+    if found.got_worse:
+        STDOUT.print(found.got_worse, markup=False)
+    for sentence in found.hover:
+        STDOUT.print(sentence, markup=False)
     if found.effects:
         print_table(found.candidates_table())
     if found.details.next_manoeuvre is not None:

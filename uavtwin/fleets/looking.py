@@ -176,7 +176,7 @@ class Looking:
         except TwinError as error:
             vehicle = None
             refused.append(str(error))
-        means = None
+        hover = None
         for verb in self.verbs:
             try:
                 if verb == "check":
@@ -184,13 +184,13 @@ class Looking:
                 elif vehicle is None:
                     continue
                 elif verb == "gap":
-                    means = _gap(flight, vehicle, about, found)
+                    hover = _gap(flight, vehicle, about, found)
                 elif self.alone:
                     about |= _explain([flight], vehicle, self.indoors, about["log"], found)
             except TwinError as error:
                 refused.append(f"{verb}: {error}")
                 _say(found, about["log"], aircraft, verb, "problem", str(error))
-        about |= vitals_of(flight, hover_of(flight), means)
+        about |= vitals_of(flight, hover_of(flight), hover)
         if text := misfit(about.get("carried"), about.get("vehicle") or ""):
             _say(found, about["log"], aircraft, "gap", "warning", text)
         if refused:
@@ -246,7 +246,7 @@ def _gap(flight: AnyFlight, vehicle: Vehicle, about: Row, found: Found) -> Any:
     for record in result.frame().to_dict("records"):
         values = {str(k): v for k, v in record.items()}
         found.add("channels", log=about["log"], aircraft=about["aircraft"], **values)
-    return result.flights[0].means
+    return result.flights[0].hover
 
 
 def _explain(

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from twin.draft import Hover
 from twin.logs import AnyFlight
 from twin.logs.columns import GYRO, QUAT
-from twin.residuals.means import HoverMeans
+from twin.residuals.hover import HoverDiagnosis
 
 from .columns import MOTORS
 
@@ -24,21 +24,26 @@ WINDOW_S = 0.5
 
 
 def vitals_of(
-    flight: AnyFlight, hover: Hover | None, means: HoverMeans | None
+    flight: AnyFlight, hover: Hover | None, diagnosis: HoverDiagnosis | None
 ) -> dict[str, float | None]:
     """All that are told, by the names of their columns.
 
     Args:
         flight: As read.
         hover: Its hover; None: it has none.
-        means: What it says of the twin; None: nothing.
+        diagnosis: Of the twin in it; None: none.
     """
     told: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}
     bias = gyro_bias(flight)
     if bias is not None:
         told |= {f"gyro_bias_{a}_rad_s": float(b) for a, b in zip("xyz", bias, strict=True)}
-    if means is not None:
-        told |= {"carried": means.carried, "back_m": means.back_m, "right_m": means.right_m}
+    if diagnosis is not None:
+        back, right = diagnosis.back_m, diagnosis.right_m
+        told |= {
+            "carried": diagnosis.carried.value,
+            "back_m": None if back is None else back.value,
+            "right_m": None if right is None else right.value,
+        }
     return told | ({} if hover is None else _of_hover(hover))
 
 
@@ -50,9 +55,7 @@ def _of_hover(hover: Hover) -> dict[str, float | None]:
         told["hover_speed_rad_s"] = float(np.median(hover.rotor_rad_s.mean(axis=1)))
     if hover.voltage_v is not None:
         told["hover_voltage_v"] = float(np.median(hover.voltage_v))
-    each = np.array(hover.each[:MOTORS])
-    shares = each / each.mean() - 1
-    return told | {f"motor_{i}": float(s) for i, s in enumerate(shares, start=1)}
+    return told | {f"motor_{i}": s for i, s in enumerate(hover.split[:MOTORS], start=1)}
 
 
 def battery_resistance(flight: AnyFlight) -> float | None:

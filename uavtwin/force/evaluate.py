@@ -21,8 +21,7 @@ from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
 from ..flights import check_names
 from ..output import output_file
-from ..report.figures import pretty_unit
-from ..report.gap import number, percent
+from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import horizons_figure
 from ..report.page import plot, render
 from ..series.table import CORRECTED, TWIN, Column, Series, residual_of

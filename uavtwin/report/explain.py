@@ -25,19 +25,19 @@ from .evidence.plots import (
     unsteady_strip,
 )
 from .evidence.steady import before_after_figure
-from .figures import pretty_unit
-from .gap import number, percent
+from .figures import number, percent, pretty_unit
+from .headline import got_worse, headline
+from .hover import hover_sentence
 from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
 from .words import (
     by_prior,
     calibrated_rows,
     certainty,
-    claim,
     day_rows,
     instead,
-    interval,
     meaning,
+    number_cells,
     shrink_words,
     shrinking,
     title,
@@ -69,7 +69,9 @@ def _page(found: Explanation, budget: Budget) -> str:
             "unit": pretty_unit,
             "shrink_words": shrink_words,
         },
-        claim=claim(found),
+        claim=headline(found).text,
+        got_worse=got_worse(found),
+        hover=[f"{h.flight}: {hover_sentence(found.vehicle.name, h)}" for h in found.hovers],
         found=found,
         shrinking=shrinking(found),
         effects=[_effect(found, e, budget) for e in told],
@@ -96,9 +98,13 @@ def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
             {
                 "name": t.number.name,
                 "description": t.number.about.description,
-                "unit": t.number.about.unit,
-                "value": t.value,
-                "interval": interval(t.ci95),
+                **dict(
+                    zip(
+                        ("value", "unit", "interval"),
+                        number_cells(t.value, t.number.about.unit, t.ci95),
+                        strict=True,
+                    )
+                ),
                 "told_by": by_prior(found, t.prior_share),
             }
             for t in estimates_of(found, effect)

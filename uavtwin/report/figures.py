@@ -121,3 +121,21 @@ def _spread(three: Sequence[Spectrum]) -> float:
 def pretty_unit(unit: str) -> str:
     """A unit as printed: `m/s2` is m/s²."""
     return unit.replace("^", "").replace("s2", "s²").replace("m2", "m²")
+
+
+def number(value: float) -> str:
+    """Three significant figures; a dash where there is no number."""
+    if not math.isfinite(value):
+        return "\N{EN DASH}"
+    if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
+        text = f"{value:.2e}"
+    else:
+        text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def percent(share: float) -> str:
+    """Two significant figures below 10 %; a dash where there is no number."""
+    if not math.isfinite(share):
+        return "\N{EN DASH}"
+    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"

@@ -27,7 +27,7 @@ from twin.residuals.spectra import SLOW_HZ
 from .autopilot import told_content
 from .drawing.budget import Budget, fitted
 from .drawing.panels import Spans
-from .figures import channel_figures, pretty_unit
+from .figures import channel_figures, number, percent, pretty_unit
 from .hover import hover_sentence
 from .kinds import Kind, describe, grouped, mode
 from .laid_over import laid_over
@@ -104,7 +104,7 @@ class _Scored:
             {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
             claim=claim(places),
             detail=_detail(places),
-            hover=[_hover(gaps[i], f"{gaps[i].flight}: ") for i in drawn if gaps[i].means],
+            hover=[_hover(gaps[i], f"{gaps[i].flight}: ") for i in drawn if gaps[i].hover],
             places=places[:6],
             slow_hz=SLOW_HZ,
             band_hz=BAND_HZ,
@@ -141,7 +141,7 @@ class _Scored:
                 "name": self.gaps[i].flight,
                 "duration_s": self.gaps[i].duration_s,
                 "claim": claim(rank({s.name: s for s in self.summed[i]})),
-                "hover": _hover(self.gaps[i]) if self.gaps[i].means else "",
+                "hover": _hover(self.gaps[i]) if self.gaps[i].hover else "",
             }
             for i in [*drawn, *others][:MOST_LISTED]
         ]
@@ -178,7 +178,7 @@ class _Scored:
 
 def _hover(gap: FlightGap, before: str = "") -> str:
     """What the hover of a flight says of the twin."""
-    return before + hover_sentence(gap.vehicle, gap.means) if gap.means else ""
+    return before + hover_sentence(gap.vehicle, gap.hover) if gap.hover else ""
 
 
 def claim(places: Sequence[Ranked]) -> str:
@@ -262,21 +262,3 @@ def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
                 }
             )
     return rows
-
-
-def number(value: float) -> str:
-    """Three significant figures; a dash where there is no number."""
-    if not math.isfinite(value):
-        return "\N{EN DASH}"
-    if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e5):
-        text = f"{value:.2e}"
-    else:
-        text = f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-    return text.replace("-", "\N{MINUS SIGN}")
-
-
-def percent(share: float) -> str:
-    """Two significant figures below 10 %; a dash where there is no number."""
-    if not math.isfinite(share):
-        return "\N{EN DASH}"
-    return f"{100 * share:.2g} %" if share < 0.1 else f"{100 * share:.0f} %"

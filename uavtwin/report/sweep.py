@@ -8,8 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from .drawing.panels import Panels
-from .figures import pretty_unit
-from .gap import number
+from .figures import number, pretty_unit
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 if TYPE_CHECKING:

@@ -24,8 +24,7 @@ from twin.logs import Flight
 
 from ..flights import check_names
 from ..output import check_folder
-from ..report.figures import pretty_unit
-from ..report.gap import number, percent
+from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle

@@ -11,6 +11,7 @@ from twin.effects.priors import CHANGES
 from twin.errors import LogError, ModelError
 from twin.explain.calibration import Calibrated, calibrate
 from twin.explain.explanation import Explanation, explain
+from twin.explain.settings import DEFAULT
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -113,3 +114,29 @@ def test_what_changed_is_asked_of_a_calibrated_vehicle_alone() -> None:
         explain([flight], [], COPTER, missions=[], since=True)
     with pytest.raises(LogError, match="no flight"):
         calibrate([], COPTER)
+
+
+@pytest.mark.slow
+def test_a_calibration_believes_no_rotor_that_explain_would_not() -> None:
+    """Beyond the deviations that count as too many, here one: left out, the rest fitted without."""
+    broken = TRUE.with_effects({**TRUE.effects, "rotor_efficiency_loss": {"loss_3": 0.2}})
+    settings = DEFAULT.with_values({"inference.selection.tension": 1.0}).inference
+    with library(("thrust_scale", "rotor_efficiency_loss", "cog_offset")):
+        found = calibrate([flown(broken, 0)], COPTER, settings=settings)
+    assert {*found.refused} == {"rotor_efficiency_loss"}
+    assert "loss_3 = 0." in found.refused["rotor_efficiency_loss"]
+    assert "rotor_efficiency_loss" not in found.fit.effects
+    assert not any(name.startswith("rotor_efficiency_loss") for name in found.estimates)
+    assert not calibrated().refused
+
+
+@pytest.mark.slow
+def test_numbers_of_a_calibration_have_an_interval_and_its_sound_value() -> None:
+    found = calibrated()
+    for name, t in found.estimates.items():
+        assert t.ci95 is not None
+        assert t.ci95[0] <= t.value <= t.ci95[1]
+        assert t.no_effect == (1.0 if name.endswith("scale") else 0.0)
+        assert t.prior_share == found.prior_share.get(name, 1.0)
+    assert found.shares["thrust_scale"][1] == "acc_z"
+    assert found.shares["thrust_scale"][0] > 0.5

@@ -28,7 +28,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import builtin_vehicles, load_vehicle, parse_vehicle, vehicle_text
 from twin.vehicle.file.write import Written, with_effect_sections
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.report.words import claim
+from uavtwin.report.headline import headline
 
 COPTER = load_vehicle("copter_default")
 LEGS: Waypoints = (
@@ -376,4 +376,4 @@ def test_a_name_that_held_out_flights_gainsay_is_taken_back() -> None:
         assert found.verdict == verdict
         assert (found.added is None) == bool(found.refuted) == (verdict == "cannot_tell")
         assert (found.refuted in found.warnings) == bool(found.refuted)
-        assert claim(found).startswith("These flights point to") == bool(found.refuted)
+        assert headline(found).text.startswith("These flights point to") == bool(found.refuted)

@@ -14,8 +14,8 @@ from uavtwin.report.drawing.budget import Budget
 from uavtwin.report.drawing.series import unpacked
 from uavtwin.report.figures import channel_figures
 from uavtwin.report.gap import claim, write_gap_report
+from uavtwin.report.headline import leading
 from uavtwin.report.kinds import describe
-from uavtwin.report.words import headline
 
 HOSTILE = "</script><script>alert('x')</script><b>&"
 
@@ -190,9 +190,18 @@ def test_channel_names_have_words(name: str) -> None:
 
 
 def test_what_changes_the_flight_leads_the_claim() -> None:
-    """Sensors and records lead where nothing else is named."""
-    assert headline(["baro_bias", "rotor_drag"]) == (["rotor_drag"], " Further: baro bias.")
-    assert headline(["baro_bias", "gyro_bias"]) == (["baro_bias", "gyro_bias"], "")
+    """Sensors and records lead where nothing else is named; what is not determined follows."""
+
+    def lead(effects: list[str], **shares: float) -> tuple[list[str], str]:
+        """All of them determined."""
+        return leading(effects, {e: (v, "acc_x") for e, v in shares.items()}, effects)
+
+    assert lead(["baro_bias", "rotor_drag"]) == (["rotor_drag"], " Further: baro bias.")
+    assert lead(["baro_bias", "gyro_bias"]) == (["baro_bias", "gyro_bias"], "")
     many = ["clock_offset", "mass_offset", "rotor_drag", "motor_lag", "cog_offset"]
-    assert headline(many) == (many[1:4], " Further: cog offset and clock offset.")
-    assert headline(["gust", "imu_delay"]) == (["gust"], " Further: imu delay.")
+    assert lead(many) == (many[1:4], " Further: cog offset and clock offset.")
+    assert lead(["gust", "imu_delay"]) == (["gust"], " Further: imu delay.")
+    assert lead(many, cog_offset=0.5, motor_lag=0.2)[0] == ["cog_offset", "motor_lag", many[1]]
+    first, later = leading(many, {"cog_offset": (0.5, "gyro_rate_x")}, ["rotor_drag"])
+    assert first == ["cog_offset", "rotor_drag"]
+    assert later == " Further: mass offset, motor lag and clock offset."

@@ -25,11 +25,13 @@ from ..settings import DEFAULT, InferenceSettings, SelectionSettings
 from .adequacy import credible, misfits
 from .beliefs import beliefs_of, beliefs_since, effect_of
 from .bounds import edges
+from .detectable import Detectable, smallest_detectable
 from .evidence import Best
 from .fit import Fit, fit_of, fit_of_best, worth_a_name
 from .inclusion import Posterior, weigh
-from .refit import Problem
+from .refit import Problem, State
 from .search import Found, asked_for, calibration_start, search, search_on, worth
+from .spectrum import force_shares
 from .whitening import Ground
 
 Array = NDArray[np.float64]
@@ -69,6 +71,9 @@ class Naming:
         kappa: By how much the days of these flights differ over what is usual.
         days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
             what all flights share, and its standard deviation.
+        shares: By effect, the largest share of the power of a force or moment channel that it
+            takes, and the channel.
+        detectable: By effect that is not in the final set, the smallest one that would show.
         settings: From when on a name is given.
     """
 
@@ -84,6 +89,8 @@ class Naming:
     ground: Ground
     kappa: float
     days: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
+    shares: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    detectable: Mapping[str, Detectable] = field(default_factory=dict)
     settings: SelectionSettings = DEFAULT.inference.selection
 
     __repr__ = short_repr
@@ -267,6 +274,8 @@ def _named(
         Ground.of(shown.on_its_days(problem.model), shown.values, settings.likelihood),
         kappa,
         days_of(problem, found.state.best),
+        shares_of(problem, found.state),
+        smallest_detectable(problem.model, judge, found.state, rules.sure),
         rules,
     )
 
@@ -368,6 +377,12 @@ def _resemblances(
         elif believable.get(e, 1.0) < rules.credible:
             found.append(Resemblance(e, "it leaves much of what its law should take"))
     return found
+
+
+def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
+    """Of each effect what `force_shares` says, at the end of a search."""
+    b = problem.beliefs
+    return force_shares(state.spectrum, [effect_of(c) for c in b.cause], state.best.x)
 
 
 def days_of(problem: Problem, best: Best) -> dict[str, dict[str, tuple[float, float]]]:

@@ -21,6 +21,8 @@ BANDS_HZ = np.array([0.0, 0.3, 0.8, 2.0, 4.5, 7.0, 10.0, 13.0, 16.0, 20.0, CHANN
 """Edges of the bands; the constant is apart."""
 SHORTEST = 8
 """Samples of a piece at least."""
+FORCE_CHANNELS = ("acc_", "gyro_rate_", "motion_acc_", "motion_rate_")
+"""How channels of specific force and of angular acceleration begin."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,3 +164,31 @@ def _transformed(channel: ChannelData, values: Array) -> tuple[Array, NDArray[np
     if not out:
         return np.zeros((0, values.shape[1])), np.zeros(0, dtype=np.intp)
     return np.concatenate(out), np.concatenate(bands)
+
+
+def force_shares(
+    spectrum: Spectrum, effects: Sequence[str], x: Array
+) -> dict[str, tuple[float, str]]:
+    """By effect, the largest share of the power of a force or moment channel that it takes, and the
+    channel: one minus the power with all effects over that without this one, in the linearisation.
+
+    Args:
+        spectrum: Residuals with all effects, and slopes.
+        effects: Effect of each column of the slopes, shape (k,).
+        x: Change of each of these numbers from the model as it stands, shape (k,).
+    """
+    taken: dict[str, tuple[float, str]] = {}
+    for name, own in zip(spectrum.channels, spectrum.rows, strict=True):
+        if not name.startswith(FORCE_CHANNELS):
+            continue
+        left = sum(float(r.residual @ r.residual) for r in own)
+        for effect in dict.fromkeys(effects):
+            without = 0.0
+            for r in own:
+                mine = np.array([effects[i] == effect for i in r.active], dtype=np.bool_)
+                row = r.residual + r.slopes[:, mine] @ x[r.active[mine]]
+                without += float(row @ row)
+            share = max(0.0, 1 - left / without) if without > 0 else 0.0
+            if share > taken.get(effect, (0.0, ""))[0]:
+                taken[effect] = share, name
+    return taken

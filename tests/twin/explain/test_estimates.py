@@ -1,0 +1,95 @@
+"""Intervals of numbers inside their physical range, and which of them a headline may give."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import truncnorm
+
+from twin.effects import EFFECTS
+from twin.explain.estimates import Estimate, credible_interval
+from twin.explain.inference.fit import INTERVAL
+from twin.explain.model.numbers import Number, numbers_of
+from twin.vehicle.file import load_vehicle
+
+COPTER = load_vehicle("copter_default")
+NUMBERS = {n.full: n for n in numbers_of(EFFECTS.values(), COPTER)}
+POSITIVE = (
+    "thrust_scale.scale",
+    "yaw_torque_scale.scale",
+    "inertia_error.scale_z",
+    "rotor_drag.k_xy_1_s",
+    "battery_sag.slope",
+    "mag_soft_iron.xx",
+    "motor_lag.tau_s",
+)
+SIZES = st.floats(0.01, 3.0)
+
+
+@given(st.sampled_from(POSITIVE), SIZES, SIZES)
+def test_what_cannot_be_negative_has_no_negative_interval(
+    name: str, value: float, half_width: float
+) -> None:
+    low, high = credible_interval(NUMBERS[name], value, half_width)
+    assert 0 <= low <= value <= high
+    assert math.isfinite(high)
+
+
+@given(st.sampled_from(sorted(NUMBERS)))
+def test_a_narrow_posterior_keeps_its_normal_interval(name: str) -> None:
+    number = NUMBERS[name]
+    value = 0.5 * sum(number.about.bounds) + 0.1 * number.about.bounds[1]
+    half = 1e-3 * abs(value)
+    expected = pytest.approx((value - half, value + half), abs=0.01 * half)
+    assert credible_interval(number, value, half) == expected
+
+
+def test_a_factor_is_log_normal_about_its_value() -> None:
+    """With the coefficient of variation of the normal posterior."""
+    low, high = credible_interval(NUMBERS["inertia_error.scale_x"], 1.5, INTERVAL * 0.9)
+    assert low * high == pytest.approx(1.5**2)
+    sigma = math.log(high / 1.5) / INTERVAL
+    assert math.sqrt(math.expm1(sigma**2)) == pytest.approx(0.9 / 1.5)
+
+
+@pytest.mark.parametrize(("value", "sd"), [(0.0, 0.2), (0.1, 0.2), (0.3, 0.2), (0.5, 0.2)])
+def test_a_coefficient_has_the_interval_of_highest_density(value: float, sd: float) -> None:
+    """Of the truncated normal distribution, by its own cumulative distribution."""
+    low, high = credible_interval(NUMBERS["rotor_drag.k_xy_1_s"], value, INTERVAL * sd)
+    posterior = truncnorm(-value / sd, np.inf, loc=value, scale=sd)
+    assert posterior.cdf(high) - posterior.cdf(low) == pytest.approx(0.95, abs=1e-6)
+    assert posterior.pdf(low) >= posterior.pdf(high) * (1 - 1e-6)
+    assert (low == 0) or posterior.pdf(low) == pytest.approx(posterior.pdf(high))
+
+
+def estimate(number: Number, value: float, half: float, prior_share: float) -> Estimate:
+    """As a search makes it."""
+    interval = credible_interval(number, value, half)
+    return Estimate(number, value, number.about.neutral, interval, prior_share)
+
+
+@given(st.sampled_from(sorted(NUMBERS)), st.floats(-1, 1), st.floats(1e-3, 2), st.floats(0, 1))
+def test_a_headline_gives_no_number_that_may_be_none(
+    name: str, place: float, half: float, prior_share: float
+) -> None:
+    number = NUMBERS[name]
+    low, high = number.about.bounds
+    value = min(max(0.5 * (low + high) + 0.5 * place * (high - low), low), high)
+    made = estimate(number, value, half * (high - low), prior_share)
+    if made.determined:
+        assert made.ci95 is not None and made.no_effect is not None
+        assert not made.ci95[0] <= made.no_effect <= made.ci95[1]
+        assert prior_share <= 0.5
+    elif not number.shape and prior_share <= 0.5:
+        assert made.may_be_none
+
+
+def test_a_number_that_only_the_prior_knows_is_not_determined() -> None:
+    scale = NUMBERS["thrust_scale.scale"]
+    assert estimate(scale, 1.4, 0.1, 0.4).determined
+    assert not estimate(scale, 1.4, 0.1, 0.6).determined
+    assert not estimate(scale, 1.4, 0.1, 0.6).may_be_none
+    assert estimate(scale, 1.05, 0.1, 0.4).may_be_none
+    assert not estimate(NUMBERS["slung_load.length_m"], 0.7, 0.1, 0.1).determined

@@ -1,0 +1,379 @@
+"""The sentence on top of a result: one rule for every verb.
+
+A headline gives a number only where its 95 % interval excludes "no effect" and the flights say more
+of it than the prior (`Estimate.determined`). Of the effects that act on the flight, that which
+takes the largest share of a force or moment channel leads, even where something only acts like it;
+sensors and records come after. An effect whose numbers are not determined is named without them,
+and a further sentence says so. `Headline.numbers` lists what the text gives, so that a program can
+hold the sentence against its numbers.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from twin.effects import EFFECTS
+from twin.explain.calibration import Calibrated
+from twin.explain.estimates import (
+    Estimate,
+    beside_mean,
+    estimates_of,
+    fitted_estimates,
+    listed_effects,
+    nothing_probability,
+    probability_of,
+    undecided,
+)
+from twin.explain.explanation import Explanation
+from twin.explain.inference.detectable import Detectable
+from twin.explain.inference.fit import Fit
+from twin.explain.inference.selection import Naming
+
+from .figures import number, percent, pretty_unit
+from .spoken import BLIND_ORDER, blind_clause, clause, joined, quantity, said, said_numbers
+from .words import certainty, title
+
+MOST_NUMBERS = 3
+"""Numbers of an effect that a headline gives; of several effects, one each."""
+MOST_EFFECTS = 3
+"""Effects that it gives numbers of."""
+MOST_BLIND = 3
+"""Effects of which it says how small they may be to stay unseen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """A sentence on top.
+
+    Attributes:
+        text: One or more sentences.
+        numbers: Fitted numbers that the text gives, "effect.number".
+    """
+
+    text: str
+    numbers: tuple[str, ...] = ()
+
+    def json(self) -> dict[str, Any]:
+        """The same for programs."""
+        return {"text": self.text, "numbers": list(self.numbers)}
+
+
+def headline(found: Explanation) -> Headline:
+    """The answer of `explain`."""
+    naming = found.naming
+    if naming is None or found.verdict == "unusable":
+        return Headline(f"These flights cannot be used: {'; '.join(found.reasons)}")
+    if found.refuted:
+        candidates = joined(_candidates(found))
+        return Headline(f"These flights point to {candidates}, but {found.refuted}.")
+    if found.since is not None:
+        since = _since(found, naming)
+        text = f"Since the calibration on {joined(list(found.since))}: {since.text}"
+        return Headline(text, since.numbers)
+    if found.verdict == "nothing":
+        sure = certainty(nothing_probability(naming))
+        text = f"The model lacks nothing that these flights can show ({sure} sure)."
+        return Headline(text + blind(naming.detectable, since=False))
+    if found.verdict == "named":
+        return _named(found, naming)
+    if found.verdict == "unnamed":
+        return Headline(f"The model lacks something {_outside(found)}.")
+    tied = _candidates(found)
+    if nothing_probability(naming) > 0.01:
+        tied.append(f"nothing at all ({certainty(nothing_probability(naming))})")
+    if naming.outside > naming.settings.least:
+        tied.append(f"something not in the library of effects ({certainty(naming.outside)})")
+    return Headline(f"These flights cannot tell what the model lacks: {joined(tied, 'or')}.")
+
+
+def _named(found: Explanation, naming: Naming) -> Headline:
+    """What the model lacks, where something is named."""
+    effects = [e for e in listed_effects(found) if e not in undecided(found)]
+    lead = _acts_like(found, naming, effects)
+    estimates = {e: estimates_of(found, e) for e in effects}
+    first, later = leading(effects, naming.shares, _determined(estimates))
+    most = MOST_NUMBERS if len(first) == 1 else 1
+    parts = [_phrase(found, e, estimates[e], most) for e in first]
+    text = (
+        f"{lead}{'Besides, the' if lead else 'The'} model lacks {'; '.join(p.text for p in parts)} "
+        f"{_sure(found, first)}{later}{_what_else(found, effects)}{_doubts(found, estimates)}"
+    )
+    return Headline(text, tuple(n for p in parts for n in p.numbers))
+
+
+def leading(
+    effects: Sequence[str], shares: Mapping[str, tuple[float, str]], determined: Collection[str]
+) -> tuple[list[str], str]:
+    """Effects that a headline leads with, and a sentence about the others, which begins with a
+    blank.
+
+    Those that act on the flight come first, by the share of a force or moment channel that they
+    take; of these the first leads, and the others follow as far as their numbers are determined.
+
+    Args:
+        effects: Named ones.
+        shares: By effect, share and channel.
+        determined: Effects with a number that a headline may give.
+    """
+    share = {e: round(shares.get(e, (0.0, ""))[0], 2) for e in effects}
+    in_order = sorted(effects, key=lambda e: (not EFFECTS[e].in_the_air, -share[e]))
+    alike = [e for e in in_order if EFFECTS[e].in_the_air] or in_order
+    first = [alike[0], *[e for e in alike[1:] if e in determined][: MOST_EFFECTS - 1]]
+    later = [e for e in in_order if e not in first]
+    return first, f" Further: {joined([title(e) for e in later])}." if later else ""
+
+
+def _determined(estimates: Mapping[str, Sequence[Estimate]]) -> set[str]:
+    """Effects with a number that a headline may give, and those without any number."""
+    return {e for e, own in estimates.items() if not own or any(t.determined for t in own)}
+
+
+def _acts_like(found: Explanation, naming: Naming, named: Sequence[str]) -> str:
+    """What takes a larger share of a force or moment channel than all that is named, though it only
+    acts like an effect: a sentence with a blank behind it; "" where nothing does."""
+    share = {r.effect: naming.shares.get(r.effect, (0.0, "")) for r in naming.resemblances}
+    if not share:
+        return ""
+    effect = max(share, key=lambda e: share[e][0])
+    size, channel = share[effect]
+    if size <= max((naming.shares.get(e, (0.0, ""))[0] for e in named), default=0.0):
+        return ""
+    why = next(r.why for r in naming.resemblances if r.effect == effect)
+    return (
+        f"Something acts like {title(effect)}, and takes {percent(size)} of the gap in {channel}: "
+        f"it is not named, since {why}. "
+    )
+
+
+def _phrase(
+    found: Explanation, effect: str, estimates: Sequence[Estimate], most: int, since: bool = False
+) -> Headline:
+    """An effect with the numbers that a headline may give."""
+    beside = beside_mean(found, effect)
+    if beside is None:
+        size = sizes(effect, estimates, most, since)
+        return Headline(f"{title(effect)}{': ' * bool(size.text)}{size.text}", size.numbers)
+    told = [t for t in estimates if t.determined or t.number.shape][:most]
+    texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in told]
+    where = f"{title(effect)} in {', '.join(beside.channels)}"
+    numbers = tuple(t.number.full for t in told)
+    return Headline(where + (f": {joined(texts)}" if texts else ""), numbers)
+
+
+def sizes(effect: str, estimates: Sequence[Estimate], most: int, since: bool = False) -> Headline:
+    """What an effect amounts to by its determined numbers: a clause where there is one and the
+    vehicle has nothing of it, else the clearest of the numbers, each with unit and meaning.
+
+    Args:
+        effect: Identifier.
+        estimates: Its numbers.
+        most: Numbers to give without a clause.
+        since: Whether the change since a calibration is meant.
+    """
+    told = {t.number.name: t for t in estimates if t.determined}
+    change = said_numbers(effect, {k: t.change for k, t in told.items()})
+    told = {k: told[k] for k in change}
+    new = since or all(t.no_effect == t.number.about.neutral for t in told.values())
+    full = tuple(t.number.full for t in told.values())
+    if new and (words := clause(effect, change, since)):
+        return Headline(words, full)
+    clearest = sorted(told.values(), key=lambda t: -abs(t.change) / _width(t))[:most]
+    return Headline(joined([_number(t) for t in clearest]), tuple(t.number.full for t in clearest))
+
+
+def _width(estimate: Estimate) -> float:
+    low, high = estimate.ci95 or (0.0, 0.0)
+    return max(high - low, 1e-300)
+
+
+def _number(estimate: Estimate) -> str:
+    """A number with unit and meaning, and with what the file has in its place."""
+    about, name = estimate.number.about, estimate.number.name
+    index = name.removeprefix(about.name).lstrip("_")
+    which = f" of rotor {index}" if about.per_rotor else ""
+    text = f"{quantity(estimate.value, about.unit)} ({about.description}{which}"
+    if estimate.no_effect != about.neutral and estimate.no_effect is not None:
+        text += f"; {quantity(estimate.no_effect, about.unit)} in the vehicle file"
+    return f"{text})"
+
+
+def _candidates(found: Explanation) -> list[str]:
+    """Effects that are told about, each with its probability."""
+    return [f"{title(e)} ({certainty(probability_of(found, e))})" for e in listed_effects(found)]
+
+
+def _sure(found: Explanation, effects: Sequence[str]) -> str:
+    """How sure names are, in brackets and with a stop: of several the least sure one counts."""
+    least = certainty(min(probability_of(found, e) for e in effects))
+    return f"({least} sure)." if len(effects) == 1 else f"(each {least} sure or more)."
+
+
+def _outside(found: Explanation) -> str:
+    """What is known of something without a name; begins with a relative clause."""
+    if found.unnamed:
+        first = found.unnamed[0]
+        return (
+            f"that is not in the library of effects: in {first.channel} it is {first.expression}, "
+            f"{100 * first.share:.0f} % of the gap there"
+        )
+    alike = [] if found.naming is None else [r.effect for r in found.naming.resemblances]
+    if found.naming is not None:
+        shares = found.naming.shares
+        alike.sort(key=lambda e: -shares.get(e, (0.0, ""))[0])
+    like = f" It acts like {joined([title(e) for e in alike], 'or')}" if alike else ""
+    return f"that is not in the library of effects.{like}".rstrip(".")
+
+
+def _since(found: Explanation, naming: Naming) -> Headline:
+    """What has changed since the calibration, a clause that ends in a stop."""
+    if found.verdict == "nothing":
+        sure = certainty(nothing_probability(naming))
+        text = f"nothing has changed that these flights can show ({sure} sure)."
+        return Headline(text + blind(naming.detectable, since=True))
+    if found.verdict == "unnamed":
+        return Headline(f"something has changed {_outside(found)}.")
+    if found.verdict == "named":
+        effects = [e for e in listed_effects(found) if e not in undecided(found)]
+        estimates = {e: estimates_of(found, e) for e in effects}
+        first, later = leading(effects, naming.shares, _determined(estimates))
+        parts = [
+            _phrase(found, e, estimates[e], 1)
+            if beside_mean(found, e) is not None
+            else _change(naming, e, estimates[e])
+            for e in first
+        ]
+        text = (
+            f"{joined([p.text for p in parts])} {_sure(found, first)}{later}"
+            f"{_what_else(found, effects)}{_doubts(found, estimates)}"
+        )
+        return Headline(text, tuple(n for p in parts for n in p.numbers))
+    tied, numbers = [], []
+    for fit, p in zip(naming.fitted, naming.probabilities, strict=True):
+        if p >= naming.settings.least:
+            parts = [_change(naming, e, _fitted(naming, fit, e)) for e in fit.effects]
+            text = joined([part.text for part in parts]) or "nothing has changed"
+            tied.append(f"{text} ({certainty(p)})")
+            numbers += [n for part in parts for n in part.numbers]
+    if naming.outside > naming.settings.least:
+        tied.append(f"something not in the library has changed ({certainty(naming.outside)})")
+    head = "either" if len(tied) > 1 else "it may be that"
+    text = f"{head} {joined(tied, 'or')}: these flights cannot tell."
+    return Headline(text, tuple(dict.fromkeys(numbers)))
+
+
+def _fitted(naming: Naming, fit: Fit, effect: str) -> list[Estimate]:
+    """Numbers of an effect in one of several hypotheses."""
+    return fitted_estimates(fit, naming.problem.beliefs, effect)
+
+
+def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headline:
+    """How an effect has changed since the calibration, and which rotors it may be as well."""
+    change = {t.number.name: t.change for t in estimates if t.determined}
+    if not change:
+        return Headline(f"{title(effect)} has changed")
+    told = said_numbers(effect, change)
+    words = said(effect, change, since=True)
+    rotors = {c.partition(":")[2] for c in naming.one_of(effect) if c.startswith(f"{effect}:")}
+    named = {r for r in rotors if f"rotor {r} " in words}
+    if len(rotors) > 1 and named:
+        words += f" (or another one of rotors {joined(sorted(rotors), 'and')})"
+    return Headline(words, tuple(f"{effect}.{name}" for name in told))
+
+
+def _what_else(found: Explanation, sure: Sequence[str]) -> str:
+    """What is there beside the sure effects, where something is; begins with a blank."""
+    if not undecided(found):
+        return ""
+    assert found.naming is not None
+    least = found.naming.settings.least
+    every = {e for f in found.naming.fitted for e in f.effects} - set(sure)
+    chance = {e: probability_of(found, e) for e in sorted(every)}
+    likely = sorted((e for e in chance if chance[e] >= least), key=lambda e: -chance[e])
+    tied = joined([f"{title(e)} ({certainty(chance[e])})" for e in likely], "or")
+    return f" Beside that, these flights cannot tell what it lacks: {tied}."
+
+
+def _doubts(found: Explanation, estimates: Mapping[str, Sequence[Estimate]]) -> str:
+    """What speaks against a name or its numbers all the same; begins with a blank."""
+    known = _determined(estimates)
+    none = [
+        e
+        for e, own in estimates.items()
+        if e not in known and all(t.may_be_none for t in own if t.no_effect is not None)
+    ]
+    text = undetermined(none, [e for e in estimates if e not in known and e not in none])
+    if lost := [m.name for m in found.missions if not m.stable]:
+        text += f" The model with it does not fly {joined(lost)} in closed loop."
+    return text
+
+
+def calibrated_headline(found: Calibrated, lead: str) -> Headline:
+    """What stands on top of a calibration.
+
+    Args:
+        found: What was fitted.
+        lead: Main clause, without a stop.
+    """
+    own: dict[str, list[Estimate]] = {}
+    for t in found.estimates.values():
+        if EFFECTS[t.number.effect].of_vehicle and abs(t.change) > t.number.about.smallest:
+            own.setdefault(t.number.effect, []).append(t)
+    known = _determined(own)
+    effects = [e for e in own if e in known]
+    if not effects:
+        return Headline(f"{lead}.")
+    first, _ = leading(effects, found.shares, known)
+    parts = [_calibrated(e, own[e]) for e in first]
+    numbers = tuple(n for p in parts for n in p.numbers)
+    return Headline(f"{lead}: {'; '.join(p.text for p in parts)}.", numbers)
+
+
+def _calibrated(effect: str, estimates: Sequence[Estimate]) -> Headline:
+    """An effect of the aircraft by its determined numbers, a clause with its own subject."""
+    change = {t.number.name: t.change for t in estimates if t.determined}
+    names = said_numbers(effect, change)
+    return Headline(said(effect, change, since=False), tuple(f"{effect}.{n}" for n in names))
+
+
+def undetermined(none: Sequence[str], unsized: Sequence[str]) -> str:
+    """Sentences about effects without a number that a headline may give; begins with a blank.
+
+    Args:
+        none: Those whose intervals contain no effect.
+        unsized: Those whose numbers the prior says more of than the flights.
+    """
+    text = ""
+    if none:
+        them = "it" if len(none) == 1 else "them"
+        names = joined([title(e) for e in none])
+        text += f" {names.capitalize()} may be zero: these flights do not determine {them}."
+    if unsized:
+        names, verb = joined([title(e) for e in unsized]), "is" if len(unsized) == 1 else "are"
+        text += f" These flights do not determine how large {names} {verb}."
+    return text
+
+
+def blind(detectable: Mapping[str, Detectable], since: bool) -> str:
+    """How large an effect may be and still not show; begins with a blank, "" where nothing is
+    known."""
+    known = {e: detectable[e] for e in BLIND_ORDER if e in detectable}
+    texts = [
+        blind_clause(e, d.value, d.unit, since) for e, d in known.items() if d.value is not None
+    ]
+    if not texts:
+        return ""
+    first = joined(texts[:MOST_BLIND], "or")
+    return f" {first[0].upper()}{first[1:]} would not show in these flights."
+
+
+def got_worse(found: Explanation) -> str:
+    """The channel of the held-out flights that got worst, in one sentence; "" where none did."""
+    worse = [g for g in (found.comparison.gaps if found.comparison else ()) if g.worse]
+    if not worse:
+        return ""
+    worst = max(worse, key=lambda g: g.after / g.before if g.before > 0 else 0.0)
+    others = f"; so does that of {len(worse) - 1} further" if len(worse) > 1 else ""
+    return (
+        f"On the held-out flights the gap in {worst.name} grows, from {number(worst.before)} to "
+        f"{number(worst.after)} {pretty_unit(worst.unit)} rms{others}."
+    )
