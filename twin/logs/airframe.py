@@ -26,6 +26,29 @@ class Told(NamedTuple, Generic[T]):
     source: str
 
 
+NO_MULTIROTOR = {
+    1: "a fixed-wing aircraft",
+    3: "a coaxial helicopter",
+    4: "a helicopter",
+    5: "an antenna tracker",
+    6: "a ground station",
+    7: "an airship",
+    8: "a balloon",
+    9: "a rocket",
+    10: "a rover",
+    11: "a boat",
+    12: "a submarine",
+    16: "a flapping wing",
+    17: "a kite",
+    **dict.fromkeys((*range(19, 26), 47), "a VTOL aircraft, with wings"),
+    28: "a parafoil",
+    45: "a spacecraft",
+    46: "a walking robot",
+    **dict.fromkeys((18, 26, 27, *range(30, 35), *range(36, 43), 44, 48), "a device, no aircraft"),
+}
+"""What is none, by MAV_TYPE of the MAVLink common message set."""
+
+
 @dataclass(frozen=True, slots=True)
 class Place:
     """Where and when a log was made.

@@ -61,6 +61,7 @@ class MavlinkDecoder:
     Attributes:
         motors: How many; of the heartbeat where not given.
         autopilot: Of the heartbeat, in words; "" before it came.
+        type: MAV_TYPE of the heartbeat; None before it came.
         kinds: Number of messages of each known kind.
         dropped: Number of samples and numbers that were left out, by signal and reason.
         parameters: Finite values of PARAM_VALUE by name.
@@ -71,6 +72,7 @@ class MavlinkDecoder:
 
     def __init__(self, motors: int | None = None) -> None:
         self.motors, self.autopilot = motors, ""
+        self.type: int | None = None
         self.kinds: Counter[str] = Counter()
         self.dropped: Counter[tuple[str, str]] = Counter()
         self.parameters: dict[str, float] = {}
@@ -175,6 +177,7 @@ class MavlinkDecoder:
     def _heartbeat(self, m: Message) -> Found:
         if m.type != GCS and m.get_srcComponent() in (0, dialect.MAV_COMP_ID_AUTOPILOT1):
             self.autopilot = AUTOPILOTS.get(m.autopilot, f"autopilot of kind {m.autopilot}")
+            self.type = int(m.type)
             if not self._fixed_motors:
                 self.motors = MOTORS.get(m.type)
         yield from ()

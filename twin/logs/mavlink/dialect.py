@@ -22,6 +22,7 @@ MOTORS = {
     dialect.MAV_TYPE_QUADROTOR: 4,
     dialect.MAV_TYPE_HEXAROTOR: 6,
     dialect.MAV_TYPE_OCTOROTOR: 8,
+    dialect.MAV_TYPE_DECAROTOR: 10,
     dialect.MAV_TYPE_DODECAROTOR: 12,
 }
 """Motors of an aircraft by the type in its heartbeat."""

@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ...errors import LogError
+from ..airframe import NO_MULTIROTOR, Airframe, Told
 from ..assemble import Rows, add_signal, lay_out
 from ..clock import advancing, told_dropped
 from ..columns import VEL, motor_columns
@@ -98,7 +99,8 @@ class _Log(Noted):
 def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     """Read a telemetry log of a ground station, or `raw.tlog` of `uavtwin live`.
 
-    Of several systems that of the most samples is read.
+    Of several systems the multirotor with the most samples is read, without one the system with
+    the most.
 
     Args:
         path: File name.
@@ -115,7 +117,8 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     if not by_group:
         raise LogError(
             f"{path.name}: of {link.of(system).received} messages of system {system} none holds a "
-            f"signal that is read; there are {_listed(decoder.kinds)}. Ask for HIGHRES_IMU, "
+            f"signal that is read; there are {_listed(decoder.kinds)}.{_is_other(decoder)} Ask for "
+            "HIGHRES_IMU, "
             f"ODOMETRY and ACTUATOR_OUTPUT_STATUS (SET_MESSAGE_INTERVAL) and fly again."
         )
     start_us = min(int(t[0]) for t, _ in by_group.values())
@@ -138,13 +141,15 @@ def read_tlog(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     _note(log, decoder, link, system, table)
     mended, doubts = validate(path.name, {str(c): table[c].to_numpy() for c in table})
     table = table.assign(**mended)
-    return Flight(path.stem, table, (*log.findings, *doubts), facts, path)
+    findings = (*log.findings, *doubts)
+    return Flight(path.stem, table, findings, facts, path, airframe=_airframe(decoder))
 
 
 def _aircraft(
     path: Path, log: _Log, link: Link, blob: bytes
 ) -> tuple[int, MavlinkDecoder, _Samples]:
-    """The system of the most samples, what it is, and its samples in order of arrival."""
+    """The multirotor with the most samples, else the system with the most; what it is, and its
+    samples in order of arrival."""
     decoders: defaultdict[int, MavlinkDecoder] = defaultdict(MavlinkDecoder)
     samples: defaultdict[int, _Samples] = defaultdict(_Samples)
     astray: Counter[int] = Counter()
@@ -178,7 +183,7 @@ def _aircraft(
     if not link.sequences:
         raise LogError(f"{path.name}: no whole MAVLink frame in {len(blob)} bytes. Copy it again.")
     heard = {s: link.of(s).received for s in link.systems}
-    system = max(heard, key=lambda s: (len(samples[s]), heard[s]))
+    system = max(heard, key=lambda s: (not _other(decoders[s]), len(samples[s]), heard[s]))
     others = sorted((len(samples[s]), s) for s in samples if samples[s] and s != system)[::-1]
     for count, other in others[:_SEEN]:
         message = f"another aircraft, system {other}, left out; system {system} is read"
@@ -190,6 +195,25 @@ def _aircraft(
         message = "messages left out, their time is far from the aircraft's clock"
         log.note("warning", "time", message, stray)
     return system, decoders[system], samples[system]
+
+
+def _other(decoder: MavlinkDecoder) -> str:
+    """What a system is that is no multirotor, by its heartbeat; "" where it may be one."""
+    kind = decoder.type
+    return f"MAV_TYPE is {kind}, {NO_MULTIROTOR[kind]}" if kind in NO_MULTIROTOR else ""
+
+
+def _is_other(decoder: MavlinkDecoder) -> str:
+    """The sentence on a system that is no multirotor."""
+    return f" It is none: {_other(decoder)}." if _other(decoder) else ""
+
+
+def _airframe(decoder: MavlinkDecoder) -> Airframe:
+    """What the heartbeat says of an aircraft."""
+    motors = decoder.motors
+    source = f"MAV_TYPE {decoder.type} of the heartbeat"
+    rotors = None if motors is None else Told(motors, source)
+    return Airframe(no_multirotor=_other(decoder), rotors=rotors)
 
 
 def _is_reordered(t_us: NDArray[np.int64]) -> bool:

@@ -6,24 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, FRAMES, Layout, frame
-from ..airframe import Airframe, Cells, Place, ThrustCurve, Told
+from ..airframe import NO_MULTIROTOR, Airframe, Cells, Place, ThrustCurve, Told
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
 from .log import Px4Log, Topic
 from .mixers import airframe_mixer, frame_of_mixer
 from .outputs import Outputs, logged_outputs
 
-_NO_MULTIROTOR = {
-    1: "a fixed-wing aircraft",
-    4: "a helicopter",
-    7: "an airship",
-    8: "a balloon",
-    10: "a rover",
-    11: "a boat",
-    12: "a submarine",
-    **dict.fromkeys(range(19, 26), "a VTOL aircraft, with wings"),
-}
-"""MAV_TYPE, MAVLink common message set."""
 _OTHER_ALLOCATION = {
     1: "a fixed-wing aircraft",
     **dict.fromkeys((2, 3, 4), "a VTOL aircraft, with wings"),
@@ -87,7 +76,7 @@ def from_px4_airframe(log: Px4Log, filtered: bool) -> Airframe:
 
 
 def _no_multirotor(log: Px4Log) -> str:
-    for name, kinds in (("MAV_TYPE", _NO_MULTIROTOR), ("CA_AIRFRAME", _OTHER_ALLOCATION)):
+    for name, kinds in (("MAV_TYPE", NO_MULTIROTOR), ("CA_AIRFRAME", _OTHER_ALLOCATION)):
         value = int(log.params.get(name, -1))
         if value in kinds:
             return f"{name} is {value}, {kinds[value]}"

@@ -8,10 +8,12 @@ from sample_logs import SAMPLES, flown_table
 
 from twin.errors import LogError
 from twin.logs import read_flight
-from twin.logs.mavlink.dialect import AUTOPILOT, dialect, parser
+from twin.logs.airframe import NO_MULTIROTOR
+from twin.logs.mavlink.dialect import AUTOPILOT, MOTORS, dialect, parser
 from twin.logs.mavlink.encode import heartbeat, landed, messages_of
 from twin.logs.mavlink.link import Link, Sequence
 from twin.logs.mavlink.tlog import Frame, frames, stamped
+from uavtwin.file_check import check_file
 
 EPOCH_US = 1_700_000_000_000_000
 
@@ -140,3 +142,49 @@ def test_a_sender_that_begins_anew_repeats_no_message() -> None:
     one = Sequence()
     assert not any(one.add(k, 1) for k in range(100)) and not any(one.add(k, 2) for k in range(100))
     assert one.received == 200 and one.duplicates == 0
+
+
+def of_type(kind: int, frames_of: list[bytes], system: int) -> list[bytes]:
+    """The same with another MAV_TYPE in the last heartbeat."""
+    packer = parser(system, AUTOPILOT)
+    beat = dialect.MAVLink_heartbeat_message(kind, 12, 0, 0, 4, 3).pack(packer)
+    return [*frames_of, stamped(EPOCH_US + 30_000_000, beat)]
+
+
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [(1, "fixed-wing"), (10, "rover"), (11, "boat"), (5, "antenna tracker"), (22, "VTOL")],
+)
+def test_what_is_no_multirotor_is_named_by_its_type(tmp_path: Path, kind: int, text: str) -> None:
+    path = tmp_path / "other.tlog"
+    path.write_bytes(b"".join(of_type(kind, flown(table_rows=300), 1)))
+    report = check_file(path)
+    assert any(f"no multirotor, MAV_TYPE is {kind}" in p and text in p for p in report.problems)
+    assert not report.good_for
+
+
+def test_a_multirotor_is_read_beside_a_tracker_that_says_more(tmp_path: Path) -> None:
+    path = tmp_path / "two.tlog"
+    tracker = of_type(5, flown(9, 600), 9)
+    path.write_bytes(b"".join([*tracker, *flown(7, 200)]))
+    flight = read_flight(path)
+    assert flight.facts["aircraft"] == "MAVLink system 7"
+    assert flight.airframe is not None and flight.airframe.no_multirotor == ""
+    assert flight.airframe.rotors is not None and flight.airframe.rotors.value == 4
+
+
+def test_a_tracker_alone_is_no_aircraft(tmp_path: Path) -> None:
+    packer = parser(255, AUTOPILOT)
+    beat = dialect.MAVLink_heartbeat_message(5, 8, 0, 0, 4, 3).pack(packer)
+    path = tmp_path / "station.tlog"
+    path.write_bytes(stamped(EPOCH_US, beat))
+    with pytest.raises(LogError, match="It is none: MAV_TYPE is 5, an antenna tracker"):
+        read_flight(path)
+
+
+def test_every_type_of_the_dialect_is_sorted() -> None:
+    """GENERIC and GENERIC_MULTIROTOR do not say how many motors there are."""
+    kinds = {k for k in dialect.enums["MAV_TYPE"] if k != dialect.MAV_TYPE_ENUM_END}
+    open_kinds = {dialect.MAV_TYPE_GENERIC, 43}
+    assert not NO_MULTIROTOR.keys() & MOTORS.keys()
+    assert kinds - NO_MULTIROTOR.keys() - MOTORS.keys() == open_kinds
