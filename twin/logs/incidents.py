@@ -17,7 +17,7 @@ _LYING_COS = np.cos(np.radians(45.0))
 """A multirotor that is tilted further cannot stand still in the air."""
 _STILL_M_S2, _STILL_M_S = 2.0, 0.3
 _LYING_S = 1.0
-_RAN_S = 3.0
+_RAN_S = 0.5
 _RUNS = 0.05
 _FLIES = 0.15
 _AT_LIMIT = 0.01
@@ -59,7 +59,7 @@ def _tip_over(table: Columns) -> list[Finding]:
         rest_s = max((t_s[first + b] - t_s[first + a] for a, b in _runs(rests)), default=0.0)
         level = np.interp(t_s[first], t_cmd, cmd.mean(axis=1))
         before = (t_cmd >= t_s[first] - _RAN_S) & (t_cmd <= t_s[first])
-        ran = before.any() and float(cmd[before].mean(axis=1).max()) > _RUNS
+        ran = max([level, *cmd[before].mean(axis=1)]) > _RUNS
         if rest_s < _LYING_S or not ran:
             continue
         angle = np.degrees(np.arccos(np.clip(np.median(upright[first : last + 1]), -1.0, 1.0)))

@@ -61,10 +61,9 @@ def _ground(log: ArduPilotLog) -> list[Span]:
 def modes(log: ArduPilotLog) -> str:
     """Flight modes with the times of their begin, "" where there are none."""
     topic = log.whole("MODE")
-    if topic is None:
+    if topic is None or not (names := mode_names(log, topic)):
         return ""
     told: list[str] = []
-    names = mode_names(log, topic)
     in_time = np.flatnonzero(topic.t_s <= (log.length_us or np.inf) * 1e-6)
     before = np.flatnonzero(topic.t_s[in_time] <= 0.0)
     for k in in_time[max(len(before) - 1, 0) :]:
@@ -74,15 +73,21 @@ def modes(log: ArduPilotLog) -> str:
 
 
 def mode_names(log: ArduPilotLog, topic: Topic) -> list[str]:
-    """Mode of each MODE by name: from ModeNum, up to Copter 3.1 from Mode (text logs: a name)."""
-    if topic.has("ModeNum"):
-        return [mode_name(log, number) for number in topic.raw("ModeNum").tolist()]
-    modes = topic.source.data["Mode"][topic.rows].tolist()
-    numbers = [float(m) if str(m).isdecimal() else np.nan for m in modes]
-    return [
-        mode_name(log, number) if np.isfinite(number) else as_text(str(mode))
-        for mode, number in zip(modes, numbers, strict=True)
-    ]
+    """Mode of each MODE by name: from ModeNum, up to Copter 3.1 from Mode (text logs: a name);
+    [] where they have neither."""
+    for column in ("ModeNum", "Mode"):
+        if column in topic.source.data:
+            values = topic.source.data[column][topic.rows].tolist()
+            return [_named(log, value) for value in values]
+    return []
+
+
+def _named(log: ArduPilotLog, value: object) -> str:
+    """Name of a mode that is a number, or already a name."""
+    if isinstance(value, int | float):
+        return mode_name(log, value)
+    text = as_text(value.decode("utf-8", "replace") if isinstance(value, bytes) else value)
+    return mode_name(log, float(text)) if text.isdecimal() and len(text) < 4 else text
 
 
 def mode_name(log: ArduPilotLog, number: float) -> str:

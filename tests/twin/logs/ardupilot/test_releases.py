@@ -407,3 +407,16 @@ def test_a_controller_that_reads_half_a_volt_less_is_told(tmp_path: Path, name: 
     blob = dataflash(messages, dict(release.params), units=False, kinds=release.kinds)
     told = [f.message for f in read(tmp_path, blob).findings if f.where == "vbat_v"]
     assert len(told) == 1 and "motor 3 reads 15.6" in told[0] and "0.50 V below" in told[0]
+
+
+@pytest.mark.parametrize("text", [False, True])
+@pytest.mark.parametrize("name", ["MSG", "MODE", "EV", "PARM"])
+def test_messages_without_a_time_may_lack_their_columns(
+    tmp_path: Path, name: str, text: bool
+) -> None:
+    """A damaged definition names other columns."""
+    blob = written(RELEASES["Copter 3.2"], text)
+    for column in (b"Message", b"Mode", b"Id", b"Name,Value"):
+        if column.startswith({"MSG": b"Me", "MODE": b"Mo", "EV": b"Id", "PARM": b"Na"}[name][:2]):
+            blob = blob.replace(column, b"X" + column[1:])
+    assert len(read(tmp_path, blob).table) > 2900

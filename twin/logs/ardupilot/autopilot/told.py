@@ -61,7 +61,8 @@ def from_ardupilot_autopilot(log: ArduPilotLog, end_s: float) -> Autopilot:
 
 def _modes(log: ArduPilotLog, end_s: float) -> tuple[Mode, ...]:
     topic = log.whole("MODE")
-    return () if topic is None else modes_of(topic.t_s, mode_names(log, topic), end_s)
+    names = [] if topic is None else mode_names(log, topic)
+    return modes_of(topic.t_s, names, end_s) if topic is not None and names else ()
 
 
 def _armed(log: ArduPilotLog, end_s: float) -> tuple[Stretch, ...]:
@@ -104,7 +105,7 @@ def _errors(log: ArduPilotLog, end_s: float) -> tuple[tuple[Stretch, ...], list[
 def _messages(log: ArduPilotLog) -> list[Message]:
     """Texts of MSG, which has no levels."""
     topic = log.whole("MSG")
-    if topic is None or not topic.source.definition.is_text("Message"):
+    if topic is None or "Message" not in topic.source.data or topic.has("Message"):
         return []
     texts = topic.source.texts("Message")
     return [
