@@ -204,7 +204,9 @@ FORMATS: tuple[LogFormat, ...] = (
         reader="ardupilot.dataflash:read_dataflash",
         packages=(),
         holds="whatever was logged while the motors ran; rotor speeds of ESC telemetry",
-        sought=re.compile(rb"\xa3\x95\x80\x80YFMT\0"),
+        sought=re.compile(  # a definition: type, length, name of 2 to 4 letters, format
+            rb"(?s)\xa3\x95\x80..[A-Z][A-Z0-9]{1,3}\0{0,2}[a-zA-Z]{2,16}\0"
+        ),
     ),
     LogFormat(
         name="ArduPilot DataFlash, text",

@@ -118,8 +118,6 @@ def test_bytes_before_the_head_are_left_out_and_counted(
     tmp_path: Path, name: str, lead: bytes
 ) -> None:
     blob = SAMPLES[name]()
-    if name == "ArduPilot DataFlash":  # as logs are: FMT describes itself first
-        assert blob.startswith(b"\xa3\x95\x80\x80YFMT")
     if name == "ArduPilot DataFlash, text" and not lead.endswith(b"\n"):
         lead += b"\n"
     found = read(tmp_path, lead + blob)
@@ -158,3 +156,14 @@ def test_what_is_no_log_is_named(tmp_path: Path, content: bytes, text: str) -> N
 def test_a_table_behind_empty_lines_is_read(tmp_path: Path) -> None:
     blob = SAMPLES["flight table, CSV"]()
     same(read(tmp_path, b"\r\n\n" + blob), read(tmp_path, blob, "plain"))
+
+
+@pytest.mark.parametrize("cut", [1, 5, 40, 88])
+def test_a_dataflash_log_whose_first_bytes_are_cut_is_read_from_its_next_definition(
+    tmp_path: Path, cut: int
+) -> None:
+    """FMT, which describes itself, is known without."""
+    blob = SAMPLES["ArduPilot DataFlash"]()
+    found = read(tmp_path, blob[cut:])
+    same(found, read(tmp_path, blob, "plain"))
+    assert f"{89 - cut} bytes before the head of the log" in said(found)

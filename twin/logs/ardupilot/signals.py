@@ -19,6 +19,8 @@ _GYRO = ("GyrX", "GyrY", "GyrZ")
 _RATES = ("R", "P", "Y")
 _MAG = ("MagX", "MagY", "MagZ")
 _FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
+_IN_SENSOR = "INS_MPU6K_FILTER"
+"""Low-pass of the sensor up to Copter 3.2; the firmware had none of its own."""
 _LEAST_HZ = 1.0
 _LEAST_V = 1.0
 _IDLE, _WORKING = 0.05, 0.2
@@ -89,6 +91,11 @@ def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
     name = _FILTERS[where]
     cutoff_hz = log.params.get(name, 0.0)
     if cutoff_hz < _LEAST_HZ:
+        if name not in log.params and _IN_SENSOR in log.params:
+            hz = log.params[_IN_SENSOR]
+            told = f"{hz:g} Hz" if hz > 0.0 else "the default of the firmware"
+            message = f"low-passed within the sensor at {told} ({_IN_SENSOR}), delay not taken off"
+            log.note("info", where, message)
         return 0
     delay_us = filter_delay_us(cutoff_hz)
     log.note(

@@ -420,3 +420,12 @@ def test_messages_without_a_time_may_lack_their_columns(
         if column.startswith({"MSG": b"Me", "MODE": b"Mo", "EV": b"Id", "PARM": b"Na"}[name][:2]):
             blob = blob.replace(column, b"X" + column[1:])
     assert len(read(tmp_path, blob).table) > 2900
+
+
+def test_a_low_pass_within_the_sensor_is_told(tmp_path: Path) -> None:
+    """Up to Copter 3.2; its delay is not in the log."""
+    release = RELEASES["Copter 3.2"]
+    params = {**release.params, "INS_MPU6K_FILTER": 20.0}
+    blob = dataflash(flown(release), params, units=False, kinds=release.kinds)
+    told = [f.where for f in read(tmp_path, blob).findings if "INS_MPU6K_FILTER" in f.message]
+    assert told == ["gyro", "acc"]
