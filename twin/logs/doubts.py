@@ -6,12 +6,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..vehicle.layouts import Layout
 from .agreement import Signals, doubt_force, doubt_turning, doubt_velocity, samples, signals
 from .clock import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL, Columns
 from .flight import Array, Finding
 from .incidents import incidents
 from .limits import other_unit
+from .motor_checks import doubt_motors
 
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
@@ -19,11 +21,12 @@ _FEWEST = 20  # samples that tell anything
 _AIRBORNE = ("hover", "forward", "tour")
 
 
-def doubts(table: Columns) -> list[Finding]:
+def doubts(table: Columns, layout: Layout | None = None) -> list[Finding]:
     """What the values of a flight table contradict.
 
     Args:
         table: By column; angles, frames and units as in its definition.
+        layout: Rotors in the order of the commands, as the log has them; None: not known.
     """
     there = signals(table)
     found = [
@@ -36,6 +39,7 @@ def doubts(table: Columns) -> list[Finding]:
         *doubt_turning(table, there),
         *doubt_velocity(table, there),
         *incidents(table),
+        *doubt_motors(table, there, layout),
     ]
     if not any(f.where == "acc" and f.severity == "error" for f in found):
         found += doubt_force(table, there)  # else it would say the same again

@@ -17,6 +17,7 @@ from .containers import (
 from .doubts import doubts
 from .flight import Finding, Flight
 from .formats import HEAD, LogFormat, Magic, ReadOptions, known_formats, nearly, recognise
+from .motor_checks import is_misnumbered
 from .rotor_lag import with_speeds_in_step
 from .table import open_parquet
 from .table.stored import AnyFlight
@@ -93,11 +94,19 @@ def open_flight(path: str | Path, *, rebuild_commands: bool | None = None) -> An
 
 
 def _doubted(flight: _F, read_as: LogFormat) -> _F:
-    """The flight with its format, late rotor speeds in step, and what its values contradict."""
+    """The flight with its format, late rotor speeds in step, and what its values contradict; rotor
+    speeds of other motors than their numbers say are left out: the commands drive the twin."""
     said = set(flight.findings)
-    more = [f for f in doubts(flight.columns) if f not in said]  # a writer may have noted them
+    layout = None if flight.airframe is None else flight.airframe.layout
+    more = [f for f in doubts(flight.columns, layout) if f not in said]  # a writer may note them
     facts = {"format": read_as.name, **flight.facts}
-    return with_speeds_in_step(replace(flight, facts=facts, findings=(*flight.findings, *more)))
+    changed = replace(flight, facts=facts, findings=(*flight.findings, *more))
+    if not any(is_misnumbered(f) for f in more):
+        return with_speeds_in_step(changed)
+    speeds = {c for c in changed.columns if c.startswith("rotor_")}
+    if isinstance(changed, Flight):
+        return replace(changed, table=changed.table.drop(columns=list(speeds)))
+    return replace(changed, known=changed.known - speeds)
 
 
 def _content(path: Path) -> bytes:

@@ -14,7 +14,6 @@ from .signals import add, si
 _WORKING = 0.1
 _LONGEST_S = 0.25
 _LEAST_GOOD = 0.8
-_LEAST_LIKE = 0.2
 _FEWEST = 20
 
 
@@ -119,31 +118,4 @@ def _doubt(topics: list[Topic], speeds: list[Array], commands: MotorCommands) ->
             return f"motor {motor + 1} has a speed in {turning[working].mean():.0%} of the reports"
         if np.ptp(speed[working & turning]) == 0.0:
             return f"motor {motor + 1} never changes its speed"
-    return _doubt_order(topics, speeds, commands)
-
-
-def _doubt_order(topics: list[Topic], speeds: list[Array], commands: MotorCommands) -> str:
-    """Speeds that follow another motor's command better, by what sets each apart from the mean."""
-    t_us = commands.t_us[commands.running]
-    cmd = commands.cmd[commands.running]
-    at = np.column_stack([np.interp(t_us, t.t_us, s) for t, s in zip(topics, speeds, strict=True)])
-    usable = np.isfinite(at).all(axis=1)
-    if usable.sum() < _FEWEST:
-        return "the motors run in too few reports"
-    own, apart = at[usable], cmd[usable]
-    own = own - own.mean(axis=1, keepdims=True)
-    apart = apart - apart.mean(axis=1, keepdims=True)
-    own, apart = own - own.mean(axis=0), apart - apart.mean(axis=0)
-    size = np.outer(np.linalg.norm(own, axis=0), np.linalg.norm(apart, axis=0))
-    if not (size > 0.0).all():
-        return ""
-    like = (own.T @ apart) / size
-    for motor in range(len(like)):
-        best = int(like[motor].argmax())
-        if best != motor and like[motor, best] > like[motor, motor] + _LEAST_LIKE:
-            return (
-                f"the speed of motor {motor + 1} follows the command of motor {best + 1} "
-                f"(correlation {like[motor, best]:.2f}, with its own {like[motor, motor]:.2f}): "
-                "another order of speed controllers?"
-            )
     return ""

@@ -82,7 +82,7 @@ def test_reports_that_lack_are_not_bridged(tmp_path: Path) -> None:
         (lambda e: [*e[:3], e[3] | {k: e[3][k][::6] for k in ("t", "RPM")}], "is reported in"),
         (
             lambda e: [e[0] | {"Instance": 1}, e[1] | {"Instance": 0}, *e[2:]],
-            "follows the command of motor",
+            "rotor_1 follows cmd_2, rotor_2 follows cmd_1",
         ),
     ],
 )

@@ -1,0 +1,444 @@
+"""Commands, rotor speeds and motion of a flight held against each other and against the airframe.
+
+A wrong order, sign or unit of the motors becomes a wrong mass or inertia in whatever is estimated
+afterwards. Three relations are tested, each only where the flight excites it:
+
+* speed of rotor i follows the command of motor i better than that of another motor;
+* angular acceleration follows the moments that the commands have by the rotors' places and senses;
+* specific force follows the sum of the commands, which hover between 0.1 and 0.95.
+
+Signals are means over cells of 20 ms or longer, without what is slower than 2 s; a lag of up to
+0.3 s (motor, telemetry) is searched for. One labelling explains a channel with R^2; it is doubted
+where another one explains it far better: `_CARRIES`, `_UNEXPLAINED`, `_HALF`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import linear_sum_assignment
+
+from ..vehicle.layouts import Layout
+from .agreement import Signals, samples
+from .columns import ACC, GYRO, Columns
+from .flight import Array, Finding
+
+_CARRIES = 0.3
+"""R^2 from which on a channel says anything about the motors."""
+_UNEXPLAINED = 1.2
+"""Ratio of the variance that the labelling of the log leaves to what another one leaves, from which
+on the first is doubted, if its R^2 is also at most `_HALF` of the other's on a channel."""
+_HALF = 0.5
+_CLEARLY = 1.5
+"""The ratio that suffices alone: neighbours of a hexarotor act nearly alike.
+
+Chosen on the recorded flights of rflysimdt, px4_negatives, quiver_pt1, nanobench,
+crazyflie_motor_delay and rflymad_sil (docs/dev/decisions/motor_checks.md): none is doubted.
+"""
+_CELL_S = 0.02
+_MARGIN_S = 1.0
+"""Around the cells, for the lags."""
+_SLOW_S = 2.0
+_LAGS_S = (-0.04, -0.02, 0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1, 0.13, 0.16, 0.2, 0.3)
+_FEWEST, _MOST = 200, 30_000
+"""Cells."""
+_MOST_EXHAUSTIVE, _LIKELY = 8, 50
+"""Motors of which every order is tried; orders of which every lag is."""
+_ALIKE = 0.03
+"""R^2 within which two labellings cannot be told apart."""
+_FEW_CHANGES = 2
+"""Up to which the least of several labellings alike is named: two motors exchanged, a sign."""
+_STILL = 0.2
+"""Root mean square of a command over the median of all; recorded flights have 0.8 at least."""
+_FLOWN = 0.5
+"""Of the upper quartile of the mean command: what lies below is no flight."""
+_HOVER = 0.1, 0.95
+"""Recorded flights hover between 0.13 (ekf_failure) and 0.91 (B3_figure8_medium_rep2)."""
+_ELASTICITY = 0.35, 5.0
+"""Relative thrust by relative command: 2 for a speed proportional to the command, 1 for a thrust;
+recorded flights have 0.8 to 1.6."""
+_AXES = "xyz"
+
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class _Moments:
+    """Second moments of commands and of what they are to explain, at one lag.
+
+    Attributes:
+        inputs: Covariance of the inputs, shape (n, n).
+        cross: Of inputs and channels, shape (n, k).
+        channels: Variance of the channels, shape (k,).
+    """
+
+    inputs: Array
+    cross: Array
+    channels: Array
+
+    def r2(self, weights: Array, channel: int) -> Array:
+        """R^2, negative for a negative correlation, of weighted sums of the inputs, shape (..., n).
+
+        Returns:
+            Shape (...): of one channel.
+        """
+        along = weights @ self.cross[:, channel]
+        size = (
+            np.einsum("...i,ij,...j->...", weights, self.inputs, weights) * self.channels[channel]
+        )
+        return np.asarray(np.sign(along) * along**2 / np.maximum(size, _TINY))
+
+
+@dataclass(frozen=True, slots=True)
+class _Cells:
+    """Signals as means over cells of time.
+
+    Attributes:
+        edges_s: Shape (cells + 1,).
+        flown: Which cells are in the air, with what is near them, shape (cells,).
+    """
+
+    edges_s: Array
+    flown: NDArray[np.bool_]
+
+    @property
+    def width_s(self) -> float:
+        return float(self.edges_s[1] - self.edges_s[0])
+
+    def means(self, t_s: Array, values: Array, lag_s: float = 0.0) -> Array:
+        """Mean of each column over each cell, `lag_s` before it, shape (cells, k)."""
+        near = slice(*np.searchsorted(t_s, self.edges_s[[0, -1]] + (-_MARGIN_S, _MARGIN_S)))
+        t_s, values = t_s[near], values[near]
+        total = np.zeros(len(t_s))
+        found = np.empty((len(self.edges_s) - 1, values.shape[1]))
+        for k, column in enumerate(values.T):
+            np.cumsum(np.diff(t_s) * (column[1:] + column[:-1]) / 2.0, out=total[1:])
+            found[:, k] = np.diff(np.interp(self.edges_s - lag_s, t_s, total))
+        return found / self.width_s
+
+    def fast(self, values: Array) -> Array:
+        """What changes within two seconds, of the cells in the air, shape (cells in the air, k)."""
+        wide = max(round(_SLOW_S / self.width_s), 3)
+        quick = values - uniform_filter1d(values, wide, axis=0, mode="nearest")
+        chosen = quick[self.flown]
+        return np.asarray(chosen - chosen.mean(axis=0))
+
+
+def doubt_motors(table: Columns, there: Signals, layout: Layout | None) -> list[Finding]:
+    """Order, signs and unit of the motors that the flight itself contradicts.
+
+    Args:
+        table: Flight table by column.
+        there: Its signals, of `agreement.signals`.
+        layout: Places and senses of the rotors by the log or by the vehicle; None: not known.
+    """
+    if "cmd" not in there:
+        return []
+    found = doubt_rotors(table, there)
+    if layout is not None and layout.count == len(there["cmd"]):
+        found += doubt_moments(table, there, layout)
+    return found + doubt_thrust(table, there)
+
+
+def _cells(table: Columns, there: Signals, *others: str) -> _Cells | None:
+    """Cells over the time that commands and others have in common; None where it is too short."""
+    t_cmd, cmd = samples(table, there["cmd"])
+    times = [t_cmd, *(samples(table, there[name])[0] for name in others)]
+    if min(map(len, times)) < _FEWEST // 2:
+        return None
+    width_s = max(_CELL_S, *(float(np.median(np.diff(t))) for t in times))
+    mean = cmd.mean(axis=1)
+    level = _FLOWN * float(np.quantile(mean, 0.75))
+    begin = max(*(float(t[0]) for t in times), float(t_cmd[np.argmax(mean > level)]) - _SLOW_S)
+    end = min(*(float(t[-1]) for t in times), begin + _MOST * width_s)
+    begin, end = begin + _LAGS_S[-1], end + _LAGS_S[0]
+    if not level > 0.0 or not end - begin > _FEWEST * width_s:
+        return None
+    edges = np.arange(begin, end, width_s)
+    cells = _Cells(edges, np.ones(len(edges) - 1, dtype=np.bool_))
+    lifted = (cells.means(t_cmd, mean[:, None])[:, 0] > level).astype(np.float64)
+    wide = max(round(_SLOW_S / width_s), 3)
+    flown = uniform_filter1d(lifted, wide, mode="nearest") > 1.0 - 0.5 / wide
+    for t in times:  # without what lies in a pause of a signal
+        flown &= np.diff(np.searchsorted(t, edges)) > 0 if width_s > _CELL_S else _near(t, edges)
+    return _Cells(edges, flown) if np.count_nonzero(flown) >= _FEWEST else None
+
+
+def _near(t_s: Array, edges_s: Array) -> NDArray[np.bool_]:
+    """Whether a signal has a sample near each cell, shape (cells,)."""
+    after = np.clip(np.searchsorted(t_s, edges_s[:-1]), 1, len(t_s) - 1)
+    return np.asarray(t_s[after] - t_s[after - 1] < 5.0 * _CELL_S)
+
+
+def _moments(cells: _Cells, inputs: tuple[Array, Array], channels: Array) -> list[_Moments]:
+    """Second moments at every lag of the inputs, times and values, before the channels."""
+    fast = cells.fast(channels)
+    found = []
+    for lag_s in _LAGS_S:
+        u = cells.fast(cells.means(*inputs, lag_s))
+        n = len(u)
+        found.append(_Moments(u.T @ u / n, u.T @ fast / n, np.mean(fast**2, axis=0)))
+    return found
+
+
+def _beaten(own: Array, other: Array) -> bool:
+    """Whether another labelling explains channels far better than that of the log.
+
+    Args:
+        own: R^2 of the log's labelling by channel, negative where it acts the other way.
+        other: The same of the other one.
+    """
+    carries = other >= _CARRIES
+    if not carries.any():
+        return False
+    own, other = own[carries], other[carries]
+    ratio = float(np.prod((1.0 - own) / np.maximum(1.0 - other, _TINY)))
+    return ratio >= _CLEARLY or (ratio >= _UNEXPLAINED and bool((own <= _HALF * other).any()))
+
+
+# -- rotor speeds behind commands -------------------------------------------------------------
+
+_MISNUMBERED = "left out: speeds do not follow the commands of their own motors"
+
+
+def is_misnumbered(finding: Finding) -> bool:
+    """Whether a finding says that rotor speeds are those of other motors."""
+    return finding.where == "rotor" and finding.message.startswith(_MISNUMBERED)
+
+
+def doubt_rotors(table: Columns, there: Signals) -> list[Finding]:
+    """Speeds that follow another motor's command, by what sets each motor apart from the mean."""
+    if not {"cmd", "rotor"} <= there.keys() or len(there["cmd"]) != len(there["rotor"]):
+        return []
+    cells = _cells(table, there, "rotor")
+    if cells is None:
+        return []
+    t_cmd, cmd = samples(table, there["cmd"])
+    speeds = cells.means(*samples(table, there["rotor"]))
+    apart = (t_cmd, cmd - cmd.mean(axis=1, keepdims=True))
+    moments = _moments(cells, apart, speeds - speeds.mean(axis=1, keepdims=True))
+    n = len(there["cmd"])
+    r2 = np.stack([[m.r2(np.eye(n), rotor) for rotor in range(n)] for m in moments])
+    labels = [linear_sum_assignment(-each)[1] for each in r2]
+    best = max(range(len(r2)), key=lambda k: float(r2[k, range(n), labels[k]].sum()))
+    moved = np.flatnonzero(labels[best] != np.arange(n))
+    if not len(moved):
+        return []
+    motors = labels[best][moved]
+    own = r2[:, moved, moved].mean(axis=1).max()
+    other = r2[best, moved, motors].mean()
+    if not _beaten(np.array([own]), np.array([other])):
+        return []
+    told = ", ".join(
+        f"rotor_{k + 1} follows cmd_{m + 1}" for k, m in zip(moved, motors, strict=True)
+    )
+    message = (
+        f"{_MISNUMBERED}: {told} (R2 {other:.2f}, with their own {max(own, 0.0):.2f}). Give each "
+        "speed the number of the motor whose command it follows, or correct the order of the "
+        "commands"
+    )
+    return [Finding("error", "rotor", message)]
+
+
+# -- angular acceleration behind commands -----------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Labelling:
+    """What the commands might be instead of what the log says.
+
+    Attributes:
+        weights: Moments about x, y, z by command, up to a factor each, shape (3, n).
+        told: What that would be, in words.
+        changes: Of how many changes to the log's labelling it consists.
+    """
+
+    weights: Array
+    told: str
+    changes: int = 1
+
+
+def moments_of(layout: Layout) -> Array:
+    """Moments about x, y, z of a thrust of each rotor, each up to a factor, shape (3, n)."""
+    forward, right = layout.position[:, 0], layout.position[:, 1]
+    return np.stack([-right, forward, -layout.direction])
+
+
+def _labellings(allocation: Array, hint: Array, at: _Moments) -> Iterator[_Labelling]:
+    """Everything that is tried: other orders, signs, and a command that drives nothing.
+
+    Args:
+        allocation: Of the layout, shape (3, n).
+        hint: Weights of a free regression, shape (3, n).
+        at: Moments at the lag of that regression.
+    """
+    n = allocation.shape[1]
+    for labels in _orders(allocation, hint, at):
+        moved = [k for k in range(n) if labels[k] != k]
+        told = ", ".join(f"cmd_{k + 1} drove rotor {labels[k] + 1}" for k in moved)
+        yield _Labelling(allocation[:, labels], told, len(moved))
+    yield _Labelling(-allocation, "every command were reversed (full power at its lowest value)")
+    for k in range(n):
+        for factor, told in ((-1.0, "were reversed"), (0.0, "drove no rotor")):
+            changed = allocation.copy()
+            changed[:, k] *= factor
+            yield _Labelling(changed, f"cmd_{k + 1} {told}")
+    for axis, why in enumerate(("left and right", "front and rear", "the senses of rotation")):
+        turned = allocation.copy()
+        turned[axis] *= -1.0
+        told = f"{why} were exchanged, or the gyroscope's {_AXES[axis]} axis turned"
+        yield _Labelling(turned, told)
+
+
+def _orders(allocation: Array, hint: Array, at: _Moments) -> NDArray[np.intp]:
+    """The likeliest other orders of the motors, shape (orders, n): of all of up to eight motors, of
+    all pairs and the one that regression suggests of more."""
+    n = allocation.shape[1]
+    if n <= _MOST_EXHAUSTIVE:
+        orders = np.array(list(permutations(range(n))))[1:]
+    else:
+        pairs = np.tile(np.arange(n), (n * (n - 1) // 2, 1))
+        for row, (one, two) in zip(pairs, combinations(range(n), 2), strict=True):
+            row[[one, two]] = two, one
+        unit = allocation / np.maximum(np.linalg.norm(allocation, axis=1, keepdims=True), _TINY)
+        orders = np.vstack([pairs, linear_sum_assignment(-(hint.T @ unit))[1]])
+    total = sum(at.r2(allocation[axis][orders], axis) for axis in range(3))
+    likely = np.argsort(-np.asarray(total))[:_LIKELY]
+    moved = (orders[likely] != np.arange(n)).any(axis=1)
+    return np.asarray(orders[likely][moved])
+
+
+def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Finding]:
+    """Angular acceleration that does not follow the moments of the commands.
+
+    Roll and pitch share a lag, that of thrust; yaw has its own, as the reaction to a rotor's
+    acceleration comes before that to its drag.
+    """
+    if "gyro" not in there:
+        return []
+    cells = _cells(table, there, "gyro")
+    if cells is None:
+        return []
+    rates = cells.means(*samples(table, GYRO))
+    moments = _moments(
+        cells, samples(table, there["cmd"]), np.gradient(rates, cells.width_s, axis=0)
+    )
+    allocation = moments_of(layout)
+    r2 = np.array([[float(m.r2(allocation[a], a)) for a in range(3)] for m in moments])
+    free, at, hint = _regressed(moments)
+    if not _beaten(np.array([*r2[r2[:, :2].sum(axis=1).argmax(), :2], r2[:, 2].max()]), free):
+        return []
+    others = list(_labellings(allocation, hint, at))
+    every = np.stack([allocation, *(o.weights for o in others)])
+    r2 = np.stack([[m.r2(every[:, a], a) for a in range(3)] for m in moments])  # lag, axis, label
+    level = r2[:, :2].sum(axis=1)
+    lag = level.argmax(axis=0)  # of each labelling
+    yaw = r2[:, 2].max(axis=0)
+    total = level.max(axis=0) + yaw
+    best = int(total.argmax())
+    if not best:
+        return []
+    own, other = (np.array([*r2[lag[k], :2, k], yaw[k]]) for k in (0, best))
+    if not _beaten(own, other):
+        return []
+    axes = np.flatnonzero(other >= _CARRIES)
+    reached = np.stack([*(np.take_along_axis(r2[:, a], lag[None], axis=0)[0] for a in (0, 1)), yaw])
+    alike = (np.abs(reached[axes] - other[axes, None]) < _ALIKE).all(axis=0)
+    measured = ", ".join(
+        f"{_AXES[a]} {max(own[a], 0.0):.2f} as the log has it, {other[a]:.2f} so" for a in axes
+    )
+    changed = np.array([0, *(o.changes for o in others)])
+    least = alike & (changed == changed[alike].min())
+    sure = {0, 1} <= {*axes.tolist()} and changed[alike].min() <= _FEW_CHANGES
+    if np.count_nonzero(least) == 1 and (sure or alike.sum() == 1):
+        told = others[int(np.argmax(least)) - 1].told
+        several = ", the least of several changes that would do" if alike.sum() > 1 else ""
+        message = f"the aircraft turns as if {told}{several} (R2 about {measured})"
+    else:
+        message = (
+            "the aircraft does not turn as the commands of the log would have it, and several "
+            f"other orders or signs of them would do (R2 about {measured})"
+        )
+    message += (
+        f". Its rotors are those of {layout.source}: correct their order or directions, or that "
+        "of the outputs"
+    )
+    return [Finding("error", "cmd", message)]
+
+
+def _regressed(moments: Sequence[_Moments]) -> tuple[Array, _Moments, Array]:
+    """R^2 of a free regression on all commands by channel, roll and pitch at one lag; the moments
+    at that lag, and the weights there, of unit size, shape (3, n)."""
+    weights = np.stack(
+        [np.linalg.pinv(m.inputs, rcond=1e-6, hermitian=True) @ m.cross for m in moments]
+    )
+    r2 = np.array(
+        [
+            (m.cross * w).sum(axis=0) / np.maximum(m.channels, _TINY)
+            for m, w in zip(moments, weights, strict=True)
+        ]
+    )
+    lag = int(r2[:, :2].sum(axis=1).argmax())
+    hint = weights[lag].T / np.maximum(np.linalg.norm(weights[lag], axis=0), _TINY)[:, None]
+    return np.array([*r2[lag, :2], r2[:, 2].max()]), moments[lag], hint
+
+
+# -- specific force behind commands -----------------------------------------------------------
+
+
+def _doubt_still(commands: Array) -> list[Finding]:
+    """A command that does not take part in what the others do, of fast parts, shape (cells, n)."""
+    rms = np.sqrt(np.mean(commands**2, axis=0))
+    share = rms / max(float(np.median(rms)), _TINY)
+    still = [f"cmd_{k + 1} ({share[k]:.1%})" for k in np.flatnonzero(share < _STILL)]
+    if not still or float(np.median(rms)) < _TINY:
+        return []
+    message = (
+        f"hardly changes in flight compared with the other motors: {', '.join(still)}. Is it the "
+        "output of something else, frozen or at its limit?"
+    )
+    return [Finding("error", "cmd", message)]
+
+
+def doubt_thrust(table: Columns, there: Signals) -> list[Finding]:
+    """A sum of commands that specific force does not follow, and a hover that no motor has."""
+    cells = _cells(table, there, *(["acc"] if "acc" in there else []))
+    if cells is None:
+        return []
+    t_cmd, cmd = samples(table, there["cmd"])
+    mean = (t_cmd, cmd.mean(axis=1, keepdims=True))
+    hover = float(np.median(cells.means(*mean)[cells.flown]))
+    found = _doubt_still(cells.fast(cells.means(t_cmd, cmd)))
+    if not _HOVER[0] <= hover <= _HOVER[1]:
+        message = (
+            f"{hover:.2f} in the median of the flight, expected {_HOVER[0]} to {_HOVER[1]}: is "
+            f"their range (pulse widths, DShot or CAN values of "
+            "command 0 and 1) another one?"
+        )
+        found.append(Finding("warning", "cmd", message))
+    if "acc" not in there:
+        return found
+    t_acc, acc = samples(table, ACC)
+    up = cells.means(t_acc, -acc[:, 2:])
+    moments = _moments(cells, mean, up)
+    r2 = np.array([float(m.r2(np.ones(1), 0)) for m in moments])
+    if -r2.min() >= _CARRIES and _beaten(r2.max(keepdims=True), -r2.min(keepdims=True)):
+        message = (
+            f"specific force falls as the commands rise (R2 {-r2.min():.2f}): are commands "
+            "reversed, or is acc_z of the other sign?"
+        )
+        found.append(Finding("error", "cmd", message))
+    elif r2.max() >= _CARRIES:
+        best = moments[int(r2.argmax())]
+        slope = float(best.cross[0, 0] / best.inputs[0, 0])
+        elasticity = slope * hover / max(float(np.median(up[cells.flown])), _TINY)
+        if not _ELASTICITY[0] <= elasticity <= _ELASTICITY[1]:
+            message = (
+                f"1 % more command gives {elasticity:.2g} % more thrust, expected "
+                f"{_ELASTICITY[0]} to {_ELASTICITY[1]:g}: is the range of the commands another one?"
+            )
+            found.append(Finding("warning", "cmd", message))
+    return found
