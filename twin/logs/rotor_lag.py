@@ -14,7 +14,7 @@ they do, their stamps are late. Where they do not, the commands act late, and th
 Standard deviations are those of a jackknife over blocks of `_BLOCK_S`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -55,7 +55,8 @@ shifts the delay, which the jackknife does not show (found at 10 Hz on simulated
 _GRID_S = 0.02
 _AHEAD = np.arange(-15, 31)  # steps of the grid by which the motion may be ahead of the speeds
 _BAND_HZ = (0.4, 4.0)
-_LONGEST_RECORD_S = 36_000.0
+_LONGEST_S = 1200.0
+"""Of a longer record its middle is asked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,8 +193,20 @@ Samples = tuple[Array, Array]
 """Times, s, and values of one column, shape (n,) each."""
 
 
+def _samples(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array]:
+    """Times, shape (n,), and values, shape (n, k), of the middle of a flight."""
+    middle_s = (flight.time_s[0] + flight.time_s[-1]) / 2
+    span = float(middle_s - _LONGEST_S / 2), float(middle_s + _LONGEST_S / 2)
+    if isinstance(flight, StoredFlight):
+        t_s, values, _ = flight.around(columns, *span)
+    else:
+        t_s, values = flight.signal(columns)
+    inside = (t_s >= span[0]) & (t_s <= span[1])
+    return t_s[inside], values[inside]
+
+
 def _one(flight: AnyFlight, column: str) -> Samples:
-    t_s, values = flight.signal([column])
+    t_s, values = _samples(flight, [column])
     return t_s, values[:, 0]
 
 
@@ -204,7 +217,7 @@ def _blocks(signals: list[Samples], commands: list[Samples]) -> Array | None:
         return None
     begin = max(t[0] for t, _ in signals) + _SLOW_S
     end = min(t[-1] for t, _ in signals) - _SLOW_S
-    if not _FEWEST_BLOCKS * _BLOCK_S <= end - begin < _LONGEST_RECORD_S:
+    if end - begin < _FEWEST_BLOCKS * _BLOCK_S:
         return None
     edges = np.arange(begin, end, _BLOCK_S)
     good = np.ones(len(edges) - 1, dtype=np.bool_)
@@ -328,13 +341,13 @@ def _behind_motion(
     """By how much angular acceleration and specific force are ahead of the speeds."""
     channels: list[Samples] = []
     if flight.has(*GYRO):
-        t_s, rates = flight.signal(GYRO)
+        t_s, rates = _samples(flight, GYRO)
         channels += [(t_s, rates[:, 0]), (t_s, rates[:, 1])]
     turning = len(channels)
     if flight.has(*ACC):
-        t_s, force = flight.signal(ACC)
+        t_s, force = _samples(flight, ACC)
         channels.append((t_s, force[:, 2]))
-    if not channels:
+    if not channels or any(len(t) < _FEWEST_SAMPLES for t, _ in channels):
         return None
     reach_s = 3.0
     ends = (begins[0] - reach_s, begins[-1] + _BLOCK_S + reach_s)

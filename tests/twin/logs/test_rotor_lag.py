@@ -171,6 +171,22 @@ def test_speeds_that_do_not_follow_say_nothing() -> None:
     assert with_speeds_in_step(alone) is alone
 
 
+@pytest.mark.parametrize("part", ["motors stand", "commands stand still", "short", "holes"])
+def test_what_does_not_show_a_lag_is_left_alone(part: str) -> None:
+    flight = made(0.2, duration_s=20.0)
+    table, t_s = flight.table.copy(), flight.time_s
+    speeds, commands = motor_columns("rotor", 4), motor_columns("cmd", 4)
+    if part == "motors stand":
+        table.loc[table["cmd_1"].notna(), [*commands]] = 0.0
+    elif part == "commands stand still":
+        table.loc[table["cmd_1"].notna(), [*commands]] = 0.5
+    elif part == "short":
+        table = table[t_s < 6.0]
+    else:
+        table.loc[(t_s % 2.0) < 1.5, [*speeds]] = np.nan
+    assert speed_lag(replace(flight, table=table.reset_index(drop=True))) is None
+
+
 @pytest.mark.parametrize("column", ["cmd_1", "rotor_1"])
 def test_without_commands_or_speeds_nothing_is_said(column: str) -> None:
     flight = made(0.2, duration_s=10.0)
