@@ -14,6 +14,8 @@ from twin.logs import Flight, StoredFlight, open_flight, read_flight
 from twin.logs.columns import motor_columns
 from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, speed_lag, with_speeds_in_step
 from twin.logs.table.write import write_flight
+from twin.residuals.teacher_forced import drive_warnings
+from twin.vehicle.file import load_vehicle
 
 Array = NDArray[np.float64]
 PLANT_HZ = 1000.0
@@ -148,6 +150,15 @@ def test_late_stamps_are_set_earlier(delay_s: float, speed_hz: float) -> None:
     assert (read.table["phase"] == "hover").all()
     assert np.all(np.diff(read.time_s) > 0.0)
     assert with_speeds_in_step(read).findings == read.findings  # once is enough
+
+
+def test_the_verbs_that_fit_say_what_was_done() -> None:
+    """`explain` and `calibrate` print these; `gap` prints all warnings of the readers."""
+    vehicle = load_vehicle("copter_default")
+    late, in_time = (with_speeds_in_step(made(s, duration_s=20.0)) for s in (0.1, 0.0))
+    (text,) = drive_warnings(late, vehicle)
+    assert text.startswith("made: rotor: time stamps were late and are set ")
+    assert drive_warnings(in_time, vehicle) == []
 
 
 def test_late_commands_are_not_late_speeds() -> None:
