@@ -201,7 +201,7 @@ def name_effects(
 
 def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
     """Everything that a model may lack."""
-    return Problem.of(model, beliefs_of(model), settings.evidence)
+    return Problem.of(model, beliefs_of(model), settings.evidence, gated=True)
 
 
 def since_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:

@@ -56,7 +56,7 @@ class EvidenceSettings(Group):
         0.7,
         "1",
         "squared coherence of predicted and measured angular acceleration from which on a band "
-        "votes, where an aircraft is calibrated or held against its calibration",
+        "votes",
         "chosen on: slow flights of small quadrotors, once; not tuned",
         1.0,
     )
