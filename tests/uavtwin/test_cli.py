@@ -18,7 +18,9 @@ from twin.logs import read_flight, write_flight
 from twin.logs.airframe import Airframe
 from twin.vehicle import layouts
 from twin.vehicle.file import load_vehicle, vehicle_text
+from uavtwin.cli.printing import print_sections, print_table
 from uavtwin.demo.flights import fly
+from uavtwin.shown import TextTable
 
 VEHICLE = "copter_default"
 
@@ -413,6 +415,16 @@ def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
         assert str(file) in line
         assert "Traceback" in file.read_text("utf-8")
         file.unlink()
+
+
+def test_brackets_are_text_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    """Names of files, tables and columns may hold what rich takes for styles."""
+    table = TextTable(("[battery]", "[/x]"), (("[red]low", "[/y]"), ("[bold]", "a")))
+    print_table(table)
+    print_sections(["[/x] of [battery]", table])
+    said, _ = capsys.readouterr()
+    for text in ("[battery]", "[/x]", "[red]low", "[/y]", "[bold]"):
+        assert said.count(text) >= 2
 
 
 def test_names_from_files_do_not_steer_the_terminal(

@@ -66,6 +66,6 @@ def calibrate(
 def _print(found: "CalibrateResult", out: Path, record: Path) -> None:
     """Everything that was found, warnings on stderr, and where the files are."""
     for warning in found.warnings:
-        STDERR.print(warning, style="yellow", markup=False)
+        STDERR.print(warning, style="yellow")
     print_sections(found.told())
-    STDOUT.print(f"written: {out}, {record.name}", markup=False)
+    STDOUT.print(f"written: {out}, {record.name}")

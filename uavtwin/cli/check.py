@@ -44,9 +44,9 @@ def check(
             worst = max(worst, Exit.FINDINGS)
         told.append(report.json())
         if not as_json:
-            STDOUT.print(report.file, style="bold", markup=False)
+            STDOUT.print(report.file, style="bold")
             for kind, text in report.lines():
-                STDOUT.print(f"  {text}", style=_STYLES.get(kind), markup=False)
+                STDOUT.print(f"  {text}", style=_STYLES.get(kind))
     if as_json:
         print_json(told)
     raise typer.Exit(worst)

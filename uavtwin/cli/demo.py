@@ -35,9 +35,9 @@ def demo(
     if as_json:
         print_json(demo_json(chain))
     else:
-        STDOUT.print(chain.gap.claim, style="bold", markup=False)
+        STDOUT.print(chain.gap.claim, style="bold")
         print_explanation(chain.found)
         STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
-    STDERR.print(chain.ending, markup=False)
+    STDERR.print(chain.ending)
     if not chain.right:
         raise typer.Exit(Exit.FINDINGS)

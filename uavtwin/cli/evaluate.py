@@ -78,6 +78,6 @@ def evaluate(
     else:
         print_sections(found.sections())
         written = f"{out / 'report.html'}, evaluation.json, {card}, series/, run.json"
-        STDOUT.print(f"written: {written}", markup=False)
+        STDOUT.print(f"written: {written}")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)

@@ -63,13 +63,13 @@ def gap(
 
 def _print_gap(found: "GapResult", out: Path) -> None:
     """The gap as a table, and where its files are."""
-    STDOUT.print(found.claim, style="bold", markup=False)
+    STDOUT.print(found.claim, style="bold")
     for sentence in found.hover:
-        STDOUT.print(sentence, markup=False)
+        STDOUT.print(sentence)
     print_table(found.table())
     for g in found.flights:
         if "commands_match" in g.facts:
-            STDOUT.print(f"{g.flight}: commands {g.facts['commands_match']}", markup=False)
+            STDOUT.print(f"{g.flight}: commands {g.facts['commands_match']}")
         for warning in g.warnings:
-            STDERR.print(f"{g.flight}: {warning}", style="yellow", markup=False)
-    STDOUT.print(f"written: {out / 'report.html'}, gap.json, series/, run.json", markup=False)
+            STDERR.print(f"{g.flight}: {warning}", style="yellow")
+    STDOUT.print(f"written: {out / 'report.html'}, gap.json, series/, run.json")

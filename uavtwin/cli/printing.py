@@ -45,8 +45,8 @@ class _Terminal(Console):
 
 WIDTH = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 160
 """Characters in a line of a table where nobody says how many there are."""
-STDOUT = _Terminal(highlight=False, soft_wrap=True, width=WIDTH)
-STDERR = _Terminal(stderr=True, highlight=False, soft_wrap=True)
+STDOUT = _Terminal(highlight=False, markup=False, soft_wrap=True, width=WIDTH)
+STDERR = _Terminal(stderr=True, highlight=False, markup=False, soft_wrap=True)
 
 
 EVERY_S = 10.0
@@ -78,7 +78,7 @@ def _lines(what: str) -> Callable[[float], None]:
             return
         said = now
         left = f", {(now - began) * (1 - done) / done:.0f} s left" if done > 0 else ""
-        STDERR.print(f"{what}: {100 * done:.0f} %{left}", markup=False)
+        STDERR.print(f"{what}: {100 * done:.0f} %{left}")
 
     return tell
 
@@ -113,7 +113,7 @@ def print_error(error: Exception, doing: str) -> Exit:
             f"{doing}: {type(error).__name__}: {said} This is a mistake of uavtwin; please report "
             f"it with {_kept_traceback(error)}."
         )
-    STDERR.print(f"error: {text}", style="red", markup=False)
+    STDERR.print(f"error: {text}", style="red")
     return code
 
 
@@ -152,7 +152,7 @@ def print_sections(sections: "Iterable[str | TextTable]") -> None:
     """A result as it prints itself, the claim in bold."""
     for i, section in enumerate(sections):
         if isinstance(section, str):
-            STDOUT.print(section, style="bold" if i == 0 else None, markup=False)
+            STDOUT.print(section, style="bold" if i == 0 else None)
         else:
             print_table(section)
 
@@ -169,7 +169,7 @@ def print_explanation(found: "ExplainResult") -> None:
     if found.effects:
         print_table(found.candidates_table())
     if found.details.next_manoeuvre is not None:
-        STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}", markup=False)
+        STDOUT.print(f"Fly next: {found.details.next_manoeuvre.description}")
     if found.details.comparison is not None:
         table = found.gap_table()
         print_table(table, unbroken=table.header[-1])
@@ -184,7 +184,6 @@ def print_damage(flights: "Sequence[AnyFlight]") -> int:
         STDERR.print(
             f"finding: {name}: {finding.where}: {finding.message} ({finding.count})",
             style="red",
-            markup=False,
         )
     return len(errors)
 
@@ -197,4 +196,4 @@ def print_files(written: "list[WrittenFile]") -> None:
         STDOUT.print(f"  sha256 {row.sha256}")
     for row in written:
         if row.note:
-            STDERR.print(f"{row.file}: {row.note}", markup=False)
+            STDERR.print(f"{row.file}: {row.note}")

@@ -126,7 +126,7 @@ def simulate(
 def _say(run: "Run", out: Path, recordings: Sequence[str], realtime: bool, as_json: bool) -> None:
     """What came of a run; ends the verb where it did not come to its end."""
     for warning in run.warnings:
-        STDERR.print(f"warning: {warning}", style="yellow", markup=False)
+        STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
         print_json(run.json())
     if run.ended is not None:
@@ -137,13 +137,13 @@ def _say(run: "Run", out: Path, recordings: Sequence[str], realtime: bool, as_js
 
 def _tell(run: "Run", out: Path, recordings: Sequence[str], realtime: bool) -> None:
     """What a run that came to its end says."""
-    STDOUT.print(run.claim, style="bold", markup=False)
+    STDOUT.print(run.claim, style="bold")
     if realtime:
         STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
     if run.recording.printed:
-        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}", markup=False)
+        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}")
     written = ", ".join([*recordings, "summary.json", "run.json"])
-    STDOUT.print(f"written: {out / 'report.html'}, {written}", markup=False)
+    STDOUT.print(f"written: {out / 'report.html'}, {written}")
 
 
 def _write(
@@ -181,9 +181,9 @@ def _end(run: "Run", out: Path) -> NoReturn:
         f"{run.recording.time_s[-1]:g} s is in {out}, marked incomplete."
     )
     if isinstance(run.ended, KeyboardInterrupt):
-        STDERR.print(text, markup=False)
+        STDERR.print(text)
         raise KeyboardInterrupt from run.ended
-    STDERR.print(f"error: {text}", style="red", markup=False)
+    STDERR.print(f"error: {text}", style="red")
     raise typer.Exit(Exit.FINDINGS)
 
 

@@ -134,9 +134,9 @@ def _say(result: "SweepResult", out: Path, as_json: bool) -> None:
     if as_json:
         print_json(result.json())
         for warning in result.warnings:
-            STDERR.print(f"warning: {warning}", style="yellow", markup=False)
+            STDERR.print(f"warning: {warning}", style="yellow")
     else:
-        STDOUT.print(str(result), markup=False)
+        STDOUT.print(str(result))
         STDOUT.print(f"written: {out / 'report.html'}, runs.parquet, sweep.json, run.json")
     if result.counts.get("failed"):
         raise typer.Exit(Exit.FINDINGS)

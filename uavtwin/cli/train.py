@@ -117,5 +117,5 @@ def _print(trained: "TrainResult", out: Path, as_json: bool) -> None:
     if as_json:
         print_json(trained.json())
         return
-    STDOUT.print(trained.claim, style="bold", markup=False)
+    STDOUT.print(trained.claim, style="bold")
     STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")

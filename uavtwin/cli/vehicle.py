@@ -40,11 +40,10 @@ def convert(
     STDOUT.print(
         f"{found.description}: {found.mass_kg:.4g} kg, {found.rotors.count} rotors",
         style="bold",
-        markup=False,
     )
     for line in takewhile(lambda line: line.startswith("#"), found.text.splitlines()):
-        STDOUT.print(f"  {line.removeprefix('# ')}", markup=False)
-    STDOUT.print(f"written: {out}", markup=False)
+        STDOUT.print(f"  {line.removeprefix('# ')}")
+    STDOUT.print(f"written: {out}")
 
 
 @vehicle.command()
@@ -97,13 +96,13 @@ def draft(
     )
     found.vehicle.save(out)
     for warning in found.warnings:
-        STDERR.print(f"warning: {warning}", style="yellow", markup=False)
+        STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
         print_json({**found.json(), "file": str(out), "next": found.next(str(out))})
     else:
         print_sections((found.sentence, found.table()))
-        STDOUT.print(f"written: {out}", markup=False)
-        STDOUT.print(f"next: {found.next(str(out))}", markup=False)
+        STDOUT.print(f"written: {out}")
+        STDOUT.print(f"next: {found.next(str(out))}")
     if print_damage(flights):
         raise typer.Exit(Exit.FINDINGS)
 

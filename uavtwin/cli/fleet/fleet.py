@@ -87,11 +87,11 @@ def _found(found: "Found") -> None:
 
     for row in found.rows.get("flights", ()):
         error = f": {row['error']}" if row.get("error") else ""
-        STDERR.print(f"{of_log(row).line()}{error}", markup=False)
+        STDERR.print(f"{of_log(row).line()}{error}")
     if "flights" not in found.rows:
         rows = found.rows.get("effects", ())
         named = {f"{r['aircraft']}: {r.get('effect') or r['verdict']}": None for r in rows}
-        STDERR.print("\n".join(named), markup=False)
+        STDERR.print("\n".join(named))
 
 
 def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
@@ -117,11 +117,10 @@ def _say(result: "FleetResult", out: Path, as_json: bool) -> None:
     if as_json:
         print_json(result.json())
     else:
-        STDOUT.print(str(result), markup=False)
+        STDOUT.print(str(result))
         STDOUT.print(
             f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
             f"vehicles/, fleet.json, run.json",
-            markup=False,
         )
     if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
         raise typer.Exit(Exit.FINDINGS)

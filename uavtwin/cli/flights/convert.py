@@ -49,11 +49,10 @@ def convert(
     seconds = flight.table["time"].iloc[-1] - flight.table["time"].iloc[0]
     STDOUT.print(
         f"{flight.facts['format']}, {seconds:.1f} s, {len(flight.table)} rows: {columns}",
-        markup=False,
     )
     for finding in flight.findings:
         if finding.severity == "warning":
-            STDERR.print(f"{finding.where}: {finding.message}", style="yellow", markup=False)
-    STDOUT.print(f"written: {out}, {out.stem}.run.json", markup=False)
+            STDERR.print(f"{finding.where}: {finding.message}", style="yellow")
+    STDOUT.print(f"written: {out}, {out.stem}.run.json")
     if print_damage([flight]):
         raise typer.Exit(Exit.FINDINGS)

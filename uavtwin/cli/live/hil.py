@@ -93,17 +93,17 @@ def hil(
         given | start_values(start),
     )
     with tempfile.TemporaryDirectory() as folder:
-        STDERR.print("building the twin", markup=False)
+        STDERR.print("building the twin")
         with closing(_twin(aircraft, Path(folder), scenario, model)) as twin:
             told = _fly(aircraft, twin, options)
     if as_json:
         print_json(told.json())
     else:
-        STDOUT.print(told.line(), markup=False)
+        STDOUT.print(told.line())
     if told.clipped or told.unknown:
         text = f"{told.clipped} motor commands were outside 0..1, {told.unknown} no number"
-        STDERR.print(text, style="yellow", markup=False)
-    STDERR.print(told.ended, style=None if told.fine else "red", markup=False)
+        STDERR.print(text, style="yellow")
+    STDERR.print(told.ended, style=None if told.fine else "red")
     if not told.fine:
         raise typer.Exit(Exit.FINDINGS)
 
@@ -126,7 +126,7 @@ def _twin(
 
 
 def _warn(text: str) -> None:
-    STDERR.print(f"warning: {text}", style="yellow", markup=False)
+    STDERR.print(f"warning: {text}", style="yellow")
 
 
 def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilTold":
@@ -141,10 +141,10 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilT
         ended = True
 
     session: HilSession = HilSession(vehicle, twin, options)
-    STDERR.print(f"waiting for an autopilot at {options.serve}", markup=False)
+    STDERR.print(f"waiting for an autopilot at {options.serve}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
-        return session.run(lambda: ended, lambda told: STDERR.print(told.line(), markup=False))
+        return session.run(lambda: ended, lambda told: STDERR.print(told.line()))
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)

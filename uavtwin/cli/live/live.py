@@ -158,7 +158,7 @@ def _demo_page() -> str | None:
     from ...live.page.opened import lacking
 
     if lacking():
-        STDERR.print("no page: it needs pip install 'uavtwin[live]'", style="yellow", markup=False)
+        STDERR.print("no page: it needs pip install 'uavtwin[live]'", style="yellow")
         return None
     return _DEMO_PAGE
 
@@ -168,11 +168,10 @@ def _print_model(model: "ModelTold", units: Mapping[str, str]) -> None:
     STDOUT.print(
         f"compensator, which sees residuals of {model.horizon_s:g} s ago: above 1 in "
         f"{model.unusual:.1%} of the flight, inside its training in {model.inside:.0%}",
-        markup=False,
     )
     for name, (before, after) in model.rms.items():
         text = f"  {name}: rms {before:.4g}, corrected {after:.4g} {units.get(name, '')}"
-        STDOUT.print(text.rstrip(), markup=False)
+        STDOUT.print(text.rstrip())
 
 
 def _tell_truth(told: "LiveTold") -> None:
@@ -180,7 +179,7 @@ def _tell_truth(told: "LiveTold") -> None:
     from ...demo.in_flight import BEGINS_S, ending
 
     if told.flight_s > BEGINS_S:
-        STDERR.print(ending(), markup=False)
+        STDERR.print(ending())
 
 
 def _fly(
@@ -204,7 +203,7 @@ def _fly(
     with ExitStack() as opened:
         flight = None
         if demo:
-            STDERR.print(f"simulating a flight of {twin.name}, some seconds", markup=False)
+            STDERR.print(f"simulating a flight of {twin.name}, some seconds")
             flight = damaged_flight(twin)
         shown = None
         if serve is not None:
@@ -216,7 +215,7 @@ def _fly(
             None if shown is None else shown.feed,
             None if model is None else opened.enter_context(_compensator(model, twin)),
         )
-        STDERR.print(f"listening at {options.listen}", markup=False)
+        STDERR.print(f"listening at {options.listen}")
         if flight is not None:
             opened.enter_context(sent_meanwhile(flight, options.listen))
         return _run(session, shown)
@@ -256,21 +255,21 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
 
     def say(told: "LiveTold") -> None:
         """A line, and alarms that are new or over."""
-        STDERR.print(told.line(), markup=False)
+        STDERR.print(told.line())
         for alarm in told.alarms:
             key = alarm["section"], alarm["effect"], alarm["raised_s"], alarm["closed_s"]
             if key not in said:
                 said.add(key)
-                STDERR.print(f"ALARM: {alarm['text']}", style="bold red", markup=False)
+                STDERR.print(f"ALARM: {alarm['text']}", style="bold red")
         for error in told.errors:
             if error not in failed:
                 failed.add(error)
-                STDERR.print(f"{error}. The rest goes on.", style="bold red", markup=False)
+                STDERR.print(f"{error}. The rest goes on.", style="bold red")
         if shown is not None:
             shown.feed.known(told)
 
     if shown is not None:
-        STDERR.print(f"page: {shown.url}", markup=False)
+        STDERR.print(f"page: {shown.url}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
         return session.run(lambda: ended, say)
@@ -283,21 +282,21 @@ def _print(told: "LiveTold", record: Path | None) -> None:
     """What is known at the end."""
     from ...live.parts import ERRORS
 
-    STDOUT.print(told.line(), markup=False)
+    STDOUT.print(told.line())
     for name, value in told.rms.items():
-        STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}", markup=False)
+        STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}")
     for alarm in told.alarms:
-        STDOUT.print(f"alarm: {alarm['text']}", markup=False)
+        STDOUT.print(f"alarm: {alarm['text']}")
     if told.model is not None and told.model.rms:
         _print_model(told.model, told.units)
     for error in told.errors:
-        STDERR.print(f"in flight {error}", style="red", markup=False)
+        STDERR.print(f"in flight {error}", style="red")
     if told.errors and record is not None:
-        STDERR.print(f"tracebacks: {record / ERRORS}", style="red", markup=False)
+        STDERR.print(f"tracebacks: {record / ERRORS}", style="red")
     for text in told.missing.values():
-        STDERR.print(text, style="yellow", markup=False)
+        STDERR.print(text, style="yellow")
     for who, count in told.link.others.items():
-        STDERR.print(f"left out: {count} messages of {who}", style="yellow", markup=False)
+        STDERR.print(f"left out: {count} messages of {who}", style="yellow")
     if record is not None:
         names = ", ".join(sorted(p.name for p in record.iterdir()))
-        STDOUT.print(f"written: {record}: {names}", markup=False)
+        STDOUT.print(f"written: {record}: {names}")

@@ -67,7 +67,6 @@ def replay(
         STDOUT.print(
             f"sent to {where}: {told.messages} messages of {told.seconds:.1f} s of flight in "
             f"{told.wall_s:.1f} s; {told.lost} of them lost on purpose",
-            markup=False,
         )
 
 
