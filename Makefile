@@ -65,8 +65,8 @@ $(DOCS_STAMP): $(STAMP)
 	PIP_CONSTRAINT=constraints.txt $(BIN)/pip install --quiet --disable-pip-version-check --editable '.[docs]'
 	touch $@
 
-docs: $(DOCS_STAMP)  ## the site, in site/; fails on a broken link
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+docs: $(DOCS_STAMP)  ## the site, in site/; fails on any warning, such as a broken link
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 tables: setup  ## tables of the documents, from the definitions in code
 	$(BIN)/python docs/_generate/tables.py

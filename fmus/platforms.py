@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from twin.component import unknown_name
-from twin.errors import FmuError
+from twin.errors import FmuError, install_command
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def compilers(platforms: tuple[Platform, ...]) -> dict[str, Compiler]:
         names = ", ".join(p.name for p in platforms)
         raise FmuError(
             f"Building for {names} needs the zig compiler, which is not installed: "
-            f"pip install uavtwin[cross]. Without it: linux64 alone, with the machine's compiler."
+            f"{install_command('cross')}. Without it: linux64 alone, with the machine's compiler."
         )
     version = importlib.metadata.version("ziglang")
     zig = (sys.executable, "-m", "ziglang", "cc", "-target")

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
@@ -315,6 +315,6 @@ def extra_learn() -> Iterator[None]:
         yield
     except ModuleNotFoundError as error:
         raise TwinError(
-            f"{error.name} is not installed; training and evaluation need the extra `learn`: "
-            "pip install 'uavtwin[learn]'"
+            f"{error.name} is not installed; training and evaluation need it: "
+            f"{install_command('learn')}"
         ) from error

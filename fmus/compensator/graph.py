@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from twin.errors import FmuError
+from twin.errors import FmuError, install_command
 
 from ..names import LONGEST_NAME, check_name, shown
 
@@ -157,8 +157,8 @@ def check_names(path: Path, graph: Any) -> None:
 def missing_package(error: ModuleNotFoundError) -> FmuError:
     """What to say where a package is not installed."""
     return FmuError(
-        f"a compensator needs the package {error.name}: pip install uavtwin[learn], or onnx and "
-        f"emx-onnx-cgen alone."
+        f"a compensator needs the package {error.name}: {install_command('learn')}. To export one "
+        f"that is trained, onnx and emx-onnx-cgen are enough."
     )
 
 

@@ -21,7 +21,7 @@ import casadi as ca
 from lxml import etree
 
 from twin.component import Component
-from twin.errors import FmuError
+from twin.errors import FmuError, install_command
 
 from ..builder import NAMESPACE, write_archive
 from ..compensator import NetworkFile, interface_model
@@ -95,7 +95,7 @@ def _build(
         libraries = resources.files("pythonfmu") / "resources" / "binaries"
     except ModuleNotFoundError as error:
         raise FmuError(
-            f"{model.name}: a Python slave needs pythonfmu: pip install uavtwin[python-slave]."
+            f"{model.name}: a Python slave needs pythonfmu: {install_command('python-slave')}."
         ) from error
     text = f"{model.description}. Prototype: needs a Python host with {needs}"
     model = replace(model, description=text.lstrip(". "))

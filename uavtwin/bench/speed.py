@@ -24,6 +24,7 @@ from cosim.whole_twin import fused_model, system_of
 from cosim.worker import WorkerMaster
 from fmus import build, component_model
 from fmus.python_slave.build import build_python_slave
+from twin.errors import install_command
 from twin.flight.assembly import flying_twin
 from twin.physics.airframe import airframe
 from twin.physics.residual_force import FEATURES, INPUTS, ForceLaw
@@ -187,7 +188,7 @@ def _compensator(folder: Path) -> list[Row]:
     except ModuleNotFoundError as error:
         return [
             Row(
-                f"compensator: skipped without {error.name}, pip install uavtwin[learn]",
+                f"compensator: skipped without {error.name}, {install_command('learn')}",
                 None,
                 "",
                 "",

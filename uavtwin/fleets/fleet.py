@@ -124,7 +124,10 @@ def fleet(
         verbs: What is done with each log: `check`, `gap`, `explain`.
         each: Whether each `flight` is explained by itself, or each `aircraft` with all its flights.
         indoors: Whether all flew within walls; None: as each log says.
-        engine, workers, scheduler, allowed: See `Work`.
+        engine: `local`, or `dask` with a scheduler.
+        workers: Processes of the local engine; default: one per core.
+        scheduler: Address of a Dask scheduler.
+        allowed: What one log, or one aircraft, may use.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
 

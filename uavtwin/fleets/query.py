@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow.dataset as ds
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 
 from .columns import TABLES
 from .dataset import check_dataset, path_of
@@ -62,7 +62,7 @@ def query(folder: str | Path, sql: str) -> Answer:
     try:
         import duckdb
     except ImportError as error:
-        raise TwinError("query: needs the package duckdb: pip install 'uavtwin[fleet]'.") from error
+        raise TwinError(f"query: needs the package duckdb: {install_command('fleet')}.") from error
     check_dataset(folder)
     connection = duckdb.connect(":memory:", config=dict(_SETTINGS))
     try:

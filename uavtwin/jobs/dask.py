@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 
 from .task import D, J, Packed, Task, Worker
 
@@ -31,7 +31,7 @@ class DaskEngine:
             from distributed import Client
         except ImportError as error:
             raise TwinError(
-                "--engine dask: needs the package distributed: pip install 'uavtwin[dask]'."
+                f"--engine dask: needs the package distributed: {install_command('dask')}."
             ) from error
         try:
             self._client: Any = Client(scheduler, set_as_default=False, timeout=10)

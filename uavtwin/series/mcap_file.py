@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 
 from .table import NS
 
@@ -42,8 +42,8 @@ def _writer() -> "type[Writer]":
         from mcap.writer import Writer
     except ModuleNotFoundError as error:
         raise TwinError(
-            f"{error.name} is not installed; MCAP needs the extra `mcap`: pip install "
-            "'uavtwin[mcap]'. Parquet and CSV need nothing."
+            f"{error.name} is not installed; MCAP needs it: {install_command('mcap')}. Parquet and "
+            f"CSV need nothing."
         ) from error
     return Writer
 

@@ -90,10 +90,18 @@ def sweep(
         runs: How many; default: as the design says, else 100.
         method: `latin_hypercube`, `sobol`, `random`, `grid` or `saltelli`.
         seed: Of the points; run k has noise of the seed after k more.
-        wind, gusts, controller, effects, starts: Of all runs, as for `simulate`.
+        wind: Of all runs, velocity of the air NED, m/s.
+        gusts: Of all runs, whether there is Dryden turbulence.
+        controller: Of all runs, `lqr` or `px4`.
+        effects: Of all runs, as for `simulate`.
+        starts: Of all runs, start values, "part.variable" -> value.
         duration: Of each run, s.
         step: Communication step, s.
-        engine, workers, scheduler, recordings, limits: See `Work`.
+        engine: `local`, or `dask` with a scheduler.
+        workers: Processes of the local engine; default: one per core.
+        scheduler: Address of a Dask scheduler.
+        recordings: Whether every output of every run is kept.
+        limits: Of the processes that FMUs run in.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
 

@@ -40,7 +40,7 @@ KINDS = [
 
 
 needs_zig = needs(
-    importlib.util.find_spec("ziglang") is not None, "no ziglang: pip install uavtwin[cross]"
+    importlib.util.find_spec("ziglang") is not None, "no ziglang: pip install ziglang"
 )
 needs_qemu = needs(
     bool(shutil.which("qemu-aarch64")) and ARM_LIBRARIES.is_dir(),

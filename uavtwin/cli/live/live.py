@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 
 from ..options import VEHICLE_VARIABLE, Exit, Json
 from ..printing import STDERR, STDOUT, print_json
@@ -158,7 +158,7 @@ def _demo_page() -> str | None:
     from ...live.page.opened import lacking
 
     if lacking():
-        STDERR.print("no page: it needs pip install 'uavtwin[live]'", style="yellow")
+        STDERR.print(f"no page: it needs {install_command('live')}", style="yellow")
         return None
     return _DEMO_PAGE
 

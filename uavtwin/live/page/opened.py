@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Self
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 from twin.vehicle import Vehicle
 
 from ..following import Following
@@ -59,7 +59,7 @@ def open_page(serve: str, token: str | None, vehicle: Vehicle, following: Follow
         TwinError: The address is none, is taken, or needs a token; or packages are missing.
     """
     if missing := lacking():
-        raise TwinError(f"--serve needs {', '.join(missing)}: pip install 'uavtwin[live]'.")
+        raise TwinError(f"--serve needs {', '.join(missing)}: {install_command('live')}.")
     from .document import document
     from .doors import page_address
     from .server import PageServer
