@@ -178,8 +178,8 @@ def flight_payloads(texts: Sequence[str], flights: Sequence[str]) -> dict[str, f
     """
     from ..explanation import check_payloads
 
-    form = f"FLIGHT=KG, e.g. {flights[0]}=0.2"
-    payloads = named_numbers(texts, "--payload", form)
+    form = f"FLIGHT=KG, e.g. {flights[0]}=0.2 or {flights[0]}=200g"
+    payloads = named_numbers(texts, "--payload", form, "kg")
     for name, mass_kg in payloads.items():
         if not 0 <= mass_kg < float("inf"):
             raise TwinError(f"--payload {name}={mass_kg:g}: write {form}.")

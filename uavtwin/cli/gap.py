@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle, VehicleName
+from .options import Csv, Exit, Force, Horizon, Json, Mcap, Out, Rebuild, TrustVehicle, VehicleName
 from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
 
 if TYPE_CHECKING:
@@ -16,9 +16,7 @@ def gap(
     logs: Annotated[list[Path], typer.Argument(help="PX4 ULogs or flight tables.")],
     vehicle: VehicleName,
     out: Out = Path("gap"),
-    horizon: Annotated[
-        float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
-    ] = 0.5,
+    horizon: Horizon = 0.5,
     rebuild_commands: Rebuild = None,
     trust_vehicle: TrustVehicle = False,
     csv: Csv = False,

@@ -1,10 +1,11 @@
 """What the verbs of the command line share: options, exit codes, texts read into numbers."""
 
 import os
+import re
 from collections.abc import Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -20,13 +21,68 @@ class Exit(IntEnum):
     BROKEN = 3
 
 
-def named_numbers(texts: Sequence[str], option: str, form: str) -> dict[str, float]:
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|[+-]?inf)\s*(.*?)\s*")
+
+
+def quantity(text: str, unit: str, bare: bool = True) -> float:
+    """A number with a unit, as "480mm" or "2 min", in the wanted unit.
+
+    Args:
+        text: As given on the command line.
+        unit: That is wanted, and that a number without one has.
+        bare: Whether a number may be without a unit.
+
+    Raises:
+        ValueError: It is no number, its unit is none or of another kind, or the unit is missing.
+    """
+    from twin.vehicle.file.units import factor
+
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
+        raise ValueError(f"{text!r} is no number with a unit such as {unit}")
+    number, given = match.groups()
+    if not given and not bare:
+        raise ValueError(f"{text!r} has no unit such as {unit}")
+    try:
+        scale = factor(text, given or unit, unit)
+    except TwinError as error:
+        raise ValueError(str(error)) from error
+    if scale is None:
+        raise ValueError(f"{text!r}: {given} is no unit of the kind of {unit}")
+    return float(f"{float(number) * scale:.15g}")
+
+
+def of_unit(unit: str, metavar: str, *names: str, help: str) -> Any:
+    """An option whose value is a number in a unit, or in another unit of its kind.
+
+    Args:
+        unit: Of a number without unit.
+        metavar: What stands for the value in the help.
+        names: Of the option; none: that of the parameter.
+        help: What it is.
+    """
+
+    def parser(text: Any) -> float:
+        return quantity(text, unit) if isinstance(text, str) else float(text)
+
+    return typer.Option(*names, help=help, parser=parser, metavar=metavar)
+
+
+def seconds(help: str, *names: str) -> Any:
+    """An option in seconds: 90, 90s, 1.5min, 20ms."""
+    return of_unit("s", "SECONDS", *names, help=help)
+
+
+def named_numbers(
+    texts: Sequence[str], option: str, form: str, unit: str = "1"
+) -> dict[str, float]:
     """Numbers of "NAME=NUMBER" texts, the name up to the last equals sign.
 
     Args:
         texts: As given on the command line.
         option: By which they were given.
         form: How to write it.
+        unit: Of the numbers; one that is written behind them is converted.
 
     Raises:
         TwinError: A text is not of that form.
@@ -35,9 +91,9 @@ def named_numbers(texts: Sequence[str], option: str, form: str) -> dict[str, flo
     for text in texts:
         name, _, value = text.rpartition("=")
         try:
-            values[name] = float(value)
-        except ValueError:
-            name = ""
+            values[name] = quantity(value, unit)
+        except ValueError as error:
+            raise TwinError(f"{option} {text}: {error}: write {form}.") from error
         if not name:
             raise TwinError(f"{option} {text}: write {form}.")
     return values
@@ -67,8 +123,9 @@ Effects = Annotated[
     typer.Option("--effect", help="Effect to switch on; may be given several times."),
 ]
 Starts = Annotated[list[str] | None, typer.Option("--start", help="Start value PART.NAME=VALUE.")]
-CallLimit = Annotated[float, typer.Option(help="Of one call into a foreign FMU, s.")]
-MemoryLimit = Annotated[float, typer.Option(help="Of foreign FMUs, GiB.")]
+CallLimit = Annotated[float, seconds("Of one call into a foreign FMU, s.")]
+MemoryLimit = Annotated[float, of_unit("GiB", "GIB", help="Of foreign FMUs, GiB.")]
+Horizon = Annotated[float, seconds("Short horizon, s: restart from the measured state that often.")]
 Engine = Annotated[
     Literal["local", "dask"], typer.Option(help="Processes here, or a Dask cluster.")
 ]
@@ -89,7 +146,8 @@ VehicleName = Annotated[
 Payload = Annotated[
     list[str] | None,
     typer.Option(
-        "--payload", help="Known mass aboard one of the flights, FLIGHT=KG. May be repeated."
+        "--payload",
+        help="Known mass aboard one of the flights: FLIGHT=KG, or FLIGHT=300g. May be repeated.",
     ),
 ]
 Indoor = Annotated[

@@ -20,6 +20,7 @@ from .options import (
     Starts,
     Wind,
     Workers,
+    seconds,
     start_values,
 )
 from .printing import STDERR, STDOUT, print_json, progress
@@ -54,8 +55,8 @@ def sweep(
     controller: Controller = "lqr",
     effect: Effects = None,
     start: Starts = None,
-    duration: Annotated[float | None, typer.Option(help="Of each run, s.")] = None,
-    step: Annotated[float | None, typer.Option(help="Communication step, s.")] = None,
+    duration: Annotated[float | None, seconds("Of each run, s.")] = None,
+    step: Annotated[float | None, seconds("Communication step, s.")] = None,
     engine: Engine = "local",
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -63,7 +64,7 @@ def sweep(
         bool, typer.Option("--recordings", help="Keep every output of every run.")
     ] = False,
     call_limit: CallLimit = 60.0,
-    time_limit: Annotated[float, typer.Option(help="Of one run, s.")] = 3600.0,
+    time_limit: Annotated[float, seconds("Of one run, s.")] = 3600.0,
     memory_limit: MemoryLimit = 4.0,
     out: Out = Path("sweep"),
     force: Force = False,

@@ -5,12 +5,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName
+from twin.errors import TwinError
+
+from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName, seconds
 from .printing import STDOUT, print_damage, print_json, progress
 
 if TYPE_CHECKING:
     from ..learned import TrainResult
 
+LONGEST_HORIZON_S = 1.0
+"""Of a compensator that sees past residuals."""
 Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
 
 ModelName = Annotated[
@@ -43,7 +47,10 @@ def train(
             "comparison with the paper; generate: none, it draws what might have been."
         ),
     ] = "track",
-    horizon: Annotated[int, typer.Option(min=1, help="Of track, samples.")] = 1,
+    horizon: Annotated[
+        float | None,
+        seconds("Of track, s: how old the residuals are that it sees. Default: one sample."),
+    ] = None,
     rate: Annotated[float, typer.Option(help="Samples per second: 1000 over an integer.")] = 100,
     epochs: Annotated[int | None, typer.Option(min=1, help="Default: the preset's.")] = None,
     seed: Annotated[
@@ -89,7 +96,7 @@ def train(
             model=model,
             preset=preset,
             protocol=protocol,
-            horizon=horizon,
+            horizon=1 if horizon is None else _samples(horizon, rate),
             rate_hz=rate,
             epochs=epochs,
             seed=seed,
@@ -110,6 +117,21 @@ def train(
     _print(trained, out, as_json)
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _samples(horizon_s: float, rate_hz: float) -> int:
+    """Samples of a horizon.
+
+    Raises:
+        TwinError: They are no whole number, or the horizon is too long.
+    """
+    count = round(horizon_s * rate_hz) if 0 < horizon_s <= LONGEST_HORIZON_S else 0
+    if count < 1 or abs(count - horizon_s * rate_hz) > 1e-6:
+        raise TwinError(
+            f"--horizon {horizon_s:g} s: needs a multiple of {1 / rate_hz:g} s, the time between "
+            f"samples (--rate), up to {LONGEST_HORIZON_S:g} s."
+        )
+    return count
 
 
 def _print(trained: "TrainResult", out: Path, as_json: bool) -> None:

@@ -1,6 +1,5 @@
 """`uavtwin vehicle ...`: making vehicle files."""
 
-import re
 from itertools import takewhile
 from pathlib import Path
 from typing import Annotated
@@ -9,7 +8,7 @@ import typer
 
 from twin.errors import TwinError
 
-from .options import Exit, Force, Json, Rebuild
+from .options import Exit, Force, Json, Rebuild, quantity
 from .printing import STDERR, STDOUT, print_damage, print_json, print_sections
 
 vehicle = typer.Typer(no_args_is_help=True, help="Make a vehicle file.")
@@ -87,7 +86,7 @@ def draft(
     flights = read_flights(*logs, rebuild_commands=rebuild_commands)
     found = draft_vehicle(
         flights,
-        _in_si(mass, "--mass", _KILOGRAMS, "1.3kg or 1300g", "kg"),
+        _quantity(mass, "--mass", "kg", "1.3kg or 1300g", bare=True),
         frame=frame,
         wheelbase_m=_length(wheelbase, "--wheelbase"),
         arm_m=_length(arm, "--arm"),
@@ -107,26 +106,21 @@ def draft(
         raise typer.Exit(Exit.FINDINGS)
 
 
-_METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
-_KILOGRAMS = {"g": 1e-3, "kg": 1.0}
-_QUANTITY = re.compile(r"\s*(\d*\.?\d+)\s*([a-z]*)\s*")
-
-
 def _length(text: str | None, option: str) -> float | None:
     """A length with its unit, m."""
-    return None if text is None else _in_si(text, option, _METRES, "480mm or 0.48m")
+    return None if text is None else _quantity(text, option, "m", "480mm or 0.48m", bare=False)
 
 
-def _in_si(
-    text: str, option: str, units: dict[str, float], form: str, default: str | None = None
-) -> float:
-    """A number with its unit in the SI unit.
+def _quantity(text: str, option: str, unit: str, form: str, bare: bool) -> float:
+    """A positive number in the SI unit.
 
     Raises:
-        TwinError: It is none, or the unit is none of these.
+        TwinError: It is none, or has no unit of this kind.
     """
-    found = _QUANTITY.fullmatch(text)
-    factor = units.get((found[2] or default or "") if found else "")
-    if found is None or factor is None:
-        raise TwinError(f"{option} {text}: write {form}; units: {', '.join(units)}.")
-    return round(float(found[1]) * factor, 9)
+    try:
+        found = quantity(text, unit, bare)
+    except ValueError as error:
+        raise TwinError(f"{option} {text}: {error}: write {form}.") from error
+    if not 0 < found < float("inf"):
+        raise TwinError(f"{option} {text}: must be a positive number: write {form}.")
+    return found

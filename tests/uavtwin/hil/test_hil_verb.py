@@ -220,9 +220,9 @@ def test_nobody_connects(copter: Vehicle, twin: FlyingTwin) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--serve", "udpin:127.0.0.1:4560"), "write tcpin:HOST:PORT, tcpin:127.0.0.1:4560"),
+        (("--listen", "udpin:127.0.0.1:4560"), "write tcpin:HOST:PORT, tcpin:127.0.0.1:4560"),
         pytest.param(
-            *(("--serve", "tcpin:192.0.2.1:4560"), "cannot be served"), marks=pytest.mark.slow
+            *(("--listen", "tcpin:192.0.2.1:4560"), "cannot be served"), marks=pytest.mark.slow
         ),
         (("--rate", "300"), "1000 over a whole number"),
         (("--speed", "0"), "more than 0"),
@@ -260,7 +260,7 @@ def test_the_verb_flies_an_autopilot(copter: Vehicle, capsys: pytest.CaptureFixt
     seconds = sum(leg[1] for leg in HOP)
     code, out, err = run(
         capsys,
-        *("hil", "--vehicle", "copter_default", "--serve", f"tcpin:127.0.0.1:{port}"),
+        *("hil", "--vehicle", "copter_default", "--listen", f"tcpin:127.0.0.1:{port}"),
         *("--speed", "max", "--duration", seconds, "--wind", "1,0,0", "--json"),
         *("--place", "48,11,500"),
     )

@@ -25,7 +25,7 @@ def test_a_rotor_that_gets_weak_is_named_within_seconds(tmp_path: Path) -> None:
     Vehicle.of(aircraft(case.aircraft)).save(tmp_path / "vehicle.toml")
     listening = subprocess.Popen(
         [
-            *(*UAVTWIN, "live", "--vehicle", tmp_path / "vehicle.toml", "--record", tmp_path / "r"),
+            *(*UAVTWIN, "live", "--vehicle", tmp_path / "vehicle.toml", "--out", tmp_path / "r"),
             *("--listen", f"udpin:{ADDRESS}", "--until-silent", "5", "--json"),
         ],
         stdout=subprocess.PIPE,

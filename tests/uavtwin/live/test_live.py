@@ -234,7 +234,7 @@ def test_killed_it_leaves_all_but_the_last_second(tmp_path: Path) -> None:
     code = "from uavtwin.cli.main import main; main()"
     arguments = ["live", "--vehicle", "copter_default", "--listen", f"udpin:127.0.0.1:{port}"]
     process = subprocess.Popen(
-        [sys.executable, "-c", code, *arguments, "--record", str(tmp_path / "rec")],
+        [sys.executable, "-c", code, *arguments, "--out", str(tmp_path / "rec")],
         stderr=subprocess.PIPE,
         text=True,
     )

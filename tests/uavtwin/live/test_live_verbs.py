@@ -28,10 +28,10 @@ def log(tmp_path: Path) -> Path:
         (("--speed", "fast"), "a number, or max"),
         (("--speed", "-1"), "more than 0"),
         (("--speed", "max", "--loss", "0.1"), "without loss or jitter"),
-        (("--drift", "20"), "write 20ppm"),
+        (("--drift", "20m"), "no unit of the kind of"),
         (("--loss", "5"), "a share of 0 to below 1"),
         (("--system", "0"), "1 to 255"),
-        (("--start", "50"), "nothing between --start and --stop"),
+        (("--begin", "50"), "nothing between --begin and --end"),
     ],
 )
 def test_replay_used_wrongly(

@@ -248,8 +248,11 @@ def test_the_verb_writes_a_file_and_says_what_next(
     ("options", "told"),
     [
         ((), "--mass is missing"),
-        (("--mass", "heavy"), "--mass heavy: write 1.3kg or 1300g"),
-        (("--mass", "1.4", "--wheelbase", "450"), "--wheelbase 450: write 480mm or 0.48m"),
+        (("--mass", "heavy"), "'heavy' is no number with a unit such as kg: write 1.3kg or 1300g"),
+        (
+            ("--mass", "1.4", "--wheelbase", "450"),
+            "--wheelbase 450: '450' has no unit such as m: write 480mm or 0.48m",
+        ),
         (("--mass", "1.4"), "Give the distance of two motors across (--wheelbase 480mm)"),
     ],
 )

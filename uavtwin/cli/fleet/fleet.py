@@ -16,6 +16,8 @@ from ..options import (
     Scheduler,
     TrustVehicle,
     Workers,
+    of_unit,
+    seconds,
     vehicle_named,
 )
 from ..printing import STDERR, STDOUT, print_json, progress
@@ -51,9 +53,9 @@ def fleet(
     engine: Engine = "local",
     workers: Workers = None,
     scheduler: Scheduler = None,
-    time_limit: Annotated[float, typer.Option(help="Of one log, or one aircraft, s.")] = 3600.0,
+    time_limit: Annotated[float, seconds("Of one log, or one aircraft, s.")] = 3600.0,
     memory_limit: Annotated[
-        float, typer.Option(help="Of the process that looks at a log, GiB.")
+        float, of_unit("GiB", "GIB", help="Of the process that looks at a log, GiB.")
     ] = 4.0,
     out: Out = Path("fleet"),
     force: Force = False,

@@ -12,7 +12,7 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Effects, Exit, Gusts, Json, Starts, VehicleName, Wind, start_values
+from ..options import Effects, Exit, Gusts, Json, Starts, VehicleName, Wind, seconds, start_values
 from ..printing import STDERR, STDOUT, print_json
 from ..simulate import three_numbers
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ...simulation import Scenario
     from ...vehicles import Vehicle
 
-Serve = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
+Listen = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
 Model = Annotated[
     Path | None,
     typer.Option(
@@ -33,8 +33,8 @@ Model = Annotated[
 ]
 Rate = Annotated[float, typer.Option(help="HIL_SENSOR per second: 1000 over a whole number.")]
 Speed = Annotated[str, typer.Option(help="Times real time at most, or max; in lockstep alone.")]
-Patience = Annotated[float, typer.Option(help="So long an answer of the autopilot may take, s.")]
-Duration = Annotated[float | None, typer.Option(help="End at this simulated time, s.")]
+Patience = Annotated[float, seconds("So long an answer of the autopilot may take, s.")]
+Duration = Annotated[float | None, seconds("End at this simulated time, s.")]
 Place = Annotated[
     str | None,
     typer.Option(
@@ -48,7 +48,7 @@ _YEAR = 2025.5
 
 def hil(
     vehicle: VehicleName,
-    serve: Serve = "tcpin:127.0.0.1:4560",
+    listen: Listen = "tcpin:127.0.0.1:4560",
     model: Model = None,
     rate: Rate = 250.0,
     speed: Speed = "1",
@@ -74,7 +74,7 @@ def hil(
     aircraft = load_vehicle(vehicle)
     where = PLACE if place is None else _place(place)
     options = HilOptions(
-        address(serve, "tcpin", "--serve"),
+        address(listen, "tcpin", "--listen"),
         rate,
         _speed(speed),
         patience,

@@ -11,7 +11,7 @@ import typer
 
 from twin.errors import TwinError, install_command
 
-from ..options import VEHICLE_VARIABLE, Exit, Json
+from ..options import VEHICLE_VARIABLE, Exit, Horizon, Json, seconds
 from ..printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
@@ -46,25 +46,23 @@ System = Annotated[
 ]
 Record = Annotated[
     Path | None,
-    typer.Option(help="Folder for raw.tlog, flight.parquet, residuals.parquet, alarms.jsonl."),
+    typer.Option(
+        "--out",
+        "--record",
+        help="Folder for raw.tlog, flight.parquet, residuals.parquet, alarms.jsonl. Default: "
+        "nothing is recorded.",
+    ),
 ]
-Duration = Annotated[float | None, typer.Option(help="End after so long, s.")]
-UntilSilent = Annotated[
-    float | None, typer.Option(help="End when the aircraft is silent for so long, s.")
-]
-Horizon = Annotated[
-    float, typer.Option(help="Short horizon in s: restart from the measured state that often.")
-]
+Duration = Annotated[float | None, seconds("End after so long, s.")]
+UntilSilent = Annotated[float | None, seconds("End when the aircraft is silent for so long, s.")]
 Observer = Annotated[
     float | None,
-    typer.Option(
-        help="Draw the twin that is shown and published to the measured state with this time "
+    seconds(
+        "Draw the twin that is shown and published to the measured state with this time "
         "constant, s, instead of restarting it; residuals stay those of --horizon."
     ),
 ]
-Hold = Annotated[
-    float, typer.Option(help="So long samples wait for others that were overtaken, s.")
-]
+Hold = Annotated[float, seconds("So long samples wait for others that were overtaken, s.")]
 RequestRates = Annotated[
     bool,
     typer.Option(
@@ -103,7 +101,7 @@ def live(
     demo: Demo = False,
     listen: Listen = "udpin:127.0.0.1:14550",
     system: System = None,
-    record: Record = None,
+    out: Record = None,
     duration: Duration = None,
     until_silent: UntilSilent = None,
     horizon: Horizon = 0.5,
@@ -130,7 +128,7 @@ def live(
     options = LiveOptions(
         address(listen, "udpin", "--listen"),
         system,
-        record,
+        out,
         horizon,
         hold,
         duration,
@@ -146,7 +144,7 @@ def live(
     if as_json:
         print_json(told.json())
     else:
-        _print(told, record)
+        _print(told, out)
     if demo:
         _tell_truth(told)
     if told.link.system is None or told.waits_for or told.errors:
@@ -278,7 +276,7 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
             signal.signal(name, handler)
 
 
-def _print(told: "LiveTold", record: Path | None) -> None:
+def _print(told: "LiveTold", out: Path | None) -> None:
     """What is known at the end."""
     from ...live.parts import ERRORS
 
@@ -297,6 +295,6 @@ def _print(told: "LiveTold", record: Path | None) -> None:
         STDERR.print(text, style="yellow")
     for who, count in told.link.others.items():
         STDERR.print(f"left out: {count} messages of {who}", style="yellow")
-    if record is not None:
-        names = ", ".join(sorted(p.name for p in record.iterdir()))
-        STDOUT.print(f"written: {record}: {names}")
+    if out is not None:
+        names = ", ".join(sorted(p.name for p in out.iterdir()))
+        STDOUT.print(f"written: {out}: {names}")

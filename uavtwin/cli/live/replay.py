@@ -1,6 +1,5 @@
 """`uavtwin replay`: a log played as a MAVLink aircraft."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -8,7 +7,7 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Json, Rebuild
+from ..options import Json, Rebuild, of_unit, seconds
 from ..printing import STDOUT, print_json, progress
 
 
@@ -20,13 +19,14 @@ def replay(
     speed: Annotated[
         str, typer.Option(help="Times real time, or max: in step with uavtwin live.")
     ] = "1",
-    start: Annotated[float, typer.Option(min=0, help="Begin so far into the flight, s.")] = 0.0,
-    stop: Annotated[float | None, typer.Option(help="End so far into the flight, s.")] = None,
+    begin: Annotated[float, seconds("Begin so far into the flight, s.", "--begin")] = 0.0,
+    end: Annotated[float | None, seconds("End so far into the flight, s.", "--end")] = None,
     loss: Annotated[float, typer.Option(help="Share of messages that are lost, 0..1.")] = 0.0,
-    jitter: Annotated[float, typer.Option(help="Each is late by up to so much, s.")] = 0.0,
+    jitter: Annotated[float, seconds("Each is late by up to so much, s.")] = 0.0,
     drift: Annotated[
-        str, typer.Option(help="By how much the aircraft's clock is faster: 20ppm.")
-    ] = "0ppm",
+        float,
+        of_unit("1", "SHARE", help="By how much the aircraft's clock is faster: 20ppm or 2e-5."),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of loss and jitter.")] = 0,
     system: Annotated[int, typer.Option(help="System id of the aircraft, 1 to 255.")] = 1,
     rebuild_commands: Rebuild = None,
@@ -40,12 +40,12 @@ def replay(
     from ...live.replay import MAX_SPEED, Replay
 
     where = address(to, "udpout", "--to")
-    faults = Faults(loss, jitter, _drift(drift), seed)
+    faults = Faults(loss, jitter, drift, seed)
     flight = read_flight(log, rebuild_commands=rebuild_commands)
-    part = flight.between(start, flight.time_s[-1] if stop is None else stop)
+    part = flight.between(begin, flight.time_s[-1] if end is None else end)
     if len(part.table) < 2:
         raise TwinError(
-            f"{log.name}: nothing between --start and --stop; it lasts from "
+            f"{log.name}: nothing between --begin and --end; it lasts from "
             f"{flight.time_s[0]:.1f} s to {flight.time_s[-1]:.1f} s."
         )
     aircraft = Replay(where, MAX_SPEED if speed == "max" else _speed(speed), faults, system)
@@ -75,11 +75,3 @@ def _speed(text: str) -> float:
         return float(text)
     except ValueError:
         raise TwinError(f"--speed {text}: a number, or max.") from None
-
-
-def _drift(text: str) -> float:
-    """20ppm as 2e-5."""
-    match = re.fullmatch(r"([+-]?[0-9]+(?:\.[0-9]*)?)\s*ppm", text.strip())
-    if match is None:
-        raise TwinError(f"--drift {text}: write 20ppm.")
-    return 1e-6 * float(match.group(1))
