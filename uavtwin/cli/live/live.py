@@ -289,8 +289,8 @@ def _print(told: "LiveTold", out: Path | None) -> None:
         _print_model(told.model, told.units)
     for error in told.errors:
         STDERR.print(f"in flight {error}", style="red")
-    if told.errors and record is not None:
-        STDERR.print(f"tracebacks: {record / ERRORS}", style="red")
+    if told.errors and out is not None:
+        STDERR.print(f"tracebacks: {out / ERRORS}", style="red")
     for text in told.missing.values():
         STDERR.print(text, style="yellow")
     for who, count in told.link.others.items():
