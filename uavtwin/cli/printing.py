@@ -160,12 +160,12 @@ def print_sections(sections: "Iterable[str | TextTable]") -> None:
 def print_explanation(found: "ExplainResult") -> None:
     """What was found, and the gap before and after."""
     for warning in found.warnings:
-        STDERR.print(warning, style="yellow", markup=False)
-    STDOUT.print(found.sentence, style="bold", markup=False)
+        STDERR.print(warning, style="yellow")
+    STDOUT.print(found.sentence, style="bold")
     if found.got_worse:
-        STDOUT.print(found.got_worse, markup=False)
+        STDOUT.print(found.got_worse)
     for sentence in found.hover:
-        STDOUT.print(sentence, markup=False)
+        STDOUT.print(sentence)
     if found.effects:
         print_table(found.candidates_table())
     if found.details.next_manoeuvre is not None:
