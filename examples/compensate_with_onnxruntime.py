@@ -19,7 +19,8 @@ session = onnxruntime.InferenceSession(str(folder / "model.onnx"), options)
 reference = dict(np.load(folder / "reference.npz"))
 inputs = ("virtual", "command", "phase", "measured", "valid")
 n, wrong, begin = len(reference["phase"]), 0.0, time.perf_counter()
-state = np.zeros(next(i.shape for i in session.get_inputs() if i.name == "state"), np.float32)
+size = next(i.shape[1] for i in session.get_inputs() if i.name == "state")
+state = np.zeros((1, size), np.float32)  # the first axis, "batch", may be any number of aircraft
 for k in range(n):
     now = {name: reference[name][k : k + 1] for name in inputs}
     correction, spread, anomaly, inside, state = session.run(None, {**now, "state": state})

@@ -26,7 +26,7 @@ options = onnxruntime.SessionOptions()
 options.intra_op_num_threads = 1
 session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 rng = np.random.default_rng(0)
-fed = {i.name: rng.random(i.shape).astype(np.float32) for i in session.get_inputs()}
+fed = {i.name: rng.random((1, *i.shape[1:])).astype(np.float32) for i in session.get_inputs()}
 begin = time.perf_counter()
 for k in range(int(seconds * rate)):
     fed["state"] = session.run(None, fed)[-1]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from twin.errors import FmuError
 
-from .graph import check_graph, missing_package, parse_network, plain_copy
+from .graph import check_graph, missing_package, parse_network, plain_copy, take_one_sample
 
 PREAMBLE = """\
 #if defined(__GNUC__) && !defined(__clang__)
@@ -60,6 +60,7 @@ def network_source(content: bytes) -> str:
         raise missing_package(error) from error
     nowhere = Path("network")
     model = parse_network(nowhere, content)
+    take_one_sample(model)
     check_graph(nowhere, model)
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as name:
         templates = Path(name, "templates")

@@ -52,6 +52,15 @@ def parse_network(path: Path, content: bytes) -> Any:
         raise FmuError(f"{path}: damaged, or no ONNX file: {error}") from error
 
 
+def take_one_sample(model: Any) -> None:
+    """Let a model that takes any number of samples in a call take one, as an FMU does: the first
+    axis of its inputs and outputs, where it has a name, gets the size 1."""
+    for value in (*model.graph.input, *model.graph.output):
+        shape = value.type.tensor_type.shape.dim
+        if shape and shape[0].HasField("dim_param"):
+            shape[0].dim_value = 1
+
+
 def check_graph(path: Path, model: Any) -> None:
     """Whether the graph of a parsed file is one that can become an FMU.
 

@@ -21,6 +21,7 @@ from .graph import (
     check_graph,
     parse_network,
     row_widths,
+    take_one_sample,
 )
 
 FILE, INT8_FILE = "model.onnx", "model_int8.onnx"
@@ -108,6 +109,7 @@ def read_network(folder: Path, file: str = FILE) -> NetworkFile:
     model = parse_network(path, content)
     said = _Metadata(path, model.metadata_props)
     said.check_format(model.graph)
+    take_one_sample(model)
     check_graph(path, model)
     network = _described(said, content, model.graph)
     _check_fit(said, network, model.graph)

@@ -1,6 +1,7 @@
 """A small builder of ONNX graphs: operators as calls, numbers as arrays, always the same bytes."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,24 @@ IR_VERSION = 8
 """Of the file, as of ONNX 1.12."""
 
 
+BATCH = "batch"
+"""Name of the first axis of every input and output."""
+
+
 class Graph:
     """A graph of float32 tensors that grows by one operator per call.
 
+    Operators are named after the layer that they are part of: "encoder.layer_0.MatMul_12", in a
+    `scope`, and so are the tensors that they give.
+
     Args:
         name: Of the graph.
+        batch: Samples of a call; None: any number, a dynamic axis named "batch".
     """
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, batch: int | None = None) -> None:
+        self.name, self._batch = name, BATCH if batch is None else batch
+        self._scope: list[str] = []
         self._nodes: list[onnx.NodeProto] = []
         self._constants: dict[tuple[bytes, str, tuple[int, ...]], str] = {}
         self._initializers: list[onnx.TensorProto] = []
@@ -30,15 +40,15 @@ class Graph:
         self._outputs: list[onnx.ValueInfoProto] = []
 
     def input(self, name: str, width: int) -> str:
-        """An input of shape (1, width)."""
-        self._inputs.append(_row(name, width))
+        """An input of shape (batch, width)."""
+        self._inputs.append(self._row(name, width))
         return name
 
     def output(self, name: str, width: int, kind: str, *inputs: str, **attributes: Any) -> None:
-        """An operator whose one output, of shape (1, width), leaves the graph under a name."""
+        """An operator whose one output, of shape (batch, width), leaves the graph under a name."""
         node = helper.make_node(kind, inputs, [name], name=name, **attributes)
         self._nodes.append(node)
-        self._outputs.append(_row(name, width))
+        self._outputs.append(self._row(name, width))
 
     def floats(self, values: ArrayLike) -> str:
         """A constant of float32."""
@@ -72,8 +82,21 @@ class Graph:
         return self.op("Slice", value, self.integers(first), self.integers(last), self.integers(1))
 
     def reshape(self, value: str, *shape: int) -> str:
-        """The same numbers in another shape."""
+        """The same numbers in another shape; 0 keeps the size of an axis, -1 takes the rest."""
         return self.op("Reshape", value, self.integers(*shape))
+
+    def transpose(self, value: str, *axes: int) -> str:
+        """A tensor with its axes in another order."""
+        return self.op("Transpose", value, perm=list(axes))
+
+    @contextmanager
+    def scope(self, layer: str) -> Iterator[None]:
+        """Operators within belong to a layer, within the layer around it."""
+        self._scope.append(layer)
+        try:
+            yield
+        finally:
+            self._scope.pop()
 
     def model(self, description: str) -> onnx.ModelProto:
         """The finished model, checked.
@@ -104,12 +127,10 @@ class Graph:
     def _node(
         self, kind: str, inputs: tuple[str, ...], outputs: int, attributes: Mapping[str, Any]
     ) -> list[str]:
-        number = len(self._nodes)
-        names = [f"{kind.lower()}_{number}_{i}" for i in range(outputs)]
-        node = helper.make_node(kind, inputs, names, name=f"{kind}_{number}", **attributes)
-        self._nodes.append(node)
+        name = ".".join([*self._scope, f"{kind}_{len(self._nodes)}"])
+        names = [f"{name}_{i}" for i in range(outputs)]
+        self._nodes.append(helper.make_node(kind, inputs, names, name=name, **attributes))
         return names
 
-
-def _row(name: str, width: int) -> onnx.ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
+    def _row(self, name: str, width: int) -> onnx.ValueInfoProto:
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, [self._batch, width])

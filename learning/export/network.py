@@ -27,37 +27,47 @@ def network(
     """Output times its gain, its log spread, alarm of each cluster, next cells.
 
     Returns:
-        Shapes (1, 15), (1, 15), (clusters, 1), (1, numbers); "" for the log spread without a head,
-        and for the alarm in `track`, which knows innovations.
+        Shapes (B, 15), (B, 15), (clusters, B, 1), (B, numbers) for B samples; "" for the log spread
+        without a head, and for the alarm in `track`, which knows innovations.
     """
     network, preset = model.network, model.info.preset
     clusters = [n for n in network.networks if isinstance(n, ClusterNetwork)]
     units = [*preset.encoder_units, *preset.decoder_units]
-    parts = g.split(
-        g.reshape(cells, len(clusters), 1, -1), [u for u in units for _ in range(2)], axis=2
-    )
+    with g.scope("cells"):
+        rows = g.transpose(g.reshape(cells, 0, len(clusters), -1), 1, 0, 2)  # (C, B, numbers)
+        parts = g.split(rows, [u for u in units for _ in range(2)], axis=2)
     states = list(zip(parts[::2], parts[1::2], strict=True))
     n_encoder = len(preset.encoder_units)
 
     kinds = [(known, network.sees_known), (features, network.sees_features), (here, True)]
-    seen = g.concat(*(name if used else "" for name, used in kinds), axis=1)
-    tables = np.stack([_seen_table(model, i) for i in range(len(clusters))])
-    first = g.op("MatMul", seen, g.floats(tables))
-    gates, through = g.split(first, [4 * units[0], preset.code_size], axis=2)
-    h, encoded = _lstm(g, [c.encoder for c in clusters], gates, "", 0, states[:n_encoder])
-    to_latent = np.stack([numbers(c.to_latent.weight).T * _closeness(c) for c in clusters])
-    z = g.op("Add", g.op("MatMul", h, g.floats(to_latent)), through)
-    code, alarm = _quantised(g, model, clusters, z)
+    with g.scope("encoder"):
+        seen = g.concat(*(name if used else "" for name, used in kinds), axis=1)
+        tables = np.stack([_seen_table(model, i) for i in range(len(clusters))])
+        first = g.op("MatMul", seen, g.floats(tables))
+        gates, through = g.split(first, [4 * units[0], preset.code_size], axis=2)
+        encoders = [c.encoder for c in clusters]
+        h, encoded = _lstm(g, encoders, gates, "", 0, states[:n_encoder])
+        to_latent = np.stack([numbers(c.to_latent.weight).T * _closeness(c) for c in clusters])
+        with g.scope("to_latent"):
+            z = g.op("Add", g.op("MatMul", h, g.floats(to_latent)), through)
+    with g.scope("quantiser"):
+        code, alarm = _quantised(g, model, clusters, z)
+    with g.scope("decoder"):
+        embedding = numbers(network.phase_embedding)
+        biases = np.stack([_phase_table(c.decoder, embedding) for c in clusters])
+        gates = g.op("MatMul", here, g.floats(biases))
+        decoders = [c.decoder for c in clusters]
+        h, decoded = _lstm(g, decoders, gates, code, preset.code_size, states[n_encoder:])
+    with g.scope("read_out"):
+        y, log_spread = _read_out(g, model, clusters, h, code)
+    with g.scope("cells"):
+        after = g.concat(*(v for pair in (*encoded, *decoded) for v in pair), axis=2)
+        return y, log_spread, alarm, _side_by_side(g, after)
 
-    embedding = numbers(network.phase_embedding)
-    biases = np.stack([_phase_table(c.decoder, embedding) for c in clusters])
-    gates = g.op("MatMul", here, g.floats(biases))
-    h, decoded = _lstm(
-        g, [c.decoder for c in clusters], gates, code, preset.code_size, states[n_encoder:]
-    )
-    y, log_spread = _read_out(g, model, clusters, h, code)
-    after = g.concat(*(v for pair in (*encoded, *decoded) for v in pair), axis=2)
-    return y, log_spread, alarm, g.reshape(after, 1, -1)
+
+def _side_by_side(g: Graph, of_clusters: str) -> str:
+    """Numbers of the clusters in one row per sample: (C, B, n) to (B, C n)."""
+    return g.reshape(g.transpose(of_clusters, 1, 0, 2), 0, -1)
 
 
 def _closeness(cluster: ClusterNetwork) -> float:
@@ -99,13 +109,13 @@ def _lstm(
     width: int,
     states: Sequence[tuple[str, str]],
 ) -> tuple[str, list[tuple[str, str]]]:
-    """LSTM layers; output and next states, shapes (C, 1, U).
+    """LSTM layers; output and next states, shapes (C, B, U).
 
     Args:
         g: The graph.
         stacks: Of each cluster.
-        gates: Of the first layer, but for what `x` and the state add; (C, 1, 4 U).
-        x: Input of the first layer that is not in `gates`, shape (C, 1, width); "" for none.
+        gates: Of the first layer, but for what `x` and the state add; (C, B, 4 U).
+        x: Input of the first layer that is not in `gates`, shape (C, B, width); "" for none.
         width: Of `x`.
         states: Output and cell of each layer.
     """
@@ -114,13 +124,14 @@ def _lstm(
         layers = [_layer(stack, number) for stack in stacks]
         units = layers[0].hidden_size
         weights = [np.vstack([_of_input(k)[:width], _of_state(k)]) for k in layers]
-        sums = g.op("MatMul", g.concat(x, h, axis=2), g.floats(np.stack(weights)))
-        if number:
-            gates = g.floats(np.stack([_bias(k)[None] for k in layers]))
-        ifo, new = g.split(g.op("Add", sums, gates), [3 * units, units], axis=2)
-        i, f, o = g.split(g.op("Sigmoid", ifo), [units] * 3, axis=2)
-        c = g.op("Add", g.op("Mul", f, c), g.op("Mul", i, g.op("Tanh", new)))
-        x, width = g.op("Mul", o, g.op("Tanh", c)), units
+        with g.scope(f"layer_{number}"):
+            sums = g.op("MatMul", g.concat(x, h, axis=2), g.floats(np.stack(weights)))
+            if number:
+                gates = g.floats(np.stack([_bias(k)[None] for k in layers]))
+            ifo, new = g.split(g.op("Add", sums, gates), [3 * units, units], axis=2)
+            i, f, o = g.split(g.op("Sigmoid", ifo), [units] * 3, axis=2)
+            c = g.op("Add", g.op("Mul", f, c), g.op("Mul", i, g.op("Tanh", new)))
+            x, width = g.op("Mul", o, g.op("Tanh", c)), units
         after.append((x, c))
     return x, after
 
@@ -128,7 +139,7 @@ def _lstm(
 def _quantised(
     g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], z: str
 ) -> tuple[str, str]:
-    """Code (C, 1, D) and alarm (C, 1, 1): |z - e|^2 of the nearest code over what is usual; "" for
+    """Code (C, B, D) and alarm (C, B, 1): |z - e|^2 of the nearest code over what is usual; "" for
     the alarm in `track`."""
     kind, temperature = model.info.preset.quantiser, model.info.preset.temperature
     alarmed = model.info.protocol != "track"  # which knows innovations
@@ -136,9 +147,8 @@ def _quantised(
         code = g.op("Mul", z, g.floats(temperature / 2))
         return code, _far(g, model, z) if alarmed else ""
     codes = np.stack([numbers(c.quantiser.codes) for c in clusters])  # (C, K, D)
-    n, k, size = codes.shape
     book = g.floats(codes)  # one constant for both products: its numbers are read once
-    logits = g.reshape(g.op("MatMul", book, g.reshape(z, n, size, 1)), n, 1, k)
+    logits = g.transpose(g.op("MatMul", book, g.transpose(z, 0, 2, 1)), 0, 2, 1)  # (C, B, K)
     logits = g.op("Sub", logits, g.floats((codes**2).sum(-1)[:, None] / temperature))
     largest = ""
     if alarmed or kind == "hard":
@@ -158,7 +168,7 @@ def _quantised(
 
 
 def _far(g: Graph, model: Compensator, z: str) -> str:
-    """|z|^2 over what is usual, shape (C, 1, 1)."""
+    """|z|^2 over what is usual, shape (C, B, 1)."""
     usual = numbers(model.anomaly_scale)[:, None, None]
     square = g.op("ReduceSum", g.op("Mul", z, z), g.integers(2), keepdims=1)
     return g.op("Mul", square, g.floats(model.info.preset.temperature**2 / 4 / usual))
@@ -167,7 +177,7 @@ def _far(g: Graph, model: Compensator, z: str) -> str:
 def _read_out(
     g: Graph, model: Compensator, clusters: Sequence[ClusterNetwork], h: str, code: str
 ) -> tuple[str, str]:
-    """Output times its gain and its log spread ("" without a head), shape (1, 15) each.
+    """Output times its gain and its log spread ("" without a head), shape (B, 15) each.
 
     One product: the clusters' numbers side by side, zero for the channels of others.
     """
@@ -189,7 +199,7 @@ def _read_out(
     weights[:, :, 0] *= gain
     biases[0] *= gain
     given = 2 if preset.spread_head else 1
-    seen = g.reshape(g.concat(h, code, axis=2) if preset.skip else h, 1, -1)
+    seen = _side_by_side(g, g.concat(h, code, axis=2) if preset.skip else h)
     flat = g.floats(weights[:, :, :given].reshape(n * width, given * n_channels))
     row = g.op("Add", g.op("MatMul", seen, flat), g.floats(biases[:given].reshape(1, -1)))
     y, log_spread = g.split(row, [n_channels, n_channels * (given - 1)], axis=1)

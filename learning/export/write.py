@@ -39,7 +39,7 @@ def export_onnx(compensator: Compensator, folder: Path) -> Path:
     """
     said, vectors = metadata(compensator), reference_vectors(compensator)
     model = streaming_model(compensator)
-    small = quantised(model)
+    small = quantised(streaming_model(compensator, 1))  # whose scales are those of a sample
     loss = deviation(small, vectors)
     _write(model, said, folder / MODEL_FILE)
     _write(small, said | {"int8_deviation": f"{loss:.3g}"}, folder / INT8_FILE)

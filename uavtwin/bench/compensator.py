@@ -43,7 +43,7 @@ options = onnxruntime.SessionOptions()
 options.intra_op_num_threads = 1
 session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
 rng, seconds = np.random.default_rng(0), []
-fed = {{i.name: rng.random(i.shape).astype(np.float32) for i in session.get_inputs()}}
+fed = {{i.name: rng.random((1, *i.shape[1:])).astype(np.float32) for i in session.get_inputs()}}
 for _ in range(samples):
     begin = time.perf_counter()
     said = session.run(None, fed)
