@@ -209,6 +209,21 @@ class FmuModel:
         return self.step_s or self.parts[0].max_step_s
 
 
+def with_real_outputs(model: FmuModel) -> FmuModel:
+    """The same, every output a real number: truth values as 0 and 1, enumerations by their codes.
+
+    For importers that read all outputs by `fmi2GetReal` or `fmi3GetFloat64`.
+    """
+
+    def changed(part: Part) -> Part:
+        """The part; what was no real number stands still between instants."""
+        others = {v.name for v in part.of("output") if not v.real}
+        table = tuple(replace(v, kind="real") if v.name in others else v for v in part.variables)
+        return replace(part, variables=table, held=part.held | others)
+
+    return replace(model, parts=tuple(map(changed, model.parts)))
+
+
 def check_interface(model: FmuModel) -> None:
     """Whether names and texts of a model can stand in an FMU, each variable once.
 

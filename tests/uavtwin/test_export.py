@@ -159,6 +159,27 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_real_outputs_are_the_numbers_of_the_typed_ones(tmp_path: Path, fmi: int) -> None:
+    """For importers that read every output by fmi2GetReal: truth values are 0 and 1, enumerations
+    their codes. Parameters and inputs keep their types."""
+    runs = []
+    for outputs in ("typed", "real"):
+        choice = Choice("crazyflie", fmi=str(fmi), outputs=outputs)
+        export_components(["mission"], choice)(tmp_path / outputs, lambda _: None)
+        path = tmp_path / outputs / "mission.fmu"
+        assert validate_fmu(str(path)) == []
+        variables = fmpy.read_model_description(str(path)).modelVariables
+        kinds = {
+            c: {v.type for v in variables if v.causality == c} for c in ("parameter", "output")
+        }
+        assert (kinds["output"] == {"Real" if fmi == 2 else "Float64"}) == (outputs == "real")
+        run = fmpy.simulate_fmu(str(path), stop_time=3.0, output_interval=0.1)
+        runs.append(np.column_stack([run[n].astype(float) for n in run.dtype.names or ()]))
+    np.testing.assert_array_equal(runs[0], runs[1])
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "choice", "text"),
     [
@@ -174,6 +195,8 @@ def test_start_values_of_the_whole_twin(monkeypatch: pytest.MonkeyPatch, tmp_pat
         (("corrected-twin",), Choice(start=["airframe.mass=-1"]), "outside its range"),
         (("battery",), Choice(vehicle="copter_default"), "[battery]"),
         (("replay",), Choice(), "--flight"),
+        (("imu",), Choice(outputs="Real"), "--outputs Real: choose typed or real"),
+        (("imu",), Choice(outputs="real", python_slave=True), "leave out the Python slave"),
         (("imu",), Choice(drive="commands"), "nothing of imu: it goes with airframe and corr"),
         (("imu", "airframe"), Choice(mission="tour"), "it goes with mission and corrected-twin."),
         (("airframe",), Choice(controller="px4"), "it goes with corrected-twin."),

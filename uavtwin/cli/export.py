@@ -108,6 +108,13 @@ def export(
             help="With --fmi 3: pos_x, pos_y, pos_z as one variable pos, and so on; no .ssp.",
         ),
     ] = False,
+    outputs: Annotated[
+        str,
+        typer.Option(
+            help="typed, or real: every output a real number, for importers that read no other; no "
+            ".ssp."
+        ),
+    ] = "typed",
     platform: Platforms = "linux64",
     start: Starts = None,
     out: Out = Path("fmus_out"),
@@ -133,6 +140,7 @@ def export(
         int8,
         python_slave,
         arrays,
+        outputs,
     )
     plan = export_components(components, choice)
     with results_folder(out, force) as folder, progress("building") as step:
@@ -163,6 +171,7 @@ class Choice:
         int8: Whether the compensator's weights have 8 bits.
         python_slave: Whether components are evaluated by Python inside the FMU, for prototypes.
         arrays: Whether what belongs together is one array.
+        outputs: "typed", or "real" where every output is to be a real number.
     """
 
     vehicle: str = "copter_default"
@@ -179,6 +188,7 @@ class Choice:
     int8: bool = False
     python_slave: bool = False
     arrays: bool = False
+    outputs: str = "typed"
 
     def told(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
@@ -226,7 +236,8 @@ def export_components(
     parts = [_part(name, choice, vehicle, learned) for name in dict.fromkeys(names)]
     platforms = [name.strip() for name in choice.platform.split(",")]
     starts = start_values(choice.start)
-    return export_parts(parts, versions, platforms, starts, choice.python_slave, choice.arrays)
+    forms = choice.python_slave, choice.arrays, choice.outputs == "real"
+    return export_parts(parts, versions, platforms, starts, *forms)
 
 
 def default_vehicle(model: Path | None) -> str:
@@ -259,6 +270,8 @@ def _check_options(names: Sequence[str], choice: Choice, versions: Sequence[int]
         raise TwinError("--python-slave: FMI 2 and single components only; leave the rest native.")
     if choice.model is None and COMPENSATOR in names:
         raise TwinError("compensator needs a trained model: --model FOLDER.")
+    if choice.outputs not in ("typed", "real"):
+        raise TwinError(f"--outputs {choice.outputs}: choose typed or real.")
     if choice.int8 and choice.model is None:
         raise TwinError("--int8 goes with --model: it is the form of a trained compensator.")
 

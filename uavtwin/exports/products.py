@@ -10,6 +10,7 @@ from cosim.ssp import write_ssp
 from cosim.whole_twin import COMPENSATOR, fused_model, parts_of, system_of
 from fmus import FmuModel, build, component_model
 from fmus.compensator import NetworkFile, UnsupportedNetworkError, native_model
+from fmus.model import with_real_outputs
 from fmus.platforms import Platform
 from fmus.python_slave.build import build_network_slave, build_python_slave
 from twin.component import Component, unknown_name
@@ -100,6 +101,7 @@ def products_of(
     versions: Sequence[int],
     python_slave: bool = False,
     arrays: bool = False,
+    real_outputs: bool = False,
 ) -> list[Product]:
     """Files of one thing to be exported; the whole twin has two, fused and as `.ssp`.
 
@@ -109,10 +111,17 @@ def products_of(
         versions: FMI versions that are wanted.
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
         arrays: Whether variables that belong together are arrays; no `.ssp` then.
+        real_outputs: Whether every output is a real number; no `.ssp` then.
 
     Raises:
         TwinError: It cannot be written so.
     """
+    if real_outputs:
+        if python_slave:
+            raise TwinError("real outputs are of native FMUs; leave out the Python slave.")
+        typed = products_of(what, starts, versions, arrays=arrays)
+        models = ((with_real_outputs(p.model), p.note) for p in typed if p.model is not None)
+        return [replace(_native(model), note=note) for model, note in models]
     if arrays:
         if list(versions) != [3] or python_slave:
             raise TwinError("arrays are of FMI 3 and native FMUs; ask for that version alone.")

@@ -59,6 +59,7 @@ def export(
     starts: Mapping[str, float] | None = None,
     python_slave: bool = False,
     arrays: bool = False,
+    real_outputs: bool = False,
     progress: Progress = lambda _: None,
 ) -> ExportResult:
     """Write an FMU, or the whole twin as an `.ssp`.
@@ -73,6 +74,8 @@ def export(
         python_slave: Whether Python evaluates it inside the FMU, for prototypes.
         arrays: Whether what belongs together is one array, `pos` for `pos_x` to `pos_z`: FMI 3, and
             no `.ssp`.
+        real_outputs: Whether every output is a real number, for importers that know no other; no
+            `.ssp`.
         progress: Called with the share done, 0..1.
 
     Returns:
@@ -83,7 +86,7 @@ def export(
     """
     path, known = Path(path), Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
-    made = products_of(what, known, versions, python_slave, arrays)
+    made = products_of(what, known, versions, python_slave, arrays, real_outputs)
     products = {Path(p.file).suffix: p for p in made}
     known.check()
     if path.suffix not in products:
@@ -102,6 +105,7 @@ def export_parts(
     starts: Mapping[str, float] | None = None,
     python_slave: bool = False,
     arrays: bool = False,
+    real_outputs: bool = False,
 ) -> Callable[[Path, Progress], list[WrittenFile]]:
     """Check everything, then return the function that writes several into one folder.
 
@@ -112,6 +116,7 @@ def export_parts(
         starts: As for `export`; each part takes those that it has.
         python_slave: As for `export`.
         arrays: As for `export`.
+        real_outputs: As for `export`.
 
     Raises:
         TwinError: As `export`.
@@ -119,7 +124,9 @@ def export_parts(
     known = Starts(dict(starts or {}))
     versions, on = checked_versions(fmi), _platforms(platforms)
     products = [
-        p for part in parts for p in products_of(part, known, versions, python_slave, arrays)
+        p
+        for part in parts
+        for p in products_of(part, known, versions, python_slave, arrays, real_outputs)
     ]
     known.check()
     return lambda out, progress: write_products(products, versions, on, out, progress)
