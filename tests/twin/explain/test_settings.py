@@ -104,9 +104,12 @@ LOCAL = {
     "what is told of numbers and sets that are weighed already": {
         "inference.inclusion.EXCHANGED",
         "estimates.UNTOLD",
+        "estimates.MOST_OF_PRIOR",
     },
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
+        "inference.detectable.POWER_95",
+        "estimates._CREDIBLE",
         "inference.whitening._FAR",
         "running.silent.CELL",
         "stochastic.finding.SURE",

@@ -24,7 +24,7 @@ from .read import parse_vehicle
 from .sensors import PLACE, POSITION, SENSOR_NUMBERS, WHEN
 from .write import Written, with_effect_sections, without_effect_sections
 
-_BESIDE = ("sources", "deviations", "doubts", "effects", "calibration", "text")
+_BESIDE = ("sources", "deviations", "doubts", "effects", "calibration", "text", "file")
 """Attributes of a vehicle that are no numbers of its body, rotors and sensors."""
 _MAPS = tuple(
     f"rotors.{what}_from_{of}"
