@@ -10,11 +10,12 @@ from twin.draft import Hover, drives, hover_of
 from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
 from twin.logs import AnyFlight, open_flight
-from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL
+from twin.logs.columns import POS, QUAT, VEL
 from twin.logs.containers import is_archive_of
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe
+from twin.residuals.flight_gap import comparable
 from twin.vehicle import Vehicle
 from twin.vehicle.deviation import DEFAULT
 from twin.vehicle.file import load_vehicle
@@ -240,15 +241,11 @@ def _uses(flight: AnyFlight, hover: Hover | None) -> tuple[tuple[str, ...], tupl
     if not drives(flight):
         lacks = "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
         return (), (f"good for nothing yet: {lacks}",)
-    uses = []
-    forced = [name for name, group in (("acc", ACC), ("gyro", GYRO)) if flight.has(*group)]
-    if forced:
-        uses.append(f"gap, teacher-forced: {' and '.join(forced)}")
-    if not _missing(flight):
-        uses.append("gap at a short horizon: attitude, rates, velocity")
+    kinds, why = comparable(flight)
+    uses = [f"gap, {k}" if k.startswith("teacher") else f"gap {k}" for k in kinds]
     if hover is not None:
         uses.append("vehicle draft")
-    return tuple(uses), () if uses else ("good for nothing yet: no acc, gyro or q with vel or pos",)
+    return tuple(uses), () if uses else (f"good for nothing yet: {why}",)
 
 
 def _unfit(flight: AnyFlight) -> tuple[str, ...]:

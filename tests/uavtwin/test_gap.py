@@ -1,5 +1,6 @@
 """The gap: batch equals co-simulation, silence without a hidden effect, and planted effects."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,6 +30,7 @@ from uavtwin.demo.flights import (
     VEL_NOISE_M_S,
     fly,
 )
+from uavtwin.file_check import check_flight
 
 Array = np.ndarray
 FEISI = load_vehicle("feisi_x150")
@@ -408,13 +410,29 @@ def test_measured_rotor_speeds_replace_the_commands() -> None:
         (lambda f: replace(f, table=f.table.assign(rotor_5=500.0)), r"more rotor speeds than the"),
         (lambda f: without(f, *[c for g in MOTION.values() for c in g]), r"no motion signal.*cmd"),
         (lambda f: cut(f, 0.0, 0.004), r"quiet: too short: 1 samples"),
-        (lambda f: cut(f, 0.0, 0.9), r"quiet: never airborne with feisi_x150"),
+        (lambda f: cut(f, 0.0, 0.9), r"quiet: never airborne"),
         (lambda f: replace(f, table=f.table.assign(phase="ground")), r"never airborne"),
     ],
 )
 def test_what_cannot_be_compared_is_said(short: Flight, change: object, expected: str) -> None:
     with pytest.raises(LogError, match=expected):
         flight_gap(change(short), FEISI)  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("seconds", [0.02, 0.2, 0.45, 0.6, 1.4, 1.6, 3.0])
+@pytest.mark.parametrize("lacks", [(), ("acc_x", "gyro_x"), ("q_w",)])
+def test_check_and_gap_ask_one_rule(short: Flight, seconds: float, lacks: tuple[str, ...]) -> None:
+    """What is good for something is compared; what is refused by its length is good for nothing."""
+    flight = without(cut(short, 2.0, 2.0 + seconds), *lacks)
+    report = check_flight(flight, "quiet")
+    good = [use for use in report.good_for if use.startswith("gap")]
+    why = [p for p in report.problems if p.startswith("good for nothing")]
+    assert bool(good) != bool(why)
+    if good:
+        assert flight_gap(flight, FEISI).channels
+    else:
+        with pytest.raises(LogError, match=re.escape(why[0].partition("yet: ")[2])):
+            flight_gap(flight, FEISI)
 
 
 @pytest.mark.parametrize("horizon", [0.0, 0.005, 0.0123, -1.0, float("nan"), float("inf")])

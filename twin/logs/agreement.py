@@ -5,13 +5,13 @@ What each says of a window of half a second is compared, where both have samples
 little is left there.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..frames import rotation_vector, to_ned
+from ..frames import rotation_vector, to_body, to_ned
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 
@@ -29,6 +29,26 @@ _AGAINST_M = 0.003
 """In a window: noise hides that two signals are the same, and does not turn their sign."""
 _ROWS = 1 << 12
 """Samples at a time, where an equation has many terms."""
+
+_SAME, _OTHER = 0.8, 0.5
+"""Correlation from which on two axes are one motion, and below which they are not."""
+_SCALES = (0.45, 2.2)
+"""Ratio of the sizes of one motion outside of which one axis is scaled. Of all recorded logs at
+hand (docs/results/axis_faults.md) it is 0.66 to 1.93 where the correlation is above `_SAME`."""
+_SURE = 4.0
+"""Deviations of a correlation by chance that an opposite sign has to be away from none."""
+_FAR = 5.0
+"""Windows that are farther from the median, over the usual distance, are falls and resets."""
+_TURNING_RAD = 0.002
+"""Turn in a window, from the median, from which on an axis of the gyroscope is judged by itself."""
+_PUSHED_M_S2 = 0.1
+"""The same of the accelerometer; below, levelling and wind decide across the thrust."""
+_HEADINGS = 0.3
+"""Rms of the nose's direction from which on the axes of a compass are judged: +-20 degrees."""
+_TILTS = 0.05
+"""The same of the vertical axis, which tells of the level field by tilts."""
+_LIKE, _UNLIKE = 0.1, 0.2
+"""Share of the variance of a compass that one field leaves, and from which on it is none."""
 
 Signals = dict[str, tuple[str, ...]]
 """Columns that are sampled together, by the name of their signal."""
@@ -98,6 +118,41 @@ def _compared(a: Array, b: Array, good: NDArray[np.bool_]) -> tuple[float, float
     if size_a == 0.0 or size_b == 0.0:
         return 1.0, 1.0, 0
     return float(np.sum(a * b)) / (size_a * size_b), size_b / size_a, len(a)
+
+
+def axis_faults(reference: Array, measured: Array, least: float) -> Iterator[str]:
+    """Axes of a vector signal that are not those of another of the same motion, in words.
+
+    Args:
+        reference: Mean or integral over windows, shape (n, 3).
+        measured: The same of the signal that is judged, shape (n, 3).
+        least: Deviation of the reference from which on an axis is judged; a fifth of the windows
+            have to be so far from the median, so that no single fall decides.
+    """
+    if len(reference) < _FEWEST:
+        return
+    away = np.abs(reference - np.median(reference, axis=0))
+    usual = np.quantile(away, 0.8, axis=0)
+    apart = np.linalg.norm(reference - measured, axis=1)
+    kept = apart <= np.quantile(apart, 1 - _STEPS)
+    kept &= np.all(away <= _FAR * np.maximum(usual, least), axis=1)
+    a, b = (v[kept] - v[kept].mean(axis=0) for v in (reference, measured))
+    size_a, size_b = (np.sqrt(np.mean(v * v, axis=0)) for v in (a, b))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = np.nan_to_num((a.T @ b) / len(a) / np.outer(size_a, size_b))
+    moved = usual > least
+    swapped = set[int]()
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        own, crossed = np.abs([r[i, i], r[j, j]]), np.abs([r[i, j], r[j, i]])
+        if moved[i] and moved[j] and own.max() < _OTHER and crossed.min() > _SAME:
+            swapped |= {i, j}
+            yield f"_{'xyz'[i]} and _{'xyz'[j]} are swapped (r = {r[i, j]:.2f}, {r[j, i]:.2f})"
+    for i in (k for k in range(3) if moved[k] and k not in swapped):
+        ratio = size_b[i] / size_a[i]
+        if r[i, i] < -max(_OTHER, _SURE / np.sqrt(len(a))):
+            yield f"_{'xyz'[i]} has the opposite sign (r = {r[i, i]:.2f})"
+        elif r[i, i] > _SAME and not _SCALES[0] < ratio < _SCALES[1]:
+            yield f"_{'xyz'[i]} is {ratio:.2g} times as large (r = {r[i, i]:.2f})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +228,12 @@ def doubt_turning(table: Columns, there: Signals) -> list[Finding]:
     kept = found.without_steps()
     every = np.ones(len(kept.lasting_s), dtype=np.bool_)
     together, ratio, n = _compared(kept.by_attitude, kept.by_gyro, every)
-    if n < _FEWEST or (max(moving, still) < _TURNED_RAD and min(moving, still) < _BOTH_TURNED_RAD):
-        return []
-    if together > 0.5 and 0.5 < ratio < 2.0:
-        return []
+    little = max(moving, still) < _TURNED_RAD and min(moving, still) < _BOTH_TURNED_RAD
+    if n < _FEWEST or little or (together > 0.5 and 0.5 < ratio < 2.0):
+        return [
+            Finding("error", "gyro", f"against the turning of the attitude, gyro{fault}")
+            for fault in axis_faults(found.by_attitude, found.by_gyro, _TURNING_RAD)
+        ]
     unit = ""
     if together > 0.5:
         unit = ": is a unit wrong, or one of them scaled?"
@@ -253,8 +310,9 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
         return []
     gained = np.diff(_at(t_vel, vel, edges), axis=0)
     del vel  # of a long flight each is a good part of what memory there is
+    read = _total(t_acc, acc, edges)
     force_n = _force_ned(t_acc, acc, t_q, q)
-    del acc, q
+    del acc
     told = _total(t_acc, force_n, edges)
     good = _known(t_acc, edges) & _known(t_q, edges) & _known(t_vel, edges)
     good &= np.abs(gained).max(axis=1) < 20.0 * np.diff(edges)
@@ -278,4 +336,76 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
             f"{ratio:.2g} times as much): another frame, sign, unit or clock?"
         )
         found.append(Finding("error", "acc", message))
+    if not found:
+        lasting = np.diff(edges)[:, None]
+        pushed = gained / lasting - [0.0, 0.0, _G_M_S2]
+        pushed_b = _in_body((edges[1:] + edges[:-1]) / 2, pushed, t_q, q)
+        read = read / lasting
+        found += [
+            Finding("error", "acc", f"against the change of the velocity, acc{fault}")
+            for fault in axis_faults(pushed_b[good], read[good], _PUSHED_M_S2)
+        ]
+    return found
+
+
+def _in_body(t_s: Array, vector_n: Array, t_q: Array, q: Array) -> Array:
+    """Vectors in body axes by the attitude next after each time, shape as `vector_n`."""
+    near = q[np.clip(np.searchsorted(t_q, t_s), 0, len(t_q) - 1)]
+    unit = near / np.linalg.norm(near, axis=1, keepdims=True)
+    return np.stack(to_body(list(unit.T), list(vector_n.T)), axis=1)
+
+
+def doubt_compass(table: Columns, there: Signals) -> list[Finding]:
+    """Axes of a magnetometer that do not show one field that the earth holds still.
+
+    Each axis by itself is fitted by a field and a bias, m_k = (R_bn m_n)_k + b_k; the level parts
+    of the fields of two axes have to be one. Axes are swapped where one field fits all of them
+    swapped and none as they are.
+    """
+    if not {"mag", "q"} <= there.keys():
+        return []
+    t_mag, mag = samples(table, MAG)
+    t_q, q = samples(table, QUAT)
+    if min(len(t_mag), len(t_q)) < _FEWEST:
+        return []
+    few = slice(None, None, max(len(t_mag) // _ROWS, 1))
+    t_mag, mag = t_mag[few], mag[few] - mag[few].mean(axis=0)
+    axes = [_in_body(t_mag, np.tile(e, (len(t_mag), 1)), t_q, q) for e in np.eye(3)]
+    rows = np.stack(axes, axis=-1)  # (n, body, NED)
+    rows -= rows.mean(axis=0)
+
+    def fitted(x: Array, y: Array) -> tuple[Array, float]:
+        """A field, and the share of the variance that it leaves."""
+        field = np.linalg.lstsq(x, y, rcond=1e-2)[0]
+        share = float(np.sum((y - x @ field) ** 2)) / max(float(y @ y), 1e-300)
+        return np.asarray(field, dtype=np.float64), share
+
+    turned = np.sqrt(np.mean(np.sum(rows[:, :, :2] ** 2, axis=2), axis=0))
+    if turned[0] < _HEADINGS:
+        return []
+    every = rows.reshape(-1, 3)
+    if fitted(every, mag.ravel())[1] > _UNLIKE:
+        for swap in ([1, 0, 2], [2, 1, 0], [0, 2, 1]):
+            if fitted(every, mag[:, swap].ravel())[1] < _LIKE:
+                axes_of = " and ".join(f"mag_{'xyz'[k]}" for k in range(3) if swap[k] != k)
+                return [Finding("error", "mag", f"as the attitude turns, {axes_of} are swapped")]
+    fields: dict[str, Array] = {}
+    for k, axis in enumerate("xyz"):
+        field, left = fitted(rows[:, k], mag[:, k])
+        if left < _LIKE and turned[k] > (_HEADINGS if axis != "z" else _TILTS):
+            fields[axis] = field[:2]
+    found = []
+    for one, other in (("x", "y"), ("x", "z"), ("y", "z")):
+        if not {one, other} <= fields.keys():
+            continue
+        a, b = fields[one], fields[other]
+        size = [float(np.linalg.norm(v)) for v in (a, b)]
+        same, ratio = float(a @ b) / (size[0] * size[1]), size[1] / size[0]
+        if same < -_SAME:
+            message = f"mag_{one} or mag_{other} has the opposite sign"
+        elif same > _SAME and not _SCALES[0] < ratio < _SCALES[1]:
+            message = f"mag_{other} is {ratio:.2g} times as large as mag_{one}"
+        else:
+            continue
+        found.append(Finding("error", "mag", f"as the attitude turns, {message}"))
     return found

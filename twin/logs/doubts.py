@@ -1,13 +1,21 @@
 """What is doubtful about a flight table, whatever its format: units, frames, signals that stand
 still. Findings, never errors."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..vehicle.layouts import Layout
-from .agreement import Signals, doubt_force, doubt_turning, doubt_velocity, samples, signals
+from .agreement import (
+    Signals,
+    doubt_compass,
+    doubt_force,
+    doubt_turning,
+    doubt_velocity,
+    samples,
+    signals,
+)
 from .clock import missing_ends, pauses
 from .columns import ACC, GYRO, MAG, POS, VEL, Columns
 from .flight import Array, Finding
@@ -18,6 +26,12 @@ from .motor_checks import doubt_motors
 _FASTEST_ROTOR_RAD_S = 4500.0
 _FROZEN_S = 2.0
 _FEWEST = 20  # samples that tell anything
+_NOTHING = 0.9
+"""Share of samples that are exactly zero in a column that holds nothing."""
+_LEVEL = 0.9999
+"""Component of a quaternion that rounds to one while the others change by little."""
+_APART = 2.0
+"""Factor between one motor and the others; of recorded flights it is 0.84 to 1.18."""
 _AIRBORNE = ("hover", "forward", "tour")
 
 
@@ -36,8 +50,10 @@ def doubts(table: Columns, layout: Layout | None = None) -> list[Finding]:
         *_doubt_height(table),
         *_frozen(table, there),
         *_unpowered(table, there),
+        *_one_apart(table, there),
         *doubt_turning(table, there),
         *doubt_velocity(table, there),
+        *doubt_compass(table, there),
         *incidents(table),
         *doubt_motors(table, there, layout),
     ]
@@ -210,11 +226,66 @@ def _frozen(table: Columns, there: Signals) -> list[Finding]:
         if not ground[(time > begin) & (time < end)].all()
     ]
     moves = _moving(table, there, found)
-    return [
+    whole = [
         Finding("warning", name, f"stands still from {begin:.2f} to {end:.2f} s, changes otherwise")
         for (name, begin, end), moving in zip(found, moves, strict=True)
         if moving
     ]
+    return [*whole, *_frozen_axes(table, there, ground)]
+
+
+def _frozen_axes(table: Columns, there: Signals, ground: NDArray[np.bool_]) -> Iterator[Finding]:
+    """Single columns that keep a value for seconds in which others of their signal change in most
+    of the samples; motors may do so at either end of their range."""
+    time = table["time"]
+    for name in ("acc", "gyro", "mag", "pos", "vel", "q", "cmd", "rotor"):
+        if name not in there:
+            continue
+        t_s, values = samples(table, there[name])
+        if len(t_s) < _FEWEST:
+            continue
+        steps = np.cumsum(np.concatenate([[0], _changed(values)]))
+        usual_s = float(np.median(np.diff(t_s)))
+        for column, own in zip(there[name], values.T, strict=True):
+            changes = np.flatnonzero(own[1:] != own[:-1]) + 1
+            first = np.concatenate([[0], changes])
+            last = np.concatenate([changes, [len(t_s)]]) - 1
+            ends = own[first] <= 0.0 if name == "rotor" else (own[first] <= 0) | (own[first] >= 1)
+            may = ends & (name in ("cmd", "rotor"))
+            lasts = t_s[last] - t_s[first] > max(_FROZEN_S, 20.0 * usual_s)
+            if name in ("acc", "gyro", "q") and np.mean(own == 0.0) > _NOTHING:
+                continue  # of a simulation without drag, or in a plane
+            if name == "q":
+                may = np.abs(own[first]) > _LEVEL
+            busy = steps[last] - steps[first] > 0.5 * (last - first)
+            for k in np.flatnonzero(lasts & busy & ~may):
+                begin, end = float(t_s[first[k]]), float(t_s[last[k]])
+                if not ground[(time > begin) & (time < end)].all():
+                    kept = f"{column} keeps {own[first[k]]:.4g} from {begin:.2f} to {end:.2f} s"
+                    message = f"{kept}, while others of {name} change"
+                    yield Finding("warning", name, message)
+
+
+def _one_apart(table: Columns, there: Signals) -> Iterator[Finding]:
+    """A motor whose command or speed is far from those of the others while the aircraft flies."""
+    flying = np.asarray(table["phase"] != "ground")
+    for name, unit in (("cmd", ""), ("rotor", " rad/s")):
+        if name not in there:
+            continue
+        t_s, values = samples(table, there[name])
+        values = values[flying[np.searchsorted(table["time"], t_s)]]
+        mean = values.mean(axis=1)
+        if len(mean) < _FEWEST:
+            continue
+        usual = np.median(values[mean > 0.5 * np.quantile(mean, 0.9)], axis=0)
+        for k, column in enumerate(there[name]):
+            others = float(np.median(np.delete(usual, k)))
+            if others > 0 and not 1 / _APART < usual[k] / others < _APART:
+                message = (
+                    f"{column} is {usual[k]:.3g}{unit} in the median, the others "
+                    f"{others:.3g}{unit}: scaled, without its motor, or of something else?"
+                )
+                yield Finding("error", name, message)
 
 
 def _unpowered(table: Columns, there: Signals) -> list[Finding]:

@@ -15,13 +15,14 @@ from ..errors import LogError
 from ..frames import AXES, rotation_vector
 from ..logs import AnyFlight
 from ..logs.airframe import origin_of
-from ..logs.columns import GYRO, POS, QUAT, VEL
+from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
 from ..vehicle import Vehicle
 from .aligned import BLOCK_ROWS, AlignedFlight, Alignment, Block, align_flight
-from .channels import GRID_HZ
+from .channels import GRID_HZ, SHORTEST_S
 from .gap import Channel, FlightGap
 from .hover import HoverDiagnosis, diagnose
 from .imu import imu_channels
+from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S
 from .short_horizon import READ, window_ends, window_starts
 from .teacher_forced import GRID_S
 
@@ -54,6 +55,9 @@ def flight_gap(
         raise LogError(f"horizon {horizon_s:g} s: needs a multiple of 1 ms of at least 10 ms.")
     # the coarse grid first, and gone before the fine one is there: both together need more memory
     alignment = Alignment(flight, vehicle)
+    kinds, why = comparable(flight)
+    if not kinds:
+        raise LogError(f"{flight.name}: {why}.")
     channels = imu_channels(
         flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ, motion=alignment.motion)
     )
@@ -74,6 +78,61 @@ def flight_gap(
         hover=diagnose(channels, vehicle, hover_of(flight)),
         origin=origin_of(flight.airframe),
     )
+
+
+def comparable(flight: AnyFlight) -> tuple[tuple[str, ...], str]:
+    """Kinds of residuals that a flight has the samples for, whatever the vehicle, in words; and why
+    it has none.
+
+    This is the rule by which `flight_gap` refuses a flight, apart from its vehicle. Teacher-forced
+    residuals need an accelerometer or a gyroscope for `SHORTEST_S` off the ground without a gap,
+    the short horizon needs attitude and velocity or position for one horizon.
+    """
+    known = {
+        name: _longest_s(flight, columns)
+        for name, columns in (
+            ("acc", ACC),
+            ("gyro", GYRO),
+            ("q", QUAT),
+            ("vel", VEL),
+            ("pos", POS),
+        )
+        if flight.has(*columns)
+    }
+    kinds = []
+    if forced := [name for name in ("acc", "gyro") if known.get(name, 0.0) >= SHORTEST_S]:
+        kinds.append(f"teacher-forced: {' and '.join(forced)}")
+    moving = max(known.get("vel", 0.0), known.get("pos", 0.0))
+    if min(known.get("q", 0.0), moving) > DEFAULT_HORIZON_S:
+        kinds.append("at a short horizon: attitude, rates, velocity")
+    if kinds:
+        return tuple(kinds), ""
+    if not known:
+        return (), "no acc, gyro or q with vel or pos"
+    codes, names = flight.phase_codes
+    if np.all(names[codes] == "ground"):
+        return (), "never airborne: the whole flight is in phase ground"
+    parts = ", ".join(f"{name} {seconds:.2g} s" for name, seconds in known.items())
+    return (), (
+        f"too short: longest stretch off the ground without a gap: {parts}; acc or gyro is needed "
+        f"for {SHORTEST_S:g} s, or q with vel or pos for {DEFAULT_HORIZON_S:g} s"
+    )
+
+
+def _longest_s(flight: AnyFlight, columns: Sequence[str]) -> float:
+    """The longest time off the ground in which a signal has no gap, s."""
+    t_s = flight.signal(columns)[0]
+    if len(t_s) < 2:
+        return 0.0
+    codes, names = flight.phase_codes
+    grounded = (names == "ground")[codes[np.searchsorted(flight.time_s, t_s)]]
+    steps = np.diff(t_s)
+    usual_s = float(np.median(steps))
+    longest_s = min(LONGEST_GAP_INTERVALS * usual_s, max(LONGEST_GAP_S, 1.5 * usual_s))
+    whole = (steps <= longest_s) & ~grounded[1:] & ~grounded[:-1]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], whole.astype(np.int8), [0]])))
+    lengths = [t_s[b] - t_s[a] for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return float(max(lengths, default=0.0))
 
 
 def diagnosis_of(

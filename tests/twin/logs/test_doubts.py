@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from sample_logs import flown_table
 from scipy.integrate import cumulative_trapezoid
 
-from twin.frames import multiply
+from twin.frames import multiply, to_body
 from twin.logs import Finding, read_flight
 from twin.logs.agreement import turns
+from twin.logs.doubts import doubts
 
 
 def found(table: pd.DataFrame, folder: Path) -> list[Finding]:
@@ -232,3 +233,96 @@ def test_the_kinematic_residual_of_a_gyroscope_that_is_off() -> None:
     assert sound is not None and off is not None
     assert sound.residual_rad_s.max() < 2e-3  # noise of 0.01 rad/s over 50 samples
     np.testing.assert_allclose(off.residual_rad_s[1], 0.05, rtol=0.03)
+
+
+# -- one axis -------------------------------------------------------------------------------
+
+FAULTS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
+    "negated": lambda v: -v,
+    "scaled by 0.3": lambda v: 0.3 * v,
+    "scaled by 3": lambda v: 3.0 * v,
+    "frozen from the start": lambda v: np.full_like(v, v[0]),
+    "frozen from the middle": lambda v: np.where(np.arange(len(v)) < 1500, v, v[1500]),
+}
+FIELD_T = np.array((2.1e-5, 0.3e-5, 4.2e-5))
+
+
+def with_compass() -> pd.DataFrame:
+    """The flight with a compass of 0.2 uT noise and a bias, its nose turning by a radian."""
+    table = flown_table()
+    t = table["time"].to_numpy()
+    q = np.stack(
+        multiply(
+            [np.cos(0.5 * np.sin(0.3 * t)), 0 * t, 0 * t, np.sin(0.5 * np.sin(0.3 * t))],
+            list(table[QUAT].to_numpy().T),
+        )
+    )
+    field = to_body(list(q), [np.full(len(t), f) for f in FIELD_T])
+    noise = 2e-7 * np.random.default_rng(4).standard_normal((3, len(t)))
+    for k, axis in enumerate("xyz"):
+        table[f"mag_{axis}"] = field[k] + noise[k] + 3e-6 * k
+    table[QUAT] = q.T
+    return table.drop(columns=[*GYRO, *ACC])
+
+
+def doubted(table: pd.DataFrame) -> list[Finding]:
+    return doubts(columns(table))
+
+
+def test_a_compass_that_fits_is_not_doubted() -> None:
+    assert doubted(with_compass()) == []
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("axis", "xyz")
+@pytest.mark.parametrize("stem", ["gyro", "acc", "vel", "pos", "mag"])
+def test_a_fault_of_one_axis_is_a_finding(stem: str, axis: str, fault: str) -> None:
+    table = with_compass() if stem == "mag" else flown_table()
+    column = f"{stem}_{axis}"
+    table[column] = FAULTS[fault](table[column].to_numpy())
+    assert doubted(table), column
+
+
+@pytest.mark.parametrize("stem", ["gyro", "acc", "vel", "pos", "mag"])
+@pytest.mark.parametrize("pair", ["xy", "xz", "yz"])
+def test_two_axes_that_are_swapped_are_a_finding(stem: str, pair: str) -> None:
+    table = with_compass() if stem == "mag" else flown_table()
+    one, other = (f"{stem}_{a}" for a in pair)
+    table[[one, other]] = table[[other, one]].to_numpy()
+    assert doubted(table)
+
+
+@pytest.mark.parametrize("fault", ["scaled by 0.3", "frozen from the start"])
+@pytest.mark.parametrize("stem", ["cmd", "rotor"])
+def test_a_fault_of_one_motor_is_a_finding(stem: str, fault: str) -> None:
+    table = flown_table()
+    if stem == "rotor":
+        for i in range(1, 5):
+            table[f"rotor_{i}"] = 800 * table[f"cmd_{i}"]
+    assert doubted(table) == []
+    table[f"{stem}_2"] = FAULTS[fault](table[f"{stem}_2"].to_numpy())
+    assert [f for f in doubted(table) if f"{stem}_2" in f.message]
+
+
+def test_a_motor_at_its_limit_is_not_frozen() -> None:
+    table = flown_table()
+    table.loc[1000:1600, "cmd_2"] = 1.0
+    assert doubted(table) == []
+
+
+def test_a_single_fall_does_not_decide(tmp_path: Path) -> None:
+    """A hover, and one second of which the accelerometer reads a third."""
+    table = flown_table()
+    hover = np.abs(table["time"] - 15) > 1.0
+    scale = np.where(hover, 0.01, 1.0)
+    t = table["time"].to_numpy()
+    rng = np.random.default_rng(2)
+    level = {"q_w": 1.0, "q_x": 0.0, "q_y": 0.0, "q_z": 0.0}
+    pushed = scale * 6.0 * np.sin(3.0 * t)
+    speed = cumulative_trapezoid(pushed, t, initial=0.0)
+    table = table.assign(**level, vel_x=speed, vel_y=0.0 * t, vel_z=0.0 * t)
+    table = table.drop(columns=["pos_x", "pos_y", "pos_z", *GYRO])
+    table["acc_x"] = np.where(hover, 1.0, 0.3) * pushed + 0.02 * rng.standard_normal(len(t))
+    table["acc_y"] = 0.02 * rng.standard_normal(len(t))
+    table["acc_z"] = -9.80665 + 0.02 * rng.standard_normal(len(t))
+    assert not [f for f in doubted(table) if f.where == "acc"]

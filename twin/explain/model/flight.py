@@ -42,6 +42,8 @@ TIME_STEP_S = 0.002
 """By which a lag is moved where its answer is a difference."""
 SMALL = 0.01
 """Share of the step of a number in a difference that is to be a derivative."""
+TOGETHER = 8
+"""Slopes that are seen at the samples of a pose at a time."""
 BEND_S = 0.02
 """Step of differences of what was averaged over time: they leave vibration out, and are those of
 motion to 5 % at the band of the pose."""
@@ -333,9 +335,10 @@ class FlightModel:
 def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> tuple[Array, Array]:
     """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
     both = np.concatenate([more[:, :, None], slopes], axis=2)
-    some = np.any(both, axis=(0, 1))
-    if some.any():
-        both[:, :, some] = sampled(both[:, :, some])
+    some = np.flatnonzero(np.any(both, axis=(0, 1)))
+    for first in range(0, len(some), TOGETHER):  # all at once, they would fill the memory
+        few = some[first : first + TOGETHER]
+        both[:, :, few] = sampled(both[:, :, few])
     return both[:, :, 0], both[:, :, 1:]
 
 
