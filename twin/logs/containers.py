@@ -176,7 +176,7 @@ def _from_archive(blob: bytes) -> Unpacked:
         ) from None
     except NotImplementedError as error:
         raise LogError(f"a ZIP archive of an unknown kind ({error}). Unpack it first.") from None
-    others = f"; the other {len(files) - 1} files in it are no logs" if len(files) > 1 else ""
+    others = f"; files in it that are no logs: {len(files) - 1}" if len(files) > 1 else ""
     message = f"{log.filename[:80]}, out of a ZIP archive{others}"
     return Unpacked(content, (Finding("info", "file", message),))
 
