@@ -307,7 +307,7 @@ def test_a_fault_of_one_motor_is_a_finding(stem: str, fault: str) -> None:
 def test_a_motor_at_its_limit_is_not_frozen() -> None:
     table = flown_table()
     table.loc[1000:1600, "cmd_2"] = 1.0
-    assert doubted(table) == []
+    assert not [f for f in doubted(table) if "keeps" in f.message]
 
 
 def test_a_single_fall_does_not_decide(tmp_path: Path) -> None:
