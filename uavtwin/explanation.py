@@ -25,7 +25,7 @@ from . import vehicles
 from .exports.parts import component
 from .exports.write import export_parts
 from .flights import opened_flights
-from .output import output_file, write_json
+from .output import OptionalSteps, output_file, write_json
 from .report.explain import write_explain_report
 from .report.headline import Headline, got_worse, headline
 from .report.hover import hover_sentence
@@ -437,32 +437,40 @@ def _certainty(ci95: tuple[float, float] | None) -> str:
     return "no interval" if ci95 is None else "95 % interval {:.4g} to {:.4g}".format(*ci95)
 
 
-def write_explanation(
-    found: Explanation, folder: Path, fmus: bool = True, progress: Progress = lambda _: None
-) -> list[str]:
-    """Write everything that was found.
-
-    Args:
-        found: What was found.
-        folder: To write into.
-        fmus: Whether to build the components on which the named effects act.
-        progress: Called with the share done.
-
-    Returns:
-        Names of the files.
-    """
+def write_explanation(found: Explanation, folder: Path) -> list[str]:
+    """Write page, JSON and, where an effect is named, vehicle files; names of the files."""
     write_json(folder / "explain.json", _json(found))
     write_explain_report(found, folder / "report.html")
     written = ["report.html", "explain.json"]
     if found.added is None:
         return written
-    vehicle = explained_vehicle(found)
-    written.append(vehicle.save(folder / "vehicle.toml").name)
+    written.append(explained_vehicle(found).save(folder / "vehicle.toml").name)
     if (today := vehicle_today(found)) is not None:
         written.append(today.save(folder / "vehicle_today.toml").name)
+    return written
+
+
+def write_fmus(
+    found: Explanation,
+    folder: Path,
+    steps: OptionalSteps,
+    progress: Progress = lambda _: None,
+) -> list[str]:
+    """Build the components on which the named effects act; names of the files.
+
+    Args:
+        found: What was found.
+        folder: Of the results.
+        steps: Takes the build as one of its own: the compiler may fail, the disk be full.
+        progress: Called with the share done.
+    """
+    if found.added is None:
+        return []
+    vehicle = explained_vehicle(found)
     of_vehicle = (EFFECTS[e] for e in found.effects if EFFECTS[e].of_vehicle)
     names = sorted({e.component for e in of_vehicle})
-    if fmus and names:
-        rows = export_parts([component(n, vehicle) for n in names])(folder, progress)
-        written += [row.file for row in rows]
-    return written
+    if not names:
+        return []
+    write = export_parts([component(n, vehicle) for n in names])
+    rows = steps.run("FMUs", folder, lambda place: write(place, progress))
+    return [row.file for row in rows or ()]

@@ -1,12 +1,12 @@
 """Compensators from Python: train one, evaluate one. Needs the extra `learn`, where it is used."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import wraps
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar, cast
 
 from twin.errors import TwinError, install_command
 from twin.logs import Flight
@@ -14,7 +14,7 @@ from twin.vehicle import Vehicle
 
 from .flights import checked_flights
 from .model_card.license import UNSAID, check_license
-from .output import readable, results_folder
+from .output import check_folder, results_folder
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
@@ -93,7 +93,6 @@ def _in_one_thread(verb: Callable[_P, _R]) -> Callable[_P, _R]:
     return _inside
 
 
-@_in_one_thread
 def train(
     flights: Flight | Sequence[Flight],
     vehicle: Vehicle,
@@ -139,59 +138,151 @@ def train(
     Raises:
         TwinError: The extra `learn` is not installed, or an argument or a flight cannot be used.
     """
-    several, twin = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
-    out = Path(folder)
-    check_license(license)
-    if protocol == "force":
-        with extra_learn():
-            from .force.train import check_force_options
+    wanted = Wanted(model, preset, protocol, horizon, rate_hz, epochs, seed, device, license)
+    return run_train(flights, vehicle, Path(folder), wanted, force, progress)
 
-        check_force_options(model, preset, horizon, rate_hz, epochs, device)
-        _check_kind(out, "model.json", "a compensator of the sensors")
-        with results_folder(out, force) as place:
-            made = _train_force(several, twin, place, seed or 0, license, progress)
-        return replace(made, folder=out)
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Arguments of `train` that decide what is trained."""
+
+    model: str | None = None
+    preset: str | None = None
+    protocol: 'Protocol | Literal["force"]' = "track"
+    horizon: int = 1
+    rate_hz: float = 100.0
+    epochs: int | None = None
+    seed: int | None = None
+    device: str = "cpu"
+    license: str = UNSAID
+
+
+@_in_one_thread
+def run_train(
+    flights: Flight | Sequence[Flight],
+    vehicle: Vehicle,
+    out: Path,
+    wanted: Wanted,
+    force: bool = False,
+    progress: Progress = lambda _: None,
+    beside: Callable[[TrainResult, Path], None] = lambda *_: None,
+) -> TrainResult:
+    """Train, and write the folder of the model as a whole.
+
+    Until then the folder holds a checkpoint alone, with which the same call is resumed.
+
+    Args:
+        flights, vehicle, force, progress: As of `train`.
+        out: Folder of the model.
+        wanted: What is trained.
+        beside: Takes the result and the folder to write into what else belongs there.
+
+    Raises:
+        TwinError: As `train`.
+    """
+    several, twin = checked_flights(flights, "train"), checked_vehicle(vehicle, "train")
+    check_license(wanted.license)
     with extra_learn():
-        from .model_card.write import write_card
-        from .sensors import training
+        prepare = _force_training if wanted.protocol == "force" else _sensor_training
+        checkpoint, write = prepare(several, twin, out, wanted, force, progress)
+    new = not out.exists()
+    out.mkdir(parents=True, exist_ok=True)
+    try:
+        with results_folder(out, force, checkpoint) as folder:
+            made = replace(write(folder), folder=out)
+            beside(made, folder)
+    except BaseException:
+        if new:
+            with suppress(OSError):  # it holds a checkpoint
+                out.rmdir()
+        raise
+    return made
+
+
+_Prepared = tuple[str, Callable[[Path], TrainResult]]
+"""Name of the checkpoint, and the function that trains and writes."""
+
+
+def _sensor_training(
+    flights: Sequence[Flight],
+    vehicle: "OwnVehicle",
+    out: Path,
+    wanted: Wanted,
+    force: bool,
+    progress: Progress,
+) -> _Prepared:
+    """A compensator of the sensors, checked before the work begins."""
+    from learning.training.checkpoint import CHECKPOINT
+
+    from .model_card.write import write_card
+    from .sensors import training
+
     _check_kind(out, "force.json", "a learned force")
     plan = training.plan_training(
-        model, preset, protocol, horizon, epochs, seed, device, out, force
+        wanted.model,
+        wanted.preset,
+        cast("Protocol", wanted.protocol),
+        wanted.horizon,
+        wanted.epochs,
+        wanted.seed,
+        wanted.device,
+        out,
+        force,
     )
-    residuals = training.prepare(plan, several, twin, rate_hz, lambda done: progress(0.1 * done))
-    written = training.run_training(
-        plan, residuals, twin, out, lambda done: progress(0.1 + 0.9 * done)
-    )
-    written.append(write_card(out, training.training_claim(out), license))
-    readable(out / name for name in written)
+    rate_hz = wanted.rate_hz
     options = {
         "model": plan.family.name,
         "preset": plan.preset.name,
-        "protocol": protocol,
+        "protocol": plan.protocol,
         "horizon": plan.horizon,
         "rate": rate_hz,
         "epochs": plan.epochs,
         "device": plan.device,
     }
-    return TrainResult(out, tuple(written), training.training_claim(out), plan.seed, options)
+
+    def write(folder: Path) -> TrainResult:
+        residuals = training.prepare(
+            plan, flights, vehicle, rate_hz, lambda done: progress(0.1 * done)
+        )
+        written = training.run_training(
+            plan, residuals, vehicle, folder, out, lambda done: progress(0.1 + 0.9 * done)
+        )
+        claim = training.training_claim(folder)
+        written.append(write_card(folder, claim, wanted.license))
+        return TrainResult(folder, tuple(written), claim, plan.seed, options)
+
+    return CHECKPOINT, write
 
 
-def _train_force(
+def _force_training(
     flights: Sequence[Flight],
     vehicle: "OwnVehicle",
-    folder: Path,
-    seed: int,
-    license: str,
+    out: Path,
+    wanted: Wanted,
+    force: bool,
     progress: Progress,
-) -> TrainResult:
-    """Force and moment inside the equations, as `train` has it."""
-    from .force.train import force_claim, train_force
+) -> _Prepared:
+    """Force and moment inside the equations, checked before the work begins."""
+    from .force.memory import CHECKPOINT, Memory, training_key
+    from .force.train import check_force_options, force_claim, train_force
     from .model_card.write import write_card
 
-    made = train_force(flights, vehicle, seed, folder, progress)
-    claim = force_claim(folder)
-    made.append(write_card(folder, claim, license))
-    return TrainResult(folder, tuple(made), claim, seed, {"protocol": "force"})
+    check_force_options(
+        wanted.model, wanted.preset, wanted.horizon, wanted.rate_hz, wanted.epochs, wanted.device
+    )
+    _check_kind(out, "model.json", "a compensator of the sensors")
+    check_folder(out, force, CHECKPOINT)
+    seed = wanted.seed or 0
+
+    def write(folder: Path) -> TrainResult:
+        key = training_key(flights, vehicle, seed)
+        with closing(Memory(out / CHECKPOINT, key)) as memory:
+            made = train_force(flights, vehicle, seed, folder, memory, progress)
+        claim = force_claim(folder)
+        made.append(write_card(folder, claim, wanted.license))
+        return TrainResult(folder, tuple(made), claim, seed, {"protocol": "force"})
+
+    return CHECKPOINT, write
 
 
 def write_measured_card(

@@ -4,6 +4,7 @@ import hashlib
 import shutil
 import time
 import zlib
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from learning.force.model import load_force
 from twin.explain.explanation import explain
 from uavtwin.explanation import explained_vehicle
 from uavtwin.force.evaluate import evaluate_force
+from uavtwin.force.memory import Memory, training_key
 from uavtwin.force.train import force_claim, train_force
 from uavtwin.vehicles import Vehicle
 
@@ -34,7 +36,10 @@ def measure(rotation: Rotation, places: Places) -> dict[str, Any]:
     folder = places.work / "models" / f"{rotation.group}.{rotation.name}"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    train_force(taught, vehicle, SEED, folder, lambda _: None)
+    checkpoint = folder.with_name(f"{folder.name}.jsonl")
+    with closing(Memory(checkpoint, training_key(taught, vehicle, SEED))) as memory:
+        train_force(taught, vehicle, SEED, folder, memory, lambda _: None)
+    checkpoint.unlink()
     trained = time.perf_counter()
     before = Vehicle.of(physics) if named else None
     said = evaluate_force(folder, flown, before, lambda _: None).json()

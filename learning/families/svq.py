@@ -45,6 +45,7 @@ class Svq(Family[Preset, Compensator]):
             vehicle=task.vehicle,
             vehicle_sha256=task.vehicle_sha256,
             device=device_named(task.device),
+            checkpoints=task.checkpoints,
         )
 
     def build(self, info: ModelInfo[Preset], tensors: Tensors) -> Compensator:

@@ -83,6 +83,8 @@ class TrainingTask:
         vehicle: Name of the twin's vehicle, to be written down.
         vehicle_sha256: Of its file.
         device: On which a network is trained, as of `learning.devices`: it decides rounding alone.
+        checkpoints: Folder of the checkpoint, which stays there at the end; None: that of the
+            model, from which it is removed.
     """
 
     protocol: Protocol
@@ -91,6 +93,7 @@ class TrainingTask:
     vehicle: str = ""
     vehicle_sha256: str = ""
     device: str = "cpu"
+    checkpoints: Path | None = None
 
 
 PresetT = TypeVar("PresetT", bound=FamilyPreset)

@@ -1,7 +1,6 @@
 """Where a training stands, so that it can go on after a kill: one safetensors file."""
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from twin.errors import ModelError
+from twin.scratch import scratch_file
 
 CHECKPOINT = "checkpoint.safetensors"
 
@@ -49,10 +49,9 @@ def save_checkpoint(
     for name, optimiser in optimisers.items():
         for number, state in optimiser.state_dict()["state"].items():
             tensors |= {f"optimiser.{name}.{number}.{k}": v for k, v in state.items()}
-    part = folder / f"{CHECKPOINT}.part"
     copies = {k: v.detach().clone().contiguous() for k, v in tensors.items()}
-    save_file(copies, part, metadata={"standing": json.dumps(asdict(standing))})
-    os.replace(part, folder / CHECKPOINT)
+    with scratch_file(folder / CHECKPOINT) as file:
+        save_file(copies, file, metadata={"standing": json.dumps(asdict(standing))})
 
 
 def load_checkpoint(

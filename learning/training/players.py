@@ -17,7 +17,7 @@ from twin.errors import ModelError
 from ..devices import CPU
 from ..model.family import Progress
 from ..systems.system import Batch, System, SystemPreset
-from .checkpoint import CHECKPOINT, Standing, load_checkpoint, save_checkpoint
+from .checkpoint import Standing, load_checkpoint, save_checkpoint
 from .windows import TrainingSamples, Window
 
 ALONE = 0.9, 0.999
@@ -46,7 +46,7 @@ def train_players(
         preset: Of the system.
         seed: Of all draws.
         training: Hash of all that decides the weights.
-        folder: For the checkpoint.
+        folder: For the checkpoint, which stays there.
         progress: Called after each epoch.
         device: To train on.
 
@@ -84,7 +84,6 @@ def train_players(
         left = (now - began) / (standing.epoch - before) * (preset.epochs - standing.epoch)
         progress(standing.epoch / preset.epochs, left)
     system.to(CPU).eval()
-    (folder / CHECKPOINT).unlink(missing_ok=True)
     return standing.curve
 
 

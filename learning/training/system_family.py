@@ -22,6 +22,7 @@ from ..model.generative import SystemModel, given_of
 from ..model.info import ModelInfo
 from ..preset import Protocol
 from ..systems.system import Numbers, System, SystemPreset
+from .checkpoint import CHECKPOINT
 from .inputs import describe_training
 from .players import train_players
 from .windows import TrainingSamples, Window
@@ -66,10 +67,13 @@ class SystemFamily(Family[SystemPreset, SystemModel]):
             given = partial(_given, self.system, task.protocol)
             seed, training = task.seed, info.training
             device = device_named(task.device)
+            place = task.checkpoints or folder
             curve = train_players(
-                system, samples, given, preset, seed, training, folder, progress, device
+                system, samples, given, preset, seed, training, place, progress, device
             )
             prior = self._prior(system, spans, task.protocol)
+        if task.checkpoints is None:
+            (folder / CHECKPOINT).unlink(missing_ok=True)
         write_json(folder / CURVE, curve)
         nothing = np.zeros((N_PHASES, len(info.channels)))
         info = replace(info, metrics={"epochs": preset.epochs, "best_epoch": preset.epochs})

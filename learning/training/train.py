@@ -54,6 +54,7 @@ def train(
     vehicle_sha256: str = "",
     checkpoint_s: float = 15.0,
     device: torch.device = CPU,
+    checkpoints: Path | None = None,
 ) -> Compensator:
     """Train on all flights and write the model's folder: weights, description, learning curve.
 
@@ -70,6 +71,8 @@ def train(
         vehicle_sha256: Of its file.
         checkpoint_s: Seconds between two checkpoints.
         device: To train on; the model ends on the processor.
+        checkpoints: Folder of the checkpoint, which stays there at the end; None: that of the
+            model, from which it is removed.
 
     Raises:
         ModelError: The flights do not fit together, or the folder belongs to another training.
@@ -89,7 +92,8 @@ def train(
         torch.manual_seed(seed)
         piece = Workpiece(flights, preset, protocol, horizon, seed)
         piece.network.to(device)
-        standing = _fit(piece, training, folder, progress or silent, checkpoint_s)
+        place = checkpoints or folder
+        standing = _fit(piece, training, place, progress or silent, checkpoint_s)
         piece.network.to(CPU)
         piece.calibrate()
     compensator = piece.compensator
@@ -107,7 +111,8 @@ def train(
     )
     write_json(folder / CURVE, standing.curve)
     save(compensator, folder)
-    (folder / CHECKPOINT).unlink(missing_ok=True)
+    if checkpoints is None:
+        (folder / CHECKPOINT).unlink(missing_ok=True)
     return compensator.eval()
 
 

@@ -32,12 +32,11 @@ def calibrate(
     """Fit all numbers of one aircraft to normal flights of it, and write its vehicle file."""
     from .. import calibration
     from ..flights import read_alike
-    from ..output import check_file, results_folder, write_run
+    from ..output import check_file, check_record, record_of, recorded_file
     from ..vehicles import load_vehicle
 
-    record = out.with_name(f"{out.stem}.run.json")
-    for path in (out, record):
-        check_file(path, force)
+    check_file(out, force)
+    check_record(record_of(out), force)
     draft = load_vehicle(vehicle)
     read = read_alike(flights, rebuild_commands, trust_vehicle)
     payloads = flight_payloads(payload or [], [f.name for f in read])
@@ -52,20 +51,21 @@ def calibrate(
         "left_out": [f.name for f in read if f.name not in found.flights],
     }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
-    with results_folder(out.parent, force=True) as folder:
-        write_run(folder, "calibrate", options, inputs, file=record.name)
-        found.vehicle.save(folder / out.name)
     if as_json:
         print_json(found.json())
     else:
-        _print(found, out, record)
+        _print(found)
+    with recorded_file(out, force) as (file, note):
+        found.vehicle.save(file)
+        note("calibrate", options, inputs)
+    if not as_json:
+        STDOUT.print(f"written: {out}, {record_of(out).name}")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
 
 
-def _print(found: "CalibrateResult", out: Path, record: Path) -> None:
-    """Everything that was found, warnings on stderr, and where the files are."""
+def _print(found: "CalibrateResult") -> None:
+    """Everything that was found, warnings on stderr."""
     for warning in found.warnings:
         STDERR.print(warning, style="yellow")
     print_sections(found.told())
-    STDOUT.print(f"written: {out}, {record.name}")

@@ -6,7 +6,14 @@ from typing import Annotated
 import typer
 
 from .options import Exit, Force, Json, Out
-from .printing import STDERR, STDOUT, print_explanation, print_json, progress
+from .printing import (
+    STDERR,
+    STDOUT,
+    print_explanation,
+    print_incomplete,
+    print_json,
+    progress,
+)
 
 
 def demo(
@@ -22,22 +29,24 @@ def demo(
 ) -> None:
     """Hide an effect in built-in flights; find, name and add it, and show that the gap shrinks."""
     from ..demo.chain import demo_json, run_demo, write_demo
-    from ..output import check_folder, results_folder, write_run
+    from ..output import OptionalSteps, check_folder, results_folder, write_run
     from ..vehicles import load_vehicle
 
     check_folder(out, force)
     model = load_vehicle(vehicle)
     with progress("flying, comparing, explaining") as step:
         chain = run_demo(model, seed, step)
-    with results_folder(out, force) as folder, progress("building") as step:
-        written = write_demo(chain, folder, step)
-        write_run(folder, "demo", {"vehicle": Path(vehicle).name}, seed=seed)
     if as_json:
         print_json(demo_json(chain))
     else:
         STDOUT.print(chain.gap.claim, style="bold")
         print_explanation(chain.found)
-        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
     STDERR.print(chain.ending)
-    if not chain.right:
+    steps, options = OptionalSteps(), {"vehicle": Path(vehicle).name}
+    with results_folder(out, force) as folder, progress("building") as step:
+        written = write_demo(chain, folder, steps, step)
+        write_run(folder, "demo", options, seed=seed, incomplete=steps.incomplete)
+    if not as_json:
+        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+    if print_incomplete(steps) or not chain.right:
         raise typer.Exit(Exit.FINDINGS)

@@ -6,7 +6,14 @@ from typing import Annotated
 import typer
 
 from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle
-from .printing import STDOUT, print_damage, print_json, print_sections, progress
+from .printing import (
+    STDOUT,
+    print_damage,
+    print_incomplete,
+    print_json,
+    print_sections,
+    progress,
+)
 
 
 def evaluate(
@@ -41,7 +48,7 @@ def evaluate(
     from ..flights import read_alike
     from ..learned import check_extra_learn, write_measured_card
     from ..learned import evaluate as evaluate_folder
-    from ..output import check_folder, results_folder, write_json, write_run
+    from ..output import OptionalSteps, check_folder, results_folder, write_json, write_run
     from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
@@ -67,17 +74,23 @@ def evaluate(
     numbers = ("vehicle.toml", "model.json", "weights.safetensors", FILE, NETWORK_FILE)
     inputs = [*flights, *(model / n for n in numbers if (model / n).is_file())]
     inputs += [Path(p) for p in (explained, physics) if p and Path(p).is_file()]
-    with results_folder(out, force) as folder:
-        write_json(folder / "evaluation.json", found.json())
-        found.report(folder / "report.html")
-        write_all_series(found.series(), folder, forms)
-        card = write_measured_card(model, found, read, folder)
-        write_run(folder, "evaluate", options, inputs)
     if as_json:
         print_json(found.json())
     else:
         print_sections(found.sections())
-        written = f"{out / 'report.html'}, evaluation.json, {card}, series/, run.json"
-        STDOUT.print(f"written: {written}")
-    if print_damage(read):
+    steps = OptionalSteps()
+    with results_folder(out, force) as folder:
+        write_json(folder / "evaluation.json", found.json())
+        found.report(folder / "report.html")
+        written, series = ["evaluation.json"], found.series()
+        card = steps.run("model card", folder, lambda p: write_measured_card(model, found, read, p))
+        written += [card] if card else []
+        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
+            written.append("series/")
+        write_run(folder, "evaluate", options, inputs, incomplete=steps.incomplete)
+    if not as_json:
+        files = ", ".join([*written, "run.json"])
+        STDOUT.print(f"written: {out / 'report.html'}, {files}")
+    damaged = print_damage(read)
+    if print_incomplete(steps) or damaged:
         raise typer.Exit(Exit.FINDINGS)

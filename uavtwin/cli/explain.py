@@ -23,12 +23,17 @@ from .options import (
     named_numbers,
     vehicle_named,
 )
-from .printing import STDOUT, print_damage, print_explanation, print_json, progress
+from .printing import (
+    STDOUT,
+    print_damage,
+    print_explanation,
+    print_incomplete,
+    print_json,
+    progress,
+)
 
 if TYPE_CHECKING:
     from twin.logs import AnyFlight
-
-    from ..explanation import ExplainResult
 
 
 def explain(
@@ -71,7 +76,7 @@ def explain(
     from fmus.platforms import DEFAULT, compilers, select_platforms
 
     from .. import explanation
-    from ..output import check_folder, results_folder, write_run
+    from ..output import OptionalSteps, check_folder, results_folder, write_run
     from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
@@ -105,23 +110,24 @@ def explain(
         "indoors": {f.name: site_record(f, indoor) for f in (*fit, *away)},
     }
     inputs = [p for p in (*flights, *held, Path(given)) if p.is_file()]
-    with results_folder(out, force) as folder, progress("building") as step:
-        written = explanation.write_explanation(found.details, folder, not no_fmus, step)
-        if write_all_series(found.series(), folder, forms):
-            written.append("series/")
-        write_run(folder, "explain", options, inputs, seed)
-    _print(found, [str(out / written[0]), *written[1:], "run.json"], as_json)
-    if print_damage([*fit, *away]) or found.verdict != "nothing":
-        raise typer.Exit(Exit.FINDINGS)
-
-
-def _print(found: "ExplainResult", written: Sequence[str], as_json: bool) -> None:
-    """What was found, and where it is."""
     if as_json:
         print_json(found.json())
-        return
-    print_explanation(found)
-    STDOUT.print(f"written: {', '.join(written)}")
+    else:
+        print_explanation(found)
+    steps = OptionalSteps()
+    with results_folder(out, force) as folder, progress("building") as step:
+        written = explanation.write_explanation(found.details, folder)
+        if not no_fmus:
+            written += explanation.write_fmus(found.details, folder, steps, step)
+        series = found.series()
+        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
+            written.append("series/")
+        write_run(folder, "explain", options, inputs, seed, incomplete=steps.incomplete)
+    if not as_json:
+        STDOUT.print(f"written: {', '.join([str(out / written[0]), *written[1:], 'run.json'])}")
+    damaged = print_damage([*fit, *away])
+    if print_incomplete(steps) or damaged or found.verdict != "nothing":
+        raise typer.Exit(Exit.FINDINGS)
 
 
 def _read(

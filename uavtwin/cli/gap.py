@@ -6,7 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import Csv, Exit, Force, Horizon, Json, Mcap, Out, Rebuild, TrustVehicle, VehicleName
-from .printing import STDERR, STDOUT, print_damage, print_json, print_table, progress
+from .printing import (
+    STDERR,
+    STDOUT,
+    print_damage,
+    print_incomplete,
+    print_json,
+    print_table,
+    progress,
+)
 
 if TYPE_CHECKING:
     from ..gaps import GapResult
@@ -27,7 +35,7 @@ def gap(
     """Fly the twin on the commands of real flights and report where the two disagree."""
     from .. import gaps
     from ..flights import open_alike
-    from ..output import check_folder, results_folder, write_json, write_run
+    from ..output import OptionalSteps, check_folder, results_folder, write_json, write_run
     from ..series.files import chosen_forms, write_all_series
     from ..vehicles import load_vehicle
 
@@ -45,22 +53,28 @@ def gap(
         "series": list(forms),
     }
     inputs = [*logs, Path(vehicle)] if Path(vehicle).is_file() else logs
-    with results_folder(out, force) as folder:
-        write_json(folder / "gap.json", found.json())
-        found.report(folder / "report.html")
-        write_all_series(found.series(), folder, forms)
-        write_run(folder, "gap", options, inputs)
     if as_json:
         print_json(found.json())
     else:
-        _print_gap(found, out)
+        _print_gap(found)
+    steps = OptionalSteps()
+    with results_folder(out, force) as folder:
+        write_json(folder / "gap.json", found.json())
+        found.report(folder / "report.html")
+        written, series = ["gap.json"], found.series()
+        if steps.run("series", folder, lambda place: write_all_series(series, place, forms)):
+            written.append("series/")
+        write_run(folder, "gap", options, inputs, incomplete=steps.incomplete)
+    if not as_json:
+        files = ", ".join([*written, "run.json"])
+        STDOUT.print(f"written: {out / 'report.html'}, {files}")
     damaged = print_damage(flights)
-    if damaged or not any(g.channels for g in found.flights):
+    if print_incomplete(steps) or damaged or not any(g.channels for g in found.flights):
         raise typer.Exit(Exit.FINDINGS)
 
 
-def _print_gap(found: "GapResult", out: Path) -> None:
-    """The gap as a table, and where its files are."""
+def _print_gap(found: "GapResult") -> None:
+    """The gap as a table, warnings on stderr."""
     STDOUT.print(found.claim, style="bold")
     for sentence in found.hover:
         STDOUT.print(sentence)
@@ -70,4 +84,3 @@ def _print_gap(found: "GapResult", out: Path) -> None:
             STDOUT.print(f"{g.flight}: commands {g.facts['commands_match']}")
         for warning in g.warnings:
             STDERR.print(f"{g.flight}: {warning}", style="yellow")
-    STDOUT.print(f"written: {out / 'report.html'}, gap.json, series/, run.json")

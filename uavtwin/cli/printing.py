@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from ..explanation import ExplainResult
     from ..exports.products import WrittenFile
+    from ..output import OptionalSteps
     from ..shown import TextTable
 
 
@@ -186,6 +187,21 @@ def print_damage(flights: "Sequence[AnyFlight]") -> int:
             style="red",
         )
     return len(errors)
+
+
+def print_incomplete(steps: "OptionalSteps") -> bool:
+    """Warn of optional steps that failed, the results being in place; whether any did.
+
+    Raises:
+        Exception: One failed by a mistake of ours, or Ctrl-C.
+    """
+    for failed in steps.failed:
+        STDERR.print(
+            f"warning: {failed}. Everything else is written; run.json says what is missing.",
+            style="yellow",
+        )
+    steps.finish()
+    return bool(steps.failed)
 
 
 def print_files(written: "list[WrittenFile]") -> None:

@@ -1,6 +1,7 @@
 """`uavtwin simulate`: flights of the twin, and systems of other tools."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
@@ -27,7 +28,7 @@ from .options import (
     start_values,
     vehicle_named,
 )
-from .printing import STDERR, STDOUT, print_json, progress
+from .printing import STDERR, STDOUT, print_incomplete, print_json, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
@@ -47,6 +48,7 @@ Trust = Annotated[
 ]
 
 if TYPE_CHECKING:
+    from ..output import OptionalSteps
     from ..run import Run
 
 
@@ -78,7 +80,7 @@ def simulate(
     """Fly a scenario, or run an .ssp, and record every output."""
     from cosim.limits import Limits
 
-    from ..output import check_folder
+    from ..output import OptionalSteps, check_folder
     from ..run import run_plan
     from ..series.files import chosen_forms
     from ..simulation import Scenario
@@ -120,31 +122,26 @@ def simulate(
     given = (Path(scenario), Path(vehicle), *([] if trust is None else [trust]))
     inputs = [p for p in given if p.is_file()]
     recordings = [f"recording.{form}" for form in forms]
-    _write(run, out, force, recordings, options, inputs, seed)
-    _say(run, out, recordings, realtime, as_json)
-
-
-def _say(run: "Run", out: Path, recordings: Sequence[str], realtime: bool, as_json: bool) -> None:
-    """What came of a run; ends the verb where it did not come to its end."""
     for warning in run.warnings:
         STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
         print_json(run.json())
+    elif run.ended is None:
+        STDOUT.print(run.claim, style="bold")
+        if realtime:
+            STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
+    steps = OptionalSteps()
+    recorded = _write(run, out, force, recordings, options, inputs, seed, steps)
+    failed = print_incomplete(steps)
     if run.ended is not None:
         _end(run, out)
     if not as_json:
-        _tell(run, out, recordings, realtime)
-
-
-def _tell(run: "Run", out: Path, recordings: Sequence[str], realtime: bool) -> None:
-    """What a run that came to its end says."""
-    STDOUT.print(run.claim, style="bold")
-    if realtime:
-        STDERR.print(f"at most {1e3 * run.recording.lateness_s:.1f} ms behind the clock")
-    if run.recording.printed:
-        STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}")
-    written = ", ".join([*recordings, "summary.json", "run.json"])
-    STDOUT.print(f"written: {out / 'report.html'}, {written}")
+        if run.recording.printed:
+            STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}")
+        files = ", ".join([*recorded, "summary.json", "run.json"])
+        STDOUT.print(f"written: {out / 'report.html'}, {files}")
+    if failed:
+        raise typer.Exit(Exit.FINDINGS)
 
 
 def _write(
@@ -155,15 +152,17 @@ def _write(
     options: Mapping[str, Any],
     inputs: Sequence[Path],
     seed: int,
-) -> None:
-    """All that a run leaves, marked where it is incomplete."""
+    steps: "OptionalSteps",
+) -> list[str]:
+    """All that a run leaves, marked where it is incomplete; names of the recordings.
+
+    A recording for which there is no room leaves the figures and the page.
+    """
     from ..output import results_folder, write_json, write_run
     from ..report.simulation import write_simulation_report
 
     printed = run.recording.printed
     with results_folder(out, force) as folder:
-        for name in recordings:
-            run.save(folder / name)
         write_json(folder / "summary.json", run.json())
         facts = {k: v for k, v in options.items() if v not in (None, [], "", False)}
         write_simulation_report(
@@ -171,8 +170,14 @@ def _write(
         )
         if printed:
             (folder / "printed.txt").write_text(printed, "utf-8")
-        why = run.recording.incomplete
+
+        def save(place: Path, name: str) -> Path:
+            return run.save(place / name)
+
+        recorded = [n for n in recordings if steps.run(n, folder, partial(save, name=n))]
+        why = "; ".join(filter(None, [run.recording.incomplete, steps.incomplete]))
         write_run(folder, "simulate", options, inputs, seed, incomplete=why, fmus=run.fmus)
+    return recorded
 
 
 def _end(run: "Run", out: Path) -> NoReturn:

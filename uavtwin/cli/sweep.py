@@ -104,14 +104,21 @@ def sweep(
     with progress("flying") as done:
         result = run_sweep(
             *(base, points, out, work, duration, step, named, force, done),
-            lambda r: _note(r, out, Path(vehicle).name, options, inputs),
+            lambda r: print_json(r.json()) if as_json else STDOUT.print(str(r)),
+            lambda r, folder: _note(r, folder, Path(vehicle).name, options, inputs),
         )
-    _say(result, out, as_json)
+    if as_json:
+        for warning in result.warnings:
+            STDERR.print(f"warning: {warning}", style="yellow")
+    else:
+        STDOUT.print(f"written: {out / 'report.html'}, runs.parquet, sweep.json, run.json")
+    if result.counts.get("failed"):
+        raise typer.Exit(Exit.FINDINGS)
 
 
 def _note(
     result: "SweepResult",
-    out: Path,
+    folder: Path,
     vehicle: str,
     options: dict[str, Any],
     given: tuple[Path, ...],
@@ -127,17 +134,4 @@ def _note(
         "method": result.design.method,
     }
     inputs = [p for p in given if p.is_file()]
-    write_run(out, "sweep", {**about, **options}, inputs, result.design.seed)
-
-
-def _say(result: "SweepResult", out: Path, as_json: bool) -> None:
-    """What came of it; ends the verb where a run failed."""
-    if as_json:
-        print_json(result.json())
-        for warning in result.warnings:
-            STDERR.print(f"warning: {warning}", style="yellow")
-    else:
-        STDOUT.print(str(result))
-        STDOUT.print(f"written: {out / 'report.html'}, runs.parquet, sweep.json, run.json")
-    if result.counts.get("failed"):
-        raise typer.Exit(Exit.FINDINGS)
+    write_run(folder, "sweep", {**about, **options}, inputs, result.design.seed)

@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from twin.errors import TwinError
-
 from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName, seconds
 from .printing import STDOUT, print_damage, print_json, progress
 
@@ -75,69 +73,39 @@ def train(
 ) -> None:
     """Train a compensator on what a vehicle model leaves unexplained in flights.
 
-    A training of the sensors that was interrupted goes on where it was when the same command is
-    given again.
+    A training that was interrupted is resumed when the same command is given again.
     """
 
     from ..flights import read_alike
-    from ..learned import check_extra_learn
-    from ..learned import train as train_model
+    from ..learned import Wanted, check_extra_learn, run_train
     from ..output import write_run
     from ..vehicles import load_vehicle
 
     check_extra_learn()
     twin = load_vehicle(vehicle)
     read = read_alike(flights, rebuild_commands, trust_vehicle)
-    with progress("training") as step:
-        trained = train_model(
-            read,
-            twin,
-            out,
-            model=model,
-            preset=preset,
-            protocol=protocol,
-            horizon=1 if horizon is None else _samples(horizon, rate),
-            rate_hz=rate,
-            epochs=epochs,
-            seed=seed,
-            device=device,
-            license=license,
-            force=force,
-            progress=step,
-        )
-    options = {
-        "vehicle": Path(vehicle).name,
-        "rebuild_commands": rebuild_commands,
-        "trust_vehicle": trust_vehicle,
-        "license": license,
-        **trained.options,
-    }
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
-    write_run(out, "train", options, inputs, trained.seed)
-    _print(trained, out, as_json)
+
+    def beside(trained: "TrainResult", folder: Path) -> None:
+        """Print what was trained, before the folder is moved to its place, and write run.json."""
+        if as_json:
+            print_json(trained.json())
+        else:
+            STDOUT.print(trained.claim, style="bold")
+        options = {
+            "vehicle": Path(vehicle).name,
+            "rebuild_commands": rebuild_commands,
+            "trust_vehicle": trust_vehicle,
+            "license": license,
+            **trained.options,
+        }
+        write_run(folder, "train", options, inputs, trained.seed)
+
+    wanted = Wanted(model, preset, protocol, horizon, rate, epochs, seed, device, license)
+    with progress("training") as step:
+        trained = run_train(read, twin, out, wanted, force, step, beside)
+    if not as_json:
+        files = ", ".join([*trained.files[1:], "run.json"])
+        STDOUT.print(f"written: {out / trained.files[0]}, {files}")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
-
-
-def _samples(horizon_s: float, rate_hz: float) -> int:
-    """Samples of a horizon.
-
-    Raises:
-        TwinError: They are no whole number, or the horizon is too long.
-    """
-    count = round(horizon_s * rate_hz) if 0 < horizon_s <= LONGEST_HORIZON_S else 0
-    if count < 1 or abs(count - horizon_s * rate_hz) > 1e-6:
-        raise TwinError(
-            f"--horizon {horizon_s:g} s: needs a multiple of {1 / rate_hz:g} s, the time between "
-            f"samples (--rate), up to {LONGEST_HORIZON_S:g} s."
-        )
-    return count
-
-
-def _print(trained: "TrainResult", out: Path, as_json: bool) -> None:
-    """What was made, and where it is."""
-    if as_json:
-        print_json(trained.json())
-        return
-    STDOUT.print(trained.claim, style="bold")
-    STDOUT.print(f"written: {out / trained.files[0]}, {', '.join(trained.files[1:])}, run.json")

@@ -35,13 +35,13 @@ def convert(
 
     check_file(out, force)
     found = convert_vehicle(file, name)
-    found.save(out)
     STDOUT.print(
         f"{found.description}: {found.mass_kg:.4g} kg, {found.rotors.count} rotors",
         style="bold",
     )
     for line in takewhile(lambda line: line.startswith("#"), found.text.splitlines()):
         STDOUT.print(f"  {line.removeprefix('# ')}")
+    found.save(out)
     STDOUT.print(f"written: {out}")
 
 
@@ -93,13 +93,14 @@ def draft(
         propeller=propeller,
         name=out.stem,
     )
-    found.vehicle.save(out)
     for warning in found.warnings:
         STDERR.print(f"warning: {warning}", style="yellow")
     if as_json:
         print_json({**found.json(), "file": str(out), "next": found.next(str(out))})
     else:
         print_sections((found.sentence, found.table()))
+    found.vehicle.save(out)
+    if not as_json:
         STDOUT.print(f"written: {out}")
         STDOUT.print(f"next: {found.next(str(out))}")
     if print_damage(flights):

@@ -10,9 +10,9 @@ from twin.logs.table import write_flight
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
-from ..explanation import ExplainResult, explain, write_explanation
+from ..explanation import ExplainResult, explain, write_explanation, write_fmus
 from ..gaps import GapResult, gap
-from ..output import write_json
+from ..output import OptionalSteps, write_json
 from ..report.words import title
 from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
 
@@ -87,13 +87,17 @@ def run_demo(
 
 
 def write_demo(
-    demo: Demo, folder: Path, progress: Callable[[float], None] = lambda _: None
+    demo: Demo,
+    folder: Path,
+    steps: OptionalSteps,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[str]:
     """Write flights, gap, explanation and the truth; returns the names of the files.
 
     Args:
         demo: The chain, run.
         folder: To write into.
+        steps: Takes the FMUs, which the rest is whole without.
         progress: Called with the share done.
     """
     (folder / "flights").mkdir()
@@ -106,7 +110,8 @@ def write_demo(
         folder / "truth.json",
         {"effect": hidden.effect, "text": hidden.text, "named_rightly": demo.right},
     )
-    written = write_explanation(demo.found.details, folder, progress=progress)
+    written = write_explanation(demo.found.details, folder)
+    written += write_fmus(demo.found.details, folder, steps, progress)
     return [*written, "flights/", "gap.html", "gap.json", "truth.json"]
 
 

@@ -4,7 +4,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from twin.component import unknown_name
@@ -12,7 +12,7 @@ from twin.errors import TwinError
 
 from ..jobs.engine import Engine, EngineName, opened_engine
 from ..jobs.process import Allowed
-from ..output import check_folder, write_json
+from ..output import check_folder, results_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
 from .dataset import JOURNAL, Journal, write_dataset
 from .logs import Log, found_logs, job_number
@@ -151,7 +151,8 @@ def run_fleet(
     work: Work,
     force: bool = False,
     progress: Progress = lambda _: None,
-    beside: Callable[[FleetResult], None] = lambda _: None,
+    found: Callable[[FleetResult], None] = lambda _: None,
+    beside: Callable[[FleetResult, Path], None] = lambda *_: None,
     each: Callable[[Found], None] = lambda _: None,
 ) -> FleetResult:
     """Look at the logs that are not done, and write what they say together.
@@ -163,14 +164,14 @@ def run_fleet(
         work: How.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
-        beside: Writes what else belongs into the folder; a kill before it has ended costs nothing.
+        found: Takes the result as soon as there is one.
+        beside: Writes what else belongs into the folder, which it is given.
         each: Called with what is found in each log, or of each aircraft, as it comes.
 
     Raises:
         TwinError: As `fleet`.
     """
-    if not (out / JOURNAL).exists():
-        check_folder(out, force)
+    check_folder(out, force, JOURNAL)
     base, own = asked.base(), asked.own()
     logs = found_logs(given)
     looking = looking_of(asked, base, own, work.allowed)
@@ -184,16 +185,17 @@ def run_fleet(
                 more = aircraft_looks(looks, journal)
                 _do(more, looking, engine, journal, lambda d: progress(share + share * d), each)
                 looks += more
-        write_dataset(journal.lines(looks, journal.places()), out)
-        result = result_of(out, "" if base is None else base.name)
-        if result.explained:
-            files = numbers_of_files(result.spreads, list(result.explained), base is not None)
-            write_vehicles(files, base, own, out)
-        result.report(out / "report.html")
-        write_json(out / "fleet.json", result.json())
-        beside(result)
-        journal.remove()
-    return result
+        with results_folder(out, force, JOURNAL) as folder:
+            write_dataset(journal.lines(looks, journal.places()), folder)
+            result = result_of(folder, "" if base is None else base.name)
+            found(result)
+            if result.explained:
+                files = numbers_of_files(result.spreads, list(result.explained), base is not None)
+                write_vehicles(files, base, own, folder)
+            result.report(folder / "report.html")
+            write_json(folder / "fleet.json", result.json())
+            beside(result, folder)
+    return replace(result, folder=out)
 
 
 def looking_of(

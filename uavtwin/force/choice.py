@@ -147,4 +147,4 @@ def chosen_laws(folds: Sequence[Fold], lesson: Lesson, progress: Callable[[float
 def left_out(folds: Sequence[Fold], laws: Sequence[str]) -> Array:
     """Mean squares of what the twin with these laws is off in each flight left out, shape
     (flights, horizons, 4, 3)."""
-    return np.stack([f.squares(f.lesson.fmu, f.lesson.starts(laws)) for f in folds])
+    return np.stack([f.squares_of(laws) for f in folds])

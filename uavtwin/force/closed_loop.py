@@ -7,6 +7,7 @@ that no flight of the training had. So what is to be shipped flies missions firs
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from twin.vehicle import Vehicle
 
 from ..exports.parts import LearnedForce, twin
 from ..exports.write import export
+from .memory import Memory
 from .network import NETWORK
 from .open_loop import DISTANCE
 
@@ -178,6 +180,7 @@ def kept(
     model: Callable[[Sequence[str], Sequence[bool]], ForceModel],
     folder: Path,
     vehicle: Vehicle,
+    memory: Memory,
     progress: Callable[[float], None],
 ) -> ForceModel:
     """The learned force with which no mission is lost that is flown without it.
@@ -190,6 +193,7 @@ def kept(
         model: The same of these laws, and with the network on these outputs.
         folder: With the network.
         vehicle: Whose twin.
+        memory: Of the steps that were taken before.
         progress: Called with the share done.
     """
     airs = random_air(FLIGHTS, chosen.seed)
@@ -200,8 +204,17 @@ def kept(
     while _used(left):
         network = read_network(folder / NETWORK_FOLDER) if left.network_starts else None
         force = LearnedForce(left, network)
-        flown = [b for name, own in missions for b in fly_both(vehicle, force, name, own)]
-        lost.append(sum(b.lost for b in flown))
+
+        def flown(mission: str, own: Sequence[Mapping[str, float]], force: LearnedForce) -> Array:
+            """Whether the law loses each flight of a mission, shape (flights,)."""
+            return np.array([b.lost for b in fly_both(vehicle, force, mission, own)], dtype=float)
+
+        where = f"without {withdrawn}"
+        losses = [
+            memory.array(f"mission {m} {where}", partial(flown, m, own, force))
+            for m, own in missions
+        ]
+        lost.append(int(sum(np.sum(one) for one in losses)))
         progress(len(lost) / (most + 1))
         if not lost[-1]:
             break

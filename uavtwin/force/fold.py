@@ -21,6 +21,7 @@ from twin.physics.rotors import Drive
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
+from .memory import Memory
 from .open_loop import DISTANCE, Replay
 
 Array = NDArray[np.float64]
@@ -82,7 +83,7 @@ class Lesson:
         """The law of these names, made passive."""
         return self.prepared.law(self.chosen(names))[0]
 
-    def running(self, replays: Sequence[Replay]) -> "Lesson":
+    def running(self, replays: Sequence[Replay], memory: Memory) -> "Lesson":
         """The same, its envelope as wide as the twin goes in half a second by itself.
 
         A twin that is let go does not stay where the aircraft was, and laws are chosen by where it
@@ -90,11 +91,18 @@ class Lesson:
 
         Args:
             replays: Of its flights, at `AHEAD_S`.
+            memory: Of the steps that were taken before.
         """
         starts = self.starts([LAWS[0]] * len(OUTPUTS))
         near = [i for i, s in enumerate(AHEAD_S) if s <= ALONE_S]
-        away = [r.through(self.fmu, starts, (DISTANCE,)).watched[:, near, 0] for r in replays]
-        wider = float(np.clip(np.quantile(np.concatenate(away), INSIDE), 1.0, WIDER))
+
+        def quantile() -> Array:
+            """Of the distance at the end of the horizons, shape ()."""
+            away = [r.through(self.fmu, starts, (DISTANCE,)).watched[:, near, 0] for r in replays]
+            return np.asarray(np.quantile(np.concatenate(away), INSIDE))
+
+        reach = memory.array(f"reach {self.place.stem}", quantile)
+        wider = float(np.clip(reach, 1.0, WIDER))
         empty = replace(self.prepared.empty, reach=wider * self.prepared.empty.reach)
         place = self.place.with_stem(f"{self.place.stem}_running")
         return replace(self, prepared=replace(self.prepared, empty=empty), place=place)
@@ -120,11 +128,13 @@ class Fold:
         replay: Of the flight.
         seen: The flight.
         lesson: Of the others.
+        memory: Of the steps that were taken before.
     """
 
     replay: Replay
     seen: Instants
     lesson: Lesson
+    memory: Memory
 
     __repr__ = short_repr
 
@@ -136,19 +146,27 @@ class Fold:
         """Mean squares of what a twin is off in the flight left out, shape (horizons, 4, 3)."""
         return np.asarray(np.mean(self.replay.through(fmu, starts).off ** 2, axis=0))
 
+    def squares_of(self, laws: Sequence[str]) -> Array:
+        """Those of the twin that flies these laws."""
+        return self.memory.array(
+            f"{self.lesson.place.stem} {' '.join(laws)}",
+            lambda: self.squares(self.lesson.fmu, self.lesson.starts(laws)),
+        )
 
-def running(folds: Sequence[Fold], lesson: Lesson) -> tuple[list[Fold], Lesson]:
+
+def running(folds: Sequence[Fold], lesson: Lesson, memory: Memory) -> tuple[list[Fold], Lesson]:
     """Envelopes as wide as each twin goes in half a second by itself, in the flights it knows.
 
     Args:
         folds: One per flight.
         lesson: Of all flights.
+        memory: Of the steps that were taken before.
     """
-    wider = [
-        replace(fold, lesson=fold.lesson.running([f.replay for f in folds if f is not fold]))
-        for fold in folds
-    ]
-    return wider, lesson.running([f.replay for f in folds])
+    wider = []
+    for fold in folds:
+        others = [f.replay for f in folds if f is not fold]
+        wider.append(replace(fold, lesson=fold.lesson.running(others, memory)))
+    return wider, lesson.running([f.replay for f in folds], memory)
 
 
 def law_starts(prepared: Prepared, chosen: Sequence[Candidate]) -> dict[str, float]:

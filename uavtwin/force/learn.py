@@ -31,6 +31,7 @@ from ..vehicles import Vehicle
 from .choice import Choice, best_law, chosen_laws, chosen_observers
 from .closed_loop import kept
 from .fold import Fold, Lesson, running
+from .memory import Memory
 from .network import NETWORK, flown_network, train_network
 from .open_loop import Replay
 from .refinement import refine
@@ -41,7 +42,12 @@ _READING, _OBSERVERS, _LAWS, _REFINED, _NETWORK = 0.1, 0.2, 0.45, 0.65, 0.9
 
 
 def learn_force(
-    flights: Sequence[Flight], vehicle: Vehicle, seed: int, folder: Path, progress: Progress
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    seed: int,
+    folder: Path,
+    memory: Memory,
+    progress: Progress,
 ) -> ForceModel:
     """Learn what a vehicle's equations leave.
 
@@ -51,6 +57,7 @@ def learn_force(
         vehicle: Explained or calibrated, so that nothing is learned that has a name.
         seed: Of the random features and of the network.
         folder: Where the network goes, if it is used.
+        memory: Of the steps that were taken before.
         progress: Called with the share done.
 
     Raises:
@@ -70,10 +77,10 @@ def learn_force(
             for k, flight in enumerate(flights):
                 others = [s for s in seen if s is not seen[k]]
                 taught = Lesson.of(others, vehicle, drive, seed, Path(name, f"{k}.fmu"))
-                folds.append(Fold(Replay(flight, vehicle, AHEAD_S), seen[k], taught))
+                folds.append(Fold(Replay(flight, vehicle, AHEAD_S), seen[k], taught, memory))
             part = _part(progress, _READING, _OBSERVERS)
             folds, lesson, observers = chosen_observers(folds, lesson, part)
-            folds, lesson = running(folds, lesson)
+            folds, lesson = running(folds, lesson, memory)
             choice = chosen_laws(folds, lesson, _part(progress, _OBSERVERS, _LAWS))
             choice = choice.tried_too(observers)
             folds, lesson, choice = refine(folds, lesson, choice, _part(progress, _LAWS, _REFINED))
@@ -82,7 +89,7 @@ def learn_force(
             choice, used = choice.tried_too(networks), [best_law([n]) == NETWORK for n in networks]
         if any(used):
             law = lesson.law(choice.laws)
-            train_network(lesson.prepared, law, seed, folder / NETWORK_FOLDER)
+            train_network(lesson.prepared, law, seed, folder / NETWORK_FOLDER, memory)
     rivals = {name: _rival(lesson, name) for name in LAWS}
 
     def model(laws: Sequence[str], networks: Sequence[bool]) -> ForceModel:
@@ -104,7 +111,8 @@ def learn_force(
             seed=seed,
         )
 
-    return kept(model(choice.laws, used), model, folder, vehicle, _part(progress, _NETWORK, 1.0))
+    part = _part(progress, _NETWORK, 1.0)
+    return kept(model(choice.laws, used), model, folder, vehicle, memory, part)
 
 
 def _drive(flights: Sequence[Flight], vehicle: Vehicle) -> Drive:

@@ -6,7 +6,9 @@ Output by output it is used where it beats the law on flights that took no part,
 
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,7 @@ from learning.force.regression import moments_of, pieces_of, saved, summed
 from learning.force.sequence import residual_sequence
 from learning.force.train import Prepared
 from learning.model.compensator import Compensator
+from learning.model.folder import load
 from learning.preset import FORCE
 from learning.training.train import train
 from twin.flight.assembly import driven_twin
@@ -29,13 +32,16 @@ from twin.physics.rotors import Drive
 
 from .choice import Steps, as_flown, best_law
 from .fold import Fold
+from .memory import Memory
 
 Array = NDArray[np.float64]
 NETWORK = "svq"
 """Its name among the laws."""
 
 
-def train_network(prepared: Prepared, law: ForceLaw, seed: int, folder: Path) -> Compensator:
+def train_network(
+    prepared: Prepared, law: ForceLaw, seed: int, folder: Path, memory: Memory
+) -> Compensator:
     """The network of what a law leaves, exported.
 
     Args:
@@ -43,15 +49,20 @@ def train_network(prepared: Prepared, law: ForceLaw, seed: int, folder: Path) ->
         law: That is used, with its waves.
         seed: Of everything that is drawn.
         folder: To write it into.
+        memory: Of the steps that were taken before.
     """
-    weights = prepared.weights(law)
-    residuals = [
-        residual_sequence(seen, design, weights)
-        for seen, design in zip(prepared.seen, prepared.designs, strict=True)
-    ]
-    network = train(residuals, FORCE, "free", 0, seed, folder)
-    export_onnx(network, folder)
-    return network
+
+    def make() -> None:
+        """Train and export."""
+        weights = prepared.weights(law)
+        residuals = [
+            residual_sequence(seen, design, weights)
+            for seen, design in zip(prepared.seen, prepared.designs, strict=True)
+        ]
+        export_onnx(train(residuals, FORCE, "free", 0, seed, folder), folder)
+
+    memory.files(f"network {folder.name}", folder, make)
+    return cast(Compensator, load(folder))
 
 
 def flown_network(
@@ -76,7 +87,7 @@ def flown_network(
         for k, fold in enumerate(folds):
             folders.append(Path(name, str(k)))
             law = fold.lesson.law(laws)
-            network = train_network(fold.lesson.prepared, law, seed, folders[-1])
+            network = train_network(fold.lesson.prepared, law, seed, folders[-1], fold.memory)
             gains += _gains(fold, law, network)
             steps.one()
         if not (gains > WORTH).any():
@@ -92,7 +103,12 @@ def flown_network(
         def squares(used: Sequence[bool]) -> Array:
             """Mean squares of each flight left out, shape (flights, horizons, 4, 3)."""
             shares = network_starts(used)
-            off = [fold.squares(fmu, starts | shares) for fold, fmu, starts in twins]
+            off = [
+                fold.memory.array(
+                    f"network {fmu.parent.name} {used}", partial(fold.squares, fmu, starts | shares)
+                )
+                for fold, fmu, starts in twins
+            ]
             steps.one()
             return np.stack(off)
 

@@ -9,6 +9,7 @@ which tell a cause from the controller's answer to it; how much of it, the repla
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from twin.physics.residual_force import FEATURES
 
 from .choice import Choice, Steps, as_flown, best_law, left_out
 from .fold import Fold, Lesson, law_starts
+from .memory import Memory
 from .open_loop import Replay
 
 Array = NDArray[np.float64]
@@ -58,7 +60,7 @@ def refine(
     steps, taught = Steps(len(folds) + 1, progress), []
     for fold in folds:
         replays = [f.replay for f in folds if f is not fold]
-        taught.append(replace(fold, lesson=refined(fold.lesson, names, replays)))
+        taught.append(replace(fold, lesson=refined(fold.lesson, names, replays, fold.memory)))
         steps.one()
     laws = [
         law if name == LAWS[0] else REFINED for law, name in zip(choice.laws, names, strict=True)
@@ -69,7 +71,7 @@ def refine(
     )
     if best_law([whole]) != REFINED:
         return list(folds), lesson, tried
-    lesson = refined(lesson, names, [f.replay for f in folds])
+    lesson = refined(lesson, names, [f.replay for f in folds], folds[0].memory)
     steps.one()
     return taught, lesson, replace(tried, laws=tuple(laws))
 
@@ -85,13 +87,16 @@ def _refinable(law: str, fitted: Mapping[str, Candidate]) -> str:
     return linear if law == LAWS[0] and fitted[linear].gain > WORTH else law
 
 
-def refined(lesson: Lesson, names: Sequence[str], replays: Sequence[Replay]) -> Lesson:
+def refined(
+    lesson: Lesson, names: Sequence[str], replays: Sequence[Replay], memory: Memory
+) -> Lesson:
     """The lesson with one law more of each output: that with the shares that fly best.
 
     Args:
         lesson: Of some flights.
         names: Of the laws that are refined together, one per output.
         replays: Of these flights.
+        memory: Of the steps that were taken before.
     """
     chosen = lesson.chosen(names)
     flown = [replay.thinned(THINNED) for replay in replays]
@@ -117,14 +122,24 @@ def refined(lesson: Lesson, names: Sequence[str], replays: Sequence[Replay]) -> 
 
     shares = np.ones(ends[-1])
     if len(shares):
-        sizes = [np.sqrt(np.sum(o**2, axis=0) + _TINY) for o in off(0 * shares)]
-        for _ in range(ROUNDS):
+
+        def unrefined() -> Array:
+            """What the twin is off without laws, all flights, shape (flights, horizons, 4, 3)."""
+            return np.stack([np.sqrt(np.sum(o**2, axis=0) + _TINY) for o in off(0 * shares)])
+
+        def step_from(shares: Array) -> Array:
+            """Shares after one step of Gauss-Newton."""
             now = errors(shares)
             slopes = np.column_stack(
                 [(errors(shares + step) - now) / STEP for step in STEP * np.eye(len(shares))]
             )
-            shares = shares + lsq_linear(slopes, -now, (-shares, MOST - shares)).x
-            shares = np.clip(shares, 0.0, MOST)
+            stepped = shares + lsq_linear(slopes, -now, (-shares, MOST - shares)).x
+            return np.asarray(np.clip(stepped, 0.0, MOST))
+
+        where = f"{lesson.place.stem} {' '.join(names)}"
+        sizes = list(memory.array(f"unrefined {where}", unrefined))
+        for _ in range(ROUNDS):
+            shares = memory.array(f"refined {where}", partial(step_from, shares))
     fitted = [{**every, REFINED: c} for every, c in zip(lesson.fitted, of(shares), strict=True)]
     return replace(lesson, fitted=fitted)
 

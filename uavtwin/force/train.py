@@ -24,6 +24,7 @@ from ..report.page import render
 from ..vehicles import Vehicle
 from .choice import BETTER, OBSERVER, WORSE
 from .learn import Progress, learn_force
+from .memory import Memory
 from .network import NETWORK
 from .refinement import REFINED
 
@@ -71,7 +72,12 @@ def check_force_options(
 
 
 def train_force(
-    flights: Sequence[Flight], vehicle: Vehicle, seed: int, out: Path, progress: Progress
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    seed: int,
+    out: Path,
+    memory: Memory,
+    progress: Progress,
 ) -> list[str]:
     """Learn what a vehicle's equations leave, and write it.
 
@@ -80,6 +86,7 @@ def train_force(
         vehicle: Explained or calibrated.
         seed: Of the random features.
         out: Folder, which is there.
+        memory: Of the steps that were taken before.
         progress: Called with the share done.
 
     Returns:
@@ -89,7 +96,7 @@ def train_force(
         TwinError: A flight cannot be learned from, or two have one name.
     """
     check_names(flights)
-    model = learn_force(flights, vehicle, seed, out, progress)
+    model = learn_force(flights, vehicle, seed, out, memory, progress)
     save_force(model, out)
     (out / VEHICLE_FILE).write_text(vehicle.toml(), "utf-8")
     (out / REPORT).write_text(_page(model), encoding="utf-8")

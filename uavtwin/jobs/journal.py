@@ -82,12 +82,16 @@ class Journal(ABC, Generic[N]):
                         f"({self.differs}). Choose another --out, or delete the file to begin anew."
                     )
             except (ValueError, KeyError, TypeError) as error:
-                raise TwinError(
-                    f"{self._path}: line {number + 1} is not of a {self.kind}. Choose another "
-                    f"--out, or delete the file to begin anew."
-                ) from error
+                raise self.foreign(number + 1) from error
             end += len(line)
         return end
+
+    def foreign(self, line: int) -> TwinError:
+        """A line of something else."""
+        return TwinError(
+            f"{self._path}: line {line} is not of a {self.kind}. Choose another --out, or delete "
+            f"the file to begin anew."
+        )
 
     def write(self, content: Content) -> None:
         """Write a job down; a kill after this does not lose it."""
@@ -101,10 +105,6 @@ class Journal(ABC, Generic[N]):
             for line in file:
                 yield place, json.loads(line)
                 place += len(line)
-
-    def remove(self) -> None:
-        """Delete it: the results are in their place."""
-        self._path.unlink()
 
     def close(self) -> None:
         """Another may go on with it."""

@@ -85,8 +85,7 @@ def plan_training(
             raise TwinError(f"preset {made.name} is in closed form and has no epochs; give none")
         made = replace(made, epochs=epochs)
     found = device_named(device)
-    interrupted = (out / CHECKPOINT).is_file() and not (out / MODEL).is_file()
-    check_folder(out, force or interrupted)
+    check_folder(out, force, CHECKPOINT)
     drawn = SEEDS.get(made.name, 0) if seed is None else seed
     return Plan(family, made, protocol, horizon if protocol == "track" else 0, drawn, found.type)
 
@@ -116,9 +115,22 @@ def prepare(
 
 
 def run_training(
-    plan: Plan, residuals: Sequence[ResidualFlight], vehicle: Vehicle, out: Path, progress: Progress
+    plan: Plan,
+    residuals: Sequence[ResidualFlight],
+    vehicle: Vehicle,
+    out: Path,
+    checkpoints: Path,
+    progress: Progress,
 ) -> list[str]:
-    """Train, export and write the page; a checkpoint in the folder is gone on from.
+    """Train, export and write the page.
+
+    Args:
+        plan: What is trained.
+        residuals: Of the flights.
+        vehicle: Whose twin is corrected.
+        out: Folder of the results.
+        checkpoints: Folder of the checkpoint, from which the training is resumed.
+        progress: Called with the share done.
 
     Returns:
         Names of the files, the page first.
@@ -131,6 +143,7 @@ def run_training(
         vehicle=vehicle.name,
         vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
         device=plan.device,
+        checkpoints=checkpoints,
     )
     model = fit_model(
         residuals, plan.family, plan.preset, task, out, lambda done, _: progress(done)

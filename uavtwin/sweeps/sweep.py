@@ -14,7 +14,7 @@ from cosim.limits import Limits
 from twin.vehicle import Vehicle
 
 from ..jobs.engine import Engine, EngineName, opened_engine
-from ..output import check_folder, sha256, write_json
+from ..output import check_folder, results_folder, sha256, write_json
 from ..simulation import Scenario
 from ..vehicles import checked_vehicle, load_vehicle
 from .design import Design, read_design
@@ -146,7 +146,8 @@ def run_sweep(
     vehicle: str = "",
     force: bool = False,
     progress: Progress = lambda _: None,
-    beside: Callable[[SweepResult], None] = lambda _: None,
+    found: Callable[[SweepResult], None] = lambda _: None,
+    beside: Callable[[SweepResult, Path], None] = lambda *_: None,
 ) -> SweepResult:
     """Plan a sweep, fly what is not done of it, and write what came of it.
 
@@ -160,13 +161,13 @@ def run_sweep(
         vehicle: Name or file of what flies, for commands; "" for the usual one.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
-        beside: Writes what else belongs into the folder; a kill before it has ended costs nothing.
+        found: Takes the result before it is written: a full disk does not keep it from a reader.
+        beside: Writes what else belongs into the folder, which it is given.
 
     Raises:
         TwinError: As `sweep`.
     """
-    if not (out / JOURNAL).exists():
-        check_folder(out, force)
+    check_folder(out, force, JOURNAL, [RECORDINGS])
     with tempfile.TemporaryDirectory(prefix="uavtwin-") as scratch:
         plan = plan_of(
             base,
@@ -184,11 +185,12 @@ def run_sweep(
                 _fly(plan, flying, engine, journal, out, progress)
             table = table_of(plan.points, journal.outcomes())
             result = SweepResult(base.name, table, design, plan.scenarios, vehicle, plan.periods)
-            result.save(out / "runs.parquet")
-            result.report(out / "report.html")
-            write_json(out / "sweep.json", result.json())
-            beside(result)
-            journal.remove()
+            found(result)
+            with results_folder(out, force, JOURNAL, [RECORDINGS]) as folder:
+                result.save(folder / "runs.parquet")
+                result.report(folder / "report.html")
+                write_json(folder / "sweep.json", result.json())
+                beside(result, folder)
     return result
 
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -20,6 +21,8 @@ from uavtwin.cli import main
 from uavtwin.demo.flights import fly
 from uavtwin.force import closed_loop, open_loop
 from uavtwin.force.evaluate import EXPLAINED, LAST_READING, OBSERVED, SHIPPED, over_explained
+from uavtwin.force.memory import CHECKPOINT, Memory
+from uavtwin.force.open_loop import OpenLoop, Replay
 
 COPTER = load_vehicle("copter_default")
 DRAG_1_S = 0.6
@@ -98,6 +101,48 @@ def test_the_drag_that_is_missing_becomes_a_law(model: Path) -> None:
         assert row[f"air_{a}"] == pytest.approx(-DRAG_1_S, rel=0.25)
     page = (model / "report.html").read_text("utf-8")
     assert not re.search(r'<(script|link|img)[^>]+(src|href)="http', page)
+
+
+@pytest.mark.slow
+def test_a_training_that_is_cut_off_is_resumed_to_the_same_bytes(
+    model: Path, logs: dict[str, Path], tmp_path: Path
+) -> None:
+    """After its first step, later, and in the middle of a line."""
+    out, add, through = tmp_path / "model", Memory._add, Replay.through
+    words = ("train", logs["one"], logs["two"], "--vehicle", "copter_default", "--protocol")
+    for most in (1, 9, 12):
+        left = most
+
+        def cut(memory: Memory, *given: Any) -> None:
+            nonlocal left
+            add(memory, *given)
+            left -= 1
+            if not left:
+                raise KeyboardInterrupt
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Memory, "_add", cut)
+            with pytest.raises(KeyboardInterrupt):
+                _run(*words, "force", "--out", out)
+        assert [p.name for p in out.iterdir()] == [CHECKPOINT]
+        with (out / CHECKPOINT).open("a") as file:
+            file.write('{"what": "half')
+    with pytest.raises(TwinError, match="of another training of a learned force"):
+        _run(*words, "force", "--seed", "1", "--out", out)
+    flown = 0
+
+    def count(*given: Any, **named: Any) -> OpenLoop:
+        nonlocal flown
+        flown += 1
+        return through(*given, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Replay, "through", count)
+        _run(*words, "force", "--out", out)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == {
+        p.name: p.read_bytes() for p in model.iterdir()
+    }
+    print(flown)
 
 
 @pytest.mark.slow

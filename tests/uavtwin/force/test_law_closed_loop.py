@@ -15,6 +15,7 @@ from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly
 from uavtwin.exports.parts import LearnedForce
 from uavtwin.force.closed_loop import FLIGHTS, fly_both, kept, random_air
+from uavtwin.force.memory import Memory
 
 COPTER = load_vehicle("copter_default")
 DRAG = ("force_x", "air_x", -0.3)
@@ -68,7 +69,14 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
         both = zip((laws[0], laws[4]), (DRAG, TURNS), strict=True)
         return _model(empty, *(weight for law, weight in both if law == "linear"))
 
-    found = kept(_model(empty, DRAG, TURNS), model, tmp_path, COPTER, lambda _: None)
+    found = kept(
+        _model(empty, DRAG, TURNS),
+        model,
+        tmp_path,
+        COPTER,
+        Memory(tmp_path / "steps.jsonl", ""),
+        lambda _: None,
+    )
     assert [o.law for o in found.outputs] == ["linear", *["none"] * 5]
     assert found.closed_loop.withdrawn == ("moment y linear",)
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
@@ -76,7 +84,14 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
 
 def test_no_law_has_nothing_to_fly(empty: ForceLaw, tmp_path: Path) -> None:
     none = _model(empty)
-    found = kept(none, lambda *_: none, tmp_path, COPTER, lambda _: None)
+    found = kept(
+        none,
+        lambda *_: none,
+        tmp_path,
+        COPTER,
+        Memory(tmp_path / "steps.jsonl", ""),
+        lambda _: None,
+    )
     assert found.closed_loop == Checked.nothing()
 
 

@@ -1,6 +1,9 @@
 """Weights refined by flying, against a drag that is known exactly."""
 
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from twin.residuals.teacher_forced import choose_drive
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.fold import Lesson
+from uavtwin.force.memory import Memory
 from uavtwin.force.open_loop import Replay
 from uavtwin.force.refinement import MOST, REFINED, refined
 
@@ -57,7 +61,9 @@ def _refined(lesson: tuple[Lesson, Replay], weights: dict[tuple[str, str], float
     """Weights after it, SI units, shape (6, features)."""
     taught, replay = lesson
     given = replace(taught, fitted=_laws(taught.prepared, weights))
-    law = refined(given, ["linear"] * len(OUTPUTS), [replay]).law([REFINED] * len(OUTPUTS))
+    with TemporaryDirectory() as name, closing(Memory(Path(name, "steps.jsonl"), "")) as memory:
+        better = refined(given, ["linear"] * len(OUTPUTS), [replay], memory)
+    law = better.law([REFINED] * len(OUTPUTS))
     return np.asarray(law.linear)
 
 

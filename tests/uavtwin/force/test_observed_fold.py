@@ -17,6 +17,7 @@ from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.force.choice import OBSERVER, chosen_observers
 from uavtwin.force.fold import ALONE_S, WIDER, Fold, Lesson
+from uavtwin.force.memory import Memory
 from uavtwin.force.open_loop import DISTANCE, Replay
 
 COPTER = load_vehicle("copter_default")
@@ -43,7 +44,8 @@ def _fold(plant: Vehicle, observer: Observer, place: Path) -> Fold:
     lesson = Lesson(
         prepared, len(OUTPUTS) * fitted, choose_drive(flight, COPTER), place / "twin.fmu"
     )
-    return Fold(Replay(flight, COPTER, AHEAD_S), seen, lesson)
+    memory = Memory(place / "steps.jsonl", "")
+    return Fold(Replay(flight, COPTER, AHEAD_S), seen, lesson, memory)
 
 
 def _used(lesson: Lesson) -> list[str]:
@@ -79,7 +81,7 @@ def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> Non
     fold = _fold(DRAGGED, NO_OBSERVER, tmp_path)
     narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 2.6)
     lesson = replace(fold.lesson, prepared=replace(fold.lesson.prepared, empty=narrow))
-    wide = lesson.running([fold.replay])
+    wide = lesson.running([fold.replay], fold.memory)
     share = wide.prepared.empty.reach / narrow.reach
     assert 1.0 < share < WIDER
     starts = wide.starts(["none"] * len(OUTPUTS))
@@ -88,4 +90,5 @@ def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> Non
     assert np.mean(away[:, near] <= 1) >= 0.98
     tiny = replace(narrow, reach=narrow.reach / 10)
     capped = replace(lesson, prepared=replace(lesson.prepared, empty=tiny), place=tmp_path / "2")
-    assert capped.running([fold.replay]).prepared.empty.reach == pytest.approx(WIDER * tiny.reach)
+    widest = capped.running([fold.replay], fold.memory).prepared.empty.reach
+    assert widest == pytest.approx(WIDER * tiny.reach)

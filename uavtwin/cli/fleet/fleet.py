@@ -77,10 +77,17 @@ def fleet(
     with progress("looking") as done:
         result = run_fleet(
             *(list(logs), asked, out, work, force, done),
-            lambda r: _note(r, out, asked),
+            lambda r: print_json(r.json()) if as_json else STDOUT.print(str(r)),
+            lambda r, folder: _note(r, folder, asked),
             _found,
         )
-    _say(result, out, as_json)
+    if not as_json:
+        STDOUT.print(
+            f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
+            f"vehicles/, fleet.json, run.json"
+        )
+    if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
+        raise typer.Exit(Exit.FINDINGS)
 
 
 def _found(found: "Found") -> None:
@@ -96,7 +103,7 @@ def _found(found: "Found") -> None:
         STDERR.print("\n".join(named))
 
 
-def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
+def _note(result: "FleetResult", folder: Path, asked: "Asked") -> None:
     """Write `run.json`; logs are told from others by their fingerprints in `flights`."""
     from ...output import write_run
 
@@ -109,20 +116,6 @@ def _note(result: "FleetResult", out: Path, asked: "Asked") -> None:
         "trust_vehicle": asked.trust_vehicle,
         "logs": result.logs,
     }
-    folder = asked.per_aircraft
-    given = [Path(asked.vehicle or "")] if folder is None else sorted(folder.glob("*.toml"))
-    write_run(out, "fleet", options, [p for p in given if p.is_file()])
-
-
-def _say(result: "FleetResult", out: Path, as_json: bool) -> None:
-    """What came of it; ends the verb where logs are bad or an effect is missing."""
-    if as_json:
-        print_json(result.json())
-    else:
-        STDOUT.print(str(result))
-        STDOUT.print(
-            f"written: {out / 'report.html'}, flights, channels, effects, findings (.parquet), "
-            f"vehicles/, fleet.json, run.json",
-        )
-    if result.bad or result.misfits or result.differing or result.drifting or result.spreads:
-        raise typer.Exit(Exit.FINDINGS)
+    own = asked.per_aircraft
+    given = [Path(asked.vehicle or "")] if own is None else sorted(own.glob("*.toml"))
+    write_run(folder, "fleet", options, [p for p in given if p.is_file()])

@@ -28,7 +28,7 @@ def convert(
     """
     from twin.logs import read_flight, write_flight
 
-    from ...output import check_file, output_file, write_run
+    from ...output import check_file, check_record, record_of, recorded_file
     from ...series.flight_mcap import write_flight_mcap
     from ...series.mcap_file import check_mcap
 
@@ -37,14 +37,8 @@ def convert(
     if out.suffix == ".mcap":
         check_mcap()
     check_file(out, force)
+    check_record(record_of(out), force)
     flight = read_flight(log, rebuild_commands=rebuild_commands)
-    with output_file(out) as file:
-        if out.suffix == ".mcap":
-            write_flight_mcap(flight, file)
-        else:
-            write_flight(flight, file)
-    options = {"rebuild_commands": rebuild_commands}
-    write_run(out.parent, "convert", options, [log], file=f"{out.stem}.run.json")
     columns = ", ".join(str(c) for c in flight.table if c != "time" and flight.has(str(c)))
     seconds = flight.table["time"].iloc[-1] - flight.table["time"].iloc[0]
     STDOUT.print(
@@ -53,6 +47,12 @@ def convert(
     for finding in flight.findings:
         if finding.severity == "warning":
             STDERR.print(f"{finding.where}: {finding.message}", style="yellow")
-    STDOUT.print(f"written: {out}, {out.stem}.run.json")
+    with recorded_file(out, force) as (file, note):
+        note("convert", {"rebuild_commands": rebuild_commands}, [log])
+        if out.suffix == ".mcap":
+            write_flight_mcap(flight, file)
+        else:
+            write_flight(flight, file)
+    STDOUT.print(f"written: {out}, {record_of(out).name}")
     if print_damage([flight]):
         raise typer.Exit(Exit.FINDINGS)

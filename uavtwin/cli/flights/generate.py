@@ -28,15 +28,16 @@ def generate(
 
     from ...learned import check_extra_learn
     from ...learned import generate as generate_flight
-    from ...output import check_file, output_file, write_run
+    from ...output import check_file, check_record, record_of, recorded_file
 
     check_extra_learn()
     check_file(out, force)
+    check_record(record_of(out), force)
     flight = generate_flight(model, mission, seed=seed)
-    with output_file(out) as file:
-        write_flight(flight, file)
     inputs = [model / n for n in ("vehicle.toml", "model.json", "weights.safetensors")]
     options = {"model": model.name, "mission": mission}
-    write_run(out.parent, "generate", options, inputs, seed, file=f"{out.stem}.run.json")
+    with recorded_file(out, force) as (file, note):
+        write_flight(flight, file)
+        note("generate", options, inputs, seed)
     STDOUT.print(f"{flight.table['time'].iloc[-1]:.0f} s of {mission}, seed {seed}")
-    STDOUT.print(f"written: {out}, {out.stem}.run.json")
+    STDOUT.print(f"written: {out}, {record_of(out).name}")

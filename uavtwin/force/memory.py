@@ -1,0 +1,102 @@
+"""What a training of a learned force has found so far, so that it is resumed after a kill.
+
+The training is a fixed sequence of steps, each decided by the flights, the vehicle, the seed and
+the steps before. The results of those that take long are lines of a journal; a training that is
+resumed reads them in the same order instead of flying again, and ends with the same bytes.
+"""
+
+import base64
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twin.logs import Flight
+
+from ..jobs import journal
+from ..vehicles import Vehicle
+
+Array = NDArray[np.float64]
+CHECKPOINT = "checkpoint.jsonl"
+
+
+class Memory(journal.Journal[int]):
+    """Results of the steps of one training, in order."""
+
+    kind = "training of a learned force"
+    differs = "other flights, vehicle, seed or version"
+
+    def __init__(self, path: Path, key: str) -> None:
+        """See `Journal`."""
+        super().__init__(path, key)
+        self._count = 0
+        self._kept = [content for _, content in self.contents()]
+
+    def named(self, content: journal.Content) -> int:
+        """Number of the step.
+
+        Raises:
+            ValueError, KeyError, TypeError: It is of no step.
+        """
+        if not (isinstance(content["what"], str) and isinstance(content["files"], dict)):
+            raise ValueError
+        for text in (content["array"], *content["files"].values()):
+            base64.b64decode(text, validate=True)
+        return len(self.done)
+
+    def array(self, what: str, make: Callable[[], Array]) -> Array:
+        """Result of the next step, from the journal where it is there.
+
+        Args:
+            what: The step, which is held against the journal's.
+            make: Takes the step.
+        """
+        if (kept := self._next(what)) is not None:
+            flat = np.frombuffer(base64.b64decode(kept["array"]), dtype=np.float64)
+            return flat.reshape(kept["shape"]).copy()
+        made = np.asarray(make(), dtype=np.float64)
+        self._add(what, made, {})
+        return made
+
+    def files(self, what: str, folder: Path, make: Callable[[], object]) -> None:
+        """Files that the next step writes into a folder, from the journal where they are there."""
+        if (kept := self._next(what)) is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in kept["files"].items():
+                (folder / Path(name).name).write_bytes(base64.b64decode(text))
+            return
+        make()
+        made = {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
+        self._add(what, np.zeros(0), made)
+
+    def _next(self, what: str) -> journal.Content | None:
+        """Line of the next step; None: it has not been taken."""
+        self._count += 1
+        if self._count > len(self._kept):
+            return None
+        kept = self._kept[self._count - 1]
+        if kept["what"] != what:
+            raise self.foreign(self._count + 1)
+        return kept
+
+    def _add(self, what: str, array: Array, files: Mapping[str, bytes]) -> None:
+        self.write(
+            {
+                "what": what,
+                "shape": list(array.shape),
+                "array": base64.b64encode(array.tobytes()).decode(),
+                "files": {name: base64.b64encode(c).decode() for name, c in files.items()},
+            }
+        )
+
+
+def training_key(flights: Sequence[Flight], vehicle: Vehicle, seed: int) -> str:
+    """Hash of all that decides what is learned."""
+    import uavtwin
+
+    names = [[f.name, f.fingerprint] for f in flights]
+    content = [uavtwin.__version__, names, vehicle.toml(), seed]
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
