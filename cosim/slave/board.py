@@ -1,9 +1,16 @@
-"""What a slave is doing, written into memory that another process reads even when it is dead."""
+"""What a slave is doing, written into memory that another process reads even when it is dead.
+
+The board is one file of fixed size, each recording another one of the size that was asked for. The
+reading process makes them and seals their sizes, so that no code beside the writer can truncate or
+extend them; it reads no more than it asked for.
+"""
 
 import ctypes
+import fcntl
 import mmap
 import os
 import struct
+import tempfile
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,10 +20,12 @@ from numpy.typing import NDArray
 from twin.errors import FmuError
 
 Array = NDArray[np.float64]
-_CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = 128, 136, 256, 256, 4095
+_LEAD = 4096
+"""Bytes before all content: what an FMU writes into open files by mistake lands there. A mapping in
+Python keeps its file open."""
+_CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = _LEAD, _LEAD + 8, _LEAD + 256, 256, 4095
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
-"""Bytes before the table: the clock, the number of the call, and what calls there are. What an FMU
-writes into open files by mistake lands before the clock."""
+"""Bytes of the board: the clock, the number of the call, and what calls there are."""
 ONE, QUARTER, MORE, FOLLOWING, TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
 """A process rounds to nearest if ONE + QUARTER + MORE is FOLLOWING, and keeps what is smaller than
 the smallest normal number if TINY + TINY is not 0. Variables, which are added where they are asked
@@ -28,7 +37,7 @@ _FENV_BYTES = 256
 
 
 class Board:
-    """The written side: a header and a table in one file.
+    """The written side.
 
     Attributes:
         clock: Time of the call under way, s.
@@ -36,9 +45,10 @@ class Board:
     """
 
     def __init__(self, file: int) -> None:
-        """Take an open file, which holds the header at least."""
-        self._file, self._pid = file, os.getpid()
+        """Take an open file of `HEADER` bytes; it is closed."""
+        self._table, self._pid = -1, os.getpid()
         self._memory = _mapped(file, HEADER)
+        os.close(file)
         self._numbers: dict[str, int] = {}
         self._arithmetic = ctypes.create_string_buffer(_FENV_BYTES)
         self._libm = ctypes.CDLL(None)
@@ -46,14 +56,27 @@ class Board:
         self.call = ctypes.c_int64.from_buffer(self._memory, _CALL)
         self.clock = ctypes.c_double.from_buffer(self._memory, _CLOCK)
 
+    def take_table(self, file: int) -> None:
+        """Take the open file of the next recording."""
+        self._table = file
+
     def table(self, count: int) -> Array:
-        """That many NaN after the header, in the place of those before."""
-        os.ftruncate(self._file, HEADER)
-        size = 8 * count
-        os.ftruncate(self._file, HEADER + size)
-        if not size:
-            return np.zeros(0)
-        table = np.frombuffer(_mapped(self._file, size, HEADER), dtype=np.float64)
+        """That many NaN in the file of the recording, which is closed.
+
+        Raises:
+            FmuError: There is none of this size.
+        """
+        file, self._table = self._table, -1
+        try:
+            if file < 0 or os.fstat(file).st_size != table_bytes(count):
+                raise FmuError(f"no file for a recording of {count} numbers was given")
+            if not count:
+                return np.zeros(0)
+            memory = _mapped(file, table_bytes(count))
+            table = np.frombuffer(memory, dtype=np.float64, offset=_LEAD)
+        finally:
+            if file >= 0:
+                os.close(file)
         table[:] = np.nan
         return table
 
@@ -118,10 +141,10 @@ class Told:
         )
 
 
-def _mapped(file: int, size: int, offset: int = 0) -> mmap.mmap:
-    """Part of a file, which a copy of this process, made by an FMU, does not have: it ends where it
-    writes there."""
-    memory = mmap.mmap(file, size, offset=offset)
+def _mapped(file: int, size: int) -> mmap.mmap:
+    """A file, which a copy of this process, made by an FMU, does not have: it ends where it writes
+    there."""
+    memory = mmap.mmap(file, size)
     if hasattr(mmap, "MADV_DONTFORK"):  # Linux
         memory.madvise(mmap.MADV_DONTFORK)
     return memory
@@ -143,29 +166,61 @@ class Notice(NamedTuple):
     function: str
 
 
+def shared_file(size: int) -> int:
+    """A new file of this many zeros without a name; where the system can, its size is sealed.
+
+    It takes no memory before it is written.
+
+    Raises:
+        OSError: It cannot be so large.
+    """
+    if not hasattr(os, "memfd_create"):
+        with tempfile.TemporaryFile() as stream:
+            file = os.dup(stream.fileno())
+        os.ftruncate(file, size)
+        return file
+    file = os.memfd_create("uavtwin", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    try:
+        os.ftruncate(file, size)
+        seals = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+        fcntl.fcntl(file, fcntl.F_ADD_SEALS, seals)
+    except BaseException:
+        os.close(file)
+        raise
+    return file
+
+
 def read_board(file: int) -> Notice:
     """The reading side."""
-    clock_s, number = struct.unpack("dq", os.pread(file, 16, _CLOCK))
+    clock_s, number = struct.unpack("dq", os.pread(file, 16, _CLOCK).ljust(16, b"\0"))
     at = _NAMES + (abs(number) - 1) * _NAME_BYTES
     name = os.pread(file, _NAME_BYTES, at) if 0 < abs(number) <= _MOST_NAMES else b""
     who, _, function = name.rstrip(b"\0").decode(errors="replace").partition("\n")
     return Notice(clock_s, number > 0, who, function)
 
 
-def read_table(file: int, width: int) -> tuple[Array, Array]:
-    """Times and rows that have been written, shapes (n,) and (n, width)."""
-    count = max(0, os.fstat(file).st_size - HEADER) // 8
-    flat = np.frombuffer(_read(file, 8 * count, HEADER), dtype=np.float64)
-    rows = count // (1 + width)
+def table_bytes(count: int) -> int:
+    """Size of the file of a recording of this many numbers."""
+    return _LEAD + 8 * count
+
+
+def read_table(file: int, times_s: Array, width: int) -> tuple[Array, Array]:
+    """Times and rows that have been written, shapes (n,) and (n, width).
+
+    The rows end before the first that does not have its time: it was not written, or overwritten.
+
+    Args:
+        file: Of the recording.
+        times_s: Of the rows that were asked for; no more is read, however long the file is.
+        width: Numbers in a row.
+    """
+    rows = len(times_s)
+    flat = np.full(rows * (1 + width), np.nan)
+    view: Any = flat.view(np.uint8)
+    done = 0
+    while done < len(view) and (part := os.preadv(file, [view[done : done + 2**30]], _LEAD + done)):
+        done += part
     time_s, values = flat[:rows], flat[rows:].reshape(rows, width)
-    filled = int(np.argmax(np.isnan(time_s))) if np.isnan(time_s).any() else rows
+    good = time_s == times_s
+    filled = rows if good.all() else int(np.argmin(good))
     return time_s[:filled].copy(), values[:filled].copy()
-
-
-def _read(file: int, size: int, offset: int) -> bytes:
-    """All of a part of a file."""
-    parts = []
-    while size > 0 and (part := os.pread(file, min(size, 2**30), offset)):
-        parts.append(part)
-        size, offset = size - len(part), offset + len(part)
-    return b"".join(parts)

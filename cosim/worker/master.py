@@ -6,15 +6,18 @@ memory that both share, so it is here whatever becomes of the worker.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from math import isfinite
 from types import TracebackType
 from typing import Any, Self
+
+import numpy as np
 
 from fmus.names import shown
 from twin.errors import FmuError
 
 from ..limits import Limits
 from ..recording import Interrupted, Recording, RunError
-from ..slave.board import read_table
+from ..slave.board import read_table, table_bytes
 from ..stepping import Algorithm
 from ..system import System
 from .process import Ended, Process
@@ -40,19 +43,21 @@ class WorkerMaster:
     def _start(self) -> None:
         """A worker with all FMUs loaded."""
         system, record = self.system, self._record_only
+        self._time_s, self._step_s, self._rows = system.start_time_s, 0.0, 0
         self._process = Process(self._limits)
         try:
-            self.record_names = tuple(
-                self._ask(
-                    "load",
-                    fmus={name: str(path.absolute()) for name, path in system.fmus.items()},
-                    connections=[[c.source, c.target] for c in system.connections],
-                    starts=dict(system.starts),
-                    periods=dict(system.periods),
-                    start_time_s=system.start_time_s,
-                    record=None if record is None else list(record),
-                )
+            names = self._ask(
+                "load",
+                fmus={name: str(path.absolute()) for name, path in system.fmus.items()},
+                connections=[[c.source, c.target] for c in system.connections],
+                starts=dict(system.starts),
+                periods=dict(system.periods),
+                start_time_s=system.start_time_s,
+                record=None if record is None else list(record),
             )
+            if not (isinstance(names, list) and all(isinstance(n, str) for n in names)):
+                raise FmuError(self._fault(str(self._process.spoilt())))
+            self.record_names = tuple(names)
         except BaseException:
             self._process.end()
             self._process.forget()
@@ -83,7 +88,7 @@ class WorkerMaster:
             self._process.forget()
             self._start()
             self._ask("initialize", **arguments)
-        self._start_s = self.system.start_time_s if start_time_s is None else start_time_s
+        self._time_s = self.system.start_time_s if start_time_s is None else start_time_s
 
     def run(
         self,
@@ -109,7 +114,7 @@ class WorkerMaster:
             "every": every,
             "realtime": realtime,
         }
-        clocked_s = (stop_time_s - self._start_s) / realtime if realtime else None
+        clocked_s = (stop_time_s - self._time_s) / realtime if realtime else None
         return self._record(request, progress, clocked_s, every)
 
     def run_adaptive(
@@ -180,9 +185,11 @@ class WorkerMaster:
         every: int = 1,
     ) -> Recording:
         self._last = None
-        self._process.clear_table()
+        steps = self._steps(request["stop_time_s"], request["step_s"])
+        self._rows = 0 if every < 1 else steps // every + 1
+        self._step_s = request["step_s"]
         try:
-            answer = self._request(request, progress, clocked_s)
+            answer = self._request(request, progress, clocked_s, self._rows)
         except KeyboardInterrupt:
             why = f"interrupted at {self._process.notice().clock_s:g} s"
             raise Interrupted(self._recording(every, incomplete=why)) from None
@@ -191,12 +198,26 @@ class WorkerMaster:
             raise RunError(why, self._recording(every, incomplete=why)) from None
         if "refused" in answer:
             raise FmuError(_text(answer["refused"]))
-        steps, rejected, lateness_s = answer["run"] if "failed" in answer else answer["done"]
+        failed = "failed" in answer
         why = _text(answer.get("failed", ""))
-        self._last = self._recording(every, int(steps), int(rejected), float(lateness_s), why)
+        try:
+            done, rejected, lateness_s = answer["run"] if failed else answer["done"]
+            counts = int(done), int(rejected), float(lateness_s)
+        except (KeyError, TypeError, ValueError, OverflowError):
+            counts, why = (0, 0, 0.0), self._fault(str(self._process.spoilt()))
+        self._last = self._recording(every, *counts, why)
+        if not why and len(self._last.time_s) < self._rows:
+            why = self._fault(str(self._process.spoilt()))
+            self._last = replace(self._last, incomplete=why)
         if why:
             raise RunError(why, self._last)
+        self._time_s += steps * request["step_s"]
         return self._last
+
+    def _steps(self, stop_time_s: float, step_s: float) -> int:
+        """Steps of a run, as `Master` counts them; 0 where it refuses to run."""
+        steps = (stop_time_s - self._time_s) / step_s if step_s > 0 else 0.0
+        return max(0, round(steps)) if isfinite(steps) else 0
 
     def _recording(
         self,
@@ -207,7 +228,8 @@ class WorkerMaster:
         incomplete: str = "",
     ) -> Recording:
         """What has been recorded; where nobody counted, the steps up to its last row."""
-        time_s, values = read_table(self._process.board, len(self.record_names))
+        asked_s = np.asarray(self._time_s + every * np.arange(self._rows) * self._step_s)
+        time_s, values = read_table(self._process.table, asked_s, len(self.record_names))
         if steps is None:
             steps = every * max(0, len(time_s) - 1)
         printed = self._process.printed
@@ -226,11 +248,18 @@ class WorkerMaster:
         request: Mapping[str, Any],
         progress: Progress | None = None,
         clocked_s: float | None = None,
+        rows: int | None = None,
     ) -> Mapping[str, Any]:
+        table = None if rows is None else table_bytes(rows * (1 + len(self.record_names)))
         try:
-            return self._process.ask(request, progress, clocked_s)
+            return self._process.ask(request, progress, clocked_s, table)
         except Ended as ended:
             raise FmuError(self._fault(str(ended))) from None
+        except (OSError, OverflowError) as error:
+            raise FmuError(
+                f"no room for a recording of {rows} rows and {len(self.record_names)} columns: "
+                f"{error}. Record less often (--interval), or a shorter run."
+            ) from error
 
     def _fault(self, what: str) -> str:
         """Which FMU, in which function, when, and what became of the worker."""

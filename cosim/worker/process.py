@@ -5,15 +5,16 @@ import json
 import os
 import selectors
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from typing import IO, Any
+from typing import Any
 
 from ..limits import Limits
-from ..slave.board import HEADER, Notice, read_board
+from ..slave.board import HEADER, Notice, read_board, shared_file
 
 _TICK_S = 0.05
 _START_S = 60.0
@@ -36,20 +37,20 @@ class Process:
 
     Attributes:
         board: File of its board.
+        table: File of its last recording.
         running: Whether it was not ended.
     """
 
     def __init__(self, limits: Limits) -> None:
         self._limits, self._left_s = limits, limits.whole_s
         self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
-        self._board = _file_without_name()
-        self.board = self._board.fileno()
-        os.ftruncate(self.board, HEADER)
+        self.board, self.table = shared_file(HEADER), shared_file(0)
         self._printed, self._pending = bytearray(), bytearray()
-        requests, self._requests = os.pipe()
+        requests, self._requests = socket.socketpair()
+        self._requests.shutdown(socket.SHUT_RD)  # what an FMU writes there comes to nothing
         self._answers, answers = os.pipe()
         self._output, output = os.pipe()
-        given = (requests, answers, self.board)
+        given = (requests.fileno(), answers, self.board)
         try:
             self._process = subprocess.Popen(
                 [
@@ -73,7 +74,8 @@ class Process:
                 start_new_session=True,  # a group of its own, which is ended as one
             )
         finally:
-            for file in (requests, answers, output):
+            requests.close()
+            for file in (answers, output):
                 os.close(file)
         self._selector = selectors.DefaultSelector()
         for file in (self._answers, self._output):
@@ -91,6 +93,7 @@ class Process:
         request: Mapping[str, Any],
         progress: Callable[[float], None] | None = None,
         clocked_s: float | None = None,
+        table: int | None = None,
     ) -> Mapping[str, Any]:
         """Answer to a request.
 
@@ -98,17 +101,27 @@ class Process:
             request: What to do, with its arguments.
             progress: Called with the time reached.
             clocked_s: Time that a run by the clock takes by itself.
+            table: Bytes of the recording that it makes; None: it makes none.
 
         Raises:
             Ended: There is none; the worker was ended, or is no more.
+            OSError: There is no room for the recording.
         """
         if not self.running:
             raise Ended("its process had been ended before")
+        line = json.dumps(request).encode() + b"\n"
+        files = []
+        if table is not None:
+            os.close(self.table)
+            self.table = -1
+            self.table = shared_file(table)
+            files.append(self.table)
         begin = time.monotonic()
         try:
-            os.write(self._requests, json.dumps(request).encode() + b"\n")
+            socket.send_fds(self._requests, [line[:1]], files)
+            self._requests.sendall(line[1:])
             return self._wait(progress, begin, clocked_s)
-        except BrokenPipeError:
+        except ConnectionError:
             raise Ended(self._end()) from None
         except BaseException:
             self.end()
@@ -204,7 +217,8 @@ class Process:
         with contextlib.suppress(Ended):
             self._read(0.0)  # what it printed last
         self._selector.close()
-        for file in (self._requests, self._answers, self._output):
+        self._requests.close()
+        for file in (self._answers, self._output):
             os.close(file)
         self._folder.cleanup()
 
@@ -212,20 +226,17 @@ class Process:
         """The call under way, or the last one."""
         return read_board(self.board)
 
-    def clear_table(self) -> None:
-        """Take a former recording off the board."""
-        os.ftruncate(self.board, HEADER)
+    def spoilt(self) -> Ended:
+        """End it, as it has answered what only others in its process can have written."""
+        self.end()
+        return Ended(_SPOILT)
 
     def forget(self) -> None:
-        """Close the board, after `end`."""
-        self._board.close()
-
-
-def _file_without_name() -> IO[bytes]:
-    """In memory where the system has such: writing there costs no bookkeeping of a disk."""
-    if hasattr(os, "memfd_create"):
-        return os.fdopen(os.memfd_create("uavtwin"), "r+b")
-    return tempfile.TemporaryFile()
+        """Close the board and the recording, after `end`."""
+        for file in (self.board, self.table):
+            if file >= 0:
+                os.close(file)
+        self.board = self.table = -1
 
 
 def _answer(line: bytes) -> Mapping[str, Any]:
@@ -236,8 +247,11 @@ def _answer(line: bytes) -> Mapping[str, Any]:
     """
     try:
         content = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         content = None
     if not (isinstance(content, dict) and _KINDS & content.keys()):
+        raise Ended(_SPOILT)
+    done = content.get("progress", 0.0)
+    if not (isinstance(done, int | float) and abs(done) < float("inf")):
         raise Ended(_SPOILT)
     return content

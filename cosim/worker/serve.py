@@ -9,8 +9,10 @@ import os
 import queue
 import resource
 import signal
+import socket
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,7 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
     """Answer until asked to close; ends this process.
 
     Args:
-        requests: File to read from; at its end the asking process is no more.
+        requests: Socket to read from; at its end the asking process is no more.
         answers: File to write to.
         board: File of the board.
         memory_bytes: Limit of writable memory.
@@ -35,7 +37,7 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     resource.setrlimit(resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # from an FMU: it is not ours to handle
-    lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+    lines: queue.SimpleQueue[tuple[bytes, list[int]]] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, lines), daemon=True).start()
 
     shared = Board(board)
@@ -46,7 +48,10 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
 
     server = _Server(shared, answer)
     while True:
-        request = json.loads(lines.get())
+        line, files = lines.get()
+        request = json.loads(line)
+        for file in files:
+            shared.take_table(file)
         try:
             done = getattr(server, request.pop("do"))(**request)
         except RunError as error:
@@ -60,11 +65,20 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
             answer({"done": done})
 
 
-def _read(file: int, lines: "queue.SimpleQueue[bytes]") -> None:
-    """Pass lines on; when who asks is gone, end this process and all that FMUs started."""
-    with os.fdopen(file, "rb") as stream:
-        for line in stream:
-            lines.put(line)
+def _read(file: int, lines: "queue.SimpleQueue[tuple[bytes, list[int]]]") -> None:
+    """Pass lines on with the files that came with them; when who asks is gone, end this process and
+    all that FMUs started."""
+    pending, files = b"", list[int]()
+    with suppress(OSError), socket.socket(fileno=file) as stream:
+        while True:
+            data, more, _, _ = socket.recv_fds(stream, 2**16, 4)
+            if not data:
+                break
+            files += more
+            *whole, pending = (pending + data).split(b"\n")
+            for line in whole:
+                lines.put((line, files))
+                files = []
     os.killpg(0, signal.SIGKILL)
 
 

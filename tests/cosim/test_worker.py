@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,7 @@ from bad_fmu import bad_fmu
 
 from cosim.limits import Limits
 from cosim.master import Algorithm, Interrupted, Master, Recording, RunError
+from cosim.slave.board import read_board, read_table, shared_file, table_bytes
 from cosim.system import Connection, System
 from cosim.worker import WorkerMaster
 from fmus import build, component_model
@@ -73,7 +75,13 @@ ALL_RECORDED = {
 HARMLESS = (
     *("fine", "prints_a_lot", "closes_stdout", "chdir", "locale"),
     *("fork_stays", "fork_returns", "leaves_files"),
+    *("truncates_all", "extends_all"),  # sizes are sealed
 )
+SPOILT = (
+    *("answers_done", "answers_progress", "answers_nan", "answers_deep", "punches_all"),
+    "writes_all",
+)
+"""Kinds that answer for the worker, or write over the recording."""
 
 
 @pytest.fixture(scope="module")
@@ -158,7 +166,7 @@ def test_what_does_no_harm(
     here, mask = Path.cwd(), os.umask(0)
     os.umask(mask)
     before = set(here.iterdir())
-    recording = run_bad(kind, bad)
+    recording = run_bad(kind, bad, PATIENT)
     assert recording.values.ravel().tolist() == list(range(11))
     assert recording.incomplete == ""
     assert (Path.cwd(), os.umask(mask)) == (here, mask)
@@ -180,13 +188,41 @@ def test_a_thread_that_crashes_later(bad: Path) -> None:
 
 
 @pytest.mark.slow
-def test_an_fmu_that_writes_into_every_open_file(bad: Path) -> None:
-    """How far it gets before that is seen is chance."""
-    with pytest.raises(RunError, match=r"^writes_all \(bad\.fmu\): .* wrote into what") as caught:
-        run_bad("writes_all", bad)
+@pytest.mark.parametrize("kind", SPOILT)
+def test_an_fmu_that_writes_into_what_is_not_its_own(bad: Path, kind: str) -> None:
+    """How far it gets before that is seen is chance. What it has spoilt ends the recording."""
+    with pytest.raises(RunError, match=r": its process wrote into what belongs to") as caught:
+        run_bad(kind, bad, PATIENT)
     rows = caught.value.recording.values.ravel().tolist()
-    assert len(rows) >= 5
     assert rows == list(range(len(rows)))
+    if kind != "punches_all":  # it takes its own name off the board
+        assert str(caught.value).startswith(f"{kind} (bad.fmu): ")
+        assert len(rows) >= 5
+    assert caught.value.recording.incomplete == str(caught.value)
+
+
+@pytest.mark.skipif(not hasattr(os, "memfd_create"), reason="no files in memory")
+def test_no_more_is_read_than_was_asked_for(tmp_path: Path) -> None:
+    """Whatever size the file has; one from the board is sealed."""
+    times_s = np.array([0, 0.1, 0.2])
+    file = shared_file(table_bytes(6))
+    for size in (0, 24, 2**40):
+        with pytest.raises(PermissionError):
+            os.ftruncate(file, size)
+    os.pwrite(file, struct.pack("6d", 0, 0.1, np.nan, 1, 2, 3), table_bytes(0))
+    assert [a.tolist() for a in read_table(file, times_s, 1)] == [[0, 0.1], [[1], [2]]]
+    assert [a.tolist() for a in read_table(file, times_s[:0], 1)] == [[], []]
+    os.pwrite(file, struct.pack("2d", 0, 0.3), table_bytes(0))
+    assert [a.tolist() for a in read_table(file, times_s, 1)] == [[0], [[1]]]
+    os.close(file)
+    with (tmp_path / "table").open("w+b") as table:
+        for size in (0, 8, table_bytes(1), 2**40):
+            table.truncate(size)
+            time_s, _ = read_table(table.fileno(), times_s, 1)
+            assert len(time_s) == (size > table_bytes(0))
+        assert read_board(table.fileno()).who == ""
+        table.truncate(table_bytes(0) + 4)
+        assert read_board(table.fileno()).who == ""
 
 
 @pytest.mark.slow
