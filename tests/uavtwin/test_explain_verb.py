@@ -1,8 +1,10 @@
 """`uavtwin explain` on short flights with and without a hidden effect: files, page, exit codes."""
 
+import errno
 import io
 import json
 import math
+import os
 import re
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -16,6 +18,7 @@ import pytest
 from fmpy import read_model_description
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
+from fmus import platforms
 from twin.errors import TwinError
 from twin.explain.design.designer import Suggestion
 from twin.explain.explanation import Explanation
@@ -31,7 +34,7 @@ from uavtwin import explanation as explain_files
 from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.explanation import explained_vehicle, vehicle_today
+from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
 from uavtwin.report.explain import write_explain_report
 from uavtwin.report.headline import headline
 from uavtwin.report.words import certainty
@@ -88,8 +91,8 @@ class Run:
         return content
 
 
-def run(out: Path, *arguments: object) -> Run:
-    """Call `uavtwin explain`, flying one mission only."""
+def run(out: Path, *arguments: object, found: Explanation | None = None) -> Run:
+    """Call `uavtwin explain`, flying one mission only; with `found` the search is left out."""
     kept: list[Explanation] = []
     real = explain_files.write_explanation
 
@@ -103,6 +106,8 @@ def run(out: Path, *arguments: object) -> Run:
         patch.setattr(sys, "argv", argv)
         patch.setattr("twin.flight.stability.mission_names", lambda: ("takeoff",))
         patch.setattr(explain_files, "write_explanation", keep)
+        if found is not None:
+            patch.setattr(explain_files, "explain", lambda *_, **__: ExplainResult(found))
         try:
             main.main()
         except SystemExit as stop:
@@ -450,3 +455,56 @@ def test_the_headline_and_its_numbers(named: Run) -> None:
     assert "rotor_drag" not in hidden
     assert 0 < hidden["mass_offset"]["smallest_detectable"]["value"] < 0.5 * COPTER.mass_kg
     assert hidden["mass_offset"]["smallest_detectable"]["unit"] == "kg"
+
+
+# -- what fails after the search ---------------------------------------------------------------
+
+
+def test_a_compiler_that_fails_leaves_all_but_the_fmus(
+    named: Run, dragged: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is found and says its version, and fails where it is to compile."""
+    compiler = tmp_path / "bin" / "cc"
+    compiler.parent.mkdir()
+    compiler.write_text("#!/bin/sh\n[ $# -le 1 ] && exec /usr/bin/cc $@\necho broken >&2; exit 1\n")
+    compiler.chmod(0o755)
+    monkeypatch.setenv("PATH", str(compiler.parent), prepend=os.pathsep)
+    monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "cache"))
+    platforms._machine_compiler.cache_clear()
+    words = (*dragged[:2], "--holdout", dragged[2], "--vehicle", "copter_default")
+    try:
+        failed = run(tmp_path / "out", *words, found=named.found)
+    finally:
+        platforms._machine_compiler.cache_clear()
+    assert failed.code == 1
+    assert named.found is not None and ExplainResult(named.found).sentence in failed.stdout
+    assert "warning: FMUs: " in failed.stderr and "the C compiler failed" in failed.stderr
+    assert "broken" in failed.stderr
+    record = json.loads((failed.out / "run.json").read_text())
+    assert record.pop("incomplete").startswith("FMUs: ")
+    assert record == json.loads((named.out / "run.json").read_text())
+    left = {p.name: p for p in named.out.iterdir() if p.suffix != ".fmu" and p.name != "run.json"}
+    assert {p.name for p in failed.out.iterdir()} == {*left, "run.json"}
+    assert "vehicle.toml" in left
+    for name, path in left.items():
+        if path.is_file():
+            assert (failed.out / name).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_the_answer_is_printed_though_nothing_can_be_written(
+    named: Run, dragged: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("uavtwin.explanation.write_explain_report", full)
+    words = (*dragged[:2], "--vehicle", "copter_default", *(["--json"] if form == "json" else []))
+    failed = run(tmp_path / "out", *words, found=named.found)
+    assert failed.code == 2
+    assert "out: cannot be written: No space left on device" in failed.stderr
+    assert list(tmp_path.iterdir()) == []
+    if form == "json":
+        assert json.loads(failed.stdout)["verdict"] == "named"
+    else:
+        assert named.found is not None and ExplainResult(named.found).sentence in failed.stdout
