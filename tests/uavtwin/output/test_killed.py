@@ -1,5 +1,5 @@
-"""Verbs killed at random moments: nothing half-written, nothing left, and the same command works,
-to the same bytes, with two threads as with one. `benchmarks/repeatability.py` kills all verbs.
+"""Verbs killed at random moments: nothing half-written, nothing left, files of the user as they
+were, and the same command works, to the same bytes, with two threads as with one.
 """
 
 from pathlib import Path
@@ -7,14 +7,21 @@ from pathlib import Path
 import pytest
 from places import IMPORT_PATH
 
-from benchmarks.repeatability import VERBS, Bench, killed, write_flights
+from benchmarks.repeatability import VERBS, Bench, killed, write_flights, write_models
+
+QUICK = ("gap", "export", "convert", "sweep")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kills", [4, pytest.param(12, marks=pytest.mark.long)])
-def test_killed_at_any_moment(kills: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("kills", "verbs"), [(8, QUICK), pytest.param(56, tuple(VERBS), marks=pytest.mark.long)]
+)
+def test_killed_at_any_moment(
+    kills: int, verbs: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each verb with what was compiled before, and without."""
     monkeypatch.setenv("PYTHONPATH", IMPORT_PATH)
     write_flights(tmp_path)
-    bench = Bench(tmp_path, {name: VERBS[name] for name in ("gap", "export")})
+    write_models(tmp_path, verbs)
+    bench = Bench(tmp_path, {name: VERBS[name] for name in verbs})
     assert list(killed(bench, kills, seed=0, done=lambda _: None)) == []
