@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from twin.errors import TwinError
+
 from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName, seconds
 from .printing import STDOUT, print_damage, print_json, progress
 
@@ -101,7 +103,8 @@ def train(
         }
         write_run(folder, "train", options, inputs, trained.seed)
 
-    wanted = Wanted(model, preset, protocol, horizon, rate, epochs, seed, device, license)
+    samples = 1 if horizon is None else _samples(horizon, rate)
+    wanted = Wanted(model, preset, protocol, samples, rate, epochs, seed, device, license)
     with progress("training") as step:
         trained = run_train(read, twin, out, wanted, force, step, beside)
     if not as_json:
@@ -109,3 +112,18 @@ def train(
         STDOUT.print(f"written: {out / trained.files[0]}, {files}")
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
+
+
+def _samples(horizon_s: float, rate_hz: float) -> int:
+    """Samples of a horizon.
+
+    Raises:
+        TwinError: They are no whole number, or the horizon is too long.
+    """
+    count = round(horizon_s * rate_hz) if 0 < horizon_s <= LONGEST_HORIZON_S else 0
+    if count < 1 or abs(count - horizon_s * rate_hz) > 1e-6:
+        raise TwinError(
+            f"--horizon {horizon_s:g} s: needs a multiple of {1 / rate_hz:g} s, the time between "
+            f"samples (--rate), up to {LONGEST_HORIZON_S:g} s."
+        )
+    return count
