@@ -13,8 +13,7 @@ import onnxruntime
 folder, options = Path(*sys.argv[1:2] or ["model"]), onnxruntime.SessionOptions()
 options.intra_op_num_threads = 1  # a sample is too little work to share
 if not (folder / "model.onnx").is_file():
-    print(f"{folder}: no model.onnx here; train one: uavtwin train FLIGHT... --vehicle V")
-    sys.exit()
+    sys.exit(f"{folder}: no model.onnx here; train one: uavtwin train FLIGHT... --vehicle V")
 session = onnxruntime.InferenceSession(str(folder / "model.onnx"), options)
 reference = dict(np.load(folder / "reference.npz"))
 inputs = ("virtual", "command", "phase", "measured", "valid")

@@ -226,6 +226,12 @@ def faults_shown(opened: Browser) -> list[str]:
     return [str(f) for f in opened.run(_MEASURE)]
 
 
+def tables_cut(opened: Browser) -> list[str]:
+    """First headers of tables that are wider than the page shows without scrolling."""
+    wide = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    return [str(x) for x in opened.run(f"{wide}.map(e => e.innerText.slice(0, 80))")]
+
+
 _MEASURE = (Path(__file__).with_name("measure_page.js")).read_text("utf-8")
 
 

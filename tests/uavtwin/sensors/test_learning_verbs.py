@@ -14,7 +14,7 @@ import pandas as pd
 import pytest
 import torch
 import yaml
-from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
+from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures, tables_cut
 from page_rigs.figures import figures_of
 
 from learning.data.channels import GROUPS
@@ -167,6 +167,7 @@ def test_pages_are_fine_to_look_at(model: Path, logs: dict[str, Path], tmp_path:
             for view in (VIEWS[0], VIEWS[3]):
                 picture = pictures(tmp_path) / f"{name}_{view}.png"
                 assert faults(opened, folder / "report.html", view, picture) == [], (name, view)
+                assert view.width < 1300 or tables_cut(opened) == [], (name, view)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from page_rigs.browser import (
     faults_shown,
     needs_browser,
     pictures,
+    tables_cut,
 )
 from sample_logs import flown_table
 
@@ -222,6 +223,7 @@ def test_it_looks_well(opened: Browser, tmp_path: Path, view: View) -> None:
         band = "document.querySelector('#residuals-imu .shapelayer path') !== null"
         until(opened, band)
         assert faults_shown(opened) == []
+        assert tables_cut(opened) == []
         if view == WIDE:
             opened.run("window.scrollTo(0, 0)")
         opened.picture(pictures(tmp_path) / f"live-{view}.png", 6000)
