@@ -228,7 +228,9 @@ def faults_shown(opened: Browser) -> list[str]:
 
 def tables_cut(opened: Browser) -> list[str]:
     """First headers of tables that are wider than the page shows without scrolling."""
-    wide = "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    wide = (
+        "[...document.querySelectorAll('.scroll')].filter(e => e.scrollWidth > e.clientWidth + 1)"
+    )
     return [str(x) for x in opened.run(f"{wide}.map(e => e.innerText.slice(0, 80))")]
 
 
