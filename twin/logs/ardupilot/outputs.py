@@ -9,16 +9,19 @@ from numpy.typing import NDArray
 
 from ..columns import MAX_MOTORS, MIN_MOTORS
 from ..flight import Array
+from ..outputs import MotorOutput, commands_of, described
 from .geometry import CLASSES, NO_MULTIROTOR, geometry
 from .identity import frame_of
 from .log import ArduPilotLog, Topic
-from .parameters import TRICOPTER, motor_channels, pulse_range_us
+from .parameters import TRICOPTER, motor_channels, motor_value, pulse_range_us
 
 _ENOUGH_HZ = 50.0
 _ABSURD = 2.0
 """A command farther than that from 0..1 is damaged; a pulse width of 0, of none, is -1 or -2."""
 _OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")
 _IDLE = 0.01
+_ONESHOT125, _SHORT_US = 2.0, 300.0
+"""MOT_PWM_TYPE, and what its pulses of 125 to 250 us stay below."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +65,35 @@ def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> Mo
     if widths is None:
         return None
     topic, pwm_us = widths
-    low, high = pulse_range_us(log.params)
+    outputs = motor_outputs(log, channels, pwm_us)
+    low, high = outputs[0].low, outputs[0].high
     said = f"{topic.name}, {topic.rate_hz:.0f} Hz, outputs {', '.join(map(str, channels))}"
-    facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us"}
-    return MotorCommands(topic.t_us, (pwm_us - low) / (high - low), tuple(channels), facts)
+    facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us", "motors": described(outputs)}
+    return MotorCommands(topic.t_us, commands_of(outputs, pwm_us), tuple(channels), facts)
+
+
+def motor_outputs(log: ArduPilotLog, channels: list[int], widths_us: Array) -> list[MotorOutput]:
+    """Output, range and source of each motor.
+
+    Until Copter 3.5 pulses of OneShot125 were divided by 8 before they were logged.
+    Source: ArduPilot, AP_Motors::rc_write of that time.
+
+    Args:
+        log: The log.
+        channels: Output of each motor, from 1.
+        widths_us: Logged pulse widths, shape (n, motors).
+    """
+    low, high = pulse_range_us(log.params)
+    source = "MOT_PWM_MIN, MOT_PWM_MAX, MOT_PWM_TYPE"
+    longest = float(np.nanmax(widths_us, initial=0.0))
+    if motor_value(log.params, "MOT_PWM_TYPE", 0.0) == _ONESHOT125 and longest <= _SHORT_US:
+        low, high, source = low / 8.0, high / 8.0, f"{source} 2: OneShot125, an eighth"
+    named = {f"SERVO{c}_FUNCTION" for c in channels} <= log.params.keys()
+    said = "SERVOn_FUNCTION" if named else "order of the frame"
+    return [
+        MotorOutput(motor, f"output {channel}", "us", low, high, f"{said}, {source}")
+        for motor, channel in enumerate(channels, 1)
+    ]
 
 
 def channels_of(log: ArduPilotLog) -> list[int]:

@@ -13,6 +13,7 @@ from ..flight import Array
 from .estimator import Primary
 from .log import ArduPilotLog, Topic
 from .outputs import MotorCommands
+from .parameters import motor_value
 
 _ACC = ("AccX", "AccY", "AccZ")
 _GYRO = ("GyrX", "GyrY", "GyrZ")
@@ -147,8 +148,17 @@ def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -
 
 
 def _batteries(log: ArduPilotLog) -> list[Topic]:
-    """Batteries by instance, else CURR of ArduPilot before 3.6."""
-    found = [log.topic(n, k, "Volt") for n in ("BAT", "CURR") for k in log.instances(n)]
+    """Batteries by instance, else CURR of ArduPilot before 3.6: first the one by which thrust is
+    scaled (MOT_BAT_IDX), last those whose monitor is switched off (BATTn_MONITOR 0)."""
+    index = motor_value(log.params, "MOT_BAT_IDX", -1.0)
+
+    def rank(instance: int) -> tuple[bool, bool, int]:
+        name = f"BATT{instance + 1 if instance else ''}_MONITOR"
+        return log.params.get(name, 1.0) == 0.0, float(instance) != index, instance
+
+    found = [
+        log.topic(n, k, "Volt") for n in ("BAT", "CURR") for k in sorted(log.instances(n), key=rank)
+    ]
     return [t for t in found if t is not None]
 
 

@@ -40,6 +40,8 @@ _RPM = 2 * math.pi / 60
 _PULSES_US = (1000.0, 2000.0)
 _FIRST_MOTOR = 33
 """SERVOn_FUNCTION of ArduPilot's motor 1."""
+_PX4_FIRST = 101
+"""PWM_MAIN_FUNCn of PX4's motor 1."""
 _UNKNOWN_16 = 65535
 _MOST_PARAMETERS = 4096
 """Names of parameters that are kept; autopilots have up to some 2000."""
@@ -277,11 +279,15 @@ class MavlinkDecoder:
         yield self._commands("SERVO_OUTPUT_RAW", t, values)
 
     def _motor_outputs(self, motors: int) -> list[int]:
-        """Numbers of the outputs of motors 1..n: of SERVOn_FUNCTION where told, else the first."""
-        told = {
-            int(self.parameters.get(f"SERVO{k}_FUNCTION", 0)) - _FIRST_MOTOR: k
-            for k in range(1, 17)
-        }
+        """Numbers of the outputs of motors 1..n: of SERVOn_FUNCTION of ArduPilot or PWM_MAIN_FUNCn
+        of PX4 where they were sent, else the first."""
+        told: dict[int, int] = {}
+        for k in range(16, 0, -1):
+            for name, first in (
+                ("SERVO{}_FUNCTION", _FIRST_MOTOR),
+                ("PWM_MAIN_FUNC{}", _PX4_FIRST),
+            ):
+                told[int(self.parameters.get(name.format(k), 0)) - first] = k
         if all(i in told for i in range(motors)):
             return [told[i] for i in range(motors)]
         return list(range(1, motors + 1))

@@ -92,6 +92,21 @@ def test_speeds_that_are_not_good_are_left_out(tmp_path: Path, change: Any, why:
     assert not found.has("rotor_1")
 
 
+def test_pulses_of_oneshot125_are_an_eighth(tmp_path: Path) -> None:
+    """Until Copter 3.5 as they were sent, 125 to 250 us; the same commands come out."""
+    messages: dict[str, Any] = dict(flown_messages())
+    wide = {f"C{k}": 1500.0 + 50.0 * np.sin(SLOW + k) for k in range(1, 5)}
+    read = []
+    for factor, kind in ((1.0, 0), (0.125, 2), (1.0, 2)):
+        messages["RCOU"] = {"t": SLOW, **{k: np.round(factor * v) for k, v in wide.items()}}
+        path = tmp_path / f"{factor}_{kind}.bin"
+        ends = {"MOT_PWM_TYPE": kind, "MOT_PWM_MIN": 1000.0, "MOT_PWM_MAX": 2000.0}
+        path.write_bytes(dataflash(messages, FLOWN_PARAMS | ends))
+        read.append(read_flight(path).signal(["cmd_1", "cmd_2", "cmd_3", "cmd_4"])[1])
+    np.testing.assert_allclose(read[1], read[0], atol=0.005)  # whole us, eight of the others
+    np.testing.assert_array_equal(read[2], read[0])
+
+
 def test_instances_of_esc() -> None:
     """An output counted from 0, or the place among the outputs of motors."""
     assert instances_of((1, 2, 3, 4), [0, 1, 2, 3]) == [0, 1, 2, 3]
