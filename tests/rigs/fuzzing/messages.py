@@ -321,6 +321,17 @@ def _draw(rng: random.Random, sent: list[Sent]) -> Step:
     return name, given
 
 
+def _moves(sent: list[Sent]) -> bool:
+    """Whether the gyroscope reads more than one value."""
+    kind, read = "HIGHRES_IMU", set()
+    for one in sent:
+        if _name(one.content) == kind:
+            read.add(_values(_kind(one.content), one.content)["xgyro"])
+            if len(read) > 9:
+                return True
+    return False
+
+
 # -- the kinds --------------------------------------------------------------------------------
 
 
@@ -412,7 +423,7 @@ class Messages:
         if rng.random() < 0.25 or not sent:
             return draw_bytes(rng, blob)
         name, given = _draw(rng, sent)
-        if blob == self.bases()["rest"] and name in self.visible - {"stray", "stamp_add"}:
+        if name in self.visible - {"stray", "stamp_add", "lose"} and not _moves(sent):
             return draw_bytes(rng, blob)  # what rests contradicts nothing
         return name, given
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from sample_logs import flown_table
 
+from twin.errors import LogError
 from twin.explain.running.alarms import Verdict
 from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
@@ -107,6 +108,39 @@ def test_an_error_of_the_twin_ends_no_recording(
     told, flight = heard(copter, tmp_path / "r", datagrams())
     assert len(flight.table) == 600
     assert told.errors == ("the twin failed: FloatingPointError: as planted",)
+
+
+@pytest.mark.slow
+def test_a_full_disk_ends_neither_twin_nor_the_other_files(
+    copter: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The raw log fails after 1000 messages: the table is whole."""
+    count = [0]
+
+    def fill(*_: object) -> None:
+        count[0] += 1
+        if count[0] > 1000:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("uavtwin.live.recording.RawLog.add", fill)
+    told, flight = heard(copter, tmp_path / "r", datagrams())
+    assert len(flight.table) == 600 and told.waits_for == "" and told.rms
+    assert told.errors == ("raw.tlog failed: OSError: [Errno 28] No space left on device",)
+    assert count == [1001]
+
+
+@pytest.mark.slow
+def test_a_table_that_cannot_be_written_leaves_the_raw_log(
+    copter: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("uavtwin.live.recording.TableStream.append", fail)
+    with pytest.raises(LogError):
+        heard(copter, tmp_path / "r", datagrams())  # there is no table to read
+    raw = read_flight(tmp_path / "r" / "raw.tlog")
+    assert len(raw.table) == 600
 
 
 @pytest.mark.slow
