@@ -1,10 +1,12 @@
 """What the tables of a fleet say together: in rows in which something, or nothing, is planted."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from cli_rig import run
@@ -244,3 +246,22 @@ def test_the_page_says_how_many_were_tried_and_which_is_bad(
     assert "cut off" in text
     assert '<script src="' not in text
     assert "http://" not in text.partition('id="plotly"')[0]
+
+
+@pytest.mark.parametrize(
+    "column",
+    [pa.array([{"a": 1}] * 3), pa.array([b"\xff"] * 3), pa.array([1.0, 2.0, 3.0])],
+    ids=["struct", "bytes", "numbers"],
+)
+def test_tables_of_others_are_no_dataset(folder: Path, tmp_path: Path, column: pa.Array) -> None:
+    """A table of the name whose columns are others; one with a footer that is cut."""
+    for table in TABLES:
+        shutil.copy(folder / f"{table}.parquet", tmp_path)
+    path = tmp_path / "flights.parquet"
+    whole = path.read_bytes()
+    pq.write_table(pa.table({"log": column}), path)
+    with pytest.raises(TwinError, match=r"flights\.parquet: columns .*are missing, or of another"):
+        query(tmp_path, "select log from flights")
+    path.write_bytes(whole[:-100])
+    with pytest.raises(TwinError, match=r"flights\.parquet: damaged Parquet file"):
+        query(tmp_path, "select log from flights")
