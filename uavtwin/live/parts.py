@@ -28,6 +28,7 @@ class Part(Enum):
     ROWS = "the flight table"
     RAW = "raw.tlog"
     TABLES = "recorded tables"
+    SECTION = "the flight section"
     TWIN = "the twin"
     SHOWN = "the twin that is shown"
     PUBLISHER = "the publisher"

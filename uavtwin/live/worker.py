@@ -133,16 +133,17 @@ class Worker:
         while True:
             item = self._queue.get()
             if isinstance(item, Batch):
-                self._take(item)
+                self._parts.run(Part.SECTION, self._take, item)
                 continue
-            self._finish()
+            self._parts.run(Part.SECTION, self._finish)
             if isinstance(item, _End):
                 return
-            self._anew()
+            self._parts.run(Part.SECTION, self._anew)
 
     def _take(self, batch: Batch) -> None:
         rows = batch.rows
-        if self._running.lacks([c for c in rows if c not in ("time", "phase")]):
+        columns = [c for c in rows if c not in ("time", "phase")]
+        if self._parts.run(Part.TWIN, self._running.lacks, columns):
             self._finish()
             self._anew()
         self._parts.run(Part.TWIN, self._running.append, rows)

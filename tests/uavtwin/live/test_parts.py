@@ -15,6 +15,7 @@ from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.dialect import AUTOPILOT, dialect, parser
 from twin.logs.mavlink.encode import heartbeat
+from twin.residuals.running.residuals import RunningResiduals
 from twin.residuals.running.table import Rows
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
@@ -25,6 +26,7 @@ from uavtwin.live.played import played
 from uavtwin.live.receiver import MORE_OTHERS, Receiver
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.told import LiveTold
+from uavtwin.live.worker import Worker
 
 
 @pytest.fixture(scope="module")
@@ -95,19 +97,30 @@ def test_an_error_of_alarms_or_page_ends_no_recording(copter: Vehicle, tmp_path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", ["_running.append", "_running.update"])
+@pytest.mark.parametrize(
+    ("where", "name", "part"),
+    [
+        (RunningResiduals, "append", "the twin"),
+        (RunningResiduals, "update", "the twin"),
+        (RunningResiduals, "lacks", "the twin"),
+        (Worker, "_tell", "the flight section"),
+    ],
+)
 def test_an_error_of_the_twin_ends_no_recording(
-    copter: Vehicle, tmp_path: Path, part: str, monkeypatch: pytest.MonkeyPatch
+    copter: Vehicle,
+    tmp_path: Path,
+    where: type,
+    name: str,
+    part: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from twin.residuals.running.residuals import RunningResiduals
-
     def fail(*_: object, **__: object) -> None:
         raise FloatingPointError("as planted")
 
-    monkeypatch.setattr(RunningResiduals, part.partition(".")[2], fail)
+    monkeypatch.setattr(where, name, fail)
     told, flight = heard(copter, tmp_path / "r", datagrams())
     assert len(flight.table) == 600
-    assert told.errors == ("the twin failed: FloatingPointError: as planted",)
+    assert told.errors == (f"{part} failed: FloatingPointError: as planted",)
 
 
 @pytest.mark.slow
