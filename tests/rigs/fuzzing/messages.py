@@ -99,7 +99,10 @@ def _with(kind: Any, frame: bytes, changes: dict[str, Any]) -> bytes:
     for name in kind.ordered_fieldnames:
         value = values[name]
         flat += value if isinstance(value, list) else [value]
-    payload = kind.unpacker.pack(*flat).rstrip(b"\0") or b"\0"
+    try:
+        payload = kind.unpacker.pack(*flat).rstrip(b"\0") or b"\0"
+    except struct.error:  # a negative number in a field that has no sign
+        return frame
     head = bytes([0xFD, len(payload), *frame[2:_HEAD]])
     checksum = dialect.x25crc(head[1:] + payload + bytes([kind.crc_extra])).crc
     return head + payload + struct.pack("<H", checksum)
