@@ -21,6 +21,7 @@ from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, flying_twin, responds_to_wind, wind_starts
 from twin.flight.mission import mission_names
+from twin.frames import AXES
 from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
@@ -180,19 +181,17 @@ def ineffective(twin: Assembly, scenario: Scenario) -> list[str]:
         if number != "enabled" and starts.get(f"{part}.{effect}.enabled", 1.0) == 0.0
     ]
     blown = [
-        name
-        for name, value in {
-            "wind": any(starts.get(f"environment.wind.{a}", 0.0) for a in "xyz"),
-            "gusts": starts.get("environment.gust.enabled", 0.0),
-            "steady_wind": starts.get("airframe.steady_wind.enabled", 0.0),
-        }.items()
-        if value
+        e.name.replace("_", " ")
+        for e in EFFECTS.values()
+        if e.of_weather and starts.get(f"{e.component}.{e.name}.enabled")
     ]
+    if any(starts.get(f"environment.wind.{a}") for a in AXES):
+        blown.insert(0, "wind")
     if blown and not responds_to_wind(twin):
         off.append(
             f"{' and '.join(blown)}: changes nothing, no part of this aircraft responds to the "
-            f"air: its file has no drag. Add --effect rotor_drag, or find its drag with `uavtwin "
-            f"explain`."
+            f"air: its file has no drag. Switch one on (docs/reference/effects.md), or find it "
+            f"with `uavtwin explain`."
         )
     return off
 

@@ -54,8 +54,8 @@ def windy(tmp_path_factory: pytest.TempPathFactory) -> System:
     ("vehicle", "shaped", "says"),
     [
         ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0)}, ["wind: changes nothing"]),
-        ("copter_default", {"gusts": True}, ["gusts: changes nothing"]),
-        ("copter_default", {"effects": ("steady_wind",)}, ["steady_wind: changes nothing"]),
+        ("copter_default", {"gusts": True}, ["gust: changes nothing"]),
+        ("copter_default", {"effects": ("steady_wind",)}, ["steady wind: changes nothing"]),
         ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0), "effects": ("rotor_drag",)}, []),
         ("copter_default", {"wind_m_s": (15.0, 0.0, 0.0), "effects": ("blade_flapping",)}, []),
         (
