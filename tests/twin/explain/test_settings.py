@@ -106,6 +106,12 @@ LOCAL = {
         "estimates.UNTOLD",
         "estimates.MOST_OF_PRIOR",
     },
+    "how many columns are held in memory at a time": {"model.flight.TOGETHER"},
+    "how numbers are rounded": {
+        "inference.evidence.LEAST_EIGENVALUE",
+        "running.noise._RESOLVED",
+        "running.silent._LEAST_POWER",
+    },
     "mathematics": {
         "inference.fit.INTERVAL",  # 95 % intervals
         "inference.detectable.POWER_95",
