@@ -7,6 +7,7 @@ from typing import Any
 
 from fmus.inspect import inspect_fmu
 from twin.draft import Hover, drives, hover_of
+from twin.draft.consistency import consistency
 from twin.errors import ModelError, TwinError
 from twin.explain.told import told_by
 from twin.logs import AnyFlight, open_flight
@@ -201,7 +202,12 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         LogError: The flight cannot be compared with the vehicle.
     """
     hover = hover_of(flight)
-    beside, diagnosis = ({}, None) if vehicle is None else hover_beside(flight, hover, vehicle)
+    beside: dict[str, str] = {}
+    diagnosis, contradicts = None, ""
+    if vehicle is not None:
+        contradicts = consistency(flight, vehicle).error
+        if not contradicts:
+            beside, diagnosis = hover_beside(flight, hover, vehicle)
     facts = {
         **aircraft_facts(flight, hover),
         **beside,
@@ -224,7 +230,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
     return CheckReport(
         file,
         facts,
-        (*said("error"), *useless),
+        (*said("error"), *([contradicts] if contradicts else ()), *useless),
         said("warning"),
         (*said("info"), *_unfit(flight)),
         uses,

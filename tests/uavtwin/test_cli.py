@@ -267,6 +267,9 @@ def test_rotors_that_contradict_the_log_are_refused_before_any_search(
         assert "rotors.direction of mine.toml says cw for rotor 1" in said
         assert "SYS_AUTOSTART 4001 of the log" in said
         assert not out.exists(), verb
+    code, said, _ = run(capsys, "check", log, "--vehicle", mine)
+    assert code == 1
+    assert "the vehicle file contradicts the log" in said and "good for: gap" in said
     code, _, said = run(capsys, "gap", log, "--vehicle", mine, "--out", out, "--trust-vehicle")
     assert code == 0, said
     code, _, said = run(capsys, "gap", log, "--vehicle", VEHICLE, "--out", out, "--force")

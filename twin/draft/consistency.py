@@ -18,6 +18,8 @@ from scipy.optimize import linear_sum_assignment
 
 from ..errors import ModelError
 from ..logs import AnyFlight, Flight
+from ..logs.agreement import signals
+from ..logs.motor_checks import doubt_moments
 from ..vehicle import Vehicle
 from ..vehicle.layouts import CW, Layout
 from .turning import CLEAR, turning
@@ -74,13 +76,16 @@ def check_airframe(flight: AnyFlight, vehicle: Vehicle) -> None:
 
 
 def consistency(flight: AnyFlight, vehicle: Vehicle) -> Consistency:
-    """Hold a vehicle against what the log of a flight states of the aircraft; silent where it
-    states nothing."""
-    airframe = flight.airframe
+    """Hold a vehicle against what the log of a flight states of the aircraft; where it states
+    nothing of its rotors, against how the flight turned."""
+    airframe, file = flight.airframe, vehicle.file or vehicle.name
+    if airframe is None or airframe.layout is None or not airframe.layout.places_known:
+        turned = _turned_otherwise(flight, vehicle, file)
+    else:
+        turned = []
     if airframe is None:
-        return Consistency()
-    file = vehicle.file or vehicle.name
-    warnings = [*_sizes(flight, vehicle, file), *_cells(flight, vehicle, file)]
+        return Consistency(warnings=tuple(turned))
+    warnings = [*turned, *_sizes(flight, vehicle, file), *_cells(flight, vehicle, file)]
     warnings += _cutoffs(flight, vehicle, file)
     layout, count = airframe.layout, vehicle.rotors.count
     driven = flight.has(f"cmd_{count}") and not flight.has(f"cmd_{count + 1}")
@@ -214,13 +219,29 @@ def _bearing(plane: Array) -> str:
     return f"{np.degrees(np.arctan2(plane[1], plane[0])):+.0f} deg"
 
 
+def _turned_otherwise(flight: AnyFlight, vehicle: Vehicle, file: str) -> list[str]:
+    """Warnings that the flight did not turn as the commands to the rotors of the file would have
+    it; none where the motion or the commands do not say."""
+    part = _beginning(flight)
+    there = signals(part.columns)
+    if len(there.get("cmd", ())) != vehicle.rotors.count:
+        return []
+    rotors = vehicle.rotors
+    own = Layout(rotors.position_m, rotors.direction, True, 0.0, file)
+    return [f.message for f in doubt_moments(part.columns, there, own)]
+
+
+def _beginning(flight: AnyFlight) -> AnyFlight:
+    """The first part of a flight that is left in its file, a flight in memory as it is."""
+    begin_s = float(flight.time_s[0])
+    return flight if isinstance(flight, Flight) else flight.between(begin_s, begin_s + _LONGEST_S)
+
+
 def _as_the_vehicle(
     flight: AnyFlight, layout: Layout, vehicle: Vehicle, found: _Differences
 ) -> str:
     """Clause that the flight turned as the vehicle file has it and not as its log does; ""."""
-    begin_s = float(flight.time_s[0])
-    part = flight if isinstance(flight, Flight) else flight.between(begin_s, begin_s + _LONGEST_S)
-    rotors = vehicle.rotors
+    part, rotors = _beginning(flight), vehicle.rotors
     own = Layout(rotors.position_m, rotors.direction, True, 0.0, "vehicle file")
     by_file, by_log = turning(part, own), turning(part, layout)
     if by_file is None or by_log is None:

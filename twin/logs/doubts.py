@@ -277,7 +277,10 @@ def _one_apart(table: Columns, there: Signals) -> Iterator[Finding]:
         mean = values.mean(axis=1)
         if len(mean) < _FEWEST:
             continue
-        usual = np.median(values[mean > 0.5 * np.quantile(mean, 0.9)], axis=0)
+        driven = mean > 0.5 * np.quantile(mean, 0.9)
+        if not driven.any():
+            continue
+        usual = np.median(values[driven], axis=0)
         for k, column in enumerate(there[name]):
             others = float(np.median(np.delete(usual, k)))
             if others > 0 and not 1 / _APART < usual[k] / others < _APART:

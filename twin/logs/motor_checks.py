@@ -348,7 +348,7 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
     reached = np.stack([*(np.take_along_axis(r2[:, a], lag[None], axis=0)[0] for a in (0, 1)), yaw])
     alike = (np.abs(reached[axes] - other[axes, None]) < _ALIKE).all(axis=0)
     measured = ", ".join(
-        f"{_AXES[a]} {max(own[a], 0.0):.2f} as the log has it, {other[a]:.2f} so" for a in axes
+        f"{_AXES[a]} {max(own[a], 0.0):.2f} as stated, {other[a]:.2f} so" for a in axes
     )
     changed = np.array([0, *(o.changes for o in others)])
     least = alike & (changed == changed[alike].min())
@@ -359,7 +359,7 @@ def doubt_moments(table: Columns, there: Signals, layout: Layout) -> list[Findin
         message = f"the aircraft turns as if {told}{several} (R2 about {measured})"
     else:
         message = (
-            "the aircraft does not turn as the commands of the log would have it, and several "
+            "the aircraft does not turn as its commands would have it, and several "
             f"other orders or signs of them would do (R2 about {measured})"
         )
     message += (

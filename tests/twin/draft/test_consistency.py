@@ -15,10 +15,11 @@ from twin.errors import ModelError
 from twin.logs import Flight, read_flight
 from twin.logs.airframe import Airframe, Cells, Told
 from twin.logs.ardupilot.geometry import CLASSES, TYPES, geometry
-from twin.residuals.teacher_forced import choose_drive
+from twin.residuals.teacher_forced import choose_drive, drive_warnings
 from twin.vehicle import Battery, Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.layouts import CCW, CW, FRAMES, Layout, frame
+from uavtwin.demo.flights import fly
 
 Array = NDArray[np.float64]
 BASE = replace(load_vehicle("copter_default"), file="mine.toml")
@@ -244,3 +245,21 @@ def test_recorded_flights_agree_with_their_vehicles(file: str, name: str) -> Non
     if flight.airframe is not None and (layout := flight.airframe.layout) is not None:
         assert consistency(flight, of(layout.position, layout.direction)).error == ""
         assert consistency(flight, of(layout.position, -layout.direction)).error != ""
+
+
+@pytest.mark.slow
+def test_a_flight_whose_log_states_no_rotors_is_asked_how_it_turned() -> None:
+    """Of a table the commands and the motion alone say which rotor is which."""
+    vehicle = load_vehicle("copter_default")
+    flight = fly(vehicle, vehicle, seed=2)
+    assert flight.airframe is None
+    assert not consistency(flight, vehicle).warnings
+    rotors = vehicle.rotors
+    order = [1, 0, 2, 3]
+    moved = replace(rotors, position_m=rotors.position_m[order], direction=rotors.direction[order])
+    wrong = replace(vehicle, rotors=moved, file="mine.toml")
+    (warning,) = consistency(flight, wrong).warnings
+    assert "turns as if cmd_1 drove rotor 2, cmd_2 drove rotor 1" in warning
+    assert "Its rotors are those of mine.toml" in warning
+    assert consistency(flight, wrong).error == ""
+    assert any("as if cmd_1 drove rotor 2" in text for text in drive_warnings(flight, wrong))
