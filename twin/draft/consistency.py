@@ -231,7 +231,7 @@ def _turned_otherwise(flight: AnyFlight, vehicle: Vehicle, file: str) -> list[st
     return [f.message for f in doubt_moments(part.columns, there, own)]
 
 
-def _beginning(flight: AnyFlight) -> AnyFlight:
+def _beginning(flight: AnyFlight) -> Flight:
     """The first part of a flight that is left in its file, a flight in memory as it is."""
     begin_s = float(flight.time_s[0])
     return flight if isinstance(flight, Flight) else flight.between(begin_s, begin_s + _LONGEST_S)
