@@ -20,9 +20,16 @@ CORPUS = Path(__file__).with_name("corpus.jsonl")
 
 
 def search(
-    names: list[str], most: int, seconds: float, seed: int, bases: Sequence[str] = ()
+    names: list[str],
+    most: int,
+    seconds: float,
+    seed: int,
+    bases: Sequence[str] = (),
+    changes: Sequence[str] = (),
 ) -> Iterator[Result]:
     """Results of recipes, until there are as many or the time is over.
+
+    With `changes`, recipes that end with another change are left out.
 
     Each kind is given as much time, so that of those that are read at once there are more.
     """
@@ -34,7 +41,9 @@ def search(
             if now - begun > seconds:
                 break
             name = min(names, key=lambda n: spent[n])
-            yield child.run(next(streams[name]))
+            yield child.run(
+                next(r for r in streams[name] if not changes or r.steps[-1][0] in changes)
+            )
             spent[name] -= now - (now := time.monotonic())
 
 
@@ -66,6 +75,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, help="at most; 10 where no count is given")
     parser.add_argument("--count", type=int, help="inputs in all")
     parser.add_argument("--bases", nargs="+", default=[], help="change these sound files alone")
+    parser.add_argument("--changes", nargs="+", default=[], help="recipes that end with these")
     parser.add_argument("--seed", type=int, default=time.time_ns() % 2**32)
     parser.add_argument("--kinds", nargs="+", choices=list(KINDS), default=list(KINDS))
     parser.add_argument("--show-silent", action="store_true", help="their recipes")
@@ -75,7 +85,8 @@ def main() -> None:
     most = given.count or sys.maxsize
     known = set(CORPUS.read_text().splitlines()) if CORPUS.exists() else set()
     found: list[Result] = []
-    results = search(given.kinds, most, 60.0 * minutes, given.seed, given.bases)
+    seconds = 60.0 * minutes
+    results = search(given.kinds, most, seconds, given.seed, given.bases, given.changes)
     for result in _until_interrupted(results):
         found.append(result)
         if len(found) % 1000 == 0:

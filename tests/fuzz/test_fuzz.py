@@ -1,13 +1,16 @@
 """Inputs that once felled a reader, and some seconds of a search for more."""
 
+import random
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_rig import run as cli
 from fuzzing.all_kinds import KINDS, kind
 from fuzzing.engine import Child, Recipe, Result, recipes
+from fuzzing.layout import draw_axis_fault, motion
 from places import lacking
 
 CORPUS = [
@@ -98,3 +101,29 @@ def test_a_fault_is_seen(child: Child, to: str, outcome: str, text: str) -> None
     result = child.run(Recipe("faulty", "sound", (("set", {"to": to}),)))
     assert result.outcome == outcome and text in result.text
     assert result.visible and result.fault == (outcome in ("crash", "killed"))
+
+
+@pytest.mark.parametrize(
+    ("quantity", "still", "moved"), [("gyro", 0.002, 0.02), ("acc", 0.05, 0.5), ("vel", 0.02, 0.2)]
+)
+def test_an_axis_that_hardly_moves_is_not_counted(
+    quantity: str, still: float, moved: float
+) -> None:
+    """A sine of a period of 2 s: its mean over half a second is 0.9 of it at most."""
+    rng, t_s = random.Random(1), np.arange(0.0, 20.0, 0.01)
+    noise = 0.1 * np.random.default_rng(1).standard_normal(len(t_s))
+    for size, expected in ((still, True), (moved, False)):
+        values = 9.8 + size * np.sin(np.pi * t_s) + size * noise
+        given = draw_axis_fault(rng, "axis_scale", quantity, t_s, values)
+        assert given.get("still", False) is expected
+        assert "still" not in draw_axis_fault(rng, "axis_freeze", quantity, t_s, values)
+    assert np.isnan(motion(t_s[:3], t_s[:3]))
+
+
+def test_what_is_still_is_not_visible(child: Child) -> None:
+    """The same recipe with and without the mark."""
+    step = {"topic": "IMU", "field": "GyrX", "by": 0.3}
+    for still in ({}, {"still": True}):
+        result = child.run(Recipe("dataflash", "flown", (("axis_scale", step | still),)))
+        assert result.outcome == "told"
+        assert result.visible is not bool(still)

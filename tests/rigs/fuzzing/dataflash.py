@@ -123,8 +123,14 @@ class DataFlash:
                 given |= {"at": rng.uniform(0.4, 0.6), "lasting_s": rng.choice((0.4, 1.0, 5.0))}
             case "axis_sign" | "axis_scale" | "axis_freeze":
                 topic = rng.choice([t for t in AXES if t in topics])
-                given = {"topic": topic, "field": rng.choice(AXES[topic])}
-                given |= draw_axis_fault(rng, name)
+                field, place = rng.choice(AXES[topic]), topics[topic]
+                given = {"topic": topic, "field": field}
+                if not {field, "TimeUS"} <= place.fields.keys():
+                    return draw_bytes(rng, blob)
+                quantity = {"G": "gyro", "A": "acc", "V": "vel"}[field[0]]
+                t_s = 1e-6 * place.get(blob, "TimeUS").astype(np.float64)
+                values = place.get(blob, field).astype(np.float64)
+                given |= draw_axis_fault(rng, name, quantity, t_s, values)
             case "freeze":
                 given = {"topic": rng.choice(moving), "from": rng.uniform(0.2, 0.4)}
             case "absurd":

@@ -47,7 +47,8 @@ class Kind(Protocol):
         ...
 
     visible: frozenset[str]
-    """Changes of which a finding is possible: silence is a fault."""
+    """Changes of which a finding is possible, except where their arguments have `still`: silence is
+    a fault."""
 
     def bases(self) -> dict[str, bytes]:
         """Sound files by name."""

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from sample_logs import flown_table
 
 from twin.logs import Flight, read_flight
@@ -299,7 +300,10 @@ def _draw(rng: random.Random, sent: list[Sent]) -> Step:
         case "axis_sign" | "axis_scale" | "axis_freeze":
             field = rng.choice(AXES)
             kind = next(k for k, fields in SENSED.items() if field in fields)
-            given = {"kind": kind, "field": field} | draw_axis_fault(rng, name)
+            given = {"kind": kind, "field": field}
+            given |= draw_axis_fault(
+                rng, name, "vel" if field[0] == "v" else field[1:], *_samples(sent, kind, field)
+            )
         case _:
             given = {"kind": rng.choice(steady), "from": rng.choice((0.0, 0.3, 0.5))}
             if name in ("gap", "ends"):
@@ -322,6 +326,13 @@ def _draw(rng: random.Random, sent: list[Sent]) -> Step:
                 )
                 given["to"] = repr(rng.choice(ABSURD))
     return name, given
+
+
+def _samples(sent: list[Sent], kind: str, field: str) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Times, s, and values of a field of one kind of message, shape (n,)."""
+    found = [_values(_kind(s.content), s.content) for s in sent if _name(s.content) == kind]
+    t_s = [1e-6 * v["time_usec"] for v in found]
+    return np.array(t_s, np.float64), np.array([v[field] for v in found], np.float64)
 
 
 def _moves(sent: list[Sent]) -> bool:

@@ -133,7 +133,13 @@ class Tables:
                 given = {"column": rng.choice(("acc_z", "vel_x", "vel_z", "pos_y", "pos_z"))}
             case "axis_sign" | "axis_scale" | "axis_freeze":
                 axes = [c for c in columns if c[:-1] in ("acc_", "gyro_", "vel_")]
-                given = {"column": rng.choice(axes)} | draw_axis_fault(rng, name)
+                column = rng.choice(axes)
+                t_s, values = (
+                    pd.to_numeric(frame[c], errors="coerce").to_numpy(np.float64)
+                    for c in ("time", column)
+                )
+                given = {"column": column}
+                given |= draw_axis_fault(rng, name, column[:-2], t_s, values)
             case "shuffle":
                 given = {"stem": rng.choice(("q", "vel", "gyro")), "seed": rng.getrandbits(32)}
             case "time_times":

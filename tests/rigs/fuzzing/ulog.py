@@ -164,7 +164,12 @@ class ULogs:
                 fields = [f for f in AXES.get(topic, ()) if f in topics[topic].fields]
                 if not fields:
                     return draw_bytes(rng, blob)
-                given = {"topic": topic, "field": rng.choice(fields)} | draw_axis_fault(rng, name)
+                field, place = rng.choice(fields), topics[topic]
+                quantity = "vel" if field[0] == "v" else "gyro" if field[0] == "g" else "acc"
+                t_s = 1e-6 * place.get(blob, "timestamp").astype(np.float64)
+                values = place.get(blob, field).astype(np.float64)
+                given = {"topic": topic, "field": field}
+                given |= draw_axis_fault(rng, name, quantity, t_s, values)
             case "absurd":
                 used = [t for t in INPUTS if t in topics and {*INPUTS[t]} & {*topics[t].fields}]
                 if not used:

@@ -67,7 +67,8 @@ def main() -> None:
         for line in sys.stdin:
             recipe = Recipe.parse(line)
             outcome, text = _outcome(recipe, Path(name))
-            visible = recipe.steps[-1][0] in kind(recipe.kind).visible  # it may hide earlier ones
+            change, given = recipe.steps[-1]  # it may hide earlier ones
+            visible = change in kind(recipe.kind).visible and not given.get("still", False)
             out.write(json.dumps({"outcome": outcome, "text": text, "visible": visible}) + "\n")
             out.flush()
 
