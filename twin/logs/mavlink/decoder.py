@@ -25,8 +25,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from ...frames import from_euler, to_ned
+from ..ardupilot.parameters import motor_channels
 from ..columns import MAX_MOTORS
 from ..limits import LIMITS
+from ..px4.outputs import motor_functions
 from .dialect import AUTOPILOTS, GCS, MOTORS, Message, dialect
 from .samples import LANDED, Sample
 from .stamps import Stamp, StampGate
@@ -38,10 +40,8 @@ T_PER_GAUSS = 1e-4
 PA_PER_HPA = 100.0
 _RPM = 2 * math.pi / 60
 _PULSES_US = (1000.0, 2000.0)
-_FIRST_MOTOR = 33
-"""SERVOn_FUNCTION of ArduPilot's motor 1."""
-_PX4_FIRST = 101
-"""PWM_MAIN_FUNCn of PX4's motor 1."""
+_SERVOS = 16
+"""Outputs in a SERVO_OUTPUT_RAW."""
 _UNKNOWN_16 = 65535
 _MOST_PARAMETERS = 4096
 """Names of parameters that are kept; autopilots have up to some 2000."""
@@ -274,23 +274,21 @@ class MavlinkDecoder:
         t = self._at_32(m.time_usec)
         if self.motors is None or m.port:
             return
-        outputs = self._motor_outputs(self.motors)
-        values = [getattr(m, f"servo{k}_raw") for k in outputs]
-        yield self._commands("SERVO_OUTPUT_RAW", t, values)
+        outputs = self.motor_outputs or list(range(1, self.motors + 1))
+        if max(outputs) <= _SERVOS:
+            values = [getattr(m, f"servo{k}_raw") for k in outputs]
+            yield self._commands("SERVO_OUTPUT_RAW", t, values)
 
-    def _motor_outputs(self, motors: int) -> list[int]:
-        """Numbers of the outputs of motors 1..n: of SERVOn_FUNCTION of ArduPilot or PWM_MAIN_FUNCn
-        of PX4 where they were sent, else the first."""
-        told: dict[int, int] = {}
-        for k in range(16, 0, -1):
-            for name, first in (
-                ("SERVO{}_FUNCTION", _FIRST_MOTOR),
-                ("PWM_MAIN_FUNC{}", _PX4_FIRST),
-            ):
-                told[int(self.parameters.get(name.format(k), 0)) - first] = k
-        if all(i in told for i in range(motors)):
-            return [told[i] for i in range(motors)]
-        return list(range(1, motors + 1))
+    @property
+    def motor_outputs(self) -> list[int]:
+        """Outputs of motors 1..n by SERVOn_FUNCTION of ArduPilot or PWM_MAIN_FUNCn of PX4; [] where
+        these parameters were not sent."""
+        outputs = motor_channels(self.parameters)
+        if len(outputs) != self.motors:
+            found = motor_functions(self.parameters, "PWM_MAIN").items()
+            channel = {motor: c + 1 for (_, c), motor in found}
+            outputs = [channel.get(k, 0) for k in range(1, (self.motors or 0) + 1)]
+        return outputs if all(outputs) else []
 
     def _commands(self, kind: str, t: int, values: Sequence[float]) -> Sample:
         """Commands 0..1 of outputs; a pulse a little outside its range counts as its end."""

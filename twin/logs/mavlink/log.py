@@ -247,6 +247,9 @@ def _note(log: _Log, decoder: MavlinkDecoder, link: Link, system: int, table: pd
         log.note("error", group, f"samples left out: {why}", count)
     if decoder.motors is None and decoder.kinds["ACTUATOR_OUTPUT_STATUS"]:
         log.note("warning", "cmd", "no heartbeat says how many motors there are; left out")
+    if "cmd_1" in table and decoder.kinds["SERVO_OUTPUT_RAW"] and not decoder.motor_outputs:
+        message = "no SERVOn_FUNCTION and no PWM_MAIN_FUNCn was sent: output k taken for motor k"
+        log.note("warning", "cmd", message)
     if "cmd_1" in table and not any(
         n.endswith(("PWM_MIN", "MAIN_MIN")) for n in decoder.parameters
     ):

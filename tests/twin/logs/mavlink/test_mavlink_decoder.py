@@ -1,7 +1,8 @@
 """Messages as pymavlink packs them against the decoder, and the encoder against both."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -142,6 +143,39 @@ def test_outputs_of_ardupilot_by_their_function() -> None:
     servo = dialect.MAVLink_servo_output_raw_message(1, 0, 1, 1, 1, 1, 1100, 1200, 1300, 1400)
     (cmd,) = (s for s in decoded(ardupilot, *functions, servo) if s.group == "cmd")
     assert cmd.values == pytest.approx((0.1, 0.2, 0.3, 0.4))
+
+
+def functions_of(name: str, values: Sequence[float], kind: int = 4) -> list[Any]:
+    """Parameters of outputs 1, 2, ... with these functions."""
+    return [
+        dialect.MAVLink_param_value_message(name.format(k).encode(), value, kind, 1, 0)
+        for k, value in enumerate(values, start=1)
+    ]
+
+
+def test_motors_9_to_12_of_ardupilot_have_functions_of_their_own() -> None:
+    """82 to 85; the outputs behind the eighth are an extension of the message."""
+    functions = functions_of("SERVO{}_FUNCTION", [85, 84, 83, 82, *range(33, 41)])
+    dodeca = dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_DODECAROTOR, dialect.MAV_AUTOPILOT_ARDUPILOTMEGA, 0, 0, 4, 3
+    )
+    pulses = [1900, 1800, 1700, 1600, *range(1100, 1500, 50)]
+    servo = dialect.MAVLink_servo_output_raw_message(1, 0, *pulses, *[0] * 4)
+    found = decoded(dodeca, *functions, servo, motors=None)
+    (cmd,) = (s for s in found if s.group == "cmd")
+    behind = (0.6, 0.7, 0.8, 0.9)
+    assert cmd.values == pytest.approx((*np.arange(0.1, 0.5, 0.05), *behind))
+
+
+def test_outputs_of_px4_by_their_function() -> None:
+    ints = np.array([103, 101, 104, 102, 402], dtype=np.int32).view(np.float32)
+    functions = functions_of("PWM_MAIN_FUNC{}", [float(v) for v in ints], 6)
+    px4 = dialect.MAVLink_heartbeat_message(2, 12, 0, 0, 4, 3)
+    servo = dialect.MAVLink_servo_output_raw_message(1, 0, 1300, 1100, 1400, 1200, 1900, 0, 0, 0)
+    (cmd,) = (s for s in decoded(px4, *functions, servo) if s.group == "cmd")
+    assert cmd.values == pytest.approx((0.1, 0.2, 0.3, 0.4))
+    (guessed,) = (s for s in decoded(px4, *functions[:3], servo) if s.group == "cmd")
+    assert guessed.values == pytest.approx((0.3, 0.1, 0.4, 0.2))
 
 
 def test_integers_of_px4_are_sent_as_their_bytes() -> None:
