@@ -96,14 +96,14 @@ def is_known(name: str) -> bool:
 
 
 def in_order(names: Iterable[str]) -> list[str]:
-    """Known column names in the order of the definition, motors by number."""
+    """Column names in the order of the definition, motors by number; then unknown ones."""
     rank = {c.name: k for k, c in enumerate(COLUMNS)}
 
     def key(name: str) -> tuple[int, int]:
         """Rank of the definition, then number of the motor."""
         number = motor_number(name)
         if number is None:
-            return rank[name], 0
+            return rank.get(name, len(rank)), 0
         return rank[name[: name.index("_")] + "_{i}"], number
 
     return sorted(names, key=key)

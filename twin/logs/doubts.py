@@ -32,6 +32,7 @@ _LEVEL = 0.9999
 """Component of a quaternion that rounds to one while the others change by little."""
 _APART = 2.0
 """Factor between one motor and the others; of recorded flights it is 0.84 to 1.18."""
+_OF_MOTION = ("acc", "gyro", "q", "vel", "pos")
 _AIRBORNE = ("hover", "forward", "tour")
 
 
@@ -215,7 +216,8 @@ def _doubt_height(table: Columns) -> list[Finding]:
 
 
 def _frozen(table: Columns, there: Signals) -> list[Finding]:
-    """Signals that keep a value for seconds of a flight in which they change otherwise."""
+    """Signals that keep a value for seconds of a flight, or for all of it, while others change;
+    and a flight in which no signal of the motion changes."""
     ground = np.asarray(table["phase"] == "ground")
     time = table["time"]
     found = [
@@ -226,11 +228,18 @@ def _frozen(table: Columns, there: Signals) -> list[Finding]:
         if not ground[(time > begin) & (time < end)].all()
     ]
     moves = _moving(table, there, found)
-    whole = [
-        Finding("warning", name, f"stands still from {begin:.2f} to {end:.2f} s, changes otherwise")
-        for (name, begin, end), moving in zip(found, moves, strict=True)
-        if moving
-    ]
+    whole = []
+    for (name, begin, end), moving in zip(found, moves, strict=True):
+        if moving:
+            always = not _changed(samples(table, there[name])[1]).any()
+            otherwise = "all of its samples" if always else "changes otherwise"
+            message = f"stands still from {begin:.2f} to {end:.2f} s, {otherwise}"
+            whole.append(Finding("warning", name, message))
+    of_motion = [name for name in _OF_MOTION if name in there]
+    still = {name for name, _, _ in found}
+    if of_motion and still.issuperset(of_motion) and not moves.any():
+        message = f"nothing of the motion changes in the flight: {', '.join(of_motion)} stand still"
+        whole.append(Finding("error", "flight", message))
     return [*whole, *_frozen_axes(table, there, ground)]
 
 
@@ -311,7 +320,8 @@ def _unpowered(table: Columns, there: Signals) -> list[Finding]:
 
 
 def _still(t_s: Array, values: Array, may_stand: bool) -> list[tuple[float, float]]:
-    """Spans, s, over which a signal keeps its value for much longer than it does otherwise.
+    """Spans, s, over which a signal keeps its value for much longer than it does otherwise; all of
+    its time where it never changes.
 
     Args:
         t_s: Shape (n,).
@@ -319,6 +329,8 @@ def _still(t_s: Array, values: Array, may_stand: bool) -> list[tuple[float, floa
         may_stand: Whether all zeros are no fault: motors that stand.
     """
     changes = np.flatnonzero(_changed(values)) + 1
+    if len(t_s) >= _FEWEST and not len(changes) and not (may_stand and not values[0].any()):
+        return [(float(t_s[0]), float(t_s[-1]))] if t_s[-1] - t_s[0] > _FROZEN_S else []
     if len(changes) < _FEWEST:
         return []
     off = np.zeros(len(t_s), dtype=np.bool_)
@@ -346,7 +358,7 @@ def _moving(
 ) -> NDArray[np.bool_]:
     """Whether a signal of the motion changes all along each span, other than that of the span."""
     moving = np.zeros(len(spans), dtype=np.bool_)
-    for name in ("acc", "gyro", "q", "vel", "pos"):
+    for name in _OF_MOTION:
         asked = [k for k, span in enumerate(spans) if not moving[k] and span[0] != name]
         if not asked or name not in there:
             continue

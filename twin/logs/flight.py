@@ -14,7 +14,7 @@ from ..errors import LogError
 from ..representation import short_repr
 from .airframe import Airframe
 from .autopilot import Autopilot
-from .columns import Columns
+from .columns import Columns, in_order
 
 Array = NDArray[np.float64]
 Severity = Literal["info", "warning", "error"]
@@ -111,8 +111,8 @@ class Flight:
 
     @property
     def columns(self) -> Columns:
-        """The table by column."""
-        return {str(c): self.table[c].to_numpy() for c in self.table}
+        """The table by column, in the order of the definition: motors by number, not by place."""
+        return {c: self.table[c].to_numpy() for c in in_order(map(str, self.table))}
 
     @property
     def time_s(self) -> Array:

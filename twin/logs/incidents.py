@@ -46,14 +46,14 @@ def _tip_over(table: Columns) -> list[Finding]:
     if any(c not in table for c in QUAT) or not drives:
         return []
     t_s, q = samples(table, QUAT)
-    t_cmd, cmd = samples(table, drives)
-    if len(t_s) < _FEWEST or len(t_cmd) < _FEWEST:
-        return []
-    still = _at_rest(table, t_s, q)
     upright = 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)  # cosine of the tilt
-    if still is None:
-        return []
     tilted = upright < _LYING_COS
+    if len(t_s) < _FEWEST or not tilted.any():
+        return []  # of a long flight, before anything else of it is held
+    t_cmd, cmd = samples(table, drives)
+    still = _at_rest(table, t_s, q)
+    if len(t_cmd) < _FEWEST or still is None:
+        return []
     for first, last in _runs(tilted):
         rests = still[first : last + 1]
         rest_s = max((t_s[first + b] - t_s[first + a] for a, b in _runs(rests)), default=0.0)

@@ -135,6 +135,24 @@ CHANGES: dict[str, tuple[Callable[[pd.DataFrame], None], str, str]] = {
 }
 
 
+@pytest.mark.parametrize("signal", ["gyro", "acc", "vel", "q", "cmd"])
+def test_a_signal_that_never_changes_is_named(signal: str, tmp_path: Path) -> None:
+    table = flown_table()
+    for column in [c for c in table if c.startswith(f"{signal}_")]:
+        table[column] = float(table[column].iloc[1500])
+    first, last = table["time"].iloc[[0, -1]]
+    span = f"stands still from {first:.2f} to {last:.2f} s, all of its samples"
+    assert span in [f.message for f in found(table, tmp_path) if f.where == signal]
+
+
+def test_a_flight_in_which_nothing_moves_is_named(tmp_path: Path) -> None:
+    table = flown_table()
+    for column in [c for c in table if c not in ("time", "phase")]:
+        table[column] = float(table[column].iloc[1500])
+    messages = [f.message for f in found(table, tmp_path) if f.where == "flight"]
+    assert len(messages) == 1 and messages[0].startswith("nothing of the motion changes")
+
+
 def test_signals_that_fit_raise_no_doubt(tmp_path: Path) -> None:
     assert found(flown_table(), tmp_path) == []
 

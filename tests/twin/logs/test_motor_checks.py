@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from twin.logs import Finding, read_flight
+from twin.logs import Finding, open_flight, read_flight
 from twin.logs.agreement import signals
 from twin.logs.motor_checks import doubt_motors, moments_of
 from twin.vehicle.layouts import Layout, frame
@@ -190,6 +190,29 @@ def test_misnumbered_speeds_are_left_out_of_the_flight(tmp_path: Path) -> None:
     (found,) = (f for f in flight.findings if f.where == "rotor")
     assert found.severity == "error" and found.message.startswith("left out: ")
     assert "rotor_1 follows cmd_3, rotor_3 follows cmd_1" in found.message
+
+
+@pytest.mark.parametrize("form", ["parquet", "csv", "left in its file"])
+def test_motors_are_told_by_number_and_not_by_place(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, _ = flown()
+    names = list(table)[1:]
+    orders = [names, names[::-1], sorted(names, key=lambda c: (c != "cmd_3", c))]
+    if form == "left in its file":
+        monkeypatch.setattr("twin.logs.table.read.HELD_CELLS", 0)
+
+    def findings_of(columns: Columns, order: list[str]) -> list[tuple[str, str]]:
+        frame_of = pd.DataFrame(columns)[["time", *order]]
+        path = tmp_path / f"flight.{'csv' if form == 'csv' else 'parquet'}"
+        frame_of.to_csv(path, index=False) if form == "csv" else frame_of.to_parquet(path)
+        found = open_flight(path).findings
+        return [(f.where, f.message) for f in found]
+
+    assert [findings_of(table, order) for order in orders] == [[], [], []]
+    exchanged = relabelled(table, "rotor", swapped(4, 0, 2))
+    first, *others = [findings_of(exchanged, order) for order in orders]
+    assert "rotor_1 follows cmd_3" in first[0][1] and others == [first, first]
 
 
 # -- recorded flights -------------------------------------------------------------------------

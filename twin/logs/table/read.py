@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..attitude import with_quaternion
-from ..columns import EULER, is_known, over
+from ..columns import EULER, in_order, is_known, over
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
 from ..validate import check_columns, validate
@@ -89,7 +89,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
     """
     with opened(path, path.name) as file:
         schema, size = file.schema_arrow, file.metadata
-    held = [n for n in schema.names if is_known(n) and n != "phase"]
+    held = in_order(n for n in schema.names if is_known(n) and n != "phase")
     plain = all(_is_plain(schema.field(n).type) for n in held if schema.names.count(n) == 1)
     if size.num_rows * (len(held) + 1) <= HELD_CELLS or not plain or {*held} & {*EULER}:
         return None
@@ -129,7 +129,7 @@ def _checked(path: Path, raw: pa.Table, facts: dict[str, str], findings: list[Fi
     quaternion, turned = with_quaternion(path.name, columns)
     columns = {c: v for c, v in columns.items() if c not in EULER} | quaternion
     columns["phase"] = phase
-    mended, doubts = validate(path.name, columns)
+    mended, doubts = validate(path.name, {c: columns[c] for c in in_order(columns)})
     columns |= mended
     columns["phase"] = pd.Series(phase, dtype=object)
     table = pd.DataFrame(columns, copy=False)

@@ -199,7 +199,10 @@ def doubtful(case: str) -> pd.DataFrame:
 )
 def test_wrong_unit_or_frame_becomes_a_finding(tmp_path: Path, case: str) -> None:
     findings = read(doubtful(case), tmp_path).findings
-    assert [(f.severity, f.where) for f in findings] == [("error", case.split(maxsplit=1)[0])]
+    errors = [f.where for f in findings if f.severity == "error"]
+    assert errors == case.split(maxsplit=1)[:1]
+    if case != "time":  # its constant attitude and magnetic field stand still for seconds
+        assert len(findings) == 1
 
 
 def test_slightly_long_quaternions_are_normalised_and_counted(tmp_path: Path) -> None:
