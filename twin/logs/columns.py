@@ -119,8 +119,7 @@ class _Over(Columns):
         return self._changed[name] if name in self._changed else self._table[name]
 
     def __iter__(self) -> Iterator[str]:
-        yield from self._table
-        yield from (c for c in self._changed if c not in self._table)
+        yield from in_order({*self._table, *self._changed})
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
@@ -130,5 +129,6 @@ class _Over(Columns):
 
 
 def over(changed: Columns, table: Columns) -> Columns:
-    """A table with some columns changed, others new; nothing of it is read or copied."""
+    """A table with some columns changed, others new, in the order of the definition; nothing of it
+    is read or copied."""
     return _Over(changed, table)

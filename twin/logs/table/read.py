@@ -89,7 +89,7 @@ def open_parquet(path: Path) -> StoredFlight | None:
     """
     with opened(path, path.name) as file:
         schema, size = file.schema_arrow, file.metadata
-    held = in_order(n for n in schema.names if is_known(n) and n != "phase")
+    held = [n for n in schema.names if is_known(n) and n != "phase"]
     plain = all(_is_plain(schema.field(n).type) for n in held if schema.names.count(n) == 1)
     if size.num_rows * (len(held) + 1) <= HELD_CELLS or not plain or {*held} & {*EULER}:
         return None

@@ -225,7 +225,8 @@ class StoredFlight:
         """The part of the flight within a span of time, both ends included, in memory."""
         first = int(np.searchsorted(self.time_s, start_s, side="left"))
         end = int(np.searchsorted(self.time_s, end_s, side="right"))
-        names = [c for c in self.columns if c != "phase"]
+        of_file = {c: None for c in (*self.stored, *self.mended) if c != "phase"}
+        names = list(of_file)
         table: dict[str, Any] = {c: self._part(c, first, end) for c in names}
         table["phase"] = pd.Series(self.stored.part("phase", first, end), dtype=object)
         return Flight(

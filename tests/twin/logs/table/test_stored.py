@@ -88,7 +88,7 @@ def test_it_says_what_it_says_in_memory(fault: str, tmp_path: Path) -> None:
     assert stored.findings == held.findings
     assert fault != "none" or held.findings == ()
     assert stored.facts == held.facts
-    assert [*stored.columns] == [*held.table]
+    assert [*stored.columns] == [*held.columns]
     for column in held.table:
         np.testing.assert_array_equal(stored.columns[column], held.table[column])
         assert stored.has(column) == held.has(column), column
