@@ -112,15 +112,22 @@ def is_archive_of(path: Path, member: str) -> bool:
         return False
 
 
-def unpacked(blob: bytes) -> Unpacked:
+_DEEPEST = 3
+"""Archives and compressed files within each other."""
+
+
+def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
     """The log in an archive or a compressed file; the content itself where it is neither.
 
     Args:
         blob: Content of a file.
+        deepest: Archives and compressed files within each other that are opened.
 
     Raises:
         LogError: It is damaged, holds no log, or several.
     """
+    if not deepest:
+        return Unpacked(blob)
     if any(s.matches(blob) for s in _ZIP):
         return _from_archive(blob)
     for signature, what, opened in _STREAMS:
@@ -134,7 +141,9 @@ def unpacked(blob: bytes) -> Unpacked:
             raise LogError(f"{what}, cut short or damaged ({error}). Copy it again.") from None
         if len(inner) > most:
             raise LogError(f"{what}; it unpacks to over {most} bytes, {_TOO_LARGE}")
-        return Unpacked(inner, (Finding("info", "file", f"{what}, {len(inner)} bytes unpacked"),))
+        found = Finding("info", "file", f"{what}, {len(inner)} bytes unpacked")
+        within = unpacked(inner, deepest - 1)
+        return Unpacked(within.blob, (found, *within.findings))
     return Unpacked(blob)
 
 

@@ -57,7 +57,7 @@ class Overview:
         extremes: tuple[str, ...] = ("", "")
         if self.split:
             places = int(np.argmin(self.split)), int(np.argmax(self.split))
-            extremes = tuple(f"{p + 1}: {100 * self.split[p]:+.0f} %" for p in places)
+            extremes = tuple(f"{p + 1}: {round(100 * self.split[p]):+d} %" for p in places)
         effects = ", ".join(
             f"{e.replace('_', ' ')}{f' ({k} of {self.flights})' if self.flights > 1 else ''}"
             for e, k in self.named.items()

@@ -2,6 +2,7 @@
 
 import datetime
 import math
+import threading
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
@@ -48,16 +49,20 @@ class Answer:
         return [{n: _plain(v) for n, v in zip(self.names, row, strict=True)} for row in self.rows]
 
 
-def query(folder: str | Path, sql: str) -> Answer:
+def query(folder: str | Path, sql: str, time_limit_s: float = 300.0) -> Answer:
     """Ask the dataset of a fleet.
 
     Args:
         folder: `--out` of `uavtwin fleet`.
         sql: One SELECT over flights, channels, effects, findings, in the SQL of DuckDB.
+        time_limit_s: After which the query is ended: a recursive one may have no end.
 
     Raises:
-        TwinError: The package is missing, it is no such folder, or DuckDB refuses the query.
+        TwinError: The package is missing, it is no such folder, DuckDB refuses the query, or it
+            takes too long.
     """
+    if not 0 < time_limit_s <= threading.TIMEOUT_MAX:
+        raise TwinError(f"query: a time limit of {time_limit_s:g} s: needs a positive number.")
     folder = Path(folder)
     try:
         import duckdb
@@ -77,9 +82,18 @@ def query(folder: str | Path, sql: str) -> Answer:
                 f"query: {'no' if not told else 'this is not one'} SELECT: {sql.strip()[:100]!r}. "
                 f"Ask by one SELECT; the dataset is only read."
             )
-        asked = connection.execute(told[0])
-        names = tuple(str(d[0]) for d in asked.description or ())
-        return Answer(names, tuple(asked.fetchall()))
+        clock = threading.Timer(time_limit_s, connection.interrupt)
+        clock.start()
+        try:
+            asked = connection.execute(told[0])
+            names = tuple(str(d[0]) for d in asked.description or ())
+            return Answer(names, tuple(asked.fetchall()))
+        finally:
+            clock.cancel()
+    except duckdb.InterruptException as error:
+        raise TwinError(
+            f"query: took longer than {time_limit_s:g} s, the limit (--time-limit)."
+        ) from error
     except duckdb.Error as error:
         raise TwinError(f"query: {_said(str(error))}") from error
     finally:

@@ -54,6 +54,18 @@ def test_a_log_of_any_format_is_read_out_of_an_archive(tmp_path: Path, name: str
     assert "logs/flight.bin, out of a ZIP archive; files in it that are no logs: 1" in said(found)
 
 
+def test_what_is_compressed_twice_is_read(tmp_path: Path) -> None:
+    """By two tools one after the other; not without end."""
+    flight = read(tmp_path, gzip.compress(bz2.compress(ULOG)))
+    assert said(flight).count("unpacked") == 2
+    same(flight, read(tmp_path, gzip.compress(zipped({"log": ULOG}))))
+    deep = ULOG
+    for _ in range(4):
+        deep = gzip.compress(deep)
+    with pytest.raises(LogError):
+        read(tmp_path, deep)
+
+
 @pytest.mark.parametrize(("pack", "what"), [(gzip.compress, "gzip"), (bz2.compress, "bzip2")])
 def test_compressed_logs_are_read(tmp_path: Path, pack: object, what: str) -> None:
     assert callable(pack)

@@ -265,3 +265,12 @@ def test_tables_of_others_are_no_dataset(folder: Path, tmp_path: Path, column: p
     path.write_bytes(whole[:-100])
     with pytest.raises(TwinError, match=r"flights\.parquet: damaged Parquet file"):
         query(tmp_path, "select log from flights")
+
+
+def test_a_query_without_end_is_ended(folder: Path) -> None:
+    endless = "with recursive n(i) as (select 1 union all select i + 1 from n) select max(i) from n"
+    with pytest.raises(TwinError, match=r"took longer than 0\.2 s, the limit"):
+        query(folder, endless, 0.2)
+    with pytest.raises(TwinError, match="needs a positive number"):
+        query(folder, "select 1", 0.0)
+    assert query(folder, "select 1 as one", 0.2).records() == [{"one": 1}]

@@ -86,9 +86,9 @@ def _from_outputs(log: Px4Log, rebuild: bool | None) -> MotorCommands | None:
     """`actuator_outputs`, scaled by the PWM range."""
     outputs = logged_outputs(log)
     if outputs is None:
-        log.note(
-            "warning", "cmd", "no motor commands: neither actuator_motors nor actuator_outputs"
-        )
+        neither = "neither actuator_motors nor actuator_outputs"
+        why = "" if log.instances("actuator_outputs") else f": {neither}"
+        log.note("warning", "cmd", f"no motor commands{why}")
         return None
     rate, facts = outputs.topic.rate_hz, dict[str, str]()
     if rebuild or (rebuild is None and rate < _ENOUGH_HZ):

@@ -9,7 +9,7 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Json
+from ..options import Json, seconds
 from ..printing import print_json, print_table
 
 
@@ -18,6 +18,7 @@ def query(
     sql: Annotated[
         str, typer.Argument(help="One SELECT over flights, channels, effects, findings.")
     ],
+    time_limit: Annotated[float, seconds("Of the query, s.")] = 300.0,
     as_json: Json = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
 ) -> None:
@@ -27,7 +28,7 @@ def query(
 
     if as_json and as_csv:
         raise TwinError("query: --json and --csv are both given. Choose one.")
-    answer = asked(folder, sql)
+    answer = asked(folder, sql, time_limit)
     if as_json:
         print_json(answer.records())
     elif as_csv:
