@@ -63,7 +63,7 @@ def _model(empty: ForceLaw, *weights: tuple[str, str, float]) -> ForceModel:
 
 @pytest.mark.long
 def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
-    empty: ForceLaw, tmp_path: Path
+    empty: ForceLaw, tmp_path: Path, memory: Memory
 ) -> None:
     def model(laws: Sequence[str], networks: Sequence[bool]) -> ForceModel:
         both = zip((laws[0], laws[4]), (DRAG, TURNS), strict=True)
@@ -74,7 +74,7 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
         model,
         tmp_path,
         COPTER,
-        Memory(tmp_path / "steps.jsonl", ""),
+        memory,
         lambda _: None,
     )
     assert [o.law for o in found.outputs] == ["linear", *["none"] * 5]
@@ -82,14 +82,14 @@ def test_what_loses_missions_is_withdrawn_and_what_does_not_stays(
     assert 0 < found.closed_loop.lost <= found.closed_loop.flights == FLIGHTS
 
 
-def test_no_law_has_nothing_to_fly(empty: ForceLaw, tmp_path: Path) -> None:
+def test_no_law_has_nothing_to_fly(empty: ForceLaw, tmp_path: Path, memory: Memory) -> None:
     none = _model(empty)
     found = kept(
         none,
         lambda *_: none,
         tmp_path,
         COPTER,
-        Memory(tmp_path / "steps.jsonl", ""),
+        memory,
         lambda _: None,
     )
     assert found.closed_loop == Checked.nothing()

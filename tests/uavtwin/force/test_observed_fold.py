@@ -35,7 +35,7 @@ ROUND: Waypoints = (
 )
 
 
-def _fold(plant: Vehicle, observer: Observer, place: Path) -> Fold:
+def _fold(plant: Vehicle, observer: Observer, place: Path, memory: Memory) -> Fold:
     """A flight of a plant, and a twin of COPTER with this observer of every output."""
     flight = fly(COPTER, plant, 1, "one", ROUND)
     seen = instants(flight, COPTER)
@@ -44,7 +44,6 @@ def _fold(plant: Vehicle, observer: Observer, place: Path) -> Fold:
     lesson = Lesson(
         prepared, len(OUTPUTS) * fitted, choose_drive(flight, COPTER), place / "twin.fmu"
     )
-    memory = Memory(place / "steps.jsonl", "")
     return Fold(Replay(flight, COPTER, AHEAD_S), seen, lesson, memory)
 
 
@@ -59,8 +58,10 @@ def _used(lesson: Lesson) -> list[str]:
 
 
 @pytest.mark.slow
-def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(tmp_path: Path) -> None:
-    fold = _fold(DRAGGED, QUICK, tmp_path)
+def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(
+    tmp_path: Path, memory: Memory
+) -> None:
+    fold = _fold(DRAGGED, QUICK, tmp_path, memory)
     (kept,), lesson, flown = chosen_observers([fold], fold.lesson, lambda _: None)
     assert "force x" in _used(lesson) == _used(kept.lesson)
     assert not [name for name in _used(lesson) if name.startswith("moment")]
@@ -69,16 +70,16 @@ def test_an_observer_of_what_is_there_is_kept_and_of_noise_is_not(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path) -> None:
-    fold = _fold(COPTER, QUICK, tmp_path)
+def test_where_nothing_is_left_no_observer_is_kept(tmp_path: Path, memory: Memory) -> None:
+    fold = _fold(COPTER, QUICK, tmp_path, memory)
     _, lesson, _ = chosen_observers([fold], fold.lesson, lambda _: None)
     assert _used(lesson) == []
 
 
 @pytest.mark.slow
-def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path) -> None:
+def test_the_envelope_holds_where_the_twin_goes_by_itself(tmp_path: Path, memory: Memory) -> None:
     """But not where a law has faded before."""
-    fold = _fold(DRAGGED, NO_OBSERVER, tmp_path)
+    fold = _fold(DRAGGED, NO_OBSERVER, tmp_path, memory)
     narrow = replace(fold.lesson.prepared.empty, reach=fold.lesson.prepared.empty.reach / 2.6)
     lesson = replace(fold.lesson, prepared=replace(fold.lesson.prepared, empty=narrow))
     wide = lesson.running([fold.replay], fold.memory)
