@@ -203,7 +203,7 @@ def test_a_family_in_closed_form_goes_through_the_same_verbs(
 def test_a_model_that_repeats_what_it_sees(
     logs: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Under the protocol `reconstruct` the baseline that holds the measurement leaves exactly 0."""
+    """Under the protocol `reconstruct` the baseline that holds the measurement leaves rounding."""
     flights = [logs["one"], logs["two"], "--vehicle", "copter_default", "--rate", 50]
     out = tmp_path / "model"
     _run("train", *flights, "--preset", "mean", "--protocol", "reconstruct", "--out", out)
@@ -211,7 +211,7 @@ def test_a_model_that_repeats_what_it_sees(
     _run("evaluate", out, logs["three"], "--out", tmp_path / "e", "--json")
     printed = json.loads(capsys.readouterr().out)
     assert printed["claim"].startswith("reconstruct: the model sees the measurement it repeats")
-    assert 0.0 in {r["rmse"] for r in printed["groups"] if r["model"] != "model"}
+    assert min(r["rmse"] for r in printed["groups"] if r["model"] != "model") < 1e-15
     assert "no model can beat it" in (tmp_path / "e" / "report.html").read_text("utf-8")
 
 
