@@ -52,9 +52,9 @@ def test_what_is_no_quantity_is_refused(text: str, unit: str, says: str) -> None
         quantity("480", "m", bare=False)
 
 
-@given(st.floats(-1e300, 1e300))
+@given(st.floats(allow_nan=False))
 def test_a_number_without_unit_is_itself(value: float) -> None:
-    assert quantity(repr(value), "s") == pytest.approx(value, rel=1e-14)
+    assert quantity(repr(value), "s") == value
 
 
 def test_payloads_may_have_units() -> None:

@@ -49,6 +49,8 @@ def quantity(text: str, unit: str, bare: bool = True) -> float:
         raise ValueError(str(error)) from error
     if scale is None:
         raise ValueError(f"{text!r}: {given} is no unit of the kind of {unit}")
+    if scale == 1.0:
+        return float(number)  # to the last bit
     return float(f"{float(number) * scale:.15g}")
 
 

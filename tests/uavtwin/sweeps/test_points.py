@@ -212,7 +212,7 @@ def test_a_file_says_the_same_as_python(tmp_path: Path) -> None:
         ("[vary]\nx = []", "x: an empty list"),
         ("[vary]\nx = [1, 'a']", "of several kinds"),
         ("[vary]\nx = [inf]", "inf is no value"),
-        ("x = [", "no design: "),
+        ("x = [", "design.toml: not valid TOML"),
     ],
 )
 def test_a_wrong_design_names_file_key_and_value(tmp_path: Path, text: str, says: str) -> None:
