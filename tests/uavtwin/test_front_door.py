@@ -186,12 +186,14 @@ def test_the_gap_as_a_frame_and_as_samples(gap: ut.GapResult) -> None:
 
 
 def test_the_gap_as_text_and_in_a_notebook(gap: ut.GapResult) -> None:
-    claim, table, warnings = str(gap).split("\n\n")
+    claim, *others = str(gap).split("\n\n")
     assert claim == gap.claim
+    hover, (table, *warnings) = others[: len(gap.hover)], others[len(gap.hover) :]
+    assert hover == [*gap.hover] and len({text[:6] for text in hover}) == len(hover) > 0
     header, *rows = table.splitlines()
     assert header.split("  ")[0] == "channel"
     assert len({row.index("m/s²") for row in rows if "m/s²" in row}) == 1  # columns are straight
-    assert "fit_1: " in warnings
+    assert "\n".join(warnings) == "\n".join(gap.warnings)
     html = gap._repr_html_()
     assert html.count("<tr>") == len(rows) + 1
     escaped = replace(gap, flights=(replace(gap.flights[0], warnings=("a < b",)),))
