@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import resource
 import selectors
 import signal
 import socket
@@ -51,6 +52,7 @@ class Process:
         self._answers, answers = os.pipe()
         self._output, output = os.pipe()
         given = (requests.fileno(), answers, self.board)
+        self._peak_before = _peak_bytes(resource.getrusage(resource.RUSAGE_SELF))
         try:
             self._process = subprocess.Popen(
                 [
@@ -182,7 +184,8 @@ class Process:
             pid, status, usage = os.wait4(self._process.pid, os.WNOHANG)
             if pid:
                 self._process.returncode = os.waitstatus_to_exitcode(status)
-                self._peak_bytes = usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+                peak = _peak_bytes(usage)  # of a new process begins at that of who starts it
+                self._peak_bytes = peak if peak > self._peak_before else 0
         return self._process.returncode is not None
 
     def _end(self) -> str:
@@ -255,3 +258,8 @@ def _answer(line: bytes) -> Mapping[str, Any]:
     if not (isinstance(done, int | float) and abs(done) < float("inf")):
         raise Ended(_SPOILT)
     return content
+
+
+def _peak_bytes(usage: resource.struct_rusage) -> int:
+    """Largest resident size of a process."""
+    return int(usage.ru_maxrss) * (1 if sys.platform == "darwin" else 1024)

@@ -24,6 +24,7 @@ CLEAR_HEIGHT_M = 0.5
 """Above its lowest by this much, a vehicle is in the air, wherever its resting place is."""
 CLEAR_S = 1.0
 """For this long it has to be."""
+_ROUNDING = 1e-9
 FOLLOWS, BLOCK_S, FEWEST_BLOCKS = 0.7, 0.25, 12
 """Correlation from which on the specific force follows the thrust, both as means over blocks of
 time, of which so many are needed."""
@@ -81,9 +82,13 @@ def carry(
     strong = np.isfinite(felt)
     strong &= pushed > np.quantile(pushed, 0.9, method="lower") / 2 if len(pushed) else False
     x, y = pushed[strong], felt[strong]
-    if len(x) < FEWEST_BLOCKS or not np.std(x) > 0 or not np.std(y) > 0:
+    if len(x) < FEWEST_BLOCKS:
         return None
-    return float(np.median(x)) if np.corrcoef(x, y)[0, 1] > FOLLOWS else None
+    x_apart, y_apart = x - np.mean(x), y - np.mean(y)
+    sizes = float(np.sqrt(np.sum(x_apart**2) * np.sum(y_apart**2)))
+    if not sizes > _ROUNDING * float(np.sqrt(np.sum(x**2) * np.sum(y**2))):
+        return None  # one of them is constant
+    return float(np.median(x)) if np.sum(x_apart * y_apart) / sizes > FOLLOWS else None
 
 
 def resting_height(height_m: Array, carried: NDArray[np.bool_]) -> float | None:
