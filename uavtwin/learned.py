@@ -241,6 +241,7 @@ def _sensor_training(
     }
 
     def write(folder: Path) -> TrainResult:
+        """Train, and write the model and its card."""
         residuals = training.prepare(
             plan, flights, vehicle, rate_hz, lambda done: progress(0.1 * done)
         )
@@ -275,6 +276,7 @@ def _force_training(
     seed = wanted.seed or 0
 
     def write(folder: Path) -> TrainResult:
+        """Learn, and write the force and its card."""
         key = training_key(flights, vehicle, seed)
         with closing(Memory(out / CHECKPOINT, key)) as memory:
             made = train_force(flights, vehicle, seed, folder, memory, progress)

@@ -323,6 +323,7 @@ def _behind_commands(
     products = table(constants_s, delays_s)
 
     def best(blocks: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float, float]:
+        """Delay and time constant, s, of the largest R2 over these blocks, and that R2."""
         found = r2(products, blocks)
         profile = found.max(axis=0)  # over the time constants
         k = int(profile.argmax())
@@ -385,6 +386,7 @@ def _behind_motion(
     ridge = 1e-9 * np.eye(x.shape[1])
 
     def best(kept: slice | NDArray[np.bool_] = slice(None)) -> tuple[float, float]:
+        """Lead of the motion, s, of the largest R2 over these blocks, and that R2."""
         g, c = grams[:, kept].sum(axis=1), crosses[:, kept].sum(axis=1)
         g = g + ridge * np.trace(g, axis1=1, axis2=2)[:, None, None]
         share = np.sum(c * np.linalg.solve(g, c), axis=(1, 2)) / total[kept].sum()
