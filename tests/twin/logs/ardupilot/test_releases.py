@@ -60,7 +60,17 @@ _UNSTAMPED = {"PARM": "Nf Name,Value", "MSG": "Z Message", "EV": "B Id", "MODE":
 _STAMPED = {"PARM": "@Nf @,Name,Value", "MSG": "@Z @,Message", "EV": "@B @,Id"}
 _NEW_GPS = "@BIHBcLLeEefB @,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U"
 _MAG = "@hhhhhhhhh @,MagX,MagY,MagZ,OfsX,OfsY,OfsZ,MOfsX,MOfsY,MOfsZ"
-_NEW = {"GPS": _NEW_GPS, "MAG": _MAG, "BARO": "@ffcf @,Alt,Press,Temp,CRt", **_STAMPED}
+_IMU_33 = "@ffffffIIfBB @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp,GyHlt,AcHlt"
+_IMU_36 = "@ffffffIIfBBHH @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz"
+_ATT_SOLO = "@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw"
+_EKF1 = "@ccCffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ"
+_NKF1 = "@ccCfffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ"
+_CURR_SOLO = "@hhhHfh @,Throttle,Volt,Curr,Vcc,CurrTot,Volt2"
+_CURR_31 = "@hIhhhf @,ThrOut,ThrInt,Volt,Curr,Vcc,CurrTot"
+_BATTERY_35 = "@fffffcf @,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res"
+_NKQ1 = "@ffff @,Q1,Q2,Q3,Q4"
+_BARO_32 = "@ffcf @,Alt,Press,Temp,CRt"
+_NEW = {"GPS": _NEW_GPS, "MAG": _MAG, "BARO": _BARO_32, **_STAMPED}
 RELEASES = {
     "Copter 3.1": Release(
         _kinds(
@@ -74,7 +84,7 @@ RELEASES = {
             GPS=_OLD_GPS,
             MAG=_MAG,
             BARO="@ffc @,Alt,Press,Temp",
-            CURR="@hIhhhf @,ThrOut,ThrInt,Volt,Curr,Vcc,CurrTot",
+            CURR=_CURR_31,
             RCOU="@hhhhhhhh @," + _CHANNELS[8].format(*["Chan"] * 8),
         ),
         "Chan",
@@ -86,11 +96,11 @@ RELEASES = {
             **_UNSTAMPED,
             IMU=_IMU,
             ATT=_ATT,
-            EKF1="@ccCffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ",
+            EKF1=_EKF1,
             GPS=_OLD_GPS,
             MAG=_MAG,
-            BARO="@ffcf @,Alt,Press,Temp,CRt",
-            CURR="@hIhhhf @,ThrOut,ThrInt,Volt,Curr,Vcc,CurrTot",
+            BARO=_BARO_32,
+            CURR=_CURR_31,
             RCOU="@hhhhhhhh @," + _CHANNELS[8].format(*["Ch"] * 8),
         ),
         "Ch",
@@ -103,12 +113,12 @@ RELEASES = {
             MSG="Z Message",
             EV="@B @,Id",
             IMU="@ffffffIIf @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp",
-            ATT="@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
-            EKF1="@ccCffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ",
+            ATT=_ATT_SOLO,
+            EKF1=_EKF1,
             GPS=_OLD_GPS,
             MAG=_MAG,
-            BARO="@ffcf @,Alt,Press,Temp,CRt",
-            CURR="@hhhHfh @,Throttle,Volt,Curr,Vcc,CurrTot,Volt2",
+            BARO=_BARO_32,
+            CURR=_CURR_SOLO,
             RCOU="@hhhh @," + _CHANNELS[4].format(*["Ch"] * 4),
             **{f"ESC{k}": "@cccc @,RPM,Volt,Curr,Temp" for k in range(1, 5)},
         ),
@@ -119,10 +129,10 @@ RELEASES = {
             "TimeUS",
             "Q",
             **_NEW,
-            IMU="@ffffffIIfBB @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp,GyHlt,AcHlt",
-            ATT="@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
-            EKF1="@ccCffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ",
-            CURR="@hhhHfh @,Throttle,Volt,Curr,Vcc,CurrTot,Volt2",
+            IMU=_IMU_33,
+            ATT=_ATT_SOLO,
+            EKF1=_EKF1,
+            CURR=_CURR_SOLO,
             RCOU="@hhhhhhhhhhhh @," + _CHANNELS[12].format(*["Ch"] * 12),
         ),
         "Ch",
@@ -132,10 +142,10 @@ RELEASES = {
             "TimeUS",
             "Q",
             **_NEW,
-            IMU="@ffffffIIfBB @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp,GyHlt,AcHlt",
-            ATT="@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
-            NKF1="@ccCfffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ",
-            CURR="@hhhHfh @,Throttle,Volt,Curr,Vcc,CurrTot,Volt2",
+            IMU=_IMU_33,
+            ATT=_ATT_SOLO,
+            NKF1=_NKF1,
+            CURR=_CURR_SOLO,
             RCOU="@HHHHHHHHHHHH @," + _CHANNELS[12].format(*["C"] * 12),
         ),
         params=OLD_PARAMS | {"AHRS_EKF_TYPE": 2.0},
@@ -145,11 +155,11 @@ RELEASES = {
             "TimeUS",
             "Q",
             **_NEW,
-            IMU="@ffffffIIfBB @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,ErrG,ErrA,Temp,GyHlt,AcHlt",
-            ATT="@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
-            NKF1="@ccCfffffffccc @,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ",
-            NKQ1="@ffff @,Q1,Q2,Q3,Q4",
-            CURR="@fffffcf @,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res",
+            IMU=_IMU_33,
+            ATT=_ATT_SOLO,
+            NKF1=_NKF1,
+            NKQ1=_NKQ1,
+            CURR=_BATTERY_35,
             RCOU="@HHHHHHHHHHHHHH @," + _CHANNELS[14].format(*["C"] * 14),
         ),
         params=FLOWN_PARAMS | {"AHRS_EKF_TYPE": 2.0},
@@ -159,11 +169,11 @@ RELEASES = {
             "TimeUS",
             "Q",
             **_NEW,
-            IMU="@ffffffIIfBBHH @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz",
-            ATT="@ccccCCCC @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw",
+            IMU=_IMU_36,
+            ATT=_ATT_SOLO,
             NKF1="@ccCfffffffccce @,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH",
-            NKQ1="@ffff @,Q1,Q2,Q3,Q4",
-            BAT="@fffffcf @,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res",
+            NKQ1=_NKQ1,
+            BAT=_BATTERY_35,
             RCOU="@HHHHHHHHHHHHHH @," + _CHANNELS[14].format(*["C"] * 14),
         ),
         params=FLOWN_PARAMS | {"AHRS_EKF_TYPE": 2.0},
@@ -173,7 +183,7 @@ RELEASES = {
             "TimeUS",
             "Q",
             **_NEW,
-            IMU="@ffffffIIfBBHH @,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,EG,EA,T,GH,AH,GHz,AHz",
+            IMU=_IMU_36,
             ATT="@ccccCCCCB @,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,ErrRP,ErrYaw,AEKF",
             NKF1="@BccCfffffffccce @,C,Roll,Pitch,Yaw,VN,VE,VD,dPD,PN,PE,PD,GX,GY,GZ,OH",
             BAT="@Bfffffcf @,Instance,Volt,VoltR,Curr,CurrTot,EnrgTot,Temp,Res",
