@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..frames import rotation_vector, to_body, to_ned
+from ..vehicle import GRAVITY_M_S2
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, QUAT, VEL, Columns
 from .flight import Array, Finding
 
-_G_M_S2 = 9.80665
 _WINDOW_S = 0.5  # shorter in a short record
 _LONGEST_S = 36_000.0
 _FEWEST = 20  # windows
@@ -319,13 +319,13 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
     if good.sum() < _FEWEST:
         return []
     weight = (gained[good] - told[good]) / np.diff(edges)[good, None]
-    lacks = float(np.median(weight[:, 2])) - _G_M_S2
+    lacks = float(np.median(weight[:, 2])) - GRAVITY_M_S2
     found = []
     if abs(lacks) > 3.0:
         message = (
-            f"with the attitude it leaves {lacks + _G_M_S2:.1f} m/s^2 down to explain the "
-            f"velocity, gravity has {_G_M_S2:.1f}: without gravity, of another sign, in another "
-            "unit, or an attitude that is not the body's?"
+            f"with the attitude it leaves {lacks + GRAVITY_M_S2:.1f} m/s^2 down to explain the "
+            f"velocity, gravity has {GRAVITY_M_S2:.1f}: without gravity, of another sign, in "
+            "another unit, or an attitude that is not the body's?"
         )
         found.append(Finding("error", "acc", message))
     level = (gained[:, :2], told[:, :2])
@@ -338,7 +338,7 @@ def doubt_force(table: Columns, there: Signals) -> list[Finding]:
         found.append(Finding("error", "acc", message))
     if not found:
         lasting = np.diff(edges)[:, None]
-        pushed = gained / lasting - [0.0, 0.0, _G_M_S2]
+        pushed = gained / lasting - [0.0, 0.0, GRAVITY_M_S2]
         pushed_b = _in_body((edges[1:] + edges[:-1]) / 2, pushed, t_q, q)
         read = read / lasting
         found += [

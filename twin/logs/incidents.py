@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from ..vehicle import GRAVITY_M_S2
 from .agreement import samples
 from .columns import ACC, QUAT, VEL, Columns
 from .flight import Array, Finding
@@ -24,7 +25,6 @@ _AT_LIMIT = 0.01
 _WARNED, _NAMED = 0.05, 0.01
 _LOWER_V, _LOWER_SHARE = 0.25, 0.015
 _FEWEST = 20
-_GRAVITY_M_S2 = 9.80665
 
 
 def incidents(table: Columns) -> list[Finding]:
@@ -81,7 +81,7 @@ def _at_rest(table: Columns, t_s: Array, q: Array) -> NDArray[np.bool_] | None:
             force = np.column_stack([np.interp(t_s, t_acc, a) for a in acc.T])
             w, v = q[:, :1], q[:, 1:]
             turned = force + 2.0 * np.cross(v, np.cross(v, force) + w * force)
-            turned[:, 2] += _GRAVITY_M_S2
+            turned[:, 2] += GRAVITY_M_S2
             return np.asarray(np.linalg.norm(turned, axis=1) < _STILL_M_S2)
     if all(c in table for c in VEL):
         t_vel, vel = samples(table, VEL)

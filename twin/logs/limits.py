@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..vehicle import GRAVITY_M_S2
 from .columns import ACC, ACC_NED, GYRO, MAG, POS, VEL
 
 Array = NDArray[np.float64]
@@ -47,7 +48,12 @@ def _parts(unit: str, thousandth: str) -> tuple[tuple[str, float], ...]:
 
 
 READINGS: dict[str, tuple[str, float, float, tuple[tuple[str, float], ...]]] = {
-    "acc": ("m/s^2", 5.0, 20.0, (("g", 9.80665), ("mg", 9.80665e-3), ("cm/s^2", 1e-2))),
+    "acc": (
+        "m/s^2",
+        5.0,
+        20.0,
+        (("g", GRAVITY_M_S2), ("mg", 1e-3 * GRAVITY_M_S2), ("cm/s^2", 1e-2)),
+    ),
     "mag": ("T", 1.5e-5, 1e-4, (("gauss", 1e-4), ("mgauss", 1e-7), ("uT", 1e-6), ("nT", 1e-9))),
     "baro": ("Pa", 3e4, 1.1e5, (("hPa", 1e2), ("kPa", 1e3), ("tenths of a Pa", 0.1))),
     "vbat_v": ("V", 2.0, 120.0, _parts("a volt", "mV")),

@@ -10,6 +10,7 @@ positive there, and yaw is taken negative of the stick.
 import numpy as np
 from numpy.typing import NDArray
 
+from ...vehicle import GRAVITY_M_S2
 from ..assemble import Rows, add_signal
 from ..attitude import unit_quaternions
 from ..clock import advancing, filter_delay_us, told_dropped
@@ -20,7 +21,6 @@ from .log import BlackboxLog
 Times = NDArray[np.int64]
 TURNED = np.array((1.0, -1.0, -1.0))
 """From Betaflight's axes to FRD or NED."""
-_G_M_S2 = 9.80665
 _FULL_16_BITS = 32767.0
 _SEA_LEVEL_PA, _SCALE_M, _EXPONENT = 101_325.0, 44_330.0, 0.190295
 """Betaflight's own height by pressure, barometer.c."""
@@ -109,7 +109,7 @@ def _add_acceleration(log: BlackboxLog, rows: Rows) -> None:
             f"low-passed at {cutoff_hz:.0f} Hz (acc_lpf_hz) before it was logged; its time is "
             f"{delay_us / 1e3:.1f} ms before the stamp of the log, the delay of that filter",
         )
-    values = main.columns(three("accSmooth")) * TURNED * (_G_M_S2 / one_g)
+    values = main.columns(three("accSmooth")) * TURNED * (GRAVITY_M_S2 / one_g)
     add(log, rows, "acc", ACC, main.t_us - delay_us, values)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ...frames import from_euler
+from ...vehicle import GRAVITY_M_S2
 from ...vehicle.layouts import frame
 from ..airframe import Airframe, Told
 from ..assemble import Rows, add_signal, lay_out
@@ -27,7 +28,6 @@ from ..phases import Span, ground_spans, label_phases, motion_spans
 from .file import Content, Events, read_content
 
 _MOTORS = 4
-_G_M_S2 = 9.80665
 _FULL = 65535.0
 _ACC_HZ, _GYRO_HZ = 30.0, 80.0
 """ACCEL_LPF_CUTOFF_FREQ and GYRO_LPF_CUTOFF_FREQ of the firmware, at 1 kHz, second order."""
@@ -85,7 +85,7 @@ def _three(group: str, names: str = "x y z") -> tuple[str, ...]:
 _CMD, _ROTOR = motor_columns("cmd", _MOTORS), motor_columns("rotor", _MOTORS)
 _VELOCITIES = "vx vy vz"
 _SIGNALS = (
-    _Signal("acc", ACC, _three("acc"), _turned(_G_M_S2), _ACC_HZ),
+    _Signal("acc", ACC, _three("acc"), _turned(GRAVITY_M_S2), _ACC_HZ),
     _Signal("gyro", GYRO, _three("gyro"), _turned(np.pi / 180.0), _GYRO_HZ),
     _Signal("mag", MAG, _three("mag"), _turned(1e-4)),
     _Signal("baro", ("baro_pa",), ("baro.pressure",), lambda hpa: 100.0 * hpa),

@@ -25,6 +25,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import numpy as np
 
 from ...frames import from_euler, to_ned
+from ...vehicle import GRAVITY_M_S2
 from ..ardupilot.parameters import motor_channels
 from ..columns import MAX_MOTORS
 from ..limits import LIMITS
@@ -35,7 +36,6 @@ from .stamps import Stamp, StampGate
 
 ROTOR_ARRAY = "rotor_rads"
 """Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""
-GRAVITY_M_S2 = 9.80665
 T_PER_GAUSS = 1e-4
 PA_PER_HPA = 100.0
 _RPM = 2 * math.pi / 60

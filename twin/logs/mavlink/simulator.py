@@ -17,8 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...physics.atmosphere import GAS_CONSTANT_J_KG_K, LAPSE_K_M
+from ...vehicle import GRAVITY_M_S2
 from ...vehicle.sensors import SEA_LEVEL_PRESSURE_PA, SEA_LEVEL_TEMPERATURE_K
-from .decoder import GRAVITY_M_S2, PA_PER_HPA, T_PER_GAUSS
+from .decoder import PA_PER_HPA, T_PER_GAUSS
 from .dialect import Message, dialect
 
 IMU, MAG, BARO = 0x3F, 0x1C0, 0x1A00
