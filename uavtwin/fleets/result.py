@@ -83,7 +83,11 @@ class FleetResult(Shown):
     @property
     def claim(self) -> str:
         """What matters, in one sentence."""
-        about = f"{_many(self.logs, 'log')} of {_many(len(self.aircraft), 'aircraft', '')}"
+        about = _many(self.logs, "log")
+        if self.aircraft:
+            about += f" of {_many(len(self.aircraft), 'aircraft', '')}"
+        elif self.unnamed:
+            about += " of aircraft that no log names"
         parts = [self._differ(), self._drift()]
         if misfit := len(self.misfits):
             parts.append(f"the vehicle file does not fit {misfit} of them")
@@ -109,7 +113,8 @@ class FleetResult(Shown):
 
     def _no_differences(self) -> str:
         if len(self.aircraft) < FEWEST_AIRCRAFT:
-            return f"{_many(len(self.aircraft), 'aircraft', '')}, {FEWEST_AIRCRAFT} are needed"
+            named = _many(len(self.aircraft), "named aircraft", "")
+            return f"{named}, {FEWEST_AIRCRAFT} are needed"
         return f"no number is known of {FEWEST_AIRCRAFT} aircraft"
 
     @property

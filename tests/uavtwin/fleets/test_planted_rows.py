@@ -63,12 +63,22 @@ def test_nothing_compared_is_never_none(tmp_path: Path) -> None:
     assert not three.differences and not three.drifts
     told = str(three)
     assert "none differ" not in told and "none drift" not in told
-    assert "cannot be determined (3 aircraft, 4 are needed)" in three.claim
+    assert "cannot be determined (3 named aircraft, 4 are needed)" in three.claim
     assert "no aircraft has 6 flights whose logs have a date" in three.claim
     assert len(three.cannot) == 2
     three.report(tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert "None of those compared" not in page and "Not determined." in page
+
+
+def test_logs_that_name_no_aircraft_are_said_to(tmp_path: Path) -> None:
+    write_dataset(
+        ({"flights": [{"log": f"{k}.csv", "status": "fine", "aircraft": ""}]} for k in range(2)),
+        tmp_path,
+    )
+    claim = result_of(tmp_path, "copter_default").claim
+    assert claim.startswith("2 logs of aircraft that no log names: ")
+    assert "0 named aircraft, 4 are needed" in claim
 
 
 def test_four_aircraft_of_which_no_number_is_known_are_not_compared(tmp_path: Path) -> None:
