@@ -12,6 +12,7 @@ from .printing import (
     print_explanation,
     print_incomplete,
     print_json,
+    print_written,
     progress,
 )
 
@@ -47,6 +48,6 @@ def demo(
         written = write_demo(chain, folder, steps, step)
         write_run(folder, "demo", options, seed=seed, incomplete=steps.incomplete)
     if not as_json:
-        STDOUT.print(f"written: {out / written[0]}, {', '.join(written[1:])}, run.json")
+        print_written(out, written)
     if print_incomplete(steps) or not chain.right:
         raise typer.Exit(Exit.FINDINGS)

@@ -7,11 +7,11 @@ import typer
 
 from .options import Csv, Exit, Force, Json, Mcap, Out, Rebuild, TrustVehicle
 from .printing import (
-    STDOUT,
     print_damage,
     print_incomplete,
     print_json,
     print_sections,
+    print_written,
     progress,
 )
 
@@ -89,8 +89,7 @@ def evaluate(
             written.append("series/")
         write_run(folder, "evaluate", options, inputs, incomplete=steps.incomplete)
     if not as_json:
-        files = ", ".join([*written, "run.json"])
-        STDOUT.print(f"written: {out / 'report.html'}, {files}")
+        print_written(out, ["report.html", *written])
     damaged = print_damage(read)
     if print_incomplete(steps) or damaged:
         raise typer.Exit(Exit.FINDINGS)

@@ -24,11 +24,11 @@ from .options import (
     vehicle_named,
 )
 from .printing import (
-    STDOUT,
     print_damage,
     print_explanation,
     print_incomplete,
     print_json,
+    print_written,
     progress,
 )
 
@@ -124,7 +124,7 @@ def explain(
             written.append("series/")
         write_run(folder, "explain", options, inputs, seed, incomplete=steps.incomplete)
     if not as_json:
-        STDOUT.print(f"written: {', '.join([str(out / written[0]), *written[1:], 'run.json'])}")
+        print_written(out, written)
     damaged = print_damage([*fit, *away])
     if print_incomplete(steps) or damaged or found.verdict != "nothing":
         raise typer.Exit(Exit.FINDINGS)

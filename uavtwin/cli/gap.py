@@ -13,6 +13,7 @@ from .printing import (
     print_incomplete,
     print_json,
     print_table,
+    print_written,
     progress,
 )
 
@@ -66,8 +67,7 @@ def gap(
             written.append("series/")
         write_run(folder, "gap", options, inputs, incomplete=steps.incomplete)
     if not as_json:
-        files = ", ".join([*written, "run.json"])
-        STDOUT.print(f"written: {out / 'report.html'}, {files}")
+        print_written(out, ["report.html", *written])
     damaged = print_damage(flights)
     if print_incomplete(steps) or damaged or not any(g.channels for g in found.flights):
         raise typer.Exit(Exit.FINDINGS)

@@ -8,6 +8,7 @@ import traceback
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import platformdirs
@@ -202,6 +203,12 @@ def print_incomplete(steps: "OptionalSteps") -> bool:
         )
     steps.finish()
     return bool(steps.failed)
+
+
+def print_written(out: Path, files: Sequence[str]) -> None:
+    """Names of the results in a folder, the first of them with the folder, and its run.json."""
+    first, *others = files
+    STDOUT.print(f"written: {', '.join([str(out / first), *others, 'run.json'])}")
 
 
 def print_files(written: "list[WrittenFile]") -> None:

@@ -28,7 +28,7 @@ from .options import (
     start_values,
     vehicle_named,
 )
-from .printing import STDERR, STDOUT, print_incomplete, print_json, progress
+from .printing import STDERR, STDOUT, print_incomplete, print_json, print_written, progress
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 _VEHICLE = "copter_default"
@@ -138,8 +138,7 @@ def simulate(
     if not as_json:
         if run.recording.printed:
             STDERR.print(f"what the FMUs printed is in {out / 'printed.txt'}")
-        files = ", ".join([*recorded, "summary.json", "run.json"])
-        STDOUT.print(f"written: {out / 'report.html'}, {files}")
+        print_written(out, ["report.html", *recorded, "summary.json"])
     if failed:
         raise typer.Exit(Exit.FINDINGS)
 

@@ -23,7 +23,7 @@ from .options import (
     seconds,
     start_values,
 )
-from .printing import STDERR, STDOUT, print_json, progress
+from .printing import STDERR, STDOUT, print_json, print_written, progress
 from .simulate import Aircraft, ScenarioName, aircraft_of, three_numbers
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def sweep(
         for warning in result.warnings:
             STDERR.print(f"warning: {warning}", style="yellow")
     else:
-        STDOUT.print(f"written: {out / 'report.html'}, runs.parquet, sweep.json, run.json")
+        print_written(out, ["report.html", "runs.parquet", "sweep.json"])
     if result.counts.get("failed"):
         raise typer.Exit(Exit.FINDINGS)
 

@@ -8,7 +8,7 @@ import typer
 from twin.errors import TwinError
 
 from .options import Exit, Force, Json, Out, Rebuild, TrustVehicle, VehicleName, seconds
-from .printing import STDOUT, print_damage, print_json, progress
+from .printing import STDOUT, print_damage, print_json, print_written, progress
 
 if TYPE_CHECKING:
     from ..learned import TrainResult
@@ -108,8 +108,7 @@ def train(
     with progress("training") as step:
         trained = run_train(read, twin, out, wanted, force, step, beside)
     if not as_json:
-        files = ", ".join([*trained.files[1:], "run.json"])
-        STDOUT.print(f"written: {out / trained.files[0]}, {files}")
+        print_written(out, trained.files)
     if print_damage(read):
         raise typer.Exit(Exit.FINDINGS)
 
