@@ -34,12 +34,13 @@ def main(flight: Flight, vehicle: Vehicle) -> None:
     aircraft = Replay(options.listen, MAX_SPEED)  # in step with who listens; 1.0: in real time
     sender = threading.Thread(target=aircraft.play, args=(flight,))
     sender.start()
-    told = session.run(told=lambda now: print(now.line()))
+    status = session.run(on_status=lambda now: print(now.line()))
     sender.join()
     aircraft.close()
-    for alarm in told.alarms:
+    for alarm in status.alarms:
         print(f"{alarm['raised_s']:.1f} s: {alarm['text']}")
-    print(f"residual of acc_z: {told.rms['acc_z']:.3f} m/s2 rms; {told.link.lost} messages lost")
+    rms, lost = status.rms["acc_z"], status.link.lost
+    print(f"residual of acc_z: {rms:.3f} m/s2 rms; {lost} messages lost")
 
 
 if __name__ == "__main__":

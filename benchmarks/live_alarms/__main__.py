@@ -17,7 +17,7 @@ from pathlib import Path
 from .flights import MAGNITUDES, SIZES, Case
 from .page import page
 from .real import real_flights
-from .scoring import file_of, looked, score_case, write_row
+from .scoring import evaluated, file_of, score_case, write_row
 
 QUIET_S = 240.0
 QUIET = 8
@@ -45,7 +45,7 @@ def main() -> int:
         for name, flight, vehicle in real_flights(given.data):
             if file_of(given.out, name).exists():
                 continue
-            row = {"name": name, "magnitude": "real", "effect": "", **looked(flight, vehicle)}
+            row = {"name": name, "magnitude": "real", "effect": "", **evaluated(flight, vehicle)}
             write_row(given.out, name, row)
         return 0
     every = cases(given.tuning, given.seeds)

@@ -66,8 +66,8 @@ class Outcome:
 def outcome(row: Row) -> Outcome:
     """What came of a flight in which something began."""
     begins_s = float(row["begins_s"])
-    before = [a for a in row["alarms"] if a["told_s"] < begins_s]
-    after = [a for a in row["alarms"] if a["told_s"] >= begins_s]
+    before = [a for a in row["alarms"] if a["raised_s"] < begins_s]
+    after = [a for a in row["alarms"] if a["raised_s"] >= begins_s]
     if not after:
         return Outcome(False, False, np.inf, "", len(before), 0)
     names = after[0]["names"]
@@ -113,8 +113,8 @@ def _summary(rows: Sequence[Row], begun: Sequence[Row]) -> Iterator[str]:
     yield f"| and before something begins, in {spans / 60:.0f} minutes | the same | {early} |"
     costs = [r["cost_s"] for r in rows if r["cost_s"] is not None]
     cost = 1e3 * float(np.median(costs))
-    told = f"{cost:.0f} ms, where it was flown"
-    yield f"| processor per second of flight, {len(SIZES) + 1} effects | 100 ms | {told} |"
+    shown = f"{cost:.0f} ms, where it was flown"
+    yield f"| processor per second of flight, {len(SIZES) + 1} effects | 100 ms | {shown} |"
     yield ""
 
 
@@ -150,7 +150,7 @@ def _quiet(quiet: Sequence[Row]) -> Iterator[str]:
     yield "| flight | aircraft | minutes | alarms |"
     yield "|---|---|---|---|"
     for r in quiet:
-        alarms = ", ".join(f"`{a['effect']}` at {a['told_s']:.0f} s" for a in r["alarms"])
+        alarms = ", ".join(f"`{a['effect']}` at {a['raised_s']:.0f} s" for a in r["alarms"])
         minutes = f"{r['seconds'] / 60:.1f}"
         yield f"| {r['name']} | {r['aircraft']} | {minutes} | {alarms or 'none'} |"
 
@@ -164,5 +164,5 @@ def _recorded(real: Sequence[Row]) -> Iterator[str]:
     yield "| flight | seconds looked at | alarms |"
     yield "|---|---|---|"
     for r in real:
-        told = [f"`{a['effect']}` since {a['since_s']:.1f} s" for a in r["alarms"]]
-        yield f"| {r['name']} | {r['seconds']:.0f} | {', '.join(told) or 'none'} |"
+        shown = [f"`{a['effect']}` since {a['since_s']:.1f} s" for a in r["alarms"]]
+        yield f"| {r['name']} | {r['seconds']:.0f} | {', '.join(shown) or 'none'} |"

@@ -28,13 +28,13 @@ def real_flights(data: Path) -> Iterator[tuple[str, Flight, Vehicle]]:
         data: Folder of the data.
     """
     for scenario in (s for s in SCENARIOS if s.name in SETS):
-        told = told_without(scenario.title)
+        numbers = numbers_without(scenario.title)
         for file in (f for f in scenario.flights if (data / f).is_file()):
-            vehicle = with_numbers(scenario.read_vehicle(), told[Path(file).stem])
+            vehicle = with_numbers(scenario.read_vehicle(), numbers[Path(file).stem])
             yield Path(file).stem, read(data, file), vehicle
 
 
-def told_without(section: str) -> dict[str, dict[str, float]]:
+def numbers_without(section: str) -> dict[str, dict[str, float]]:
     """By flight that was held out, "effect.number" -> value, SI."""
     text = PAGE.read_text("utf-8").split(f"\n## {section}\n", 1)[1].split("\n## ", 1)[0]
     table = text.split("### Which numbers agree\n", 1)[1].split("\n### ", 1)[0]

@@ -22,13 +22,13 @@ def score_case(out: Path, case: Case) -> str:
         "magnitude": case.magnitude,
         "aircraft": case.aircraft,
         "begins_s": begins_s if np.isfinite(begins_s) else None,
-        **looked(flight, aircraft(case.aircraft)),
+        **evaluated(flight, aircraft(case.aircraft)),
     }
     write_row(out, case.name, row)
     return case.name
 
 
-def looked(flight: Flight, vehicle: Vehicle) -> dict[str, Any]:
+def evaluated(flight: Flight, vehicle: Vehicle) -> dict[str, Any]:
     """What came of a flight, for a file."""
     found = ran(flight, vehicle)
     return {
@@ -36,7 +36,7 @@ def looked(flight: Flight, vehicle: Vehicle) -> dict[str, Any]:
         "cost_s": float(np.mean(found.cost_s[4:])) if len(found.cost_s) > 4 else None,
         "alarms": [
             {
-                "told_s": told_s,
+                "raised_s": raised_s,
                 "effect": alarm.effect,
                 "since_s": alarm.since_s,
                 "probability": alarm.probability,
@@ -44,7 +44,7 @@ def looked(flight: Flight, vehicle: Vehicle) -> dict[str, Any]:
                 "numbers": [[n.name, n.value, n.sd, n.unit] for n in alarm.numbers],
                 "names": names,
             }
-            for (told_s, alarm), names in zip(found.opened, found.names, strict=True)
+            for (raised_s, alarm), names in zip(found.opened, found.names, strict=True)
         ],
     }
 

@@ -74,7 +74,7 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
         finally:
             os.sched_setaffinity(0, {core, *others})
             live.kill()
-    told = json.loads(said)
+    status = json.loads(said)
     return {
         "seconds": seconds,
         "alarms_kept": alarms,
@@ -82,9 +82,9 @@ def ages(seconds: float, alarms: bool, vehicle_name: str = "copter_default") -> 
         "pictures": len(shown),
         "shown_p50_ms": float(np.percentile(shown[:, 1], 50)),
         "shown_p99_ms": float(np.percentile(shown[:, 1], 99)),
-        "published_p99_ms": 1e3 * told["published_age_p99_s"],
-        "lost": told["link"]["lost"],
-        "late": told["link"]["late"],
+        "published_p99_ms": 1e3 * status["published_age_p99_s"],
+        "lost": status["link"]["lost"],
+        "late": status["link"]["late"],
     }
 
 

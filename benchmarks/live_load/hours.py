@@ -51,26 +51,26 @@ def growth(seconds: float, speed: float, vehicle_name: str = "copter_default") -
         sender.start()
         watching.start()
         # The end of a recording is written anew as Parquet: that is not the growth in flight.
-        told = session.run(lambda: not sender.is_alive())
+        status = session.run(lambda: not sender.is_alive())
         over.set()
         watching.join()
         sender.join()
         wall_s = time.monotonic() - began
         recorded = len(read_flight(Path(folder, "rec", "flight.parquet")).table)
-    sent = int((times_s <= told.flight_s + 1e-9).sum())  # the sender may have been ended early
-    flown = np.array([m for m in memory if 60.0 < m[0] < told.flight_s - 2.0])
-    later = flown[flown[:, 0] > 0.5 * told.flight_s, 1]
+    sent = int((times_s <= status.flight_s + 1e-9).sum())  # the sender may have been ended early
+    flown = np.array([m for m in memory if 60.0 < m[0] < status.flight_s - 2.0])
+    later = flown[flown[:, 0] > 0.5 * status.flight_s, 1]
     return {
         "speed": speed,
-        "flight_s": told.flight_s,
-        "behind_s": float(times_s[-1]) - told.flight_s,
+        "flight_s": status.flight_s,
+        "behind_s": float(times_s[-1]) - status.flight_s,
         "rss_of_the_second_half_mib": [float(later.min()), float(later.max())],
         "wall_s": wall_s,
         "rows_sent": sent,
         "rows_recorded": recorded,
-        "lost": told.link.lost,
-        "late": told.link.late,
-        "alarms": len(told.alarms),
+        "lost": status.link.lost,
+        "late": status.link.late,
+        "alarms": len(status.alarms),
         "rss_after_a_minute_mib": float(flown[0, 1]),
         "rss_at_the_end_mib": float(flown[-1, 1]),
         "rss_least_mib": float(flown[:, 1].min()),

@@ -14,7 +14,7 @@ from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.told import LiveTold
+from uavtwin.live.status import LiveStatus
 
 from .flights import long_flight
 from .ports import free_address
@@ -45,11 +45,11 @@ def aircraft_at_once(
         evidence = (lambda: RunningEvidence(vehicle)) if alarms else (lambda: None)
         where = [free_address() for _ in range(count)]
         sessions = [LiveSession(vehicle, LiveOptions(a, system=1), evidence) for a in where]
-        told: dict[int, LiveTold] = {}
+        status: dict[int, LiveStatus] = {}
         over = threading.Event()
 
         def listen(k: int) -> None:
-            told[k] = sessions[k].run(over.is_set)
+            status[k] = sessions[k].run(over.is_set)
 
         threads = [threading.Thread(target=listen, args=(k,)) for k in range(count)]
         context = multiprocessing.get_context("spawn")
@@ -78,10 +78,10 @@ def aircraft_at_once(
         "wall_s": wall_s,
         "cpu_share": cpu_s / wall_s,
         "cpu_per_second": steady_s / flown_s if flown_s > 1.0 else None,
-        "lost": sum(t.link.lost for t in told.values()),
-        "late": sum(t.link.late for t in told.values()),
+        "lost": sum(t.link.lost for t in status.values()),
+        "late": sum(t.link.late for t in status.values()),
         "most_behind_s": max(behind_s),
-        "alarms": sum(len(t.alarms) for t in told.values()),
+        "alarms": sum(len(t.alarms) for t in status.values()),
     }
 
 

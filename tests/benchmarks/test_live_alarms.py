@@ -5,16 +5,16 @@ import pytest
 
 from benchmarks.live_alarms.flights import SIZES, Case, aircraft, numbers
 from benchmarks.live_alarms.page import outcome, page
-from benchmarks.live_alarms.real import told_without, with_numbers
+from benchmarks.live_alarms.real import numbers_without, with_numbers
 from twin.effects import EFFECTS
 from twin.effects.priors import BEGINNINGS
-from twin.explain.running.hypotheses import FEARED
+from twin.explain.running.hypotheses import MONITORED_EFFECTS
 from twin.vehicle.file import load_vehicle
 
 
-def alarm(told_s: float, *names: str) -> dict[str, object]:
-    history = [[told_s + k, n] for k, n in enumerate(names)]
-    return {"told_s": told_s, "effect": names[0], "since_s": told_s - 1, "names": history}
+def alarm(raised_s: float, *names: str) -> dict[str, object]:
+    history = [[raised_s + k, n] for k, n in enumerate(names)]
+    return {"raised_s": raised_s, "effect": names[0], "since_s": raised_s - 1, "names": history}
 
 
 def row(*alarms: dict[str, object]) -> dict[str, object]:
@@ -54,7 +54,7 @@ def test_page_counts() -> None:
 @pytest.mark.parametrize("effect", SIZES)
 def test_every_case_has_the_numbers_of_its_effect(effect: str) -> None:
     assert effect in BEGINNINGS
-    assert effect in FEARED
+    assert effect in MONITORED_EFFECTS
     vehicle = aircraft("copter_default")
     size = SIZES[effect][1]
     drawn = numbers(effect, size, vehicle, Case(effect, "medium", 1000).rng)
@@ -62,9 +62,9 @@ def test_every_case_has_the_numbers_of_its_effect(effect: str) -> None:
 
 
 def test_recorded_flights_are_held_against_what_the_others_tell() -> None:
-    told = told_without("RflySimDT, real flights")
-    assert [*told] == ["real_1", "real_2", "real_3"]
-    found = told["real_1"]
+    numbers = numbers_without("RflySimDT, real flights")
+    assert [*numbers] == ["real_1", "real_2", "real_3"]
+    found = numbers["real_1"]
     assert found["mag_hard_iron.x_t"] == pytest.approx(-79e-6, rel=0.05)
     assert "command_delay.delay_s" not in found
     vehicle = with_numbers(load_vehicle("feisi_x150"), found)

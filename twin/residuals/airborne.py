@@ -73,15 +73,15 @@ def carry(
         above = ~grounded & (height_m > np.quantile(known_m, 0.01) + CLEAR_HEIGHT_M)
         if np.sum(above) > least:
             return float(np.median(thrust_n[above]))
-    felt = force()
-    if not len(felt):
+    along = force()
+    if not len(along):
         return None
     block = max(round(BLOCK_S / step_s), 1)
-    whole = len(felt) // block * block
-    pushed, felt = (v[:whole].reshape(-1, block).mean(axis=1) for v in (thrust_n, felt))
-    strong = np.isfinite(felt)
+    whole = len(along) // block * block
+    pushed, along = (v[:whole].reshape(-1, block).mean(axis=1) for v in (thrust_n, along))
+    strong = np.isfinite(along)
     strong &= pushed > np.quantile(pushed, 0.9, method="lower") / 2 if len(pushed) else False
-    x, y = pushed[strong], felt[strong]
+    x, y = pushed[strong], along[strong]
     if len(x) < FEWEST_BLOCKS:
         return None
     x_apart, y_apart = x - np.mean(x), y - np.mean(y)

@@ -194,8 +194,8 @@ class Alignment:
         self.step_s = float(next_s - start_s)
         self.motion = motion or measured_motion(flight)
         self._signals = InputSignals(flight, vehicle, self.airframe)
-        told = consistency(flight, vehicle).warnings
-        self.notes = (*told, *self.motion.notes, *self._signals.notes)
+        warnings = consistency(flight, vehicle).warnings
+        self.notes = (*warnings, *self.motion.notes, *self._signals.notes)
         self.carries = 1.0
 
     def times(self, first: int, end: int) -> Array:
@@ -211,10 +211,10 @@ class Alignment:
 
     def spans(self) -> tuple[tuple[str, float, float], ...]:
         """Name, first and last time of each phase, as they lie on the grid."""
-        told, names = self._flight.phase_codes
-        codes = np.empty(self.rows, dtype=told.dtype)
+        codes_of_table, names = self._flight.phase_codes
+        codes = np.empty(self.rows, dtype=codes_of_table.dtype)
         for a, b in pairwise(self.edges(BLOCK_ROWS)):
-            codes[a:b] = told[self._table_rows(a, b)]
+            codes[a:b] = codes_of_table[self._table_rows(a, b)]
         changes = np.flatnonzero(codes[1:] != codes[:-1]) + 1
         edges = [0, *changes.tolist(), self.rows - 1]
         return tuple(

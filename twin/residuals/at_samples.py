@@ -36,7 +36,7 @@ def smooth_at(signal: AnySignal, t_s: Array, derivative: int = 0) -> Array:
     return np.asarray(found)
 
 
-def as_sampled(values: Array, t_s: Array, signal: AnySignal, derivative: int = 0) -> Array:
+def resample_like(values: Array, t_s: Array, signal: AnySignal, derivative: int = 0) -> Array:
     """What `smooth_at` makes of something where it is known at the samples of a signal alone.
 
     Two signals are compared without what sampling does to one of them when the other passes it,

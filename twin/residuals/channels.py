@@ -97,13 +97,13 @@ class Measured:
         return self._over_pieces(predicted, self.filters_hz[:-1], 1)
 
     def _over_pieces(self, values: Array, filters_hz: Sequence[float], every: int) -> Array:
-        kept = []
+        retained = []
         for rows in self.rows:
             part = values[rows]
             for cutoff in filters_hz:
                 part = low_pass(part, cutoff)
-            kept.append(part[self.settle :: every])
-        return np.concatenate(kept)
+            retained.append(part[self.settle :: every])
+        return np.concatenate(retained)
 
     def channels(self, predicted: Array, slopes: Array) -> list[ChannelData]:
         """Channels against a prediction on the grid.
@@ -165,12 +165,12 @@ def measured(
         t_s=t_s,
         piece=np.zeros(0, dtype=np.intp),
     )
-    kept = [rows[settle::EVERY] for rows in pieces]
-    number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(kept)]
+    retained = [rows[settle::EVERY] for rows in pieces]
+    number = [np.full(len(rows), k, dtype=np.intp) for k, rows in enumerate(retained)]
     return replace(
         group,
         values=group.filtered(values, (band_hz,)),
-        t_s=t_s[np.concatenate(kept)],
+        t_s=t_s[np.concatenate(retained)],
         piece=np.concatenate(number),
     )
 

@@ -154,21 +154,21 @@ def predicted_imu(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
         aligned: The flight on the grid of its twin.
         vehicle: The twin.
     """
-    felt = felt_by_imu(aligned.airframe, vehicle)
-    return felt(in_step(aligned, vehicle), aligned.inputs.u)
+    predictor = imu_predictor(aligned.airframe, vehicle)
+    return predictor(in_step(aligned, vehicle), aligned.inputs.u)
 
 
-def felt_by_imu(body: Component, vehicle: Vehicle) -> OverRows:
+def imu_predictor(body: Component, vehicle: Vehicle) -> OverRows:
     """The same of states and inputs of an airframe, for whoever asks for it more than once."""
     sensor = prompt_imu(vehicle)
     x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
     y = body.outputs(x, u, body.parameter_values({"ground.enabled": 0.0}))
     outputs = {name: y[i] for i, name in enumerate(body.output_names)}
-    felt = ca.vertcat(*[outputs[n] for n in sensor.input_names])
+    true_motion = ca.vertcat(*[outputs[n] for n in sensor.input_names])
     sensed, p = ca.SX.sym("sensed", len(sensor.inputs)), sensor.parameter_values()
     shown = sensor.outputs(sensor.initial(sensed, p), sensed, p)
     both = ca.vertcat(shown[:3], gyro_rate(sensor, sensed, shown))
-    readings = ca.cse(ca.densify(ca.substitute(both, sensed, felt)))
+    readings = ca.cse(ca.densify(ca.substitute(both, sensed, true_motion)))
     return OverRows(ca.Function("felt", [x, u], [readings]), 2)
 
 
@@ -184,7 +184,7 @@ def in_step(aligned: AlignedFlight, vehicle: Vehicle) -> Array:
 
 
 def imu_channels(
-    flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight, felt_by: OverRows | None = None
+    flight: AnyFlight, vehicle: Vehicle, aligned: AlignedFlight, predictor: OverRows | None = None
 ) -> list[Channel]:
     """Channels of horizon 0: accelerometer, and rate of change of the gyroscope.
 
@@ -193,10 +193,10 @@ def imu_channels(
         vehicle: The twin.
         aligned: The flight on a grid of `GRID_HZ`; where nobody else holds it, it is gone before
             the readings are there.
-        felt_by: `felt_by_imu` of the airframe, where it is at hand.
+        predictor: `imu_predictor` of the airframe, where it is at hand.
     """
-    felt_by = felt_by or felt_by_imu(aligned.airframe, vehicle)
-    felt = felt_by(in_step(aligned, vehicle), aligned.inputs.u)
+    predictor = predictor or imu_predictor(aligned.airframe, vehicle)
+    predictions = predictor(in_step(aligned, vehicle), aligned.inputs.u)
     t_s, late = aligned.inputs.t_s, ages(vehicle)
     known, phase_of_row = _known(aligned), aligned.phases
     del aligned
@@ -208,7 +208,7 @@ def imu_channels(
         readings = _readings(sensor, flight, vehicle, t_s, raw, known)
         if readings is None:
             continue
-        predicted = felt[:, 3 * k : 3 * k + 3]
+        predicted = predictions[:, 3 * k : 3 * k + 3]
         if sensor.rate_unit:
             predicted = mean_over_step(predicted)
         if age_s := late.get(sensor.signal, 0.0):

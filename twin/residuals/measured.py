@@ -318,9 +318,9 @@ def _continuous(attitude: AnySignal) -> AnySignal:
         inside = (t_s >= span_s[0]) & (t_s <= span_s[1])
         q = np.vstack([before, _unit(values[inside])])
         if len(q):
-            told = _signs(q)
-            signs[flight.rows_of(t_s[inside], low)] = told[len(before) :]
-            before = q[-1:] * told[-1]
+            new_signs = _signs(q)
+            signs[flight.rows_of(t_s[inside], low)] = new_signs[len(before) :]
+            before = q[-1:] * new_signs[-1]
     return replace(attitude, signs=signs)
 
 
@@ -379,10 +379,10 @@ def _turned_together(attitude: Signal, rates: AnySignal, later_s: float) -> Arra
     turning = rates_of(attitude)
     slow = zero_phase(turning, AGREEMENT_HZ)
     start_s, end_s = float(turning.t_s[0]) - later_s - 1.0, float(turning.t_s[-1]) - later_s + 1.0
-    beside = rates.between(start_s, end_s)
-    if not len(beside.t_s):
+    nearby = rates.between(start_s, end_s)
+    if not len(nearby.t_s):
         return np.zeros(4)
-    gyro = Signal(beside.t_s, zero_phase(beside, AGREEMENT_HZ)).at(turning.t_s - later_s)
+    gyro = Signal(nearby.t_s, zero_phase(nearby, AGREEMENT_HZ)).at(turning.t_s - later_s)
     known = np.all(np.isfinite(gyro) & np.isfinite(slow), axis=1)
     a, b = slow[known], gyro[known]
     return np.array([np.sum(a * b), np.sum(a * a), np.sum(b * b), b.size])

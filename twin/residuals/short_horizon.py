@@ -84,7 +84,7 @@ class Windows:
     def __init__(self, body: Component, sensor: Component) -> None:
         self._body = _Batch(body, body.parameter_values({"ground.enabled": 0.0}))
         self._imu = _Batch(sensor, sensor.parameter_values())
-        self._felt = [body.output_names.index(n) for n in sensor.input_names]
+        self._sensed_index = [body.output_names.index(n) for n in sensor.input_names]
         self._gyro = [sensor.output_names.index(n) for n in GYRO]
         self._pose = [body.output_names.index(n) for n in READ[len(GYRO) :]]
         self._remembers = any(_moves_gyro(s.name) for s in sensor.states)
@@ -94,12 +94,12 @@ class Windows:
     ) -> Array:
         """See `window_ends`."""
         body, sensor, u = self._body, self._imu, aligned.inputs.u
-        kept = np.empty((len(starts), tail + 1, len(READ)))
+        states = np.empty((len(starts), tail + 1, len(READ)))
         if len(starts) <= FEW and not tail and not self._remembers and body.is_plain:
             after = [body.after(aligned.states[s], u[s : s + steps]) for s in starts]
             body.x = np.vstack(after)
-            kept[:, 0] = self._read(u[starts + steps])
-            return kept
+            states[:, 0] = self._read(u[starts + steps])
+            return states
         body.start(aligned.states[starts], u[starts])
         sensed = self._sensed(u[starts])
         sensor.start(sensor.initial(sensed), sensed)
@@ -111,21 +111,21 @@ class Windows:
                     sensor.advance(sensed)
                     sensed = self._sensed(u[starts + k])
             if k >= steps - tail:
-                kept[:, k - (steps - tail)] = self._read(u[starts + k])
-        return kept
+                states[:, k - (steps - tail)] = self._read(u[starts + k])
+        return states
 
     def _read(self, u: Array) -> Array:
         """`READ` of the present states, shape (w, 13); of a gyroscope without memory the state of
         the sensor does not matter."""
         outputs = self._body.outputs(u)
-        felt = outputs[:, self._felt]
+        sensed = outputs[:, self._sensed_index]
         if len(self._imu.x) != len(u):
-            self._imu.x = self._imu.initial(felt)
-        readings = self._imu.outputs(felt)
+            self._imu.x = self._imu.initial(sensed)
+        readings = self._imu.outputs(sensed)
         return np.hstack([readings[:, self._gyro], outputs[:, self._pose]])
 
     def _sensed(self, u: Array) -> Array:
-        return self._body.outputs(u)[:, self._felt]
+        return self._body.outputs(u)[:, self._sensed_index]
 
 
 class _Batch:

@@ -299,9 +299,9 @@ def _arrived(airframe: Component) -> dict[int, str]:
 
 def hidden_of(airframe: Component, step_s: float) -> "HiddenStates":
     """What nobody measures of an airframe, nothing of it known yet."""
-    seen = {i for i, s in enumerate(airframe.states) if s.name in RIGID}
-    seen |= {*rotor_states_of(airframe), *_arrived(airframe)}
-    return HiddenStates(airframe, sorted(set(range(len(airframe.states))) - seen), step_s)
+    measured = {i for i, s in enumerate(airframe.states) if s.name in RIGID}
+    measured |= {*rotor_states_of(airframe), *_arrived(airframe)}
+    return HiddenStates(airframe, sorted(set(range(len(airframe.states))) - measured), step_s)
 
 
 def hidden_states(airframe: Component, index: list[int], x: Array, inputs: Inputs) -> Array:

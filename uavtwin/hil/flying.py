@@ -41,7 +41,7 @@ _READINGS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class TwinState:
     """The twin at one instant, SI, NED, FRD.
 
     Attributes:
@@ -94,7 +94,7 @@ class FlyingTwin:
             raise
         self._t_s = 0.0
 
-    def fly(self, commands: Sequence[float], until_s: float) -> Flown:
+    def fly(self, commands: Sequence[float], until_s: float) -> TwinState:
         """Go on with commands held.
 
         Args:
@@ -116,10 +116,10 @@ class FlyingTwin:
         self._t_s = until_s
         return self.now()
 
-    def now(self) -> Flown:
+    def now(self) -> TwinState:
         """As it is."""
         read = self._read.copy()
-        return Flown(self._t_s, {name: read[part] for name, part in self._parts.items()})
+        return TwinState(self._t_s, {name: read[part] for name, part in self._parts.items()})
 
     def close(self) -> None:
         """Free the instance."""

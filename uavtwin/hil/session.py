@@ -39,9 +39,9 @@ from twin.vehicle import Vehicle
 from twin.vehicle.geodesy import geodetic_of_ned
 
 from ..live.address import Address
-from .flying import Flown, FlyingTwin
+from .flying import FlyingTwin, TwinState
 from .link import AutopilotLink, ConnectionEndedError
-from .told import HilTold
+from .status import HilStatus
 
 STEP_HZ = 1000
 """Steps of the twin per second; HIL_SENSOR comes after a whole number of them."""
@@ -118,14 +118,14 @@ class HilSession:
     def run(
         self,
         stop: Callable[[], bool] = lambda: False,
-        told: Callable[[HilTold], None] = lambda _: None,
+        on_status: Callable[[HilStatus], None] = lambda _: None,
         every_s: float = 1.0,
-    ) -> HilTold:
+    ) -> HilStatus:
         """Wait for an autopilot and let it fly until something ends it.
 
         Args:
             stop: Whether to end now.
-            told: Called with what is known, every `every_s`.
+            on_status: Called with what is known, every `every_s`.
             every_s: Between two calls of it.
 
         Returns:
@@ -135,14 +135,14 @@ class HilSession:
             if not self.link.wait(stop):
                 return self.known("ended before an autopilot connected", False)
             self._began_s = self._due_s = self._heard_s = time.monotonic()
-            next_told = self._began_s
+            next_status_s = self._began_s
             while not stop():
                 if self._is_over():
                     return self.known("the duration is over")
                 self._advance()
-                if time.monotonic() >= next_told:
-                    told(self.known())
-                    next_told += every_s
+                if time.monotonic() >= next_status_s:
+                    on_status(self.known())
+                    next_status_s += every_s
             return self.known("ended by hand")
         except ConnectionEndedError as error:
             return self.known(f"{error}, at {self._flight_s:.3f} s of the flight", False)
@@ -164,8 +164,8 @@ class HilSession:
         commands = self.commands(self._controls)
         self._count += 1
         self._armed_steps += self._controls is not None and self._controls.armed
-        flown = self._twin.fly(commands, self._flight_s)
-        self.link.send(self.messages(self._count, flown))
+        state = self._twin.fly(commands, self._flight_s)
+        self.link.send(self.messages(self._count, state))
         if self._in_lockstep:
             self._await(self._count * self._period_us)
         self._keep_pace()
@@ -186,7 +186,7 @@ class HilSession:
             found.append(min(max(known, 0.0), 1.0))
         return found
 
-    def messages(self, count: int, flown: Flown) -> list[Message]:
+    def messages(self, count: int, state: TwinState) -> list[Message]:
         """What is sent after so many periods; HIL_SENSOR last, since an answer follows it."""
         t_us = count * self._period_us
         found = []
@@ -194,27 +194,27 @@ class HilSession:
             found.append(heartbeat(self._twin.motors))
         if self._is_due(count, GPS_S):
             accuracy_m = max(PRESETS["gnss"].noise_m)
-            place = self._place(flown["gps_pos"])
-            found.append(hil_gps(t_us, place, flown["gps_vel"], accuracy_m))
+            place = self._place(state["gps_pos"])
+            found.append(hil_gps(t_us, place, state["gps_vel"], accuracy_m))
         if self._state_every and count % self._state_every == 0:
-            through = np.subtract(flown["vel"], flown["wind"])
+            through = np.subtract(state["vel"], state["wind"])
             found.append(
                 hil_state(
                     t_us,
-                    flown["q"],
-                    flown["omega"],
-                    self._place(flown["pos"]),
-                    flown["vel"],
-                    flown["force"],
+                    state["q"],
+                    state["omega"],
+                    self._place(state["pos"]),
+                    state["vel"],
+                    state["force"],
                     float(np.linalg.norm(through)),
                 )
             )
         sensed = Sensed(
-            flown["acc"],
-            flown["gyro"],
-            flown["mag"],
-            flown["baro"][0],
-            self._vehicle.sensors.temperature_k + LAPSE_K_M * flown["pos"][2],
+            state["acc"],
+            state["gyro"],
+            state["mag"],
+            state["baro"][0],
+            self._vehicle.sensors.temperature_k + LAPSE_K_M * state["pos"][2],
         )
         updated = IMU | (MAG | BARO if self._is_due(count, SLOW_S) else 0)
         found.append(hil_sensor(t_us, sensed, updated))
@@ -296,11 +296,11 @@ class HilSession:
 
     # -- what is known ------------------------------------------------------------------------
 
-    def known(self, ended: str = "", fine: bool = True) -> HilTold:
+    def known(self, ended: str = "", fine: bool = True) -> HilStatus:
         """All that is known now."""
         north, east, down = self._twin.now()["pos"]
         controls = self._controls
-        return HilTold(
+        return HilStatus(
             self.link.peer,
             self._flight_s,
             time.monotonic() - self._began_s if self.link.peer else 0.0,

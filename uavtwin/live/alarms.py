@@ -25,11 +25,11 @@ def sentence(alarm: Alarm) -> str:
     name = _words(alarm.effect)
     change = {n.name: n.value for n in alarm.numbers}
     if said := clause(alarm.effect, change, since=True):
-        told = [name]
+        details = [name]
     else:
-        said, told = f"{name}, {EFFECTS[alarm.effect].meaning}", []
-    told += [f"{alarm.probability:.0%}", *map(str, alarm.numbers)]
-    text = f"since {alarm.since_s:.1f} s: {said} ({', '.join(told)})"
+        said, details = f"{name}, {EFFECTS[alarm.effect].meaning}", []
+    details += [f"{alarm.probability:.0%}", *map(str, alarm.numbers)]
+    text = f"since {alarm.since_s:.1f} s: {said} ({', '.join(details)})"
     if alarm.others:
         known = " or ".join(f"{_words(e)} ({p:.0%})" for e, p in alarm.others.items())
         text += f"; cannot be told from {known}"

@@ -16,7 +16,7 @@ _STAMPED = getattr(socket, "SO_TIMESTAMPNS", 35) if sys.platform == "linux" else
 """Option and kind of the stamp, which Python has no name for before 3.14."""
 _STAMP = struct.Struct("@ll")
 """Seconds and ns since 1970."""
-_BESIDE = socket.CMSG_SPACE(_STAMP.size) if _STAMPED is not None else 0
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_STAMP.size) if _STAMPED is not None else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ class Arrivals:
         """Those that are there, at most so many."""
         for _ in range(most):
             try:
-                content, beside, _, sender = self._receive()
+                content, ancillary, _, sender = self._receive()
             except OSError:  # nothing more is there, or what was sent to nobody came back
                 self._empty_s = time.monotonic()
                 return
             now_s, now_ns = _both_clocks()
-            ago_s = 1e-9 * (now_ns - _stamp_ns(beside, now_ns))
+            ago_s = 1e-9 * (now_ns - _stamp_ns(ancillary, now_ns))
             # it came after all before it had been taken, whatever was done to the system's clock
             ago_s = min(max(ago_s, 0.0), now_s - self._empty_s)
             at_us = round(1e-3 * now_ns - 1e6 * ago_s)
@@ -70,7 +70,7 @@ class Arrivals:
         if _STAMPED is None:
             content, sender = self._socket.recvfrom(_LONGEST)
             return content, [], 0, sender
-        return self._socket.recvmsg(_LONGEST, _BESIDE)
+        return self._socket.recvmsg(_LONGEST, _ANCILLARY_BYTES)
 
 
 def _both_clocks() -> tuple[float, int]:
@@ -81,9 +81,9 @@ def _both_clocks() -> tuple[float, int]:
     return now_s, now_ns
 
 
-def _stamp_ns(beside: list[tuple[int, int, bytes]], otherwise: int) -> int:
+def _stamp_ns(ancillary: list[tuple[int, int, bytes]], otherwise: int) -> int:
     """The kernel's stamp, ns since 1970."""
-    for level, kind, data in beside:
+    for level, kind, data in ancillary:
         if level == socket.SOL_SOCKET and kind == _STAMPED and len(data) == _STAMP.size:
             seconds, ns = _STAMP.unpack(data)
             return int(10**9 * seconds + ns)

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass, field
 
 Point = tuple[float, float]
-KEPT_S = 60.0
+MEMORY_S = 60.0
 """Older points are forgotten: clocks drift with temperature."""
 _BIN_S = 0.5
 """Of so long the lowest point is kept."""
@@ -23,14 +23,14 @@ class ClockEstimate:
     """What is known of the aircraft's clock.
 
     Attributes:
-        told_s: Newest time of the aircraft, at which the offset holds, s.
+        aircraft_s: Newest time of the aircraft, at which the offset holds, s.
         offset_s: Our time less the aircraft's, s.
         drift_ppm: By how much the aircraft's clock is faster; NaN: not known yet.
         source: `TIMESYNC`, or `arrivals`: the offset holds the shortest delay of the link as well.
         width_s: Between the bounds from above and below; infinite without TIMESYNC.
     """
 
-    told_s: float
+    aircraft_s: float
     offset_s: float
     drift_ppm: float
     source: str
@@ -45,15 +45,15 @@ class ClockWatch:
     _below: dict[int, Point] = field(default_factory=dict)
     _now_s: float = -math.inf
 
-    def came(self, told_s: float, at_s: float) -> None:
+    def came(self, aircraft_s: float, at_s: float) -> None:
         """A message that says a time of the aircraft came at a time of ours, s."""
-        self._now_s = max(self._now_s, told_s)
-        _keep_lowest(self._above, told_s, at_s - told_s)
+        self._now_s = max(self._now_s, aircraft_s)
+        _keep_lowest(self._above, aircraft_s, at_s - aircraft_s)
 
-    def answered(self, asked_s: float, told_s: float, at_s: float) -> None:
+    def answered(self, request_s: float, aircraft_s: float, at_s: float) -> None:
         """TIMESYNC: asked and answered at times of ours, what the aircraft's clock was between."""
-        self.came(told_s, at_s)
-        _keep_lowest(self._below, told_s, -(asked_s - told_s))
+        self.came(aircraft_s, at_s)
+        _keep_lowest(self._below, aircraft_s, -(request_s - aircraft_s))
 
     def estimate(self) -> ClockEstimate | None:
         """What is known now; None: no message has come."""
@@ -73,7 +73,7 @@ class ClockWatch:
         )
 
     def _forget(self) -> None:
-        oldest = math.floor((self._now_s - KEPT_S) / _BIN_S) if math.isfinite(self._now_s) else 0
+        oldest = math.floor((self._now_s - MEMORY_S) / _BIN_S) if math.isfinite(self._now_s) else 0
         for points in (self._above, self._below):
             for key in [k for k in points if k < oldest]:
                 del points[key]

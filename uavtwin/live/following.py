@@ -94,9 +94,9 @@ class FollowingTwin:
         self._step = Along(ca.Function("step", [x, u], [after]))
         outputs = body.outputs(x, u, self._p)
         place = {name: i for i, name in enumerate(body.output_names)}
-        felt = ca.vertcat(*[outputs[place[name]] for name in sensor.input_names])
+        sensed = ca.vertcat(*[outputs[place[name]] for name in sensor.input_names])
         p = sensor.parameter_values()
-        shown = sensor.outputs(sensor.initial(felt, p), felt, p)
+        shown = sensor.outputs(sensor.initial(sensed, p), sensed, p)
         pose = ca.vertcat(*[x[self._index[g]] for g in ("pos", "vel", "q", "gyro")])
         self._read = EachRow(ca.Function("read", [x, u], [ca.vertcat(shown[:6], pose)]), 2)
         self._start = body

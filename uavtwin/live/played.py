@@ -40,7 +40,7 @@ def played(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
     codes, phases = flight.phase_codes
     known = np.isfinite(values)
     beat_us = screen_us = landed_us = -_BEAT_US
-    told = -1
+    sent_code = -1
     pose: dict[str, float] = {}
     for k, t in enumerate(t_us.tolist()):
         row = {names[i]: float(values[k, i]) for i in np.flatnonzero(known[k])}
@@ -49,9 +49,9 @@ def played(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
             found.append(heartbeat(motors or None))
             beat_us = t
         found += messages_of(t, row, motors)
-        if any(phases) and (codes[k] != told or t - landed_us >= _BEAT_US):
+        if any(phases) and (codes[k] != sent_code or t - landed_us >= _BEAT_US):
             found.append(landed(str(phases[codes[k]])))
-            told, landed_us = int(codes[k]), t
+            sent_code, landed_us = int(codes[k]), t
         pose |= {c: row[c] for c in (*POS, *VEL, *QUAT) if c in row}
         if t - screen_us >= _SCREEN_US and (screen := _screen(t, pose)):
             found += screen

@@ -86,7 +86,7 @@ class Publisher:
             while True:
                 found = self._alarms.get_nowait()
                 if isinstance(found, Alarm):
-                    self._tell(found)
+                    self._send_alarm(found)
                 else:
                     self._number(ANOMALY, found)
 
@@ -105,7 +105,7 @@ class Publisher:
             self._send(message)
         self._ages_s.append(time.monotonic() - came_s)
 
-    def _tell(self, alarm: Alarm) -> None:
+    def _send_alarm(self, alarm: Alarm) -> None:
         """As text, in pieces, and as a number."""
         over = alarm.closed_s is not None
         severity = dialect.MAV_SEVERITY_NOTICE if over else dialect.MAV_SEVERITY_WARNING
@@ -133,9 +133,9 @@ class Publisher:
 def messages_of_twin(t_us: int, reading: Reading) -> list[Message]:
     """Attitude, position and IMU of the twin."""
     sensed = dict(zip((*ACC, *GYRO), (*reading.acc_b, *reading.gyro_b), strict=True))
-    told = [
+    messages = [
         attitude(t_us, reading.q_nb, reading.omega_b),
         local_position(t_us, reading.position_n, reading.velocity_n),
         imu(t_us, sensed),
     ]
-    return [m for m in told if m is not None]
+    return [m for m in messages if m is not None]

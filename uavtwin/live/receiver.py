@@ -58,10 +58,10 @@ class Receiver:
     others: Counter[str] = field(default_factory=Counter)
     link: Link = field(default_factory=Link)
     silent: bool = False
-    _asked: int | None = field(init=False)
+    _wanted: int | None = field(init=False)
 
     def __post_init__(self) -> None:
-        self._asked = self.system
+        self._wanted = self.system
 
     @property
     def sequence(self) -> Sequence:
@@ -107,7 +107,7 @@ class Receiver:
         if message.get_type() == "HEARTBEAT" and message.type == GCS:
             return self._is_other(f"ground station, system {system}")
         if self.silent and self.sender != sender and self.sequence.received < _FEW:
-            self.system, self.sender = self._asked, None  # what was heard first was no aircraft
+            self.system, self.sender = self._wanted, None  # what was heard first was no aircraft
         if self.sender is None and self.system in (None, system) and _is_vehicle(message):
             self.system, self.sender = system, sender
         if self.sender is None:

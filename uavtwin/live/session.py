@@ -31,7 +31,7 @@ from .publisher import DEFAULT_SYSTEM, Publisher
 from .receiver import Received, Receiver
 from .recording import Recording
 from .rows import HOLD_S, RowBuffer
-from .told import RATES_HZ, LinkTold, LiveTold, missing
+from .status import RATES_HZ, LinkStatus, LiveStatus, missing
 from .worker import Batch, Worker
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ class LiveSession:
         self._heard_s = time.monotonic()
         self._packer = parser(255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
         self._parts = Parts(options.record)
-        self._decoder, self._asked_ns = MavlinkDecoder(self._motors), 0
+        self._decoder, self._request_ns = MavlinkDecoder(self._motors), 0
         self._alarms: dict[tuple[int, str, float], dict[str, Any]] = {}
         self._late = self._astray = 0
         self._requested = False
@@ -182,14 +182,14 @@ class LiveSession:
     def run(
         self,
         stop: Callable[[], bool] = lambda: False,
-        told: Callable[[LiveTold], None] = lambda _: None,
+        on_status: Callable[[LiveStatus], None] = lambda _: None,
         every_s: float = 1.0,
-    ) -> LiveTold:
+    ) -> LiveStatus:
         """Listen until it ends.
 
         Args:
             stop: Whether to end now.
-            told: Called with what is known, every `every_s`.
+            on_status: Called with what is known, every `every_s`.
             every_s: Between two calls of it.
 
         Returns:
@@ -197,7 +197,7 @@ class LiveSession:
         """
         began = time.monotonic()
         self._heard_s = began
-        next_rows = next_told = began
+        next_rows = next_status = began
         next_ask = began
         began_cpu = time.process_time()
         try:
@@ -213,10 +213,10 @@ class LiveSession:
                 if now >= next_ask:
                     self._ask()
                     next_ask = now + ASK_S
-                if now >= next_told:
+                if now >= next_status:
                     busy = (time.process_time() - began_cpu) / max(now - began, 1e-3)
-                    self._parts.run(Part.PAGE, told, self.known(busy))
-                    next_told = now + every_s
+                    self._parts.run(Part.PAGE, on_status, self.known(busy))
+                    next_status = now + every_s
                 if self._is_over(now, began):
                     break
         finally:
@@ -225,8 +225,8 @@ class LiveSession:
 
     def _alarm(self, alarm: Alarm) -> None:
         """Tell an alarm that was raised or has ended, in the thread of the twin."""
-        told = alarm_json(alarm, self.worker.sections)
-        self._alarms[told["section"], alarm.effect, alarm.raised_s] = told
+        entry = alarm_json(alarm, self.worker.sections)
+        self._alarms[entry["section"], alarm.effect, alarm.raised_s] = entry
         if self._publisher is not None:
             self._publisher.alarm(alarm)
         if self._page is not None:
@@ -240,7 +240,7 @@ class LiveSession:
         silent_s = options.until_silent_s
         return heard and silent_s is not None and now - self._heard_s >= silent_s
 
-    def end(self) -> LiveTold:
+    def end(self) -> LiveStatus:
         """End without `run`: what was taken is recorded; what is known at the end."""
         self._close()
         return self.known()
@@ -367,8 +367,8 @@ class LiveSession:
 
     def _ask(self) -> None:
         """Ask for the aircraft's time."""
-        self._asked_ns = time.monotonic_ns()
-        self._send(dialect.MAVLink_timesync_message(0, self._asked_ns))
+        self._request_ns = time.monotonic_ns()
+        self._send(dialect.MAVLink_timesync_message(0, self._request_ns))
 
     def _timesync(self, m: Message, at_s: float) -> None:
         """Answer a question for the time, or take an answer.
@@ -425,11 +425,11 @@ class LiveSession:
             found.append(Finding("warning", group, message, count))
         return tuple(found)
 
-    def known(self, busy: float = 0.0) -> LiveTold:
+    def known(self, busy: float = 0.0) -> LiveStatus:
         """All that is known now."""
         receiver, total = self._receiver, self._receiver.sequence
         sender = receiver.sender
-        link = LinkTold(
+        link = LinkStatus(
             receiver.system,
             "" if sender is None else f"{sender[0]}:{sender[1]}",
             total.received,
@@ -445,7 +445,7 @@ class LiveSession:
             dict(receiver.others),
         )
         worker = self.worker
-        return LiveTold(
+        return LiveStatus(
             link,
             self._clock.estimate(),
             dict(self._rows.sources),

@@ -24,7 +24,7 @@ from .rows import Columns
 
 if TYPE_CHECKING:
     from ..sensors.running import RunningCompensator
-    from .told import ModelTold
+    from .status import ModelStatus
 
 EVERY_S = 1.0
 """Of flight, between two blocks of residuals."""
@@ -111,9 +111,9 @@ class Worker:
         return {name: math.sqrt(s / n) for name, (n, s) in dict(self._sums).items() if n}
 
     @property
-    def model(self) -> "ModelTold | None":
+    def model(self) -> "ModelStatus | None":
         """What the compensator said of this section so far; None: there is none."""
-        return None if self._compensator is None else self._compensator.told
+        return None if self._compensator is None else self._compensator.status
 
     def _begin(self) -> None:
         self._running = RunningResiduals(
@@ -138,20 +138,20 @@ class Worker:
             self._parts.run(Part.SECTION, self._finish)
             if isinstance(item, _End):
                 return
-            self._parts.run(Part.SECTION, self._anew)
+            self._parts.run(Part.SECTION, self._restart)
 
     def _take(self, batch: Batch) -> None:
         rows = batch.rows
         columns = [c for c in rows if c not in ("time", "phase")]
         if self._parts.run(Part.TWIN, self._running.lacks, columns):
             self._finish()
-            self._anew()
+            self._restart()
         self._parts.run(Part.TWIN, self._running.append, rows)
         if self._recording is not None:
             settled, found = self._running.settled, (*batch.findings, *self._parts.findings)
             add = self._recording.add_rows
             self._parts.run(Part.TABLES, add, rows, batch.facts, found, settled)
-        self._parts.run(Part.ALARMS, self._weigh, rows)
+        self._parts.run(Part.ALARMS, self._update_alarms, rows)
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
             self._updated_s = float(rows["time"][0])
@@ -159,9 +159,9 @@ class Worker:
         behind_s = self.flight_s - self._updated_s
         if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
-            self._tell(self._parts.run(Part.TWIN, self._running.update))
+            self._publish(self._parts.run(Part.TWIN, self._running.update))
 
-    def _weigh(self, rows: Columns) -> None:
+    def _update_alarms(self, rows: Columns) -> None:
         """Ask for alarms: here and nowhere else."""
         if self._evidence is None:
             return
@@ -173,16 +173,16 @@ class Worker:
 
     def _finish(self) -> None:
         """Tell what the section leaves, and note what was settled in it."""
-        self._tell(self._parts.run(Part.TWIN, self._running.update, final=True))
+        self._publish(self._parts.run(Part.TWIN, self._running.update, final=True))
 
-    def _anew(self) -> None:
+    def _restart(self) -> None:
         self.sections += 1
         self._parts.wake()
         if self._recording is not None:
             self._parts.run(Part.TABLES, self._recording.begin_section)
         self._begin()
 
-    def _tell(self, block: ResidualBlock | None) -> None:
+    def _publish(self, block: ResidualBlock | None) -> None:
         if block is None:
             return
         for channel in (*block.channels, *block.short):

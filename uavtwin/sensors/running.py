@@ -18,7 +18,7 @@ from twin.errors import LogError, TwinError
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
-from ..live.told import ModelTold
+from ..live.status import ModelStatus
 from .compiled import fed, outputs_of
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class RunningCompensator:
     Attributes:
         network: The compensator.
         horizon_s: How old the newest residual is that it sees, s; infinite: it sees none.
-        told: What it said of the flight so far.
+        status: What it said of the flight so far.
     """
 
     def __init__(self, fmu: Path, network: NetworkFile, vehicle: Vehicle) -> None:
@@ -89,7 +89,7 @@ class RunningCompensator:
         self._row = self._rows = self._unusual = self._inside = 0
         n = len(self.network.channels)
         self._samples, self._before, self._after = np.zeros(n), np.zeros(n), np.zeros(n)
-        self.told = ModelTold(self.horizon_s)
+        self.status = ModelStatus(self.horizon_s)
 
     def update(self, flight: Flight, until_s: float) -> Correction | None:
         """What it says of what is new; None: it is not time yet, or nothing was in the air.
@@ -134,7 +134,7 @@ class RunningCompensator:
             )
             if n
         }
-        self.told = ModelTold(
+        self.status = ModelStatus(
             self.horizon_s,
             float(new.t_s[-1]),
             float(new.anomaly.max()),

@@ -90,7 +90,7 @@ LOCAL = {
         "inference.constants.FAST_RAD_S",
         "inference.refit.KAPPAS",
         "inference.refit.BEFORE",
-        "running.hypotheses.FEARED",
+        "running.hypotheses.MONITORED_EFFECTS",
     },
     "frequencies in which channels are taken apart": {
         "inference.coherence.WINDOW",

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.frames import from_euler
-from twin.residuals.at_samples import as_sampled, smooth_at, turning_at
+from twin.residuals.at_samples import resample_like, smooth_at, turning_at
 from twin.residuals.measured import Signal, rates_of
 
 T_S = np.arange(2000, dtype=np.float64) * np.float64(0.005)
@@ -19,7 +19,7 @@ def test_what_differs_by_its_samples_alone_does_not_differ(every: int) -> None:
     seen = Signal(T_S[::every], angle[::every, None])
     shown = smooth_at(seen, T_S, 1)
     known = np.isfinite(shown[:, 0])
-    taken = as_sampled(rate[:, None], T_S, seen, 1)
+    taken = resample_like(rate[:, None], T_S, seen, 1)
     assert np.array_equal(np.isfinite(taken[:, 0]), known)
     inside = known & (T_S > 0.5) & (T_S < 9.0)
     np.testing.assert_allclose(taken[inside], shown[inside], atol=2e-4)
@@ -42,6 +42,6 @@ def test_a_sample_at_the_edge_counts_whatever_its_last_bit() -> None:
     values[:400] = np.nan
     for apart in (-1e-12, 1e-12):
         stamps = T_S[::4] + apart
-        found = as_sampled(values, T_S, Signal(stamps, stamps[:, None]), 1)
+        found = resample_like(values, T_S, Signal(stamps, stamps[:, None]), 1)
         assert np.isfinite(found[400:1990]).all()
         assert np.isnan(found[:400]).all()

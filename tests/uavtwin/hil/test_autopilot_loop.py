@@ -18,7 +18,7 @@ from twin.logs.mavlink.simulator import Controls, controls_of, hil_controls
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.geodesy import geodetic_of_ned
-from uavtwin.hil.flying import Flown, FlyingTwin, flying_twin_of
+from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
 from uavtwin.live.address import Address
 
@@ -71,12 +71,12 @@ def in_process(vehicle: Vehicle, twin: FlyingTwin, rounded: bool) -> tuple[Array
     return np.array(places), np.array(commands)
 
 
-def true_motion(flown: Flown) -> dict[str, float]:
+def true_motion(flown: TwinState) -> dict[str, float]:
     vectors = {n: flown[n] for n in ("pos", "vel", "omega")}
-    told = {
+    status = {
         f"{n}_{a}": v for n, values in vectors.items() for a, v in zip(AXES, values, strict=True)
     }
-    return told | dict(zip(("q_w", "q_x", "q_y", "q_z"), flown["q"], strict=True))
+    return status | dict(zip(("q_w", "q_x", "q_y", "q_z"), flown["q"], strict=True))
 
 
 class Watched(FlyingTwin):
@@ -85,7 +85,7 @@ class Watched(FlyingTwin):
     places: list[list[float]]
     commands: list[list[float]]
 
-    def fly(self, commands: object, until_s: float) -> Flown:
+    def fly(self, commands: object, until_s: float) -> TwinState:
         flown = super().fly(commands, until_s)  # type: ignore[arg-type]
         self.places.append(flown["pos"])
         self.commands.append(list(commands))  # type: ignore[call-overload]
@@ -102,10 +102,10 @@ def over_the_socket(vehicle: Vehicle, folder: Path) -> tuple[Array, Array, Stand
         where = Address("127.0.0.1", session.link.port)
         autopilot = threading.Thread(target=stand_in.fly, args=(where,))
         autopilot.start()
-        told = session.run()
+        status = session.run()
         autopilot.join()
-        assert told.fine and told.ended == "the duration is over" and told.lockstep
-        assert told.clipped == told.unknown == 0 and told.answers >= STEPS - 1
+        assert status.fine and status.ended == "the duration is over" and status.lockstep
+        assert status.clipped == status.unknown == 0 and status.answers >= STEPS - 1
         return np.array(twin.places), np.array(twin.commands), stand_in, session
 
 
@@ -177,8 +177,8 @@ def test_motors_that_are_not_armed_stand_still(copter: Vehicle, twin: FlyingTwin
     assert session.commands(None) == [0.0] * 4
     assert session.commands(Controls(1, asked, False, True)) == [0.0] * 4
     assert session.commands(Controls(1, asked, True, True)) == [0.5, 0.0, 1.0, 0.0]
-    told = session.known()
-    assert (told.clipped, told.unknown) == (2, 1)
+    status = session.known()
+    assert (status.clipped, status.unknown) == (2, 1)
     session.link.close()
 
 

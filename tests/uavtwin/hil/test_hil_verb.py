@@ -22,7 +22,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of
 from uavtwin.hil.session import HilOptions, HilSession
-from uavtwin.hil.told import HilTold
+from uavtwin.hil.status import HilStatus
 from uavtwin.live.address import Address
 
 PATIENCE_S = 0.5
@@ -55,17 +55,17 @@ def against(
     copter: Vehicle,
     twin: FlyingTwin,
     options: HilOptions = OPTIONS,
-) -> HilTold:
+) -> HilStatus:
     """A session with an autopilot in a thread; both come to an end."""
     session = HilSession(copter, twin, options)
     where = Address("127.0.0.1", session.link.port)
     thread = threading.Thread(target=autopilot, args=(where,))
     thread.start()
     began = time.monotonic()
-    told = session.run(lambda: time.monotonic() - began > 30)
+    status = session.run(lambda: time.monotonic() - began > 30)
     thread.join(10)
     assert not thread.is_alive()
-    return told
+    return status
 
 
 def quietly(stand_in: StandIn) -> Callable[[Address], None]:
@@ -83,9 +83,9 @@ def test_an_autopilot_that_goes_silent_ends_the_flight(copter: Vehicle, twin: Fl
     def until_half_a_second(controls: Controls) -> Controls | None:
         return controls if controls.t_us < 500_000 else None
 
-    told = against(quietly(StandIn(Pilot(copter), answers=until_half_a_second)), copter, twin)
-    assert not told.fine and 0.49 < told.flight_s < 0.6
-    assert "has not answered for 0.5 s" in told.ended and "of the flight" in told.ended
+    status = against(quietly(StandIn(Pilot(copter), answers=until_half_a_second)), copter, twin)
+    assert not status.fine and 0.49 < status.flight_s < 0.6
+    assert "has not answered for 0.5 s" in status.ended and "of the flight" in status.ended
 
 
 def test_a_connection_that_is_lost_ends_the_flight(copter: Vehicle, twin: FlyingTwin) -> None:
@@ -94,9 +94,9 @@ def test_a_connection_that_is_lost_ends_the_flight(copter: Vehicle, twin: Flying
             raise TimeoutError
         return controls
 
-    told = against(quietly(StandIn(Pilot(copter), answers=hang_up)), copter, twin)
-    assert not told.fine and 0.39 < told.flight_s < 0.5
-    assert "has closed the connection" in told.ended or "is lost" in told.ended
+    status = against(quietly(StandIn(Pilot(copter), answers=hang_up)), copter, twin)
+    assert not status.fine and 0.39 < status.flight_s < 0.5
+    assert "has closed the connection" in status.ended or "is lost" in status.ended
 
 
 def test_an_autopilot_of_another_clock_is_told_so(copter: Vehicle, twin: FlyingTwin) -> None:
@@ -105,9 +105,9 @@ def test_an_autopilot_of_another_clock_is_told_so(copter: Vehicle, twin: FlyingT
     def behind(controls: Controls) -> Controls:
         return replace(controls, t_us=controls.t_us // 2)
 
-    told = against(quietly(StandIn(Pilot(copter), answers=behind)), copter, twin)
-    assert not told.fine
-    assert "has not answered" in told.ended or "its clock is that of HIL_SENSOR" in told.ended
+    status = against(quietly(StandIn(Pilot(copter), answers=behind)), copter, twin)
+    assert not status.fine
+    assert "has not answered" in status.ended or "its clock is that of HIL_SENSOR" in status.ended
 
 
 @pytest.mark.slow
@@ -118,9 +118,9 @@ def test_a_board_with_its_own_clock_is_flown_in_real_time(
         return replace(controls, t_us=123, lockstep=False)
 
     options = replace(OPTIONS, duration_s=1.0)
-    told = against(quietly(StandIn(Pilot(copter), answers=on_board)), copter, twin, options)
-    assert told.fine and not told.lockstep and told.answers > 50
-    assert told.wall_s >= 0.99
+    status = against(quietly(StandIn(Pilot(copter), answers=on_board)), copter, twin, options)
+    assert status.fine and not status.lockstep and status.answers > 50
+    assert status.wall_s >= 0.99
 
 
 @pytest.mark.slow
@@ -133,8 +133,8 @@ def test_one_that_says_nothing_is_asked_whether_it_is_an_autopilot(
             while wire.recv(65536):
                 pass
 
-    told = against(listen, copter, twin)
-    assert not told.fine and "no HIL_ACTUATOR_CONTROLS within 1 s" in told.ended
+    status = against(listen, copter, twin)
+    assert not status.fine and "no HIL_ACTUATOR_CONTROLS within 1 s" in status.ended
 
 
 def test_one_that_speaks_something_else_is_no_autopilot(copter: Vehicle, twin: FlyingTwin) -> None:
@@ -148,8 +148,8 @@ def test_one_that_speaks_something_else_is_no_autopilot(copter: Vehicle, twin: F
             while True:
                 wire.sendall(bytes(rng.integers(0, 250, 4096, dtype=np.uint8)))
 
-    told = against(babble, copter, twin, replace(OPTIONS, start_s=20.0))
-    assert not told.fine and "it is no autopilot" in told.ended
+    status = against(babble, copter, twin, replace(OPTIONS, start_s=20.0))
+    assert not status.fine and "it is no autopilot" in status.ended
 
 
 @pytest.mark.slow
@@ -202,19 +202,19 @@ def test_garbage_and_a_second_autopilot_do_not_disturb_the_first(
                 threading.Thread(target=lambda: refused.append(second.recv(100))).start()
                 stand_in._fly(wire)
 
-    told = against(disturbed, copter, twin, replace(OPTIONS, duration_s=1.0))
-    assert told.fine and told.lockstep, told
-    assert told.link["refused"] == 1 and refused == [b""]
-    assert told.link["garbage"] > 1000 and told.link["wrong"] > 100
-    assert told.answers >= 249
+    status = against(disturbed, copter, twin, replace(OPTIONS, duration_s=1.0))
+    assert status.fine and status.lockstep, status
+    assert status.link["refused"] == 1 and refused == [b""]
+    assert status.link["garbage"] > 1000 and status.link["wrong"] > 100
+    assert status.answers >= 249
 
 
 def test_nobody_connects(copter: Vehicle, twin: FlyingTwin) -> None:
     session = HilSession(copter, twin, OPTIONS)
     began = time.monotonic()
-    told = session.run(lambda: time.monotonic() - began > 0.3)
-    assert not told.fine and told.ended == "ended before an autopilot connected"
-    assert told.line() == "no autopilot has connected yet"
+    status = session.run(lambda: time.monotonic() - began > 0.3)
+    assert not status.fine and status.ended == "ended before an autopilot connected"
+    assert status.line() == "no autopilot has connected yet"
 
 
 @pytest.mark.parametrize(
@@ -265,10 +265,12 @@ def test_the_verb_flies_an_autopilot(copter: Vehicle, capsys: pytest.CaptureFixt
         *("--place", "48,11,500"),
     )
     autopilot.join()
-    told = json.loads(out)
-    assert code == 0 and told["ended"] == "the duration is over" and told["lockstep"]
-    assert told["flight_s"] == seconds and told["armed_s"] == pytest.approx(seconds - 0.5, abs=0.1)
-    assert told["position_n"] == pytest.approx([2.0, 1.0, -2.0], abs=0.4)
+    status = json.loads(out)
+    assert code == 0 and status["ended"] == "the duration is over" and status["lockstep"]
+    assert status["flight_s"] == seconds and status["armed_s"] == pytest.approx(
+        seconds - 0.5, abs=0.1
+    )
+    assert status["position_n"] == pytest.approx([2.0, 1.0, -2.0], abs=0.4)
     assert "waiting for an autopilot" in err
     field = np.array([stand_in.heard["HIL_SENSOR"][0].xmag, stand_in.heard["HIL_SENSOR"][0].zmag])
     assert field == pytest.approx([0.211, 0.438], abs=0.01)  # that of the vehicle is of there

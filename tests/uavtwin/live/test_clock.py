@@ -17,12 +17,12 @@ def watched(
     rng, watch = np.random.default_rng(seed), ClockWatch()
     for k in range(round(100 * s)):
         ours = 5000.0 + 0.01 * k
-        told = BOOT_S + 0.01 * k * (1 + 1e-6 * ppm)
+        stamp_s = BOOT_S + 0.01 * k * (1 + 1e-6 * ppm)
         late = delay_s + jitter_s * rng.random()
-        watch.came(told, ours + offset_s + late)
+        watch.came(stamp_s, ours + offset_s + late)
         if sync and k % 50 == 0:
             back = delay_s + jitter_s * rng.random()
-            watch.answered(ours + offset_s - back, told, ours + offset_s + late)
+            watch.answered(ours + offset_s - back, stamp_s, ours + offset_s + late)
     return watch
 
 

@@ -50,7 +50,7 @@ def flown_beside(running: RunningCompensator, folder: Path) -> list[Correction]:
         worker.add(Batch({str(c): part[c].to_numpy() for c in part}, {}, ()))
     worker.close()
     recording.close()
-    assert worker.model is running.told
+    assert worker.model is running.status
     return said
 
 
@@ -82,10 +82,10 @@ def test_live_as_offline(protocol: Protocol, tmp_path: Path) -> None:
             live, there = live / scale, there / scale
         np.testing.assert_allclose(live, there, rtol=1e-4, atol=1e-4, err_msg=name)
     assert running.horizon_s == (0.05 if protocol == "track" else np.inf)
-    told = running.told
-    assert told.until_s == t_s[-1] and told.anomaly == said[-1].anomaly.max()
+    status = running.status
+    assert status.until_s == t_s[-1] and status.anomaly == said[-1].anomaly.max()
     fresh = np.concatenate([s.residual for s in said])[:, network.channels.index("acc_z")]
-    assert told.rms["acc_z"][0] == pytest.approx(np.sqrt(np.nanmean(fresh**2)))
+    assert status.rms["acc_z"][0] == pytest.approx(np.sqrt(np.nanmean(fresh**2)))
 
 
 def test_the_score_is_a_number_on_the_ground_station() -> None:
@@ -120,4 +120,4 @@ def test_nothing_is_said_on_the_ground(tmp_path: Path) -> None:
         table = pd.DataFrame(flown_table().iloc[:300])
         table[[c for c in table if str(c).startswith("cmd_")]] = 0.0
         assert running.update(Flight("standing", table), 2.9) is None
-        assert running.told.rms == {}
+        assert running.status.rms == {}

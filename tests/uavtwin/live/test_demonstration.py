@@ -59,11 +59,11 @@ def test_a_newcomer_sees_an_alarm_within_a_minute() -> None:
     lost = re.search(rf"rotor {ROTOR} has lost .*loss_{ROTOR} \+([0-9.]+)", line)
     assert lost is not None and float(lost[1]) == pytest.approx(LOSS, abs=0.02), line
     assert alarmed_s < NEWCOMER_S
-    told = json.loads(out)
-    (alarm,) = told["alarms"]
+    status = json.loads(out)
+    (alarm,) = status["alarms"]
     assert alarm["since_s"] == pytest.approx(BEGINS_S, abs=1.0)
     assert BEGINS_S < alarm["raised_s"] < BEGINS_S + 3
-    assert told["link"]["lost"] == 0 and not told["missing"]
+    assert status["link"]["lost"] == 0 and not status["missing"]
     assert f"in this flight rotor {ROTOR} lost 10 % of its thrust at 20 s" in err
 
 

@@ -120,15 +120,15 @@ def known(rows: np.ndarray, sent: np.ndarray) -> None:
 @pytest.mark.slow
 @needs_package("mavsdk")
 def test_mavsdk_hears_the_twin(tmp_path: Path) -> None:
-    port, told = free_port(), tmp_path / "heard.json"
+    port, report = free_port(), tmp_path / "heard.json"
     with published(Address("127.0.0.1", port)) as sent:
         subprocess.run(
-            [sys.executable, "-c", MAVSDK, f"udpin://127.0.0.1:{port}", told],
+            [sys.executable, "-c", MAVSDK, f"udpin://127.0.0.1:{port}", report],
             check=True,
             capture_output=True,
             timeout=120,
         )
-    heard = json.loads(told.read_text())
+    heard = json.loads(report.read_text())
     assert heard["system"] == TWIN
     assert min(len(heard[k]) for k in ("q", "ned", "imu")) > 20
     print({k: len(heard[k]) for k in ("q", "ned", "imu")})

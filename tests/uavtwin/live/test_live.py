@@ -30,7 +30,7 @@ from uavtwin.live.address import Address
 from uavtwin.live.faults import Faults
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.told import LiveTold
+from uavtwin.live.status import LiveStatus
 
 RECORDED = DATA / "rflysimdt" / "real_3.ulg"
 needs_flights = needs(RECORDED.is_file(), "no recorded flights")
@@ -51,14 +51,14 @@ class Listening:
         given = replace(LiveOptions(self.address, record=record), **options)  # type: ignore[arg-type]
         self.session = LiveSession(vehicle, given)
         self._stop = threading.Event()
-        self._told: LiveTold | None = None
+        self._told: LiveStatus | None = None
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 
     def _run(self) -> None:
         self._told = self.session.run(self._stop.is_set)
 
-    def end(self) -> LiveTold:
+    def end(self) -> LiveStatus:
         time.sleep(0.3)
         self._stop.set()
         self._thread.join()
@@ -102,10 +102,10 @@ def test_a_flight_is_recorded_as_it_was_sent(copter: Vehicle, tmp_path: Path) ->
     """Table, raw log and residuals; nothing is lost on the loopback."""
     live = Listening(copter, tmp_path / "rec")
     play(flown(), live.address)
-    told = live.end()
-    assert told.link.lost == 0 and told.link.late == 0 and told.sections == 1
-    assert told.waits_for == "" and told.sources["q"] == "ODOMETRY"
-    assert set(told.missing) == {"vbat_v"}
+    status = live.end()
+    assert status.link.lost == 0 and status.link.late == 0 and status.sections == 1
+    assert status.waits_for == "" and status.sources["q"] == "ODOMETRY"
+    assert set(status.missing) == {"vbat_v"}
     recorded, table = read_flight(tmp_path / "rec" / "flight.parquet"), flown_table().iloc[:800]
     np.testing.assert_allclose(recorded.table["time"], table["time"], atol=1e-9)
     for column in (c for c in table if c not in ("time", "phase")):
@@ -126,8 +126,8 @@ def test_a_recorded_flight_over_the_wire(tmp_path: Path) -> None:
     log = read_flight(RECORDED).between(0.0, 15.0)
     live = Listening(vehicle, tmp_path / "rec")
     play(log, live.address)
-    told = live.end()
-    assert told.link.lost == 0
+    status = live.end()
+    assert status.link.lost == 0
     check_residuals(tmp_path / "rec", vehicle)
     recorded = read_flight(tmp_path / "rec" / "flight.parquet")
     for column in ("acc_x", "gyro_y", "pos_z", "q_w"):  # float32 in the log already
@@ -153,22 +153,22 @@ def test_faults_of_a_radio_link(tmp_path: Path) -> None:
     live = Listening(vehicle, tmp_path / "rec")
     aircraft = Replay(live.address, 1.0, Faults(0.05, 0.03, 20e-6, seed=3))
     aircraft.play(log)
-    told = live.end()
+    status = live.end()
     aircraft.close()
-    assert told.clock is not None and told.clock.source == "TIMESYNC"
-    share = told.link.lost / (told.link.lost + told.link.messages)
-    assert 0.03 < share < 0.07 and told.link.reordered > 100
-    assert told.link.late <= 0.02 * told.link.messages  # of a busy machine: 0 of a quiet one
-    true_s = aircraft.listener_time_s(told.clock.told_s) - told.clock.told_s
-    off_ms = 1e3 * (told.clock.offset_s - true_s)
-    print(f"clock offset off by {off_ms:.2f} ms, width {1e3 * told.clock.width_s:.1f} ms")
+    assert status.clock is not None and status.clock.source == "TIMESYNC"
+    share = status.link.lost / (status.link.lost + status.link.messages)
+    assert 0.03 < share < 0.07 and status.link.reordered > 100
+    assert status.link.late <= 0.02 * status.link.messages  # of a busy machine: 0 of a quiet one
+    true_s = aircraft.listener_time_s(status.clock.aircraft_s) - status.clock.aircraft_s
+    off_ms = 1e3 * (status.clock.offset_s - true_s)
+    print(f"clock offset off by {off_ms:.2f} ms, width {1e3 * status.clock.width_s:.1f} ms")
     assert abs(off_ms) < 20.0  # of a busy machine; 2 ms of the estimate itself: test_clock.py
     settled = read_flight(tmp_path / "rec" / "flight.parquet").settled
     clean = flight_gap(replace(log, settled=settled), vehicle)
     ratios: dict[str, float] = {}
     for channel in clean.channels:
         rms = math.sqrt(float(np.mean(channel.residual**2)))
-        ratios[channel.name] = told.rms[channel.name] / rms
+        ratios[channel.name] = status.rms[channel.name] / rms
     print({name: round(ratio, 3) for name, ratio in ratios.items()})
     assert all(0.7 < ratio < 1.3 for ratio in ratios.values()), ratios
 
@@ -179,8 +179,8 @@ def test_a_sender_that_begins_anew_begins_a_flight(copter: Vehicle, tmp_path: Pa
     play(flown(700), live.address)
     time.sleep(2.5)  # until another port of the machine is taken for the same aircraft
     play(flown(500), live.address)
-    told = live.end()
-    assert told.sections == 2
+    status = live.end()
+    assert status.sections == 2
     lengths = [len(read_flight(tmp_path / "rec" / f"flight{s}.parquet").table) for s in ("", "_2")]
     assert lengths[0] == 700 and 450 < lengths[1] <= 500
     check_residuals(tmp_path / "rec", copter)
@@ -218,11 +218,11 @@ def test_two_senders_garbage_and_old_frames(copter: Vehicle, tmp_path: Path) -> 
         disturber.join()
         noise.close()
         aircraft.close()
-    told = live.end()
-    assert told.link.system == 1 and told.link.lost == 0
-    assert told.link.wrong > 50 and told.link.garbage > 1000
-    assert any(who.startswith("system 7 at") for who in told.link.others)
-    assert any(who.startswith("system 1 again, at") for who in told.link.others)
+    status = live.end()
+    assert status.link.system == 1 and status.link.lost == 0
+    assert status.link.wrong > 50 and status.link.garbage > 1000
+    assert any(who.startswith("system 7 at") for who in status.link.others)
+    assert any(who.startswith("system 1 again, at") for who in status.link.others)
     table = read_flight(tmp_path / "rec" / "flight.parquet").table
     assert len(table) == 600 and float(table["acc_x"].max()) < 50.0
 
@@ -310,7 +310,7 @@ def test_the_twin_is_an_aircraft_of_its_own() -> None:
             with contextlib.suppress(TimeoutError):
                 for message in reader.parse_buffer(station.recv(1000)) or ():
                     heard.setdefault(message.get_type(), []).append(message)
-        told = live.end()
+        status = live.end()
     assert {m.get_srcSystem() for several in heard.values() for m in several} == {9}
     assert {"HEARTBEAT", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "HIGHRES_IMU"} == set(heard)
     assert len(heard["HIGHRES_IMU"]) > 6 * 25
@@ -321,8 +321,8 @@ def test_the_twin_is_an_aircraft_of_its_own() -> None:
     assert np.linalg.norm((position.x, position.y, position.z) - flown_at) < 1.5
     acc = np.array([m.zacc for m in heard["HIGHRES_IMU"]])
     assert -16.0 < acc.mean() < -5.0
-    assert told.published_age_p99_s < 0.1
-    print(f"age p99 {1e3 * told.published_age_p99_s:.1f} ms, busy {told.busy:.0%}")
+    assert status.published_age_p99_s < 0.1
+    print(f"age p99 {1e3 * status.published_age_p99_s:.1f} ms, busy {status.busy:.0%}")
 
 
 def thinned(flight: Flight) -> Flight:

@@ -46,8 +46,8 @@ def test_replay_into_the_void(log: Path, capsys: pytest.CaptureFixture[str]) -> 
     code, out, _ = run(
         capsys, "replay", log, "--to", "udpout:127.0.0.1:9", "--speed", "20", "--json"
     )
-    told = json.loads(out)
-    assert code == 0 and told["seconds"] == pytest.approx(1.99) and told["messages"] > 600
+    report = json.loads(out)
+    assert code == 0 and report["seconds"] == pytest.approx(1.99) and report["messages"] > 600
 
 
 @pytest.mark.parametrize(
@@ -74,9 +74,11 @@ def test_nothing_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
         *("live", "--vehicle", "copter_default", "--listen", "udpin:127.0.0.1:47123"),
         *("--duration", "0.3", "--json"),
     )
-    told = json.loads(out)
+    report = json.loads(out)
     assert (
-        code == 1 and told["link"]["system"] is None and "no HIGHRES_IMU" in told["missing"]["acc"]
+        code == 1
+        and report["link"]["system"] is None
+        and "no HIGHRES_IMU" in report["missing"]["acc"]
     )
     assert "nothing heard yet" in err
 

@@ -25,7 +25,7 @@ from uavtwin.live.parts import ERRORS, Part, Parts
 from uavtwin.live.played import played
 from uavtwin.live.receiver import MORE_OTHERS, Receiver
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.told import LiveTold
+from uavtwin.live.status import LiveStatus
 from uavtwin.live.worker import Worker
 
 
@@ -46,7 +46,7 @@ def datagrams(rows: int = 600) -> list[bytes]:
 
 def heard(
     vehicle: Vehicle, folder: Path, sent: list[bytes], **given: Any
-) -> tuple[LiveTold, Flight]:
+) -> tuple[LiveStatus, Flight]:
     """What a session knows at the end of some datagrams, and what it recorded."""
     options = LiveOptions(Address("127.0.0.1", 0), record=folder)
     session = LiveSession(vehicle, options, **given)
@@ -54,8 +54,8 @@ def heard(
         session.take(Datagram(datagram, ("127.0.0.1", 1), 0.001 * k, 10**15 + 1000 * k))
         if k % 50 == 0:
             session.hand_over()
-    told = session.end()
-    return told, read_flight(folder / "flight.parquet")
+    status = session.end()
+    return status, read_flight(folder / "flight.parquet")
 
 
 class Failing:
@@ -84,13 +84,13 @@ class FailingPage:
 @pytest.mark.slow
 def test_an_error_of_alarms_or_page_ends_no_recording(copter: Vehicle, tmp_path: Path) -> None:
     evidence = Failing()
-    told, flight = heard(
+    status, flight = heard(
         copter, tmp_path / "r", datagrams(), evidence=lambda: evidence, page=FailingPage()
     )
-    assert len(flight.table) == 600 and told.waits_for == ""
-    assert "alarms failed: ZeroDivisionError: as planted" in told.errors
-    assert "the page failed: RuntimeError: as planted" in told.errors
-    assert evidence.calls == 5 and len(told.errors) == 2
+    assert len(flight.table) == 600 and status.waits_for == ""
+    assert "alarms failed: ZeroDivisionError: as planted" in status.errors
+    assert "the page failed: RuntimeError: as planted" in status.errors
+    assert evidence.calls == 5 and len(status.errors) == 2
     assert "ZeroDivisionError" in (tmp_path / "r" / ERRORS).read_text("utf-8")
     (noted,) = [f for f in flight.findings if f.where == "alarms"]
     assert noted.severity == "error" and noted.count == 1
@@ -118,9 +118,9 @@ def test_an_error_of_the_twin_ends_no_recording(
         raise FloatingPointError("as planted")
 
     monkeypatch.setattr(where, name, fail)
-    told, flight = heard(copter, tmp_path / "r", datagrams())
+    status, flight = heard(copter, tmp_path / "r", datagrams())
     assert len(flight.table) == 600
-    assert told.errors == (f"{part} failed: FloatingPointError: as planted",)
+    assert status.errors == (f"{part} failed: FloatingPointError: as planted",)
 
 
 @pytest.mark.slow
@@ -136,9 +136,9 @@ def test_a_full_disk_ends_neither_twin_nor_the_other_files(
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("uavtwin.live.recording.RawLog.add", fill)
-    told, flight = heard(copter, tmp_path / "r", datagrams())
-    assert len(flight.table) == 600 and told.waits_for == "" and told.rms
-    assert told.errors == ("raw.tlog failed: OSError: [Errno 28] No space left on device",)
+    status, flight = heard(copter, tmp_path / "r", datagrams())
+    assert len(flight.table) == 600 and status.waits_for == "" and status.rms
+    assert status.errors == ("raw.tlog failed: OSError: [Errno 28] No space left on device",)
     assert count == [1001]
 
 
@@ -166,8 +166,8 @@ def test_a_frozen_axis_ends_no_session(copter: Vehicle, tmp_path: Path, axis: st
         for message in messages:
             sent.append(bytes(message.pack(packer)))
             packer.seq = (packer.seq + 1) % 256
-    told, flight = heard(copter, tmp_path / "r", sent, evidence=lambda: RunningEvidence(copter))
-    assert not told.errors and len(flight.table) == 3000
+    status, flight = heard(copter, tmp_path / "r", sent, evidence=lambda: RunningEvidence(copter))
+    assert not status.errors and len(flight.table) == 3000
 
 
 @pytest.mark.slow
@@ -188,10 +188,10 @@ def test_hostile_numbers_and_times_cost_their_message(copter: Vehicle, tmp_path:
         mixed.append(datagram)
         if k % 10 == 5:
             mixed.append(bytes(strange[k // 10 % len(strange)].pack(packer)))
-    told, flight = heard(copter, tmp_path / "r", mixed)
-    assert told.errors == () and told.sections == 1
-    assert told.link.strays > 50
-    assert told.clock is not None and abs(told.clock.offset_s) < 100
+    status, flight = heard(copter, tmp_path / "r", mixed)
+    assert status.errors == () and status.sections == 1
+    assert status.link.strays > 50
+    assert status.clock is not None and abs(status.clock.offset_s) < 100
     table = flown_table().iloc[:600]
     np.testing.assert_allclose(flight.table["time"], table["time"], atol=1e-9)
     np.testing.assert_allclose(flight.table["gyro_y"], table["gyro_y"], rtol=2e-7, atol=1e-30)
@@ -200,10 +200,10 @@ def test_hostile_numbers_and_times_cost_their_message(copter: Vehicle, tmp_path:
 @pytest.mark.slow
 def test_a_stray_stamp_before_the_flight_begins_no_section(copter: Vehicle, tmp_path: Path) -> None:
     stray = dialect.MAVLink_highres_imu_message(2**41, *[0.0] * 13, 0xFFFF)
-    told, flight = heard(
+    status, flight = heard(
         copter, tmp_path / "r", [bytes(stray.pack(parser(1, AUTOPILOT))), *datagrams()]
     )
-    assert told.sections == 1 and len(flight.table) == 600 and told.link.strays > 0
+    assert status.sections == 1 and len(flight.table) == 600 and status.link.strays > 0
 
 
 def test_strangers_make_no_receiver_deaf() -> None:

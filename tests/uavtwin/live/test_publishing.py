@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from sample_logs import flown_table
 
-from twin.explain.running.alarms import Alarm, Told, Verdict
+from twin.explain.running.alarms import Alarm, EstimatedChange, Verdict
 from twin.logs.mavlink.dialect import Message, parser
 from twin.logs.mavlink.samples import Sample
 from twin.residuals.running.equations import Equations
@@ -30,7 +30,13 @@ def copter() -> Vehicle:
 
 
 SAG = Alarm(
-    "battery_sag", (Told("slope", 1.1, 0.2, "1"),), 1.5, 3.0, 0.97, 0.01, {"motor_lag": 0.06}
+    "battery_sag",
+    (EstimatedChange("slope", 1.1, 0.2, "1"),),
+    1.5,
+    3.0,
+    0.97,
+    0.01,
+    {"motor_lag": 0.06},
 )
 
 
@@ -48,7 +54,9 @@ class Listener:
 
 
 def test_an_alarm_says_what_has_changed_and_else_what_its_effect_is() -> None:
-    weak = Alarm("rotor_efficiency_loss", (Told("loss_3", 0.1, 0.004, "1"),), 20, 22, 0.98, 0, {})
+    weak = Alarm(
+        "rotor_efficiency_loss", (EstimatedChange("loss_3", 0.1, 0.004, "1"),), 20, 22, 0.98, 0, {}
+    )
     assert sentence(weak) == (
         "since 20.0 s: rotor 3 has lost 10 % of its thrust "
         "(rotor efficiency loss, 98%, loss_3 +0.1 ± 0.004)"

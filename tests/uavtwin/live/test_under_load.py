@@ -20,7 +20,7 @@ from uavtwin.live.address import Address
 from uavtwin.live.receiver import Receiver
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.told import LiveTold
+from uavtwin.live.status import LiveStatus
 
 ROWS = 1200
 
@@ -32,20 +32,20 @@ def free_address() -> Address:
 
 
 @contextmanager
-def heard(record: Path | None = None) -> Iterator[tuple[Address, list[LiveTold]]]:
+def heard(record: Path | None = None) -> Iterator[tuple[Address, list[LiveStatus]]]:
     """A session in a thread, and what it told at its end."""
     options = LiveOptions(free_address(), record=record)
-    session, told = LiveSession(load_vehicle("copter_default"), options), list[LiveTold]()
+    session, status = LiveSession(load_vehicle("copter_default"), options), list[LiveStatus]()
     stop = threading.Event()
-    thread = threading.Thread(target=lambda: told.append(session.run(stop.is_set)))
+    thread = threading.Thread(target=lambda: status.append(session.run(stop.is_set)))
     thread.start()
     try:
-        yield options.listen, told
+        yield options.listen, status
         time.sleep(0.3)
     finally:
         stop.set()
         thread.join(60)
-    assert told
+    assert status
 
 
 def play(to: Address, table: Flight) -> None:
@@ -70,13 +70,13 @@ def test_a_megabyte_a_second_beside_the_aircraft(kind: str, tmp_path: Path) -> N
             aircraft.play(Flight("flown", flown_table().iloc[2:ROWS]))
         aircraft.close()
         assert flood.sent_bytes() > 4e5
-    told = loud[0]
-    assert told.link.lost == 0 and told.link.late == 0
+    status = loud[0]
+    assert status.link.lost == 0 and status.link.late == 0
     table = read_flight(tmp_path / "rec" / "flight.parquet").table
     assert len(table) == ROWS and float(np.abs(table["acc_x"]).max()) < 50.0
     for name, rms in quiet[0].rms.items():
-        assert told.rms[name] == pytest.approx(rms, rel=1e-6), name
-    strange = told.link.garbage + 80 * (told.link.wrong + sum(told.link.others.values()))
+        assert status.rms[name] == pytest.approx(rms, rel=1e-6), name
+    strange = status.link.garbage + 80 * (status.link.wrong + sum(status.link.others.values()))
     assert strange > 3e5
 
 
@@ -92,12 +92,12 @@ def test_random_bytes_are_no_aircraft() -> None:
 @pytest.mark.slow
 def test_an_aircraft_that_begins_anew_is_heard_through_a_flood() -> None:
     """It sends from another port of its machine; what floods has not been silent meanwhile."""
-    with heard() as (where, told):
+    with heard() as (where, status):
         play(where, Flight("flown", flown_table().iloc[:50]))
         with flooding(where, "valid", 2e5):
             time.sleep(2.5)
             play(where, Flight("flown", flown_table().iloc[:400]))
-    assert told[0].sections == 2 or told[0].flight_s > 3.5
+    assert status[0].sections == 2 or status[0].flight_s > 3.5
 
 
 def of_the_older_protocol(row: dict[str, float], t_us: int) -> list[Message]:
@@ -120,7 +120,7 @@ def test_an_aircraft_that_speaks_mavlink_1(tmp_path: Path) -> None:
     table = flown_table().iloc[:800].drop(columns="phase")
     packer = parser(1, AUTOPILOT)
     with (
-        heard(tmp_path / "rec") as (where, told),
+        heard(tmp_path / "rec") as (where, status),
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as aircraft,
     ):
         for k, row in enumerate(table.to_dict("records")):
@@ -131,7 +131,7 @@ def test_an_aircraft_that_speaks_mavlink_1(tmp_path: Path) -> None:
                 aircraft.sendto(frame, where.pair)
                 packer.seq = (packer.seq + 1) % 256
             time.sleep(0.001)
-    (live,) = told
+    (live,) = status
     assert live.link.version_1 == live.link.messages == 4 * 800 + 8 and live.link.lost == 0
     assert live.sources["cmd"] == "SERVO_OUTPUT_RAW" and live.sources["q"] == "ATTITUDE_QUATERNION"
     assert {"acc_z", "gyro_x", "vel_x"} <= set(live.rms)

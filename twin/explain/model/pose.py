@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...physics.sensors.table import Sensor
-from ...residuals.at_samples import as_sampled, smooth_at, turning_at
+from ...residuals.at_samples import resample_like, smooth_at, turning_at
 from ...residuals.channels import POSE_BAND_HZ, measured, on_grid, shifted
 from ...residuals.imu import OF_IMU, prompt_imu
 from ...residuals.measured import AnySignal, Signal
@@ -38,7 +38,7 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
     """What the IMU reads against what the pose implies: no physics of the vehicle in between.
 
     A pose is known at its samples alone, and what it implies between them is made up by splines.
-    Readings pass the same, `as_sampled`, or few samples a second would be taken for an average.
+    Readings pass the same, `resample_like`, or few samples a second would be taken for an average.
 
     The slopes are taken at the force that the airframe predicts and at the gyroscope: noise in
     a regressor would shrink what is found with it, or feign it where the residual has it too. It is
@@ -111,10 +111,10 @@ def pose_parts(seen: Seen, force: Array) -> list[Part]:
 def _felt_at_samples(q_nb: Array, t_s: Array, pose: AnySignal, derivative: int, b: Array) -> Array:
     """Forces in body axes, shape (n, 3, m), where what shows the acceleration was sampled."""
     each = range(b.shape[2])
-    n = as_sampled(np.hstack([in_ned(q_nb, b[:, :, k]) for k in each]), t_s, pose, derivative)
+    n = resample_like(np.hstack([in_ned(q_nb, b[:, :, k]) for k in each]), t_s, pose, derivative)
     return np.stack([in_body(q_nb, n[:, 3 * k : 3 * k + 3]) for k in each], axis=-1)
 
 
 def _turned_at_samples(t_s: Array, attitude: AnySignal, rates: Array) -> Array:
     """Body rates, shape (n, 3, m), where the attitude was sampled."""
-    return as_sampled(rates.reshape(len(rates), -1), t_s, attitude, 1).reshape(rates.shape)
+    return resample_like(rates.reshape(len(rates), -1), t_s, attitude, 1).reshape(rates.shape)

@@ -7,7 +7,7 @@ from ...representation import short_repr
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class EstimatedChange:
     """One number of an alarm.
 
     Attributes:
@@ -43,7 +43,7 @@ class Alarm:
     """
 
     effect: str
-    numbers: tuple[Told, ...]
+    numbers: tuple[EstimatedChange, ...]
     since_s: float
     raised_s: float
     probability: float

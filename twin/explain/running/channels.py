@@ -33,7 +33,7 @@ from .lag import LagSlopes
 from .shaking import high_power, longest_repeats
 
 Array = NDArray[np.float64]
-KEPT = FRAME_ROWS // EVERY
+FRAME_SAMPLES = FRAME_ROWS // EVERY
 """Samples of a channel in a frame."""
 
 
@@ -93,7 +93,7 @@ class Frame:
         return (self.number + 1) * FRAME_S
 
 
-class Framing:
+class FrameFilter:
     """From rows of the grid to frames.
 
     Attributes:
@@ -221,15 +221,15 @@ class Framing:
         read, n = block.readings, len(block.t_s)
         if not {"gyro", "turning"} <= read.keys():
             return {}
-        implied, felt = named("omega", read["turning"]), named("omega", read["gyro"])
+        implied, experienced = named("omega", read["turning"]), named("omega", read["gyro"])
         there = {"acc", "pull"} <= read.keys()
         if there:
             alpha = named("angular_acceleration", np.gradient(read["gyro"], 1 / GRID_HZ, axis=0))
             q = block.states[:, self._attitude]
             implied |= alpha | named("specific_force", in_body(q, read["pull"]))
-            felt |= alpha | named("specific_force", predicted[:, :3])
+            experienced |= alpha | named("specific_force", predicted[:, :3])
         value = self._imu_batch.value(self._theta, rows_of(self._imu, implied, n))
-        at, found = rows_of(self._imu, felt, n), {}
+        at, found = rows_of(self._imu, experienced, n), {}
         for k, s in enumerate(OF_IMU):
             if s.signal == "acc" and not there:
                 continue
@@ -261,7 +261,7 @@ class Framing:
             values = np.concatenate([measured, (whole[1:, :, 1:] + whole[:-1, :, 1:]) / 2], axis=2)
         settled = g in self._passed
         states = self._passed.get(g, [])
-        kept = []
+        transformed = []
         for k, cutoff in enumerate(group.filters_hz):
             b, a, start = _butterworth(cutoff)
             if not settled:
@@ -274,9 +274,9 @@ class Framing:
         self._passed[g] = states
         if not settled:
             return {}
-        kept = dct(values[EVERY - 1 :: EVERY], axis=0, norm="ortho")
-        kept[:, :, 1] = kept[:, :, 0] - kept[:, :, 1]
-        return {(g, c): kept[:, c] for c in range(len(group.names))}
+        transformed = dct(values[EVERY - 1 :: EVERY], axis=0, norm="ortho")
+        transformed[:, :, 1] = transformed[:, :, 0] - transformed[:, :, 1]
+        return {(g, c): transformed[:, c] for c in range(len(group.names))}
 
 
 def _stacked(measured: Array, predicted: Array, slopes: Array) -> Array:

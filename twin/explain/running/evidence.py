@@ -12,14 +12,14 @@ from ...effects.priors import BESIDE
 from ...representation import short_repr
 from ...residuals.running.table import Rows
 from ...vehicle import Vehicle
-from .alarms import Alarm, Told, Verdict
-from .channels import Frame, Framing
-from .feed import FRAME_S, Feed
-from .hypotheses import FEARED, library_of
-from .jumps import Jump, Jumps
-from .noise import Levels
+from .alarms import Alarm, EstimatedChange, Verdict
+from .change_detector import ChangeDetector, ChangeEvidence
+from .channels import Frame, FrameFilter
+from .feed import FRAME_S, StreamResampler
+from .hypotheses import MONITORED_EFFECTS, library_of
+from .noise import AdaptiveNoise
 from .settings import RUNNING, RunningSettings
-from .silent import Shaking, Sign, StandStill
+from .silent import Shaking, SilentSign, StandStill
 
 Array = NDArray[np.float64]
 LEAST_SHARE = 0.05
@@ -27,19 +27,19 @@ LEAST_SHARE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Weighed:
+class ScoredHypothesis:
     """A cause as it stands now.
 
     Attributes:
         effect: Identifier.
         log_odds: Against nothing, all beginnings together.
-        jump: The hypothesis.
+        change: The hypothesis.
         best: Position of the likeliest beginning.
     """
 
     effect: str
     log_odds: float
-    jump: Jump
+    change: ChangeEvidence
     best: int
 
     __repr__ = short_repr
@@ -47,11 +47,11 @@ class Weighed:
     @property
     def start(self) -> int:
         """Frame of the likeliest beginning."""
-        return int(self.jump.starts[self.best])
+        return int(self.change.starts[self.best])
 
 
 @dataclass(frozen=True, slots=True)
-class _Young:
+class _PendingAlarm:
     """An alarm that competes with other effects still; `ends`: it ends an older alarm."""
 
     alarm: Alarm
@@ -72,9 +72,9 @@ class RunningEvidence:
     def __init__(
         self,
         vehicle: Vehicle,
-        effects: Sequence[str] = FEARED,
+        effects: Sequence[str] = MONITORED_EFFECTS,
         settings: RunningSettings = RUNNING,
-        beside: Sequence[str] = BESIDE,
+        standing_effects: Sequence[str] = BESIDE,
     ) -> None:
         """Begin a flight.
 
@@ -82,23 +82,23 @@ class RunningEvidence:
             vehicle: The calibrated model.
             effects: What may begin, identifiers of the effect library.
             settings: When an alarm is raised.
-            beside: By which the standing model may be a little off as well.
+            standing_effects: By which the standing model may be a little off as well.
 
         Raises:
             ModelError: There is no such effect, or nothing is known of how it begins.
         """
         self._vehicle, self._settings = vehicle, settings
-        self._library = library_of(vehicle, effects, beside, settings)
-        self._feed = Feed(vehicle, self._library.effects)
-        self._framing: Framing | None = None
-        self._levels: Levels | None = None
-        self._jumps: Jumps | None = None
+        self._library = library_of(vehicle, effects, standing_effects, settings)
+        self._resampler = StreamResampler(vehicle, self._library.effects)
+        self._filter: FrameFilter | None = None
+        self._noise: AdaptiveNoise | None = None
+        self._detector: ChangeDetector | None = None
         self._constant_at: dict[tuple[int, int], int] = {}
         self._quiet: list[Frame] = []
         self._settling = 0
         self.learning = True
         self._still, self._shaking = StandStill(settings), Shaking(settings)
-        self._young: _Young | None = None
+        self._pending: _PendingAlarm | None = None
         self._settled: list[Alarm] = []
         self._silent: dict[str, Alarm] = {}
         self._over_since: float | None = None
@@ -123,28 +123,28 @@ class RunningEvidence:
             LogError: Times do not rise, or nothing drives the vehicle.
         """
         self._opened, self._closed = [], []
-        block = self._feed.push(rows)
+        block = self._resampler.push(rows)
         if block is not None:
-            if self._framing is None:
-                assert self._feed.airframe is not None
+            if self._filter is None:
+                assert self._resampler.airframe is not None
                 with BUILDING:
-                    self._begin(Framing(self._vehicle, self._library, self._feed.airframe))
-            assert self._framing is not None
-            for frame in self._framing.push(block):
-                self._look(frame)
+                    self._begin(FrameFilter(self._vehicle, self._library, self._resampler.airframe))
+            assert self._filter is not None
+            for frame in self._filter.push(block):
+                self._add_frame(frame)
         return self._verdict()
 
     # -- frame by frame ------------------------------------------------------------------------
 
-    def _begin(self, framing: Framing) -> None:
+    def _begin(self, framing: FrameFilter) -> None:
         s = self._settings
-        self._framing = framing
-        self._levels = Levels(framing.groups, self._vehicle, s)
+        self._filter = framing
+        self._noise = AdaptiveNoise(framing.groups, self._vehicle, s)
         k = len(self._library.columns)
-        keys = list(self._levels.constant)
+        keys = list(self._noise.constant)
         self._constant_at = {key: k + i for i, key in enumerate(keys)}
-        constants = [2 * self._levels.constant[key] for key in keys]
-        self._jumps = Jumps(
+        constants = [2 * self._noise.constant[key] for key in keys]
+        self._detector = ChangeDetector(
             self._library.hypotheses,
             np.concatenate([self._library.standing, constants]),
             float(np.exp(-FRAME_S / s.forget_s)),
@@ -152,7 +152,7 @@ class RunningEvidence:
             s.least_frames,
         )
 
-    def _look(self, frame: Frame) -> None:
+    def _add_frame(self, frame: Frame) -> None:
         """One frame."""
         s = self._settings
         self._last = frame.end_s, frame.flying
@@ -172,9 +172,9 @@ class RunningEvidence:
 
     def _learn(self) -> None:
         """Noise and standing offset of the quiet start."""
-        assert self._levels is not None
+        assert self._noise is not None
         self.learning = False
-        self._levels.begin(self._quiet)
+        self._noise.begin(self._quiet)
         self._still.begin(self._quiet)
         self._shaking.begin(self._quiet)
         for frame in self._quiet:
@@ -183,13 +183,13 @@ class RunningEvidence:
 
     def _take(self, frame: Frame) -> None:
         """Add a frame to the sums."""
-        assert self._jumps is not None and self._levels is not None and self._framing is not None
+        assert self._detector is not None and self._noise is not None and self._filter is not None
         suspect = self._still.follow(frame)
         self._shaking.follow(frame)
-        standing = self._explained()
+        standing = self._standing_model()
         rows = []
         for (g, c), values in frame.rows.items():
-            group = self._framing.groups[g]
+            group = self._filter.groups[g]
             if group.sensor in suspect:
                 continue
             at = np.append(group.columns, self._constant_at[g, c])
@@ -198,19 +198,19 @@ class RunningEvidence:
             constant[0] = np.sqrt(n)
             whole = np.hstack([values[:, 1:], constant])
             innovation = whole[:, 0] - whole[:, 1:] @ standing[at]
-            weights = self._levels.weights((g, c), values, innovation)
+            weights = self._noise.weights((g, c), values, innovation)
             used = weights > 0
             rows.append((at, whole[used] * np.sqrt(weights[used])[:, None]))
-        self._jumps.add(frame.number, rows)
+        self._detector.add(frame.number, rows)
 
-    def _explained(self) -> Array:
+    def _standing_model(self) -> Array:
         """Standing numbers and constants, and what a young alarm adds."""
-        assert self._jumps is not None
-        mean, _ = self._jumps.standing()
-        if self._young is not None:
-            for told in self._young.alarm.numbers:
-                k = self._column(self._young.alarm.effect, told.name)
-                mean[k] += told.value
+        assert self._detector is not None
+        mean, _ = self._detector.standing()
+        if self._pending is not None:
+            for change in self._pending.alarm.numbers:
+                k = self._column(self._pending.alarm.effect, change.name)
+                mean[k] += change.value
         return mean
 
     def _column(self, effect: str, name: str) -> int:
@@ -222,45 +222,45 @@ class RunningEvidence:
 
     def _decide(self, frame: Frame) -> None:
         """Raise, change and close alarms."""
-        assert self._jumps is not None
+        assert self._detector is not None
         now = frame.end_s
-        weighed = self._weigh()
-        whole = _log_of_sum([w.log_odds for w in weighed]) if weighed else -np.inf
+        scored = self._score()
+        whole = _log_of_sum([w.log_odds for w in scored]) if scored else -np.inf
         self._nothing = float(1 / (1 + np.exp(min(whole, 700.0))))
-        self._shares = _shares(weighed)
-        self._follow_silent(frame)
+        self._shares = _shares(scored)
+        self._update_silent(frame)
         # With its first frame alone behind it, a beginning may be half a frame off.
-        newest = max((int(w.jump.starts[-1]) for w in weighed), default=0)
-        best = max(weighed, key=lambda w: w.log_odds, default=None)
+        newest = max((int(w.change.starts[-1]) for w in scored), default=0)
+        best = max(scored, key=lambda w: w.log_odds, default=None)
         over = best is not None and best.start < newest and whole >= self._settings.bar
-        if self._young is not None:
-            self._follow_young(weighed, whole, now)
+        if self._pending is not None:
+            self._update_pending(scored, whole, now)
         elif not over:
             self._over_since = None
         else:
             self._over_since = now if self._over_since is None else self._over_since
             waited = now - self._over_since >= self._settings.patience_s
             if waited or max(self._shares.values()) >= self._settings.clear:
-                self._raise(weighed, now)
+                self._raise(scored, now)
 
-    def _weigh(self) -> list[Weighed]:
+    def _score(self) -> list[ScoredHypothesis]:
         """Every cause, all its beginnings together."""
-        assert self._jumps is not None
+        assert self._detector is not None
         chance = np.log(FRAME_S / self._settings.every_s)
         shared = _log_of_sum([h.odds for h in self._library.hypotheses])
         found = []
-        for jump in self._jumps.jumps():
-            best = int(np.argmax(jump.evidence))
-            if np.isfinite(jump.evidence[best]):
-                steps = np.diff(jump.starts, append=jump.starts[-1] + 1)
-                odds = chance + jump.hypothesis.odds - shared
-                log_odds = _log_of_sum(jump.evidence + np.log(np.maximum(steps, 1))) + odds
-                found.append(Weighed(jump.hypothesis.effect, log_odds, jump, best))
+        for change in self._detector.changes():
+            best = int(np.argmax(change.evidence))
+            if np.isfinite(change.evidence[best]):
+                steps = np.diff(change.starts, append=change.starts[-1] + 1)
+                odds = chance + change.hypothesis.odds - shared
+                log_odds = _log_of_sum(change.evidence + np.log(np.maximum(steps, 1))) + odds
+                found.append(ScoredHypothesis(change.hypothesis.effect, log_odds, change, best))
         return found
 
-    def _raise(self, weighed: Sequence[Weighed], now: float) -> None:
+    def _raise(self, scored: Sequence[ScoredHypothesis], now: float) -> None:
         """A new alarm, or the end of an older one."""
-        best = max(weighed, key=lambda w: w.log_odds)
+        best = max(scored, key=lambda w: w.log_odds)
         alarm = self._alarm(best, now)
         ended = next((a for a in self._settled if self._reverses(alarm, a)), None)
         if ended is not None:
@@ -268,7 +268,7 @@ class RunningEvidence:
             self._closed.append(replace(ended, closed_s=alarm.since_s))
         else:
             self._opened.append(alarm)
-        self._young = _Young(alarm, best.start, ended is not None)
+        self._pending = _PendingAlarm(alarm, best.start, ended is not None)
 
     def _reverses(self, new: Alarm, old: Alarm) -> bool:
         """Whether a change takes back most of an older one."""
@@ -279,45 +279,47 @@ class RunningEvidence:
         before = sum(was[k] ** 2 for k in keys)
         return before > 0 and sum((was[k] + now[k]) ** 2 for k in keys) < 0.25 * before
 
-    def _follow_young(self, weighed: Sequence[Weighed], whole: float, now: float) -> None:
+    def _update_pending(self, scored: Sequence[ScoredHypothesis], whole: float, now: float) -> None:
         """Name, number and probability of a young alarm as they are now; it may be over."""
-        young, s = self._young, self._settings
-        assert young is not None and self._jumps is not None
+        young, s = self._pending, self._settings
+        assert young is not None and self._detector is not None
         if whole < 0:  # as likely as not
             if not young.ends:
                 self._closed.append(replace(young.alarm, closed_s=now))
-            self._young, self._over_since = None, None
+            self._pending, self._over_since = None, None
             return
-        best = max(weighed, key=lambda w: w.log_odds)
+        best = max(scored, key=lambda w: w.log_odds)
         alarm = self._alarm(best, young.alarm.raised_s)
-        self._young = _Young(alarm, best.start, young.ends)
+        self._pending = _PendingAlarm(alarm, best.start, young.ends)
         if now - alarm.since_s >= s.settled_s:
-            self._jumps.settle(best.jump, best.start)
+            self._detector.settle(best.change, best.start)
             if not young.ends:
                 self._settled.append(alarm)
-            self._young, self._over_since = None, None
+            self._pending, self._over_since = None, None
 
-    def _alarm(self, weighed: Weighed, raised_s: float) -> Alarm:
+    def _alarm(self, scored: ScoredHypothesis, raised_s: float) -> Alarm:
         """What is to be said of a cause."""
-        jump, t = weighed.jump, weighed.best
-        told = []
-        for i, k in enumerate(jump.hypothesis.columns):
+        change, t = scored.change, scored.best
+        estimates = []
+        for i, k in enumerate(change.hypothesis.columns):
             number = self._library.name(k)
-            sd = float(np.sqrt(jump.covariance[t, i, i]))
-            told.append(Told(number.name, float(jump.numbers[t, i]), sd, number.about.unit))
+            sd = float(np.sqrt(change.covariance[t, i, i]))
+            estimates.append(
+                EstimatedChange(number.name, float(change.numbers[t, i]), sd, number.about.unit)
+            )
         there = 1 - self._nothing
-        own = there * self._shares[weighed.effect]
+        own = there * self._shares[scored.effect]
         others = {
             e: there * p
             for e, p in sorted(self._shares.items(), key=lambda kv: -kv[1])
-            if e != weighed.effect and p >= LEAST_SHARE
+            if e != scored.effect and p >= LEAST_SHARE
         }
-        since_s = weighed.start * FRAME_S
-        return Alarm(weighed.effect, tuple(told), since_s, raised_s, own, self._nothing, others)
+        since_s = scored.start * FRAME_S
+        return Alarm(scored.effect, tuple(estimates), since_s, raised_s, own, self._nothing, others)
 
-    def _follow_silent(self, frame: Frame) -> None:
+    def _update_silent(self, frame: Frame) -> None:
         """Alarms of what changes no mean, each by itself."""
-        signs: list[Sign] = []
+        signs: list[SilentSign] = []
         if any(isinstance(EFFECTS[e].seen_as, Repeats) for e in self._library.silent):
             signs += self._still.signs(frame)
         signs += self._shaking.signs(self._library.silent)
@@ -336,7 +338,7 @@ class RunningEvidence:
             self._silent[effect] = alarm
 
     def _verdict(self) -> Verdict:
-        young = [] if self._young is None or self._young.ends else [self._young.alarm]
+        young = [] if self._pending is None or self._pending.ends else [self._pending.alarm]
         alarms = (*self._settled, *young, *self._silent.values())
         t_s, flying = self._last
         effects = {e: (1 - self._nothing) * p for e, p in self._shares.items()}
@@ -357,13 +359,13 @@ def _log_of_sum(logs: Sequence[float] | Array) -> float:
     return float(np.logaddexp.reduce(logs))
 
 
-def _shares(weighed: Sequence[Weighed]) -> dict[str, float]:
+def _shares(scored: Sequence[ScoredHypothesis]) -> dict[str, float]:
     """Probability of each effect, given that one has begun."""
-    if not weighed:
+    if not scored:
         return {}
-    odds = np.array([w.log_odds for w in weighed])
+    odds = np.array([w.log_odds for w in scored])
     share = np.exp(odds - _log_of_sum(odds))
     found: dict[str, float] = {}
-    for w, p in zip(weighed, share, strict=True):
+    for w, p in zip(scored, share, strict=True):
         found[w.effect] = found.get(w.effect, 0.0) + float(p)
     return found

@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 FRAME_ROWS = 100
 """Rows of the grid in a frame."""
 FRAME_S = FRAME_ROWS / GRID_HZ
-KEPT_S = 1.0
+OVERLAP_S = 1.0
 """Rows so old are kept: filters begin there."""
 BEHIND_S = 0.25
 """By which the grid ends before the newest row."""
@@ -72,7 +72,7 @@ class GridBlock:
     __repr__ = short_repr
 
 
-class Feed:
+class StreamResampler:
     """From rows of a flight table to rows of the grid, none left out.
 
     Attributes:
@@ -113,7 +113,7 @@ class Feed:
         last.append(rows)
         end = int(np.floor((last.last_s - BEHIND_S) * GRID_HZ + 1e-6)) // FRAME_ROWS * FRAME_ROWS
         if self._next is None:
-            if last.last_s - last.first_s < KEPT_S:
+            if last.last_s - last.first_s < OVERLAP_S:
                 return None
             with BUILDING:
                 self._begin(last.flight())
@@ -122,7 +122,7 @@ class Feed:
             return None
         block = self._block(last.flight(), self._next, end)
         self._next = end
-        last.cut(end / GRID_HZ - KEPT_S)
+        last.cut(end / GRID_HZ - OVERLAP_S)
         return block
 
     def _begin(self, flight: Flight) -> None:

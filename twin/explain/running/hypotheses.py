@@ -16,7 +16,7 @@ from ..model.numbers import Number, numbers_of
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]
-FEARED = tuple(BEGINNINGS)
+MONITORED_EFFECTS = tuple(BEGINNINGS)
 """What a pilot fears, and is told while it flies."""
 
 
@@ -73,20 +73,23 @@ class Library:
 
 
 def library_of(
-    vehicle: Vehicle, effects: Sequence[str], beside: Sequence[str], settings: RunningSettings
+    vehicle: Vehicle,
+    effects: Sequence[str],
+    standing_effects: Sequence[str],
+    settings: RunningSettings,
 ) -> Library:
     """Numbers and hypotheses for a vehicle.
 
     Args:
         vehicle: The calibrated model.
         effects: What may begin.
-        beside: By which the standing model may be off as well.
+        standing_effects: By which the standing model may be off as well.
         settings: How far it may be off.
 
     Raises:
         ModelError: There is no such effect, or none that begins so.
     """
-    for name in (*effects, *beside):
+    for name in (*effects, *standing_effects):
         if name not in EFFECTS:
             raise ModelError(f"there is no effect {name!r}; see docs/reference/effects.md.")
     unforeseen = [n for n in effects if n not in BEGINNINGS]
@@ -95,7 +98,7 @@ def library_of(
             f"{', '.join(unforeseen)}: nothing is known of how it begins in flight. Give some of "
             f"{', '.join(BEGINNINGS)}."
         )
-    every = [*effects, *(b for b in beside if b not in effects)]
+    every = [*effects, *(b for b in standing_effects if b not in effects)]
     own = tuple(e for e in every if isinstance(EFFECTS[e].seen_as, Equation))
     numbers = tuple(numbers_of((EFFECTS[e] for e in own), vehicle))
     columns = tuple(i for i, n in enumerate(numbers) if not n.shape)

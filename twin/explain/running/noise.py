@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...vehicle import Vehicle
 from ..inference.constants import constants_of_days
 from ..settings import DEFAULT
-from .channels import KEPT, Frame, Group
+from .channels import FRAME_SAMPLES, Frame, Group
 from .feed import FRAME_S
 from .settings import RunningSettings
 
@@ -33,11 +33,11 @@ Key = tuple[int, int]
 
 def band_ends(group: Group) -> list[tuple[int, int]]:
     """First and last coefficient + 1 of each band that a group's low-pass lets through."""
-    end = min(int(group.filters_hz[-1] * 2 * FRAME_S) + 1, EDGES[-1], KEPT)
+    end = min(int(group.filters_hz[-1] * 2 * FRAME_S) + 1, EDGES[-1], FRAME_SAMPLES)
     return [(a, min(b, end)) for a, b in pairwise(EDGES) if a < end]
 
 
-class Levels:
+class AdaptiveNoise:
     """Noise levels of all channels.
 
     Attributes:
@@ -92,7 +92,7 @@ class Levels:
     def _least(self, key: Key, rows: Array) -> Array:
         """Least level of each band, laws being inexact."""
         s = self._settings
-        first = KEPT * (s.floor * self.constant[key]) ** 2
+        first = FRAME_SAMPLES * (s.floor * self.constant[key]) ** 2
         others = [s.rough**2 * _power(rows[a:b, 0]) for a, b in self._bands[key][1:]]
         return np.maximum([first, *others], _RESOLVED * first)
 
@@ -108,7 +108,7 @@ class Levels:
         if key not in self._level:
             self._start(key, rows[None])
         level, least = self._level[key], self._least(key, rows)
-        weights = np.zeros(KEPT)
+        weights = np.zeros(FRAME_SAMPLES)
         for b, (low, high) in enumerate(self._bands[key]):
             now = max(float(level[b]), float(least[b]))
             if b == 0:

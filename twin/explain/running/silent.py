@@ -12,7 +12,7 @@ from ...effects.inertial import IMU_CHANNELS
 from ...effects.seen import Lines, NoiseFloor
 from ...representation import short_repr
 from ..settings import DEFAULT
-from .alarms import Told
+from .alarms import EstimatedChange
 from .channels import Frame
 from .feed import FRAME_S
 from .settings import RunningSettings
@@ -25,13 +25,13 @@ CELL = 6.0
 window."""
 
 
-def _seen_as(kind: type[object]) -> str:
+def _effect_observed_as(kind: type[object]) -> str:
     """The effect of the library that is seen so."""
     return next(name for name, effect in EFFECTS.items() if isinstance(effect.seen_as, kind))
 
 
 @dataclass(frozen=True, slots=True)
-class Sign:
+class SilentSign:
     """Of an effect that changes no mean.
 
     Attributes:
@@ -44,7 +44,7 @@ class Sign:
     effect: str
     start: int
     evidence: float
-    numbers: tuple[Told, ...]
+    numbers: tuple[EstimatedChange, ...]
 
     __repr__ = short_repr
 
@@ -69,11 +69,13 @@ class StandStill:
         for column, n in frame.repeats.items():
             signal = column.partition("_")[0]
             whole = frame.samples[signal]
-            beside = [m for c, m in frame.repeats.items() if c != column and c.startswith(signal)]
+            other_axes = [
+                m for c, m in frame.repeats.items() if c != column and c.startswith(signal)
+            ]
             limit = DEFAULT.stochastic.stuck.longer
-            goes_on = any(limit * m <= n for m in beside)
+            goes_on = any(limit * m <= n for m in other_axes)
             usual = self._usual.get(column, 1)
-            if n >= max(self._settings.repeats, 3 * usual) and n > 2 * min(beside, default=n):
+            if n >= max(self._settings.repeats, 3 * usual) and n > 2 * min(other_axes, default=n):
                 suspect.add(signal)
             if n == whole and goes_on and n >= 3 * usual and n > 1:
                 self._frames.setdefault(column, frame.number)
@@ -82,20 +84,20 @@ class StandStill:
                 self._frames.pop(column, None)
         return frozenset(suspect)
 
-    def signs(self, frame: Frame) -> list[Sign]:
+    def signs(self, frame: Frame) -> list[SilentSign]:
         """Readings that stand still now, the one that does so for longest."""
-        effect = EFFECTS[_seen_as(Repeats)]
+        effect = EFFECTS[_effect_observed_as(Repeats)]
         assert isinstance(effect.seen_as, Repeats)
         found = []
         for column, start in sorted(self._frames.items(), key=lambda kv: kv[1])[:1]:
             rate = frame.samples[column.partition("_")[0]]
             evidence = self._settings.repeat_nats * rate * (frame.number + 1 - start)
             number = 1.0 + IMU_CHANNELS.index(column)
-            told = (
-                Told(effect.seen_as.channel, number, 0.0, "1"),
-                Told(effect.seen_as.since, start * FRAME_S, FRAME_S / 2, "s"),
+            estimates = (
+                EstimatedChange(effect.seen_as.channel, number, 0.0, "1"),
+                EstimatedChange(effect.seen_as.since, start * FRAME_S, FRAME_S / 2, "s"),
             )
-            found.append(Sign(effect.name, start, evidence, told))
+            found.append(SilentSign(effect.name, start, evidence, estimates))
         return found
 
 
@@ -125,7 +127,7 @@ class Shaking:
             usual = self._usual * (1 + share * (np.minimum(over, 4.0) - 1))
             self._usual = np.maximum(usual, _LEAST_POWER)
 
-    def signs(self, wanted: Iterable[str]) -> list[Sign]:
+    def signs(self, wanted: Iterable[str]) -> list[SilentSign]:
         """What shakes now, of some effects: the likeliest beginning."""
         if self._usual is None or len(self._past) < 4:
             return []
@@ -142,14 +144,14 @@ class Shaking:
         best = int(np.argmax(evidence))
         if evidence[best] <= 0:
             return []
-        effect = _seen_as(Lines if _uneven(mean[best]) else NoiseFloor)
+        effect = _effect_observed_as(Lines if _uneven(mean[best]) else NoiseFloor)
         if effect not in wanted:
             return []
         added = np.mean([a for _, _, a in self._past][best + 1 :], axis=0)
-        told = self._told(effect, np.maximum(added, 0.0))
-        return [Sign(effect, numbers[best], float(evidence[best]), told)]
+        estimates = self._amplitudes(effect, np.maximum(added, 0.0))
+        return [SilentSign(effect, numbers[best], float(evidence[best]), estimates)]
 
-    def _told(self, effect: str, added: Array) -> tuple[Told, ...]:
+    def _amplitudes(self, effect: str, added: Array) -> tuple[EstimatedChange, ...]:
         """How strong, from what is added to the power of the quiet start."""
         found = []
         for name, unit, rows in (("accel_m_s2", "m/s2", 0), ("gyro_rad_s", "rad/s", 3)):
@@ -158,7 +160,7 @@ class Shaking:
             # their phases are by chance.
             lines = isinstance(EFFECTS[effect].seen_as, Lines)
             size = np.sqrt(across / 2) if lines else np.sqrt(2.7 * across)
-            found.append(Told(name, float(size), 0.5 * float(size), unit))
+            found.append(EstimatedChange(name, float(size), 0.5 * float(size), unit))
         return tuple(found)
 
 

@@ -9,7 +9,7 @@ from ...physics.rotors import Drive
 from ...vehicle import Vehicle
 from ..airborne import rotor_thrust
 from ..aligned import components_of
-from ..imu import felt_by_imu
+from ..imu import imu_predictor
 from ..short_horizon import Windows
 
 
@@ -21,7 +21,7 @@ class Equations:
         drive: What drives its rotors.
         airframe: As of `AlignedFlight`.
         imu: As of `AlignedFlight`.
-        felt: What the IMU reads at measured states.
+        imu_predictor: What the IMU reads at measured states.
         thrust: Of all rotors.
         windows: For the short horizon.
     """
@@ -29,7 +29,7 @@ class Equations:
     drive: Drive
     airframe: Component
     imu: Component
-    felt: OverRows
+    imu_predictor: OverRows
     thrust: OverRows
     windows: Windows
 
@@ -41,7 +41,7 @@ class Equations:
             drive,
             body,
             sensor,
-            felt_by_imu(body, vehicle),
+            imu_predictor(body, vehicle),
             rotor_thrust(body, vehicle.rotors.count),
             Windows(body, sensor),
         )

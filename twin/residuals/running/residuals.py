@@ -167,13 +167,13 @@ class _Twin:
         if equations is None or equations.drive != drive:
             equations = Equations.of(vehicle, drive)
         measured_motion(flight)  # says where there is none
-        self._felt, self._windows = equations.felt, equations.windows
+        self._imu_predictor, self._windows = equations.imu_predictor, equations.windows
         self._coarse = RunningGrid(vehicle, equations, 1 / GRID_HZ)
         self._fine = RunningGrid(vehicle, equations, GRID_S)
         self._heights_m: list[Array] = []
         self._resting_known = False
-        self._told_s = float(flight.time_s[0])
-        self._told_row = round(self._told_s * GRID_HZ) - 1
+        self._reported_s = float(flight.time_s[0])
+        self._reported_row = round(self._reported_s * GRID_HZ) - 1
         self._window_next = 0
         late_s = max([0.0, *late_actions(vehicle).values()])
         self._before_s = BEFORE_S + 1.0 + late_s
@@ -203,18 +203,18 @@ class _Twin:
         keep = round((self._before_s + LONGEST_WAIT_S) * GRID_HZ)
         self._coarse.append(coarse, resting_m, keep)
         self._fine.append(fine, resting_m, max(2 * self._steps, 4000) + len(fine.t_s))
-        start_s, told = self._told_s, self._told_row
+        start_s, reported = self._reported_s, self._reported_row
         end = self._decided(final)
-        channels = self._channels(window, told, end)
+        channels = self._channels(window, reported, end)
         short = self._short_horizon(motion)
         block = None
-        if end > told + 1:
-            aligned = self._coarse.piece(told + 1, end)
+        if end > reported + 1:
+            aligned = self._coarse.piece(reported + 1, end)
             block = with_motion(aligned, motion)
-            self._told_row, self._told_s = end - 1, (end - 1) / GRID_HZ
+            self._reported_row, self._reported_s = end - 1, (end - 1) / GRID_HZ
         samples = {name: count + 1 for name, (_, count) in self._needed.items()}
-        last.forget(min(self._told_s, until_s) - self._before_s - FORGOTTEN_S, samples)
-        return ResidualBlock(start_s, self._told_s, channels, short, block, window)
+        last.forget(min(self._reported_s, until_s) - self._before_s - FORGOTTEN_S, samples)
+        return ResidualBlock(start_s, self._reported_s, channels, short, block, window)
 
     def _until_s(self, last: LastRows) -> float:
         """Up to where what is there will not change any more.
@@ -256,23 +256,23 @@ class _Twin:
         end = rows.end - _AFTER - self._age_rows
         if last_piece != NONE and rows.end - last_piece < SHORTEST_S * GRID_HZ:
             end = min(end, last_piece)
-        return max(end, self._told_row + 1)
+        return max(end, self._reported_row + 1)
 
-    def _channels(self, window: Flight, told: int, end: int) -> tuple[Channel, ...]:
+    def _channels(self, window: Flight, reported: int, end: int) -> tuple[Channel, ...]:
         """Teacher-forced samples behind a row and before another."""
         rows = self._coarse.rows
         assert rows is not None
-        first = max(told + 1 - round(BEFORE_S * GRID_HZ), rows.first)
+        first = max(reported + 1 - round(BEFORE_S * GRID_HZ), rows.first)
         piece = self._coarse.piece_at(first)
         if piece != NONE:
             first += (piece - first) % EVERY
-        if end <= told + 1 or rows.end - first < SHORTEST_S * GRID_HZ:
+        if end <= reported + 1 or rows.end - first < SHORTEST_S * GRID_HZ:
             return ()
         aligned = self._coarse.piece(first, rows.end)
         if not aligned.airborne.any():
             return ()
-        after_s, until_s = (told + 0.5) / GRID_HZ, (end - 0.5) / GRID_HZ
-        found = imu_channels(window, self._vehicle, aligned, self._felt)
+        after_s, until_s = (reported + 0.5) / GRID_HZ, (end - 0.5) / GRID_HZ
+        found = imu_channels(window, self._vehicle, aligned, self._imu_predictor)
         return tuple(_between(c, after_s, until_s) for c in found)
 
     def _short_horizon(self, motion: MeasuredMotion) -> tuple[Channel, ...]:

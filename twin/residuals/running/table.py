@@ -118,13 +118,13 @@ class LastRows:
         first = int(np.searchsorted(rows["time"], before_s))
         if first == 0:
             return
-        kept = np.zeros(len(rows["time"]), dtype=np.bool_)
-        kept[first:] = True
+        retained = np.zeros(len(rows["time"]), dtype=np.bool_)
+        retained[first:] = True
         for columns in self._signals():
             known = np.flatnonzero(_known(rows, columns, first))
-            kept[known[-needed.get(columns[0], 1) :]] = True
-        kept[first - 1] = True  # of whose phase the next row may be
-        self._portions = [{c: values[kept] for c, values in rows.items()}]
+            retained[known[-needed.get(columns[0], 1) :]] = True
+        retained[first - 1] = True  # of whose phase the next row may be
+        self._portions = [{c: values[retained] for c, values in rows.items()}]
 
     def cut(self, before_s: float) -> None:
         """Let go of all rows before a time."""

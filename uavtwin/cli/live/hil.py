@@ -19,7 +19,7 @@ from ..simulate import three_numbers
 if TYPE_CHECKING:
     from ...hil.flying import FlyingTwin
     from ...hil.session import HilOptions
-    from ...hil.told import HilTold
+    from ...hil.status import HilStatus
     from ...simulation import Scenario
     from ...vehicles import Vehicle
 
@@ -95,16 +95,16 @@ def hil(
     with tempfile.TemporaryDirectory() as folder:
         STDERR.print("building the twin")
         with closing(_twin(aircraft, Path(folder), scenario, model)) as twin:
-            told = _fly(aircraft, twin, options)
+            status = _fly(aircraft, twin, options)
     if as_json:
-        print_json(told.json())
+        print_json(status.json())
     else:
-        STDOUT.print(told.line())
-    if told.clipped or told.unknown:
-        text = f"{told.clipped} motor commands were outside 0..1, {told.unknown} no number"
+        STDOUT.print(status.line())
+    if status.clipped or status.unknown:
+        text = f"{status.clipped} motor commands were outside 0..1, {status.unknown} no number"
         STDERR.print(text, style="yellow")
-    STDERR.print(told.ended, style=None if told.fine else "red")
-    if not told.fine:
+    STDERR.print(status.ended, style=None if status.fine else "red")
+    if not status.fine:
         raise typer.Exit(Exit.FINDINGS)
 
 
@@ -129,7 +129,7 @@ def _warn(text: str) -> None:
     STDERR.print(f"warning: {text}", style="yellow")
 
 
-def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilTold":
+def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilStatus":
     """Fly until it ends; a line each second."""
     from ...hil.session import HilSession
 
@@ -144,7 +144,7 @@ def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilT
     STDERR.print(f"waiting for an autopilot at {options.serve}")
     before = {name: signal.signal(name, end) for name in (signal.SIGINT, signal.SIGTERM)}
     try:
-        return session.run(lambda: ended, lambda told: STDERR.print(told.line()))
+        return session.run(lambda: ended, lambda status: STDERR.print(status.line()))
     finally:
         for name, handler in before.items():
             signal.signal(name, handler)

@@ -17,7 +17,7 @@ from ..printing import STDERR, STDOUT, print_json
 if TYPE_CHECKING:
     from ...live.page.opened import OpenPage
     from ...live.session import LiveOptions, LiveSession
-    from ...live.told import LiveTold, ModelTold
+    from ...live.status import LiveStatus, ModelStatus
     from ...sensors.running import RunningCompensator
     from ...vehicles import Vehicle as OwnVehicle
 
@@ -140,14 +140,14 @@ def live(
     )
     if demo and serve is None:
         serve = _demo_page()
-    told = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, model)
+    status = _fly(vehicle or _DEMO_VEHICLE, options, serve, token, alarms, demo, model)
     if as_json:
-        print_json(told.json())
+        print_json(status.json())
     else:
-        _print(told, out)
+        _print(status, out)
     if demo:
-        _tell_truth(told)
-    if told.link.system is None or told.waits_for or told.errors:
+        _print_truth(status)
+    if status.link.system is None or status.waits_for or status.errors:
         raise typer.Exit(Exit.FINDINGS)
 
 
@@ -161,7 +161,7 @@ def _demo_page() -> str | None:
     return _DEMO_PAGE
 
 
-def _print_model(model: "ModelTold", units: Mapping[str, str]) -> None:
+def _print_model(model: "ModelStatus", units: Mapping[str, str]) -> None:
     """What the compensator said."""
     STDOUT.print(
         f"compensator, which sees residuals of {model.horizon_s:g} s ago: above 1 in "
@@ -172,11 +172,11 @@ def _print_model(model: "ModelTold", units: Mapping[str, str]) -> None:
         STDOUT.print(text.rstrip())
 
 
-def _tell_truth(told: "LiveTold") -> None:
+def _print_truth(status: "LiveStatus") -> None:
     """What was wrong with the aircraft of a demonstration, once it has been."""
     from ...demo.in_flight import BEGINS_S, ending
 
-    if told.flight_s > BEGINS_S:
+    if status.flight_s > BEGINS_S:
         STDERR.print(ending())
 
 
@@ -188,7 +188,7 @@ def _fly(
     alarms: bool,
     demo: bool,
     model: Path | None,
-) -> "LiveTold":
+) -> "LiveStatus":
     """Open the page where one is wanted, and listen."""
     from twin.explain.running.evidence import RunningEvidence
 
@@ -239,7 +239,7 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
             yield running
 
 
-def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
+def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
     """Fly until it ends; a line each second."""
     ended = False
 
@@ -251,20 +251,20 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
     said: set[tuple[Any, ...]] = set()
     failed: set[str] = set()
 
-    def say(told: "LiveTold") -> None:
+    def say(status: "LiveStatus") -> None:
         """A line, and alarms that are new or over."""
-        STDERR.print(told.line())
-        for alarm in told.alarms:
+        STDERR.print(status.line())
+        for alarm in status.alarms:
             key = alarm["section"], alarm["effect"], alarm["raised_s"], alarm["closed_s"]
             if key not in said:
                 said.add(key)
                 STDERR.print(f"ALARM: {alarm['text']}", style="bold red")
-        for error in told.errors:
+        for error in status.errors:
             if error not in failed:
                 failed.add(error)
                 STDERR.print(f"{error}. The rest goes on.", style="bold red")
         if shown is not None:
-            shown.feed.known(told)
+            shown.feed.known(status)
 
     if shown is not None:
         STDERR.print(f"page: {shown.url}")
@@ -276,24 +276,24 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveTold":
             signal.signal(name, handler)
 
 
-def _print(told: "LiveTold", out: Path | None) -> None:
+def _print(status: "LiveStatus", out: Path | None) -> None:
     """What is known at the end."""
     from ...live.parts import ERRORS
 
-    STDOUT.print(told.line())
-    for name, value in told.rms.items():
-        STDOUT.print(f"  {name}: rms {value:.4g} {told.units[name]}")
-    for alarm in told.alarms:
+    STDOUT.print(status.line())
+    for name, value in status.rms.items():
+        STDOUT.print(f"  {name}: rms {value:.4g} {status.units[name]}")
+    for alarm in status.alarms:
         STDOUT.print(f"alarm: {alarm['text']}")
-    if told.model is not None and told.model.rms:
-        _print_model(told.model, told.units)
-    for error in told.errors:
+    if status.model is not None and status.model.rms:
+        _print_model(status.model, status.units)
+    for error in status.errors:
         STDERR.print(f"in flight {error}", style="red")
-    if told.errors and out is not None:
+    if status.errors and out is not None:
         STDERR.print(f"tracebacks: {out / ERRORS}", style="red")
-    for text in told.missing.values():
+    for text in status.missing.values():
         STDERR.print(text, style="yellow")
-    for who, count in told.link.others.items():
+    for who, count in status.link.others.items():
         STDERR.print(f"left out: {count} messages of {who}", style="yellow")
     if out is not None:
         names = ", ".join(sorted(p.name for p in out.iterdir()))

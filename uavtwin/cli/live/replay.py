@@ -51,22 +51,22 @@ def replay(
     aircraft = Replay(where, MAX_SPEED if speed == "max" else _speed(speed), faults, system)
     try:
         with progress("replaying") as step:
-            told = aircraft.play(part, step)
+            report = aircraft.play(part, step)
     finally:
         aircraft.close()
     if as_json:
         print_json(
             {
-                "messages": told.messages,
-                "lost": told.lost,
-                "seconds": told.seconds,
-                "wall_s": told.wall_s,
+                "messages": report.messages,
+                "lost": report.lost,
+                "seconds": report.seconds,
+                "wall_s": report.wall_s,
             }
         )
     else:
         STDOUT.print(
-            f"sent to {where}: {told.messages} messages of {told.seconds:.1f} s of flight in "
-            f"{told.wall_s:.1f} s; {told.lost} of them lost on purpose",
+            f"sent to {where}: {report.messages} messages of {report.seconds:.1f} s of flight in "
+            f"{report.wall_s:.1f} s; {report.lost} of them lost on purpose",
         )
 
 

@@ -63,12 +63,15 @@ class Doors:
 
     def refusal(self, headers: Headers, query: QueryParams) -> str:
         """Why a request is refused; "": it is not."""
-        asked = headers.get("host", "")
-        match = _HOST.fullmatch(asked)
+        requested_host = headers.get("host", "")
+        match = _HOST.fullmatch(requested_host)
         if match is None or not self._is_ours(match.group(1)):
             return "This page is served under its address alone."
         origin = headers.get("origin")
-        if origin is not None and origin not in (f"http://{asked}", f"https://{asked}"):
+        if origin is not None and origin not in (
+            f"http://{requested_host}",
+            f"https://{requested_host}",
+        ):
             return "Pages of others may not read this one."
         if self.token is not None:
             given = headers.get(TOKEN_HEADER) or query.get("token") or ""

@@ -15,13 +15,13 @@ from twin.residuals.running.residuals import ResidualBlock
 
 from ..alarms import alarm_json
 from ..following import Following
-from ..told import LiveTold
+from ..status import LiveStatus
 from .band import ExpectedBands
 from .hub import Hub
 
 EVERY_S = 0.05
 """Between two states of aircraft and twin."""
-_KEPT_EACH = 4
+_STORED_EVERY = 4
 """Of so many states one is kept for viewers that come later."""
 _LONGEST_TEXT = 200
 _VECTORS: Mapping[str, Sequence[str]] = {"acc": ACC, "gyro": GYRO, "vel": VEL, "pos": POS}
@@ -77,7 +77,7 @@ class PageFeed:
         self._measured: dict[str, tuple[float, ...]] = {}
         self._next_s, self._count = 0.0, 0
         self._bands, self._until_s = ExpectedBands(), -math.inf
-        hub.tell("about", {"vehicle": vehicle, "following": str(following)}, key="about")
+        hub.send("about", {"vehicle": vehicle, "following": str(following)}, key="about")
 
     # -- of the thread that receives ----------------------------------------------------------
 
@@ -109,19 +109,19 @@ class PageFeed:
                 for n, v in twin.items()
                 if n in measured
             }
-        self._hub.tell("now", told, keep=self._count % _KEPT_EACH == 1)
+        self._hub.send("now", told, keep=self._count % _STORED_EVERY == 1)
 
     def said(self, severity: int, text: str) -> None:
         """What the aircraft says of itself (STATUSTEXT)."""
         known = 0 <= severity < len(_SEVERITIES)
         name = _SEVERITIES[severity] if known else "unknown"
         text = text.encode("utf-8", "replace").decode()
-        self._hub.tell("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
+        self._hub.send("said", {"at": _ms(), "severity": name, "text": text[:_LONGEST_TEXT]})
 
-    def known(self, told: LiveTold) -> None:
+    def known(self, told: LiveStatus) -> None:
         """Health of the streams and of this program."""
         content = {**told.json(), "at": _ms(), "viewers": self._hub.viewers}
-        self._hub.tell("health", content, key="health")
+        self._hub.send("health", content, key="health")
 
     # -- of the thread of the twin ------------------------------------------------------------
 
@@ -144,13 +144,13 @@ class PageFeed:
             for c in channels
         ]
         content = {"at": _ms(), "until": block.end_s, "channels": told}
-        self._hub.tell("residuals", content)
+        self._hub.send("residuals", content)
 
     def alarm(self, alarm: Alarm, section: int) -> None:
         """An alarm that was raised, or has ended."""
         key = f"alarm {section} {alarm.effect} {alarm.raised_s:.3f}"
         content = {**alarm_json(alarm, section), "at": _ms(), "id": key}
-        self._hub.tell("alarm", content, key=key)
+        self._hub.send("alarm", content, key=key)
 
     # -- columns ------------------------------------------------------------------------------
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import msgspec
 
-KEPT_S = 300.0
+HISTORY_S = 300.0
 """So much of the flight is there for a viewer that comes later."""
-_MOST_KEPT = 20_000
+_MOST_STORED = 20_000
 _MOST_KEYS = 500
 QUEUE = 64
 """Messages that wait for one viewer, about three seconds."""
@@ -61,7 +61,7 @@ class Viewer:
         """All that waits, as one JSON array; empty where nothing does."""
         messages, self._history = self._history, []
         with contextlib.suppress(IndexError):
-            while len(messages) < _MOST_KEPT:
+            while len(messages) < _MOST_STORED:
                 messages.append(self._queue.popleft())
         return b"[" + b",".join(messages) + b"]" if messages else b""
 
@@ -69,10 +69,12 @@ class Viewer:
 class Hub:
     """Takes messages from any thread and gives them to all viewers."""
 
-    def __init__(self, kept_s: float = KEPT_S, clock: Callable[[], float] = time.monotonic) -> None:
-        self._kept_s, self._clock = kept_s, clock
+    def __init__(
+        self, history_s: float = HISTORY_S, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._history_s, self._clock = history_s, clock
         self._lock = threading.Lock()
-        self._past: deque[tuple[float, bytes]] = deque(maxlen=_MOST_KEPT)
+        self._past: deque[tuple[float, bytes]] = deque(maxlen=_MOST_STORED)
         self._newest: dict[str, bytes] = {}
         self._viewers: list[Viewer] = []
 
@@ -81,7 +83,7 @@ class Hub:
         """How many look on."""
         return len(self._viewers)
 
-    def tell(self, kind: str, content: Mapping[str, Any], key: str = "", keep: bool = True) -> None:
+    def send(self, kind: str, content: Mapping[str, Any], key: str = "", keep: bool = True) -> None:
         """A message to all.
 
         Args:
@@ -100,7 +102,7 @@ class Hub:
                     del self._newest[next(iter(self._newest))]
             elif keep:
                 self._past.append((now, message))
-            while self._past and self._past[0][0] < now - self._kept_s:
+            while self._past and self._past[0][0] < now - self._history_s:
                 self._past.popleft()
             for viewer in self._viewers:
                 viewer.put(message)

@@ -209,14 +209,14 @@ class PageServer:
 
 async def _send(websocket: WebSocket, viewer: Viewer, bell: asyncio.Event) -> None:
     """All that waits, whenever something does; as fast as the viewer takes it."""
-    told = 0
+    reported = 0
     while not viewer.ended:
         bell.clear()
         if waiting := viewer.take():
             await websocket.send_text(waiting.decode())
-        if viewer.dropped != told:
-            told = viewer.dropped
-            lost = msgspec.json.encode([{"kind": "dropped", "count": told}])
+        if viewer.dropped != reported:
+            reported = viewer.dropped
+            lost = msgspec.json.encode([{"kind": "dropped", "count": reported}])
             await websocket.send_text(lost.decode())
         await bell.wait()
 

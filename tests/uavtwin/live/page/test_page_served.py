@@ -37,9 +37,9 @@ def get(server: PageServer, path: str = "/", **headers: str) -> tuple[int, str, 
     connection = HTTPConnection("127.0.0.1", server.where.port, timeout=20)
     connection.request("GET", path, headers=headers)
     answer = connection.getresponse()
-    told = answer.status, answer.read().decode(), {k.lower(): v for k, v in answer.getheaders()}
+    answered = answer.status, answer.read().decode(), {k.lower(): v for k, v in answer.getheaders()}
     connection.close()
-    return told
+    return answered
 
 
 def looked(server: PageServer, query: str = "", **more: Any) -> ClientConnection:
@@ -140,16 +140,16 @@ def test_a_taken_port_is_named() -> None:
 
 def test_three_viewers_get_the_same_and_one_who_is_late_the_past() -> None:
     with served() as (hub, server):
-        hub.tell("health", {"n": -2}, key="health")
-        hub.tell("health", {"n": -1}, key="health")
+        hub.send("health", {"n": -2}, key="health")
+        hub.send("health", {"n": -1}, key="health")
         with looked(server) as a, looked(server) as b, looked(server) as c:
             first = [messages(v, 1) for v in (a, b, c)]
             assert first == [[{"kind": "health", "n": -1}]] * 3
             for n in range(30):
-                hub.tell("now", {"n": n, "x": float("nan")})
-            told = [messages(v, 30) for v in (a, b, c)]
-            assert told[0] == told[1] == told[2]
-            assert [m["n"] for m in told[0]] == list(range(30)) and told[0][0]["x"] is None
+                hub.send("now", {"n": n, "x": float("nan")})
+            answered = [messages(v, 30) for v in (a, b, c)]
+            assert answered[0] == answered[1] == answered[2]
+            assert [m["n"] for m in answered[0]] == list(range(30)) and answered[0][0]["x"] is None
             with looked(server) as late:
                 assert [m["n"] for m in messages(late, 31)] == [-1, *range(30)]
         until = time.monotonic() + 20
@@ -161,12 +161,12 @@ def test_three_viewers_get_the_same_and_one_who_is_late_the_past() -> None:
 def test_the_past_ends() -> None:
     """By time, and of each key but the newest."""
     now = 0.0
-    hub = Hub(kept_s=10.0, clock=lambda: now)
+    hub = Hub(history_s=10.0, clock=lambda: now)
     for n in range(20):
         now = float(n)
-        hub.tell("now", {"n": n})
-        hub.tell("now", {"n": -n}, keep=False)
-        hub.tell("alarm", {"n": 100 + n}, key="one")
+        hub.send("now", {"n": n})
+        hub.send("now", {"n": -n}, keep=False)
+        hub.send("alarm", {"n": 100 + n}, key="one")
     viewer = hub.join(lambda: None)
     assert viewer is not None
     assert [m["n"] for m in json.loads(viewer.take())] == [119, *range(9, 20)]
@@ -210,7 +210,7 @@ def test_a_slow_viewer_loses_messages_and_slows_nobody() -> None:
             longest, got = 0.0, 0
             for n in range(count):
                 began = time.perf_counter()
-                hub.tell("said", {"n": n, "text": text}, keep=False)
+                hub.send("said", {"n": n, "text": text}, keep=False)
                 longest = max(longest, time.perf_counter() - began)
                 if n % 30 == 29:  # the quick one keeps up
                     found = messages(quick, 30)
@@ -304,7 +304,7 @@ def test_a_connection_without_a_request_is_closed(monkeypatch: pytest.MonkeyPatc
         time.sleep(2.0)
         assert _left_bytes(taken) < 5e6
         taken.close()
-        hub.tell("said", {"n": 1})
+        hub.send("said", {"n": 1})
         assert messages(viewer, 1)[0]["n"] == 1
 
 

@@ -22,7 +22,7 @@ from page_rigs.browser import (
 )
 from sample_logs import flown_table
 
-from twin.explain.running.alarms import Alarm, Told
+from twin.explain.running.alarms import Alarm, EstimatedChange
 from twin.logs import Flight
 from twin.logs.mavlink.dialect import dialect
 from twin.logs.mavlink.samples import Sample
@@ -37,7 +37,7 @@ from uavtwin.live.page.hub import Hub
 from uavtwin.live.page.server import PageServer
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.told import missing
+from uavtwin.live.status import missing
 
 pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)
@@ -58,7 +58,13 @@ class Reading:
 
 
 WEAK = Alarm(
-    "rotor_efficiency_loss", (Told("loss_3", 0.1, 0.004, "1"),), 12.0, 14.5, 0.97, 0.01, {}
+    "rotor_efficiency_loss",
+    (EstimatedChange("loss_3", 0.1, 0.004, "1"),),
+    12.0,
+    14.5,
+    0.97,
+    0.01,
+    {},
 )
 
 
@@ -262,6 +268,6 @@ def test_a_real_flight_over_mavlink_is_seen(opened: Browser) -> None:
     assert text(opened, "#said p").endswith("warning: <b>check</b> mag #1")
     assert text(opened, "#missing") == missing(session.known().sources)["vbat_v"]
     for name, value in seen.items():  # the newest that was told is one of the last
-        told = flown[name].to_numpy()[-30:]
-        assert np.nanmin(told) - 0.01 <= value <= np.nanmax(told) + 0.01, name
+        answered = flown[name].to_numpy()[-30:]
+        assert np.nanmin(answered) - 0.01 <= value <= np.nanmax(answered) + 0.01, name
     assert opened.complaints == []

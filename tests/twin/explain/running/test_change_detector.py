@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from twin.explain.running.change_detector import RECENT, ChangeDetector, ChangeEvidence
 from twin.explain.running.hypotheses import Hypothesis
-from twin.explain.running.jumps import RECENT, Jump, Jumps
 
 Array = NDArray[np.float64]
 K, FORGET = 5, 0.97
@@ -32,11 +32,11 @@ def frames(n: int, seed: int, begins: int = 10**9, jump: float = 0.0) -> list[Ar
     return made
 
 
-def counted(made: list[Array]) -> Jumps:
-    jumps = Jumps(HYPOTHESES, STANDING, FORGET, oldest=1000, least=2)
+def counted(made: list[Array]) -> ChangeDetector:
+    detector = ChangeDetector(HYPOTHESES, STANDING, FORGET, oldest=1000, least=2)
     for k, rows in enumerate(made):
-        jumps.add(k, [(EVERY, rows)])
-    return jumps
+        detector.add(k, [(EVERY, rows)])
+    return detector
 
 
 def batch(made: list[Array], h: Hypothesis, start: int) -> tuple[float, Array]:
@@ -58,8 +58,8 @@ def batch(made: list[Array], h: Hypothesis, start: int) -> tuple[float, Array]:
     return density(something, off) - density(nothing, r), numbers
 
 
-def of(jumps: Jumps, k: int) -> Jump:
-    return jumps.jumps()[k]
+def of(detector: ChangeDetector, k: int) -> ChangeEvidence:
+    return detector.changes()[k]
 
 
 @pytest.mark.parametrize("k", range(2))
@@ -94,9 +94,9 @@ def test_a_jump_is_found_where_it_is() -> None:
 def test_settled_is_the_posterior_with_the_jump_inside() -> None:
     """Standing numbers after a settled jump: those of the larger model, from then on."""
     made = frames(20, seed=8, begins=12, jump=1.0)
-    jumps = counted(made)
-    jumps.settle(of(jumps, 0), 12)
-    mean, covariance = jumps.standing()
+    detector = counted(made)
+    detector.settle(of(detector, 0), 12)
+    mean, covariance = detector.standing()
 
     last = len(made) - 1
     rows = np.vstack([np.sqrt(FORGET ** (last - k)) * r for k, r in enumerate(made)])
@@ -109,16 +109,16 @@ def test_settled_is_the_posterior_with_the_jump_inside() -> None:
     both = np.hstack([np.eye(K), np.eye(K)[:, :1]])
     np.testing.assert_allclose(mean, both @ best, atol=1e-8)
     np.testing.assert_allclose(covariance, both @ expected @ both.T, atol=1e-8)
-    assert jumps.jumps() == []
+    assert detector.changes() == []
 
 
 def test_nothing_grows_with_the_flight() -> None:
-    jumps = Jumps(HYPOTHESES, STANDING, FORGET, oldest=120, least=2)
-    kept = []
+    detector = ChangeDetector(HYPOTHESES, STANDING, FORGET, oldest=120, least=2)
+    candidate_starts = []
     for k in range(2000):
-        jumps.add(k, [(EVERY, np.ones((1, 1 + K)))])
-        kept.append(jumps.kept)
-    assert max(kept) == max(kept[:300]) <= 4 * RECENT
-    jump = of(jumps, 0)
+        detector.add(k, [(EVERY, np.ones((1, 1 + K)))])
+        candidate_starts.append(detector.candidate_starts)
+    assert max(candidate_starts) == max(candidate_starts[:300]) <= 4 * RECENT
+    jump = of(detector, 0)
     assert jump.starts.min() >= 2000 - 121
     assert np.all(np.isfinite(jump.evidence))

@@ -6,7 +6,7 @@ from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
-class HilTold:
+class HilStatus:
     """A flight under an autopilot.
 
     Attributes:
@@ -48,12 +48,12 @@ class HilTold:
         if not self.peer:
             return "no autopilot has connected yet"
         north, east, down = self.position_n
-        told = [
+        parts = [
             f"{self.flight_s:.1f} s, {self.flight_s / max(self.wall_s, 1e-9):.2f} of real time",
             f"{self.answers} answers{' in lockstep' if self.lockstep else ''}",
             "armed" if self.armed else "not armed",
             f"{north:.2f} m north, {east:.2f} m east, {-down:.2f} m up",
         ]
         if self.link.get("garbage") or self.link.get("wrong"):
-            told.append(f"{self.link['garbage']} bytes of garbage, {self.link['wrong']} wrong")
-        return "; ".join(told)
+            parts.append(f"{self.link['garbage']} bytes of garbage, {self.link['wrong']} wrong")
+        return "; ".join(parts)

@@ -25,7 +25,7 @@ RECENT = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Jump:
+class ChangeEvidence:
     """A hypothesis against the frames so far.
 
     Attributes:
@@ -45,7 +45,7 @@ class Jump:
     __repr__ = short_repr
 
 
-class Jumps:
+class ChangeDetector:
     """Sums of products of residuals and slopes, and what follows from them."""
 
     def __init__(
@@ -74,7 +74,7 @@ class Jumps:
         self._now = -1
 
     @property
-    def kept(self) -> int:
+    def candidate_starts(self) -> int:
         """Beginnings that are being looked at."""
         return len(self._past)
 
@@ -114,7 +114,7 @@ class Jumps:
         factor = cho_factor(information, lower=True)
         return factor, cho_solve(factor, self._sum[1:, 0] + self._mean)
 
-    def jumps(self) -> list[Jump]:
+    def changes(self) -> list[ChangeEvidence]:
         """Every hypothesis; nothing where no frame is old enough."""
         past = [(n, g) for n, g in self._past if self._now - n + 1 >= self._least]
         if not past:
@@ -136,28 +136,28 @@ class Jumps:
             own = [place[c] for c in h.columns]
             unit = self._unit[list(h.columns)]
             m = inner[:, np.array(own)[:, None], own]
-            found.append(_jump(h, starts, m, pull[:, own], unit))
+            found.append(_change(h, starts, m, pull[:, own], unit))
         return found
 
-    def settle(self, jump: Jump, start: int) -> None:
+    def settle(self, change: ChangeEvidence, start: int) -> None:
         """Let what began with a frame belong to the standing model from now on.
 
         Numbers and constants are as they are given all frames so far and the jump; the sums begin
         anew from there.
 
         Args:
-            jump: Of this moment.
+            change: Of this moment.
             start: With which frame it began.
         """
-        k, h = len(self._unit), jump.hypothesis
-        t = int(np.flatnonzero(jump.starts == start)[0])
+        k, h = len(self._unit), change.hypothesis
+        t = int(np.flatnonzero(change.starts == start)[0])
         before = next(g for n, g in self._past if n == start)
         since = self._sum - self._forget ** float(self._now - start) * before
         columns = 1 + np.array(h.columns, dtype=np.intp)
         unit = self._unit[list(h.columns)]
         factor, mean = self._solved()
         covariance = cho_solve(factor, np.eye(k))
-        theta, spread = jump.numbers[t] / unit, jump.covariance[t] / np.outer(unit, unit)
+        theta, spread = change.numbers[t] / unit, change.covariance[t] / np.outer(unit, unit)
         gain = -covariance @ since[1:, columns]  # of eta by theta
         moved = gain.copy()
         moved[columns - 1, np.arange(len(columns))] += 1.0
@@ -173,7 +173,9 @@ class Jumps:
         self._past = []
 
 
-def _jump(h: Hypothesis, starts: NDArray[np.intp], inner: Array, pull: Array, unit: Array) -> Jump:
+def _change(
+    h: Hypothesis, starts: NDArray[np.intp], inner: Array, pull: Array, unit: Array
+) -> ChangeEvidence:
     """One hypothesis.
 
     Args:
@@ -196,4 +198,4 @@ def _jump(h: Hypothesis, starts: NDArray[np.intp], inner: Array, pull: Array, un
     )
     if h.only_more:
         evidence = np.where(np.all(numbers > 0, axis=1), evidence, -np.inf)
-    return Jump(h, starts, evidence, numbers * unit, covariance * np.outer(unit, unit))
+    return ChangeEvidence(h, starts, evidence, numbers * unit, covariance * np.outer(unit, unit))

@@ -51,7 +51,7 @@ def missing(sources: Mapping[str, str]) -> dict[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
-class LinkTold:
+class LinkStatus:
     """The link to the aircraft.
 
     Attributes:
@@ -86,7 +86,7 @@ class LinkTold:
 
 
 @dataclass(frozen=True, slots=True)
-class ModelTold:
+class ModelStatus:
     """The compensator beside the twin.
 
     Attributes:
@@ -108,7 +108,7 @@ class ModelTold:
 
 
 @dataclass(frozen=True, slots=True)
-class LiveTold:
+class LiveStatus:
     """A live flight.
 
     Attributes:
@@ -129,7 +129,7 @@ class LiveTold:
         errors: What failed while the flight was recorded, once each.
     """
 
-    link: LinkTold
+    link: LinkStatus
     clock: ClockEstimate | None
     sources: Mapping[str, str]
     missing: Mapping[str, str]
@@ -141,28 +141,30 @@ class LiveTold:
     busy: float = 0.0
     published_age_p99_s: float = math.nan
     alarms: tuple[Mapping[str, Any], ...] = ()
-    model: ModelTold | None = None
+    model: ModelStatus | None = None
     errors: tuple[str, ...] = ()
 
     def json(self) -> dict[str, Any]:
         """As JSON has it: null for what is not a finite number."""
-        told: dict[str, Any] = _finite(asdict(self))
-        return told
+        parts: dict[str, Any] = _finite(asdict(self))
+        return parts
 
     def line(self) -> str:
         """One line for a terminal."""
         link = self.link
         if link.system is None:
             return "nothing heard yet"
-        told = [f"{self.flight_s:.1f} s", f"{link.messages} messages, {link.lost} lost"]
+        parts = [f"{self.flight_s:.1f} s", f"{link.messages} messages, {link.lost} lost"]
         if self.clock is not None:
-            told.append(f"clock {self.clock.offset_s:+.4f} s")
-        told += [f"{n} {v:.3g} {self.units[n]}" for n, v in self.rms.items() if n.startswith("acc")]
+            parts.append(f"clock {self.clock.offset_s:+.4f} s")
+        parts += [
+            f"{n} {v:.3g} {self.units[n]}" for n, v in self.rms.items() if n.startswith("acc")
+        ]
         if self.model is not None and math.isfinite(self.model.anomaly):
-            told.append(f"anomaly {self.model.anomaly:.2f}")
+            parts.append(f"anomaly {self.model.anomaly:.2f}")
         if self.waits_for:
-            told.append(f"the twin waits for {self.waits_for}")
-        return "; ".join(told)
+            parts.append(f"the twin waits for {self.waits_for}")
+        return "; ".join(parts)
 
 
 def _finite(value: Any) -> Any:
