@@ -106,7 +106,9 @@ class Bus:
         for s in slaves:
             s.write_inputs()
 
-    def felt(self, initial: bool = False, slaves: Set[str] | None = None) -> dict[str, set[str]]:
+    def dependencies(
+        self, initial: bool = False, slaves: Set[str] | None = None
+    ) -> dict[str, set[str]]:
         """Output -> the outputs that it directly depends on, through connected inputs.
 
         Args:

@@ -13,7 +13,7 @@ class Limits:
     Attributes:
         call_s: Time that one call into an FMU may take, loading and ending included.
         whole_s: Time that loading may take, and that initialising and running may take together;
-            a run by the clock may take as long as the clock does besides.
+            a run by the clock may take as long as the clock in addition.
         memory_gib: Memory that the process may ask for.
     """
 

@@ -14,9 +14,9 @@ from .bus import Bus
 from .realtime import Pace
 from .recording import Interrupted, Recording, RunError
 from .rollback import Rollback
-from .slave.board import Board
 from .slave.slave import Slave
-from .slave.told import ToldSlave
+from .slave.told import TracedSlave
+from .slave.trace import SharedTrace
 from .stepping import Algorithm, Stepping
 from .system import System
 
@@ -36,19 +36,19 @@ class Master:
     """
 
     def __init__(
-        self, system: System, record: Sequence[str] | None = None, board: Board | None = None
+        self, system: System, record: Sequence[str] | None = None, trace: SharedTrace | None = None
     ) -> None:
         """Load the FMUs.
 
         Args:
             system: What to run.
             record: "slave.variable" outputs to record; None: all that are scalars.
-            board: Where another process can read the calls under way and the recording.
+            trace: Where another process can read the calls under way and the recording.
 
         Raises:
             FmuError: A file, a name, a unit or a connection is wrong.
         """
-        self.system, self._board = system, board
+        self.system, self._trace = system, trace
         self.slaves: list[Slave] = []
         self._ready = False
         self._record = record
@@ -64,7 +64,7 @@ class Master:
 
     def _instance(self, name: str) -> Slave:
         path = self.system.fmus[name]
-        return Slave(name, path) if self._board is None else ToldSlave(name, path, self._board)
+        return Slave(name, path) if self._trace is None else TracedSlave(name, path, self._trace)
 
     def _connect(self) -> None:
         """Bus and algorithms over the present instances, whose addresses they hold."""
@@ -72,7 +72,7 @@ class Master:
         self._stepping = Stepping(self._bus)
 
     def _reset(self) -> None:
-        """Put all slaves into the instantiated state; what cannot be reset is made anew."""
+        """Put all slaves into the instantiated state; what cannot is instantiated again."""
         renewed = False
         for i, s in enumerate(self.slaves):
             try:
@@ -159,7 +159,7 @@ class Master:
         if realtime is not None and not (realtime > 0 and np.isfinite(realtime)):
             raise FmuError(f"realtime = {realtime:g}: needs a positive factor, e.g. 1.")
         step, bus = self._stepping.algorithm(algorithm), self._bus
-        rows = _Rows(bus, steps // every + 1, self._board)
+        rows = _Rows(bus, steps // every + 1, self._trace)
         rows.add(self.time_s)
         origin = self.time_s
         pace = Pace(realtime, origin) if realtime is not None else None
@@ -241,7 +241,7 @@ class Master:
         nominal = np.array([ports[n].nominal for n in compared])
         control = Control(compared, nominal, tolerance, SHORTEST * step_s, step_s)
         grids, rollback = self._sample_grids(), Rollback(bus)
-        rows = _Rows(bus, steps + 1, self._board)
+        rows = _Rows(bus, steps + 1, self._trace)
         rows.add(self.time_s)
         origin = self.time_s
         self._ready = False
@@ -327,18 +327,18 @@ class Master:
 class _Rows:
     """The rows of a recording under way."""
 
-    def __init__(self, bus: Bus, count: int, board: Board | None) -> None:
+    def __init__(self, bus: Bus, count: int, trace: SharedTrace | None) -> None:
         self._bus, self._filled = bus, 0
         width = len(bus.recorded)
         size = count * (1 + width)
-        table = np.empty(size) if board is None else board.table(size)
+        table = np.empty(size) if trace is None else trace.table(size)
         self._time, self._values = table[:count], table[count:].reshape(count, width)
         # Where everything on the bus is recorded, a copy does without the slower gather.
         everything = np.array_equal(bus.columns, np.arange(len(bus.values)))
         self._columns: NDArray[np.intp] | slice = slice(None) if everything else bus.columns
 
     def add(self, time_s: float) -> None:
-        """Record the present; the time last, which says on a board that the row is whole."""
+        """Record the present; the time last, which says in a trace that the row is whole."""
         self._values[self._filled] = self._bus.values[self._columns]
         self._time[self._filled] = time_s
         self._filled += 1

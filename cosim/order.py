@@ -5,17 +5,19 @@ from collections.abc import Iterable, Mapping, Set
 from fmus.order import Loop, Visit, slave_of
 
 
-def batches(order: Iterable[Visit], felt: Mapping[str, Set[str]]) -> list[tuple[str, ...] | Loop]:
-    """Successive slaves that do not feel each other, put together."""
-    feels: dict[str, set[str]] = {}
-    for output, sources in felt.items():
-        feels.setdefault(slave_of(output), set()).update(map(slave_of, sources))
+def batches(
+    order: Iterable[Visit], dependencies: Mapping[str, Set[str]]
+) -> list[tuple[str, ...] | Loop]:
+    """Successive slaves that do not depend on each other, in one batch."""
+    sources_of: dict[str, set[str]] = {}
+    for output, sources in dependencies.items():
+        sources_of.setdefault(slave_of(output), set()).update(map(slave_of, sources))
     result: list[tuple[str, ...] | Loop] = []
     for visit in order:
         last = result[-1] if result else None
         if isinstance(visit, Loop):
             result.append(visit)
-        elif isinstance(last, tuple) and visit not in last and not feels[visit] & {*last}:
+        elif isinstance(last, tuple) and visit not in last and not sources_of[visit] & {*last}:
             result[-1] = (*last, visit)
         else:
             result.append((visit,))

@@ -45,7 +45,7 @@ class Stepping:
         self._slaves = list(bus.slaves.values())
         self._period = {s.name: bus.system.periods.get(s.name, 1) for s in self._slaves}
         self._all = frozenset(self._period)
-        self._direct = {slave_of(o) for o, sources in bus.felt().items() if sources}
+        self._direct = {slave_of(o) for o, sources in bus.dependencies().items() if sources}
         self._indirect = [s for s in self._slaves if s.name not in self._direct]
         self.one_rate = all(k == 1 for k in self._period.values())
         self.count = 0
@@ -67,7 +67,7 @@ class Stepping:
             time_s: For messages.
             initial: During initialisation.
         """
-        for settle in self._settles(self._bus.felt(initial)):
+        for settle in self._settles(self._bus.dependencies(initial)):
             settle(time_s)
 
     def _jacobi(self, time_s: float, h: float) -> None:
@@ -117,12 +117,12 @@ class Stepping:
         return frozenset(s for s, k in self._period.items() if (self.count + 1) % k == 0)
 
     def _make_settling(self, due: frozenset[str]) -> list[Settle]:
-        return self._settles(self._bus.felt(slaves=due & self._direct))
+        return self._settles(self._bus.dependencies(slaves=due & self._direct))
 
-    def _settles(self, felt: dict[str, set[str]]) -> list[Settle]:
+    def _settles(self, dependencies: dict[str, set[str]]) -> list[Settle]:
         return [
             self._solver(v).solve if isinstance(v, Loop) else self._refresh(v)
-            for v in batches(visits(felt), felt)
+            for v in batches(visits(dependencies), dependencies)
         ]
 
     def _refresh(self, names: tuple[str, ...]) -> Settle:
@@ -130,7 +130,7 @@ class Stepping:
         return lambda _: self._bus.refresh(slaves)
 
     def _make_sequence(self, due: frozenset[str]) -> list[tuple[str, Settle | None]]:
-        order = visits(self._bus.felt(slaves=due))
+        order = visits(self._bus.dependencies(slaves=due))
         return [
             ("", self._solver(v).solve) if isinstance(v, Loop) else (v, None)
             for v in stepping_order(order, [s for s in self._period if s in due])

@@ -7,7 +7,7 @@ from fmus import FmuModel, build, component_model, fuse
 from twin.component import Component
 from twin.errors import TwinError
 from twin.flight.assembly import Assembly, connected_by_name
-from twin.physics.airframe import TOLD
+from twin.physics.airframe import REPORTED
 
 from .system import Connection, System
 
@@ -55,7 +55,9 @@ def parts_of(assembly: Assembly, compensator: FmuModel | None) -> dict[str, Comp
     if compensator is None:
         return parts
     given = {
-        name.removeprefix(TOLD) for part in assembly.parts.values() for name in part.output_names
+        name.removeprefix(REPORTED)
+        for part in assembly.parts.values()
+        for name in part.output_names
     }
     wanted = (n for n in compensator.input_names if "." not in n and n != PHASE)
     missing = [n for n in wanted if n not in given]
@@ -81,9 +83,9 @@ def _wires(
     more += [
         (f"{key}.{name}", target)
         for key, name in shown
-        if name.startswith(TOLD)
-        and name.removeprefix(TOLD) in parts[COMPENSATOR].input_names
-        and (target := own + name.removeprefix(TOLD)) not in fed
+        if name.startswith(REPORTED)
+        and name.removeprefix(REPORTED) in parts[COMPENSATOR].input_names
+        and (target := own + name.removeprefix(REPORTED)) not in fed
     ]
     return (*assembly.connections, *more)
 

@@ -215,7 +215,7 @@ def member_problems(members: tuple[zipfile.ZipInfo, ...]) -> list[str]:
 def repeated_entries(members: Iterable[zipfile.ZipInfo]) -> list[str]:
     """Entries that an archive holds more than once, equal each time; one sentence each.
 
-    They do no harm, but whoever wrote the archive did not mean them. Entries of one name that are
+    They do no harm, but the writer of the archive did not mean them. Entries of one name that are
     not equal are among the `member_problems`.
     """
     counts = Counter(map(_content, members))

@@ -16,7 +16,7 @@ from twin.errors import FmuError
 from twin.scratch import scratch_file
 
 from .archive import is_unsafe
-from .cache import cache_folder, keep, kept, kept_or_made
+from .cache import cache_folder, cached, cached_or_made, store
 from .description import build_description, model_description
 from .documentation import documentation
 from .model import FmuModel
@@ -138,12 +138,12 @@ def _compile(
 ) -> bytes:
     """Shared library of the sources, from the cache when the same was compiled before.
 
-    Objects are kept as well: twins of one vehicle share most of theirs, and so do the versions of
+    Objects are cached as well: twins of one vehicle share most of theirs, and so do the versions of
     FMI, which only their own file knows.
     """
     file = f"{name}{platform.suffix}"
     whole = _entry(file, compiler, sources, platform.suffix)
-    if (binary := kept(whole)) is not None:
+    if (binary := cached(whole)) is not None:
         return binary
     with tempfile.TemporaryDirectory() as folder:
         for source, text in sources.items():
@@ -159,7 +159,7 @@ def _compile(
                 return made.read_bytes()
 
             part = _entry(source, compiler, _included(source, sources), ".o")
-            made.write_bytes(kept_or_made(part, make))
+            made.write_bytes(cached_or_made(part, make))
             return made.name
 
         with ThreadPoolExecutor(max_workers=os.cpu_count()) as several:
@@ -168,7 +168,7 @@ def _compile(
         binary = Path(folder, file).read_bytes()
     if platform.suffix == ".dll":
         binary = without_link_time(binary)
-    keep(whole, binary)
+    store(whole, binary)
     return binary
 
 

@@ -1,6 +1,6 @@
-"""What was compiled before: kept with a hash of its content, and only where nobody else may write.
+"""Compiled libraries, cached with a hash of their content, only where nobody else may write.
 
-An entry that is cut or was replaced does not fit its hash, counts as absent and is written anew.
+An entry that is cut or was replaced does not fit its hash, counts as absent and is written again.
 """
 
 import fcntl
@@ -20,7 +20,7 @@ _HASH_BYTES = hashlib.sha256().digest_size
 
 
 def cache_folder() -> Path:
-    """Where compiled libraries are kept: `UAVTWIN_CACHE`, else the user's cache folder.
+    """Where compiled libraries are cached: `UAVTWIN_CACHE`, else the user's cache folder.
 
     Raises:
         FmuError: It cannot be made, it belongs to somebody else, or others may write into it.
@@ -47,8 +47,8 @@ def cache_folder() -> Path:
     return folder
 
 
-def kept(name: str) -> bytes | None:
-    """What was kept under a name; None: nothing, or no longer what it was."""
+def cached(name: str) -> bytes | None:
+    """What was cached under a name; None: nothing, or no longer what it was."""
     try:
         entry = (cache_folder() / name).read_bytes()
     except OSError:
@@ -57,16 +57,18 @@ def kept(name: str) -> bytes | None:
     return content if hashlib.sha256(content).digest() == digest else None
 
 
-def kept_or_made(name: str, make: Callable[[], bytes]) -> bytes:
-    """What was kept under a name, else what is made and kept now; of several processes that want
-    the same at once one makes it, and the others wait."""
-    if (before := kept(name)) is not None:
+def cached_or_made(name: str, make: Callable[[], bytes]) -> bytes:
+    """What was cached under a name, else what is made and cached now.
+
+    Of several processes that want the same at once one makes it, and the others wait.
+    """
+    if (before := cached(name)) is not None:
         return before
     with _alone(name):
-        if (meanwhile := kept(name)) is not None:
+        if (meanwhile := cached(name)) is not None:
             return meanwhile
         content = make()
-        keep(name, content)
+        store(name, content)
     return content
 
 
@@ -84,8 +86,8 @@ def _alone(name: str) -> Iterator[None]:
         yield
 
 
-def keep(name: str, content: bytes) -> None:
-    """Keep content under a name; whoever reads finds all of it or nothing.
+def store(name: str, content: bytes) -> None:
+    """Store content under a name; a reader finds all of it or nothing.
 
     Where it cannot be written, on a full disk, it is made again the next time.
     """

@@ -136,10 +136,9 @@ def _nominals(component: Component, continuous: Continuous) -> list[float]:
 
 def _on_states(component: Component, states: Iterable[ExchangeState]) -> dict[str, tuple[str, ...]]:
     """By the sparsity of the equations."""
-    pattern = component.outputs.jac_sparsity(0, 0)
-    rows, columns = pattern.get_triplet()
-    felt = set(zip(rows, columns, strict=True))
+    rows, columns = component.outputs.jac_sparsity(0, 0).get_triplet()
+    nonzero = set(zip(rows, columns, strict=True))
     return {
-        name: tuple(s.name for s in states if (row, s.place) in felt)
+        name: tuple(s.name for s in states if (row, s.place) in nonzero)
         for row, name in enumerate(component.output_names)
     }

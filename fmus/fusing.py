@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from twin.component import Component, Enumeration, Sampling, Variable, unknown_name
 from twin.errors import FmuError
 
-from .model import FmuModel, Part, component_model
+from .model import FmuModel, Submodel, component_model
 from .order import visits
 
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -54,7 +54,7 @@ def fuse(
     return FmuModel(name, description, renamed, connected, order, step_s)
 
 
-def _renamed(owner: str, name: str, of: FmuModel | Component) -> Part:
+def _renamed(owner: str, name: str, of: FmuModel | Component) -> Submodel:
     """The part under a new name, which its variables, states and files bear as well."""
     model = component_model(of) if isinstance(of, Component) else of
     if len(model.parts) > 1:
@@ -90,7 +90,7 @@ def _renamed_sampling(name: str, sampling: Sampling) -> Sampling:
 
 
 def _check_connections(
-    owner: str, parts: Iterable[Part], connections: Iterable[tuple[str, str]]
+    owner: str, parts: Iterable[Submodel], connections: Iterable[tuple[str, str]]
 ) -> None:
     """Known names, from an output to an input, one source each, equal units."""
     variables = {v.name: v for part in parts for v in part.variables}
@@ -124,7 +124,7 @@ def _same_kind(source: Variable, target: Variable) -> bool:
     return a == b
 
 
-def _check_noise(owner: str, parts: Iterable[Part]) -> None:
+def _check_noise(owner: str, parts: Iterable[Submodel]) -> None:
     """No two parts with one stream and one seed."""
     drawn: dict[tuple[int, float], str] = {}
     for part in parts:
@@ -139,18 +139,18 @@ def _check_noise(owner: str, parts: Iterable[Part]) -> None:
             )
 
 
-def _order(owner: str, parts: tuple[Part, ...], source: Mapping[str, str]) -> tuple[int, ...]:
+def _order(owner: str, parts: tuple[Submodel, ...], source: Mapping[str, str]) -> tuple[int, ...]:
     """Visits of parts after which every output is right, at initialisation and while stepping.
 
     A part comes twice where some of its outputs are needed before its inputs are known.
     """
-    felt = {
+    dependencies = {
         output: {source[u] for u in (*direct, *part.initial_dependencies[output]) if u in source}
         for part in parts
         for output, direct in part.dependencies.items()
     }
     try:
-        TopologicalSorter(felt).prepare()
+        TopologicalSorter(dependencies).prepare()
     except CycleError as error:
         raise FmuError(
             f"{owner}: algebraic loop: {' -> '.join(error.args[1])}, each depending on the one "
@@ -158,4 +158,4 @@ def _order(owner: str, parts: tuple[Part, ...], source: Mapping[str, str]) -> tu
         ) from None
     index = {part.name: i for i, part in enumerate(parts)}
     mute = (i for i, part in enumerate(parts) if not part.dependencies)
-    return (*(index[v] for v in visits(felt) if isinstance(v, str)), *mute)
+    return (*(index[v] for v in visits(dependencies) if isinstance(v, str)), *mute)

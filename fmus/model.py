@@ -30,7 +30,7 @@ Constant = int | tuple[int, ...] | tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class Submodel:
     """One model inside an FMU, a C source file of its own.
 
     Attributes:
@@ -96,7 +96,7 @@ class FmuModel:
 
     name: str
     description: str
-    parts: tuple[Part, ...]
+    parts: tuple[Submodel, ...]
     connections: tuple[tuple[str, str], ...] = ()
     order: tuple[int, ...] = (0,)
     step_s: float | None = None
@@ -149,7 +149,7 @@ class FmuModel:
                 raise ModelError(unknown_name(self.name, "parameter or input", name, known))
             check_range(self.name, known[name], value)
 
-        def changed(part: Part) -> Part:
+        def changed(part: Submodel) -> Submodel:
             """The part, outputs as they were."""
             table = (replace(v, start=starts.get(v.name, v.start)) for v in part.variables)
             return replace(part, variables=tuple(table))
@@ -179,19 +179,19 @@ class FmuModel:
 
     @property
     def initial_dependencies(self) -> dict[str, tuple[str, ...]]:
-        """Inputs and parameters that each output feels at the end of initialisation."""
+        """Inputs and parameters on which each output depends at the end of initialisation."""
         source = {target: output for output, target in self.connections}
-        felt: dict[str, dict[str, None]] = {}  # sets in a fixed order
+        dependencies: dict[str, dict[str, None]] = {}  # sets in a fixed order
         for part in (self.parts[i] for i in self.order):
-            felt |= {
+            dependencies |= {
                 output: {
                     name: None
                     for k in known
-                    for name in (felt.get(source[k], {}) if k in source else {k: None})
+                    for name in (dependencies.get(source[k], {}) if k in source else {k: None})
                 }
                 for output, known in part.initial_dependencies.items()
             }
-        return {output: tuple(known) for output, known in felt.items()}
+        return {output: tuple(known) for output, known in dependencies.items()}
 
     @property
     def resources(self) -> dict[str, bytes]:
@@ -215,7 +215,7 @@ def with_real_outputs(model: FmuModel) -> FmuModel:
     For importers that read all outputs by `fmi2GetReal` or `fmi3GetFloat64`.
     """
 
-    def changed(part: Part) -> Part:
+    def changed(part: Submodel) -> Submodel:
         """The part; what was no real number stands still between instants."""
         others = {v.name for v in part.of("output") if not v.real}
         table = tuple(replace(v, kind="real") if v.name in others else v for v in part.variables)
@@ -259,7 +259,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
 
     Args:
         component: Equations and interface.
-        exchange: Whether a solver outside may integrate it, beside co-simulation.
+        exchange: Whether a outside solver may integrate it, besides co-simulation.
 
     Raises:
         FmuError: The component cannot be exchanged.
@@ -268,7 +268,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
     if exchange:
         component, offered = exchanged(component)
     called = kernels(component, exchange)
-    part = Part(
+    part = Submodel(
         name=component.name,
         variables=component.variables,
         dependencies=_dependencies(component),
@@ -292,7 +292,7 @@ def component_model(component: Component, exchange: bool = False) -> FmuModel:
 
 
 def _dependencies(component: Component) -> dict[str, tuple[str, ...]]:
-    """Inputs that each output feels directly, from the sparsity of the equations."""
+    """Inputs on which each output directly depends, from the sparsity of the equations."""
     pattern = _pattern(component.outputs, 1, len(component.inputs))
     return {
         y: tuple(u for u, hit in zip(component.input_names, row, strict=True) if hit)
@@ -312,7 +312,7 @@ def _held(component: Component) -> frozenset[str]:
 
 
 def _initial_dependencies(component: Component) -> dict[str, tuple[str, ...]]:
-    """Inputs and parameters that each output feels at the end of initialisation."""
+    """Inputs and parameters on which each output depends at the end of initialisation."""
     u = ca.SX.sym("u", len(component.inputs))
     p = ca.SX.sym("p", len(component.parameters))
     w = draws(component)

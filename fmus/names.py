@@ -1,6 +1,6 @@
 """Names and texts that come from a file: what may stand in one before it enters C, XML or a path.
 
-An FMU is code that other tools load. What a file says about itself is data, whoever wrote it: a
+An FMU is code that other tools load. What a file says about itself is data, of any author: a
 name that is no short identifier is refused where it is read, and again where it is written.
 """
 

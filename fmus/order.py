@@ -17,30 +17,34 @@ Visit = str | Loop
 """A slave whose inputs are to be set and outputs read, or a loop that is to be solved."""
 
 
-def visits(felt: Mapping[str, Set[str]]) -> list[Visit]:
+def visits(dependencies: Mapping[str, Set[str]]) -> list[Visit]:
     """An order of visits after which every output is right.
 
     A slave comes twice where some of its outputs are needed before its inputs are known: an
     airframe gives its position to a controller whose command enters its acceleration.
 
     Args:
-        felt: Output -> the outputs that it directly depends on, through connected inputs. Outputs
-            that are no keys are known beforehand.
+        dependencies: Output -> the outputs that it directly depends on, through connected inputs.
+            Outputs that are no keys are known beforehand.
     """
     order: list[Visit] = []
     remaining: dict[str, list[str]] = {}
-    for output in felt:
+    for output in dependencies:
         remaining.setdefault(slave_of(output), []).append(output)
-    done: set[str] = set().union(*felt.values()) - felt.keys()
+    done: set[str] = set().union(*dependencies.values()) - dependencies.keys()
     while remaining:
-        ready = {s: [o for o in outputs if felt[o] <= done] for s, outputs in remaining.items()}
+        ready = {
+            s: [o for o in outputs if dependencies[o] <= done] for s, outputs in remaining.items()
+        }
         whole = [s for s, outputs in ready.items() if len(outputs) == len(remaining[s])]
         some = whole or [s for s, outputs in ready.items() if outputs]
         if some:
             order.append(some[0])
             done.update(ready[some[0]])
         else:
-            loop = _first_loop([o for outputs in remaining.values() for o in outputs], felt, done)
+            loop = _first_loop(
+                [o for outputs in remaining.values() for o in outputs], dependencies, done
+            )
             order.append(loop)
             done.update(loop.outputs)
         left = {s: [o for o in outputs if o not in done] for s, outputs in remaining.items()}
@@ -48,19 +52,19 @@ def visits(felt: Mapping[str, Set[str]]) -> list[Visit]:
     return order
 
 
-def _first_loop(outputs: list[str], felt: Mapping[str, Set[str]], done: Set[str]) -> Loop:
+def _first_loop(outputs: list[str], dependencies: Mapping[str, Set[str]], done: Set[str]) -> Loop:
     """A strongly connected component that waits for nothing but itself."""
     from scipy.sparse import csr_array  # half a second to load, and loops are rare
     from scipy.sparse.csgraph import connected_components
 
     index = {o: i for i, o in enumerate(outputs)}
-    edges = [(index[source], index[o]) for o in outputs for source in felt[o] - done]
+    edges = [(index[source], index[o]) for o in outputs for source in dependencies[o] - done]
     ones, (rows, columns) = np.ones(len(edges)), np.transpose(edges)
     graph = csr_array((ones, (rows, columns)), shape=(len(outputs), len(outputs)))
     count, label = connected_components(graph, directed=True, connection="strong")
     for k in range(count):
         members = tuple(o for o in outputs if label[index[o]] == k)
-        if all(felt[o] <= done | set(members) for o in members):
+        if all(dependencies[o] <= done | set(members) for o in members):
             return Loop(members)
     raise AssertionError("a finite graph has a component without predecessors")
 

@@ -11,7 +11,7 @@ from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import COLUMNS, motor_number
 
-from .model import FmuModel, Part
+from .model import FmuModel, Submodel
 
 Array = NDArray[np.float64]
 GAP_FACTOR = 5.0
@@ -56,7 +56,7 @@ def replay_model(
         for name in columns
     )
     nothing = {v.name: () for v in outputs + validity}
-    part = Part(
+    part = Submodel(
         name="replay",
         variables=outputs + validity,
         dependencies=nothing,

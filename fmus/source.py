@@ -11,7 +11,7 @@ from twin.component import Enumeration, Sampling, Variable
 
 from .exchange import Exchange
 from .literals import c_list, c_number, c_string
-from .model import Constant, FmuModel, Part
+from .model import Constant, FmuModel, Submodel
 from .names import check_identifier, check_variable
 
 _NUMBER = re.compile(r"(?<== )-?\d\.\d{16}e[+-]\d+(?=;)")
@@ -31,7 +31,7 @@ def generated_sources(model: FmuModel, token: str) -> dict[str, str]:
     }
 
 
-def _kernels(part: Part) -> str:
+def _kernels(part: Submodel) -> str:
     """Kernels compiled on their own: they know how many variables there are, no name, no number."""
     defines = {"KERNELS": "", **_shared(part)}
     array, places = _numbers(part), iter(range(len(_NUMBER.findall(part.kernels))))
@@ -52,13 +52,13 @@ def _kernels(part: Part) -> str:
     )
 
 
-def _numbers(part: Part) -> str:
+def _numbers(part: Submodel) -> str:
     """Name of the array in `part_NAME.c` of the numbers of its kernels, one by one: two that
     are equal in one model need not be in another, which has the same kernels."""
     return f"numbers_of_{check_identifier('part of an FMU', part.name)}"
 
 
-def _shared(part: Part) -> dict[str, object]:
+def _shared(part: Submodel) -> dict[str, object]:
     """Macros that kernels and tables of a part have in common."""
     parameters, inputs = len(part.of("parameter")), len(part.of("input"))
     shared: dict[str, object] = {
@@ -83,12 +83,12 @@ def _defined(defines: Mapping[str, object]) -> list[str]:
     return [f"#define {name} {value}".rstrip() for name, value in defines.items()]
 
 
-def _glue(part: Part) -> str:
+def _glue(part: Submodel) -> str:
     check_identifier(f"{part.name}: glue", part.glue.removesuffix(".h"))
     return f'#include "{part.glue}"\n'
 
 
-def _part(part: Part) -> str:
+def _part(part: Submodel) -> str:
     """Tables, kernels unless they are apart, and the code around them; static but for the model."""
     shared = _shared(part)
     defines = {
@@ -141,7 +141,7 @@ def _variable(v: Variable, may_lack: bool) -> str:
     return f"{{{', '.join(map(str, row))}}}"
 
 
-def _sampling(part: Part, sampling: Sampling) -> str:
+def _sampling(part: Submodel, sampling: Sampling) -> str:
     reference = {v.name: i for i, v in enumerate(part.variables, start=1)}
     defines = {
         "SAMPLE_PERIOD": reference[sampling.period],
@@ -158,7 +158,7 @@ def _sampling(part: Part, sampling: Sampling) -> str:
     )
 
 
-def _exchange(part: Part, exchange: Exchange) -> str:
+def _exchange(part: Submodel, exchange: Exchange) -> str:
     reference = {v.name: i for i, v in enumerate(part.variables, start=1)}
     states = [
         f"{{{s.place}, {reference[s.name]}, {reference[s.derivative]}, {c_number(s.nominal)}}}"

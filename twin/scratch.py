@@ -1,6 +1,6 @@
 """Temporary files and folders whose owner can be proven dead, so that what was left is swept.
 
-A killed process leaves behind what it was writing; whoever writes in the same place next removes
+A killed process leaves behind what it was writing; the next writer in the same place removes
 it. Two processes may share a folder without seeing each other: containers with PID namespaces of
 their own, machines on one network file system. So age and process number prove nothing; the
 kernel does. Each scratch folder holds a file `lock` on which its owner keeps an exclusive flock(2)
@@ -9,7 +9,7 @@ until the end, which the kernel releases however the owner ends. The name says w
     .uavtwin-HOST-BOOT-NAMESPACE-PID-START-RANDOM
 
 A leftover of this boot is removed when nobody holds its lock: one kernel keeps the locks of all
-namespaces. If its process is of our own PID namespace, that has to be gone besides. Everything else
+namespaces. If its process is of our own PID namespace, that must be gone as well. Everything else
 stays:
 
 - of another boot, be it of another machine or of this one before it restarted: a lock of another
@@ -65,7 +65,7 @@ def scratch_folder(place: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch_file(path: Path) -> Iterator[Path]:
-    """A path of the same name in a scratch folder beside `path`.
+    """A path of the same name in a scratch folder next to `path`.
 
     What is written there replaces `path` at the end, at once and whole, with the rights that the
     umask allows; if something failed, `path` stays as it is.

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .board import Board
 from .interface import SCALARS, Port
+from .trace import SharedTrace
 
 Array = NDArray[np.float64]
 Call = Callable[[], int]
@@ -44,13 +44,13 @@ class Library:
         clock: Time of the step under way, s.
     """
 
-    def __init__(self, fmu: Any, fmi: int, who: str = "", board: Board | None = None) -> None:
-        """Take an instance; `board` tells others its calls, made in the name of a slave."""
-        self.fmi, self._who, self._board = fmi, who, board
-        self.clock = ctypes.c_double() if board is None else board.clock
+    def __init__(self, fmu: Any, fmi: int, who: str = "", trace: SharedTrace | None = None) -> None:
+        """Take an instance; `trace` tells others its calls, made in the name of a slave."""
+        self.fmi, self._who, self._trace = fmi, who, trace
+        self.clock = ctypes.c_double() if trace is None else trace.clock
         self._dll = fmu.dll
         self._component = ctypes.c_void_p.from_param(fmu.component)
-        self._kept: list[Any] = []
+        self._buffers: list[Any] = []
 
     def call(self, function: str, *arguments: Any) -> Call:
         """A function, named without `fmi2` or `fmi3`, with its arguments after the instance.
@@ -61,9 +61,9 @@ class Library:
         """
         full = f"fmi{self.fmi}{function}"
         call = partial(self._dll[full], self._component, *arguments)
-        if self._board is None:
+        if self._trace is None:
             return call
-        return self._board.told(self._who, full, call)
+        return self._trace.traced(self._who, full, call)
 
     def transfer(self, function: str, references: Sequence[int], buffer: NDArray[Any]) -> Call:
         """A get or set function of variables."""
@@ -85,7 +85,7 @@ class Library:
 
     def _pointer(self, array: NDArray[Any]) -> Any:
         """Address of an array, which lives as long as the library from here on."""
-        self._kept.append(array)
+        self._buffers.append(array)
         return ctypes.c_void_p.from_param(array.ctypes.data)
 
 

@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from fmus.archive import unpack
 from twin.errors import FmuError
 
-from .board import Board
 from .calls import Library, Step, Transfer
 from .interface import SCALARS, Port, read_interface
+from .trace import SharedTrace
 
 Array = NDArray[np.float64]
 _OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5
@@ -52,15 +52,15 @@ class Slave:
     `write_inputs` and `read_outputs` move them to and from the FMU.
     """
 
-    def __init__(self, name: str, path: Path, board: Board | None = None) -> None:
-        """Load and instantiate; `board` tells the calls to other processes: `ToldSlave`."""
-        self.name, self.path, self._board = name, path, board
+    def __init__(self, name: str, path: Path, trace: SharedTrace | None = None) -> None:
+        """Load and instantiate; `trace` tells the calls to other processes: `TracedSlave`."""
+        self.name, self.path, self._trace = name, path, trace
         self._who = f"{name} ({path.name})"
         self.interface = read_interface(path)
         self._messages: deque[str] = deque(maxlen=20)
         self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-")
         self._fmu = self._instantiate()
-        self.library = Library(self._fmu, self.interface.fmi, self._who, board)
+        self.library = Library(self._fmu, self.interface.fmi, self._who, trace)
         self._saved: set[SavedState] = set()
         self._fresh, self._running, self._dead = True, False, False
         self.bind([], [], np.zeros(0), np.zeros(0))
@@ -278,7 +278,7 @@ class Slave:
 
     def _call(self, what: str, call: Callable[[], Any]) -> Any:
         """A call by way of FMPy."""
-        return call() if self._board is None else self._board.told(self._who, what, call)()
+        return call() if self._trace is None else self._trace.traced(self._who, what, call)()
 
     def _said(self, fallback: str) -> str:
         text = "; ".join(self._messages) or fallback
@@ -324,7 +324,7 @@ class Slave:
     def _wants_end(self) -> bool:
         """Whether an FMU that discarded a step asks to end the simulation."""
         if self.interface.fmi == 3:
-            return False  # told by a flag of the step
+            return False  # reported by a flag of the step
         ends = ctypes.c_int(0)
         self.library.call("GetBooleanStatus", ctypes.c_int(_TERMINATED), ctypes.byref(ends))()
         return bool(ends.value)

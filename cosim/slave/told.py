@@ -6,18 +6,20 @@ from typing import Any, cast
 
 from numpy.typing import NDArray
 
-from .board import FOLLOWING, MORE, ONE, QUARTER, TINY, Board, Told
 from .slave import Array, Slave
+from .trace import FOLLOWING, MORE, ONE, QUARTER, TINY, SharedTrace, TracedCall
 
 
-class ToldSlave(Slave):
-    """As `Slave`; it writes on a board what it calls, and looks for what a step has done to this
-    process. The calls of the inner loop are told here, which costs half of what `Told` costs."""
+class TracedSlave(Slave):
+    """A slave that writes its calls into a trace and checks after each how this process calculates.
 
-    def __init__(self, name: str, path: Path, board: Board) -> None:
+    The calls of the inner loop are written here, at half the cost of `TracedCall`.
+    """
+
+    def __init__(self, name: str, path: Path, trace: SharedTrace) -> None:
         """Load and instantiate."""
-        self._slot = board.call
-        super().__init__(name, path, board)
+        self._slot = trace.call
+        super().__init__(name, path, trace)
 
     def bind(
         self, inputs: Sequence[str], outputs: Sequence[str], sent: Array, received: Array
@@ -25,7 +27,7 @@ class ToldSlave(Slave):
         """See `Slave.bind`."""
         super().bind(inputs, outputs, sent, received)
         self._moves_in, self._moves_out = _bare(self._setters), _bare(self._getters)
-        doing = cast(Told, self._step.call)
+        doing = cast(TracedCall, self._step.call)
         self._doing = doing.number, -doing.number, doing.bare
 
     def write_inputs(self) -> None:
@@ -45,7 +47,7 @@ class ToldSlave(Slave):
         if moves:
             slot.value = returned  # from the last of them
             if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
-                raise cast(Told, self._setters[-1][0]).spoilt()
+                raise cast(TracedCall, self._setters[-1][0]).spoilt()
 
     def read_outputs(self) -> None:
         """See `Slave.read_outputs`.
@@ -64,7 +66,7 @@ class ToldSlave(Slave):
         if moves:
             slot.value = returned  # from the last of them
             if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
-                raise cast(Told, self._getters[-1][0]).spoilt()
+                raise cast(TracedCall, self._getters[-1][0]).spoilt()
 
     def step(self, time_s: float, step_s: float) -> None:
         """See `Slave.step`.
@@ -80,7 +82,7 @@ class ToldSlave(Slave):
         status = call()
         slot.value = returned
         if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
-            raise cast(Told, step.call).spoilt()
+            raise cast(TracedCall, step.call).spoilt()
         if status or step.flags.value:
             self._judge_step(status)
 

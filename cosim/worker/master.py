@@ -17,7 +17,7 @@ from twin.errors import FmuError
 
 from ..limits import Limits
 from ..recording import Interrupted, Recording, RunError
-from ..slave.board import read_table, table_bytes
+from ..slave.trace import read_table, table_bytes
 from ..stepping import Algorithm
 from ..system import System
 from .process import Ended, Process
@@ -83,7 +83,7 @@ class WorkerMaster:
         try:
             self._ask("initialize", **arguments)
         except FmuError:
-            if self._process.running or self._process.notice().function != "reset":
+            if self._process.running or self._process.entry().function != "reset":
                 raise
             self._process.forget()
             self._start()
@@ -191,7 +191,7 @@ class WorkerMaster:
         try:
             answer = self._request(request, progress, clocked_s, self._rows)
         except KeyboardInterrupt:
-            why = f"interrupted at {self._process.notice().clock_s:g} s"
+            why = f"interrupted at {self._process.entry().clock_s:g} s"
             raise Interrupted(self._recording(every, incomplete=why)) from None
         except FmuError as error:
             why = str(error)
@@ -228,8 +228,8 @@ class WorkerMaster:
         incomplete: str = "",
     ) -> Recording:
         """What has been recorded; where nobody counted, the steps up to its last row."""
-        asked_s = np.asarray(self._time_s + every * np.arange(self._rows) * self._step_s)
-        time_s, values = read_table(self._process.table, asked_s, len(self.record_names))
+        expected_s = np.asarray(self._time_s + every * np.arange(self._rows) * self._step_s)
+        time_s, values = read_table(self._process.table, expected_s, len(self.record_names))
         if steps is None:
             steps = every * max(0, len(time_s) - 1)
         printed = self._process.printed
@@ -263,12 +263,12 @@ class WorkerMaster:
 
     def _fault(self, what: str) -> str:
         """Which FMU, in which function, when, and what became of the worker."""
-        notice = self._process.notice()
-        if not notice.who:
+        entry = self._process.entry()
+        if not entry.who:
             printed = shown(self._process.printed.strip()[-300:], 400)
             return f"the process for the FMUs of this system: {what}. It printed {printed}."
-        place = notice.function if notice.busy else f"after {notice.function}"
-        return f"{notice.who}: {place} at {notice.clock_s:g} s: {what}."
+        place = entry.function if entry.busy else f"after {entry.function}"
+        return f"{entry.who}: {place} at {entry.clock_s:g} s: {what}."
 
 
 def _text(content: Any) -> str:

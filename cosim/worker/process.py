@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..limits import Limits
-from ..slave.board import HEADER, Notice, read_board, shared_file
+from ..slave.trace import HEADER, TraceEntry, read_trace, shared_file
 
 _TICK_S = 0.05
 _START_S = 60.0
@@ -37,7 +37,7 @@ class Process:
     """A worker with files of its own.
 
     Attributes:
-        board: File of its board.
+        trace: File of its trace.
         table: File of its last recording.
         running: Whether it was not ended.
     """
@@ -45,13 +45,13 @@ class Process:
     def __init__(self, limits: Limits) -> None:
         self._limits, self._left_s = limits, limits.whole_s
         self._folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
-        self.board, self.table = shared_file(HEADER), shared_file(0)
+        self.trace, self.table = shared_file(HEADER), shared_file(0)
         self._printed, self._pending = bytearray(), bytearray()
         requests, self._requests = socket.socketpair()
         self._requests.shutdown(socket.SHUT_RD)  # what an FMU writes there comes to nothing
         self._answers, answers = os.pipe()
         self._output, output = os.pipe()
-        given = (requests.fileno(), answers, self.board)
+        given = (requests.fileno(), answers, self.trace)
         self._peak_before = _peak_bytes(resource.getrusage(resource.RUSAGE_SELF))
         try:
             self._process = subprocess.Popen(
@@ -132,13 +132,13 @@ class Process:
             self._left_s -= max(0.0, time.monotonic() - begin - (clocked_s or 0.0))
 
     def begin(self) -> None:
-        """A run begins: the time for it as a whole starts anew."""
+        """A run begins: the time for it as a whole starts again."""
         self._left_s = self._limits.whole_s
 
     def _wait(
         self, progress: Callable[[float], None] | None, begin: float, clocked_s: float | None
     ) -> Mapping[str, Any]:
-        seen, since = read_board(self.board), begin
+        seen, since = read_trace(self.trace), begin
         while True:
             for content in self._read(_TICK_S):
                 if "progress" not in content:
@@ -150,11 +150,11 @@ class Process:
                     if "progress" not in content:
                         return content
                 raise Ended(self._end())
-            now, notice = time.monotonic(), read_board(self.board)
-            if notice != seen:
-                seen, since = notice, now
-            waits_for_clock = clocked_s is not None and not notice.busy
-            limit_s = self._limits.call_s if notice.who else max(_START_S, self._limits.call_s)
+            now, entry = time.monotonic(), read_trace(self.trace)
+            if entry != seen:
+                seen, since = entry, now
+            waits_for_clock = clocked_s is not None and not entry.busy
+            limit_s = self._limits.call_s if entry.who else max(_START_S, self._limits.call_s)
             if now - since > limit_s and not waits_for_clock:
                 raise Ended(f"did not return within {limit_s:g} s, the limit (--call-limit)")
             if now - begin - (clocked_s or 0.0) > self._left_s:
@@ -225,9 +225,9 @@ class Process:
             os.close(file)
         self._folder.cleanup()
 
-    def notice(self) -> Notice:
+    def entry(self) -> TraceEntry:
         """The call under way, or the last one."""
-        return read_board(self.board)
+        return read_trace(self.trace)
 
     def spoilt(self) -> Ended:
         """End it, as it has answered what only others in its process can have written."""
@@ -235,11 +235,11 @@ class Process:
         return Ended(_SPOILT)
 
     def forget(self) -> None:
-        """Close the board and the recording, after `end`."""
-        for file in (self.board, self.table):
+        """Close the trace and the recording, after `end`."""
+        for file in (self.trace, self.table):
             if file >= 0:
                 os.close(file)
-        self.board = self.table = -1
+        self.trace = self.table = -1
 
 
 def _answer(line: bytes) -> Mapping[str, Any]:

@@ -1,6 +1,6 @@
 """The worker's side: a master that takes requests, one JSON text a line, and answers them.
 
-No request comes from an FMU, and no answer is more than text and numbers: whoever reads it runs
+No request comes from an FMU, and no answer is more than text and numbers: its reader runs
 nothing of it.
 """
 
@@ -19,19 +19,19 @@ from typing import Any
 from twin.errors import TwinError
 
 from ..master import Master, RunError
-from ..slave.board import Board
+from ..slave.trace import SharedTrace
 from ..system import Connection, System
 
 Answer = Callable[[Mapping[str, Any]], None]
 
 
-def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
+def serve(requests: int, answers: int, trace: int, memory_bytes: int) -> None:
     """Answer until asked to close; ends this process.
 
     Args:
         requests: Socket to read from; at its end the asking process is no more.
         answers: File to write to.
-        board: File of the board.
+        trace: File of the trace.
         memory_bytes: Limit of writable memory.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -40,7 +40,7 @@ def serve(requests: int, answers: int, board: int, memory_bytes: int) -> None:
     lines: queue.SimpleQueue[tuple[bytes, list[int]]] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests, lines), daemon=True).start()
 
-    shared = Board(board)
+    shared = SharedTrace(trace)
 
     def answer(content: Mapping[str, Any]) -> None:
         shared.check_process()
@@ -85,8 +85,8 @@ def _read(file: int, lines: "queue.SimpleQueue[tuple[bytes, list[int]]]") -> Non
 class _Server:
     """What can be asked, by name."""
 
-    def __init__(self, board: Board, answer: Answer) -> None:
-        self._board, self._answer = board, answer
+    def __init__(self, trace: SharedTrace, answer: Answer) -> None:
+        self._trace, self._answer = trace, answer
 
     def load(
         self, fmus: Mapping[str, str], connections: list[list[str]], record: Any, **more: Any
@@ -97,7 +97,7 @@ class _Server:
             tuple(Connection(*ends) for ends in connections),
             **more,
         )
-        self._master = Master(system, record, self._board)
+        self._master = Master(system, record, self._trace)
         return list(self._master.record_names)
 
     def initialize(self, **arguments: Any) -> None:
@@ -105,7 +105,7 @@ class _Server:
         self._master.initialize(**arguments)
 
     def run(self, **arguments: Any) -> list[float]:
-        """As the master's; steps, rejected steps, lateness. The rows are on the board."""
+        """As the master's; steps, rejected steps, lateness. The rows are in the trace."""
         r = self._master.run(progress=self._progress, **arguments)
         return [r.steps, r.rejected, r.lateness_s]
 

@@ -96,7 +96,7 @@ def row_widths(values: Any) -> dict[str, int]:
 
 
 def plain_copy(model: Any) -> Any:
-    """The same operators and numbers without any text of whoever wrote the file.
+    """The same operators and numbers without any text of its author.
 
     Tensors between inputs and outputs are numbered. Names of nodes, metadata and descriptions are
     left out: the C generator writes all of them into comments as they are.

@@ -6,7 +6,7 @@ from pathlib import Path
 from twin.component import Variable
 from twin.physics.residual_force import INPUTS, SEEN
 
-from ..model import Constant, FmuModel, Part
+from ..model import Constant, FmuModel, Submodel
 from .c_source import PREAMBLE, network_source
 from .network_file import NetworkFile, read_network
 
@@ -62,7 +62,7 @@ def interface_model(
     dependencies |= {f"corrected.{c}": (c,) for c in network.channels}
     held = [f"{kind} {c}" for kind in ("correction", "spread") for c in network.channels]
     memory = [f"number {i} of the network's state" for i in range(network.state_size)]
-    part = Part(
+    part = Submodel(
         name="compensator",
         variables=variables,
         dependencies=dependencies,

@@ -130,7 +130,7 @@ class _Metadata:
     def check_format(self, graph: Any) -> None:
         """Whether the file is a compensator's and its graph as it was written.
 
-        The checksum tells of damage, not of intent: whoever changes the file can mend it.
+        The checksum tells of damage, not of intent: an author of changes can mend it.
         """
         if self._texts.get("format") != FORMAT:
             raise FmuError(

@@ -34,7 +34,7 @@ def project() -> Project:
     own = metadata.distribution(_NAME)
     text = own.read_text("licenses/LICENSE") or ""
     line = next((line for line in text.splitlines() if line.startswith("Copyright")), "")
-    told = own.metadata
+    header = own.metadata
     return Project(
-        _NAME, own.version, told["Author"] or "", told["License-Expression"] or "", line, text
+        _NAME, own.version, header["Author"] or "", header["License-Expression"] or "", line, text
     )

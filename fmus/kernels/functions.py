@@ -46,7 +46,7 @@ def kernels(component: Component, exchange: bool) -> Kernels:
 
     Args:
         component: Equations and interface.
-        exchange: Whether a solver outside may integrate it, beside co-simulation.
+        exchange: Whether a outside solver may integrate it, besides co-simulation.
     """
     full = _full(component)
     stepping, cheaper = [full[name] for name in full], {}

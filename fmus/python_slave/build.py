@@ -29,7 +29,7 @@ from ..description import model_description
 from ..model import FmuModel, component_model
 
 _ENTRY = '''\
-"""pythonfmu reads this file anew for each instance, and looks for the slave's class."""
+"""pythonfmu reads this file again for each instance, and looks for the slave's class."""
 
 from twin.{module} import {name}
 from twin.script import keep
@@ -133,7 +133,7 @@ def _function(value: Any) -> dict[str, str]:
 
 
 def _network_text(network: NetworkFile, model: FmuModel) -> str:
-    """What `network` must know beside the ONNX file."""
+    """What `network` must know besides the ONNX file."""
     (part,) = model.parts
     content = {
         "name": model.name,

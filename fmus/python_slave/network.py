@@ -1,6 +1,6 @@
 """What a Python-slave compensator runs: its ONNX file by onnxruntime, behind `script`.
 
-`build` puts this file into the FMU, beside `script`. Values are those of
+`build` puts this file into the FMU, next to `script`. Values are those of
 `c/compensator.h` but for the rounding of float32 sums.
 """
 

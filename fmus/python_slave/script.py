@@ -1,6 +1,6 @@
 """What a Python-slave FMU runs: a component behind the calls of pythonfmu.
 
-`python_slave` puts this file into the FMU, beside copies of the `twin` and `pythonfmu` modules it
+`python_slave` puts this file into the FMU, next to copies of the `twin` and `pythonfmu` modules it
 needs, all under names of that FMU's own. Values, checks and modes are those of `c/core.c`.
 """
 

@@ -146,7 +146,7 @@ def test_loop_of_initial_states(fmu: Callable[..., Path]) -> None:
         (Connection("a.y", "b.u"), Connection("b.y", "a.u")),
     )
     with Master(system) as master:
-        assert not any(master._stepping._bus.felt().values())
+        assert not any(master._stepping._bus.dependencies().values())
         master.initialize()
         run = master.run(1.0, 0.1)
     np.testing.assert_allclose(run.values, 2.0, rtol=1e-12)
@@ -214,28 +214,28 @@ def test_jacobian_by_call_and_by_differences(fmu: Callable[..., Path], fmi: int)
 
 def test_order_of_visits() -> None:
     """c needs the loop of a and b; a comes again for what c gives."""
-    felt = {
+    dependencies = {
         "c.y": {"b.y"},
         "a.y": {"b.y"},
         "a.z": {"c.y"},
         "b.y": {"a.y", "d.y"},
         "d.y": set(),
     }
-    order = visits(felt)
+    order = visits(dependencies)
     loop = Loop(("a.y", "b.y"))
     assert order == ["d", loop, "c", "a"]
     assert stepping_order(order, ["a", "b", "c", "d", "e"]) == ["d", "b", "c", "a", loop, "e"]
 
 
 def test_slaves_that_do_not_feel_each_other_are_one_batch() -> None:
-    felt = {"a.y": {"x.y"}, "b.y": {"x.y"}, "c.y": {"b.y"}}
-    assert batches(visits(felt), felt) == [("a", "b"), ("c",)]
+    dependencies = {"a.y": {"x.y"}, "b.y": {"x.y"}, "c.y": {"b.y"}}
+    assert batches(visits(dependencies), dependencies) == [("a", "b"), ("c",)]
 
 
 def test_two_loops_are_two() -> None:
-    felt = {"a.y": {"b.y"}, "b.y": {"a.y"}, "c.y": {"d.y", "a.y"}, "d.y": {"c.y"}}
-    assert visits(felt) == [Loop(("a.y", "b.y")), Loop(("c.y", "d.y"))]
-    assert stepping_order(visits(felt), "abcd") == [
+    dependencies = {"a.y": {"b.y"}, "b.y": {"a.y"}, "c.y": {"d.y", "a.y"}, "d.y": {"c.y"}}
+    assert visits(dependencies) == [Loop(("a.y", "b.y")), Loop(("c.y", "d.y"))]
+    assert stepping_order(visits(dependencies), "abcd") == [
         "a",
         "b",
         Loop(("a.y", "b.y")),
@@ -246,7 +246,7 @@ def test_two_loops_are_two() -> None:
 
 
 def test_loops_with_a_common_slave_are_solved_in_their_order() -> None:
-    felt = {"a.y": {"b.y"}, "b.y": {"a.y"}, "a.z": {"b.z"}, "b.z": {"a.z", "a.y"}}
+    dependencies = {"a.y": {"b.y"}, "b.y": {"a.y"}, "a.z": {"b.z"}, "b.z": {"a.z", "a.y"}}
     first, second = Loop(("a.y", "b.y")), Loop(("a.z", "b.z"))
-    assert visits(felt) == [first, second]
-    assert stepping_order(visits(felt), "ab") == ["a", "b", first, second]
+    assert visits(dependencies) == [first, second]
+    assert stepping_order(visits(dependencies), "ab") == ["a", "b", first, second]

@@ -23,7 +23,7 @@ from bad_fmu import bad_fmu
 
 from cosim.limits import Limits
 from cosim.master import Algorithm, Interrupted, Master, Recording, RunError
-from cosim.slave.board import read_board, read_table, shared_file, table_bytes
+from cosim.slave.trace import read_table, read_trace, shared_file, table_bytes
 from cosim.system import Connection, System
 from cosim.worker import WorkerMaster
 from fmus import build, component_model
@@ -222,9 +222,9 @@ def test_no_more_is_read_than_was_asked_for(tmp_path: Path) -> None:
             table.truncate(size)
             time_s, _ = read_table(table.fileno(), times_s, 1)
             assert len(time_s) == (size > table_bytes(0))
-        assert read_board(table.fileno()).who == ""
+        assert read_trace(table.fileno()).who == ""
         table.truncate(table_bytes(0) + 4)
-        assert read_board(table.fileno()).who == ""
+        assert read_trace(table.fileno()).who == ""
 
 
 @pytest.mark.slow

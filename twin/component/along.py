@@ -1,4 +1,4 @@
-"""CasADi functions along a record, some thousand rows at a time: what they need besides their
+"""CasADi functions along a record, some thousand rows at a time: what they need apart from their
 results does not grow with its length."""
 
 from collections.abc import Callable, Iterator, Sequence
@@ -113,12 +113,12 @@ class _Loops:
 
 
 def accumulated(step: ca.Function, start: Array, *rows: Array) -> tuple[Array, ...]:
-    """A step's outputs at every row, as of `Along`, for whoever asks once."""
+    """A step's outputs at every row, as of `Along`, for a single use."""
     return Along(step)(start, *rows)
 
 
 def mapped(function: ca.Function, *rows: Array) -> Array:
-    """A function's first output at every row, shape (n, size), for whoever asks once.
+    """A function's first output at every row, shape (n, size), for a single use.
 
     Args:
         function: Of dense columns.

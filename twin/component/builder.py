@@ -191,7 +191,7 @@ class ComponentBuilder:
         self._crossings.append(((name, unit, description), ca.SX(expression)))
 
     def rests_while(self, condition: ca.SX) -> None:
-        """Say, by an expression of parameters, when nothing feels what is done at instants."""
+        """Say, by an expression of parameters, when nothing depends on what is done at instants."""
         self._rests = condition
 
     def build(self) -> Component:

@@ -12,7 +12,7 @@ from ..vehicle import Vehicle
 from ..vehicle.thrust_map import hover_level
 from .definition import Block, Effect, EffectParameter
 from .seen import Lines, NoiseFloor, Repeats
-from .sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Mounting
+from .sensor_stages import Freezing, ImuMotion, ImuNoise, ImuReading, Mounting
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
 IMU_CHANNELS = ("acc_x", "acc_y", "acc_z", "gyro_x", "gyro_y", "gyro_z")
@@ -36,7 +36,7 @@ def _imu_lever_arm(s: Mounting, p: Block) -> Mounting:
     return Mounting([r + p[f"{a}_m"] for (a, _), r in zip(_AXES, s.arm_b, strict=True)])
 
 
-def _vibration(f: Felt, p: Block) -> Felt:
+def _vibration(f: ImuMotion, p: Block) -> ImuMotion:
     force, omega = list(f.specific_force_b), list(f.omega_b)
     for n, spin in enumerate(f.spin, start=1):
         turns = p.state(f"turns_{n}", "1", f"turns of rotor {n}", n * _GOLDEN % 1.0)
@@ -112,7 +112,7 @@ VIBRATION = Effect(
     "vibration",
     "unbalanced rotors shake the IMU at their own frequency",
     "imu",
-    Felt,
+    ImuMotion,
     (
         EffectParameter(
             "frequency_hz",

@@ -13,7 +13,7 @@ class Mounting:
 
 
 @dataclass(frozen=True, slots=True)
-class Felt:
+class ImuMotion:
     """What arrives at the IMU.
 
     Attributes:

@@ -119,7 +119,7 @@ def flying_twin(
 ) -> Assembly:
     """A vehicle with its sensors that flies a mission from standing on the ground.
 
-    The controller reads the true motion; the sensors are there for whoever watches.
+    The controller reads the true motion; the sensors are there to be recorded.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.
@@ -156,7 +156,7 @@ def driven_twin(
     """A vehicle with its sensors whose rotors somebody else drives, as a log does.
 
     It stands on the ground at first. Commands or rotor speeds and the battery voltage are inputs,
-    and so are those by which `twin.physics.airframe.airframe` sets its motion anew.
+    and so are those by which `twin.physics.airframe.airframe` sets its motion again.
 
     Args:
         vehicle: Numbers of the aircraft, and the effects that are switched on.

@@ -36,7 +36,7 @@ AT_BOUND = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class Trajectory:
     """A closed-loop flight, one row per step.
 
     Attributes:
@@ -105,7 +105,7 @@ def closed_loop(
     wind_m_s: Sequence[float] = (0.0, 0.0, 0.0),
     plant: Vehicle | None = None,
     control: Component | None = None,
-) -> Flown:
+) -> Trajectory:
     """Fly a mission from standing on the ground to its end.
 
     Args:
@@ -115,7 +115,7 @@ def closed_loop(
         plant: What really flies; default: the vehicle.
         control: Another controller than `controller(vehicle)`.
     """
-    return ClosedLoop(vehicle, wind_m_s, plant, control).flown(name)
+    return ClosedLoop(vehicle, wind_m_s, plant, control).fly(name)
 
 
 class ClosedLoop:
@@ -143,7 +143,7 @@ class ClosedLoop:
         course = _Course(self._body, wind, {}, 0)
         self._steps = _Steps(self._body, control or controller(vehicle), course)
 
-    def flown(self, name: str) -> Flown:
+    def fly(self, name: str) -> Trajectory:
         """A mission from standing on the ground to its end."""
         plan = mission(self._vehicle, name)
         t_s = STEP_S * np.arange(round(mission_duration_s(name) / STEP_S), dtype=np.float64)
@@ -151,7 +151,7 @@ class ClosedLoop:
         setpoints = rows[:, [plan.output_names.index(n) for n in SETPOINTS]]
         phase = rows[:, plan.output_names.index("phase")]
         states, inputs = self._steps.along(setpoints, np.zeros((len(t_s), 0)))
-        return Flown(t_s, states, inputs, setpoints, phase, self._body, self._bounds)
+        return Trajectory(t_s, states, inputs, setpoints, phase, self._body, self._bounds)
 
 
 def standing(body: Component, vehicle: Vehicle) -> dict[str, float]:

@@ -127,19 +127,19 @@ def simulate_flight(
         given if later is None else given | steps,
     )
     end = _lost(setpoints, phases, body, states, plant) if recorder.until_lost else len(states)
-    kept = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
-    t_s = np.arange(len(states[kept])) / recorder.sampled_hz
-    voltage = courses.get("vbat_v", np.full(len(states), volts))[kept]
-    made = [_recorded(body, {}, plant, states[kept], inputs[kept], voltage, recorder)]
+    rows = slice(None, end, round(1 / (recorder.sampled_hz * STEP_S)))
+    t_s = np.arange(len(states[rows])) / recorder.sampled_hz
+    voltage = courses.get("vbat_v", np.full(len(states), volts))[rows]
+    made = [_recorded(body, {}, plant, states[rows], inputs[rows], voltage, recorder)]
     known, since = made[0], {}
     if later is not None:
         on = {k: after for k, (_, after) in changes.items()}
-        after = _recorded(body, on, ended, states[kept], inputs[kept], voltage, recorder)
+        after = _recorded(body, on, ended, states[rows], inputs[rows], voltage, recorder)
         known = {k: np.where(t_s < later.from_s, known[k], after[k]) for k in known}
         since = {c: max(s, later.from_s) for c, s in _stuck_columns(later.effects)}
     since = dict(_stuck_columns(plant.effects)) | since
     outdoors = Site(False, "simulated without walls")
-    return Flight(name, _table(known, phases[kept], recorder, since), site=outdoors)
+    return Flight(name, _table(known, phases[rows], recorder, since), site=outdoors)
 
 
 def _added(effects: Iterable[str], flown: Vehicle) -> list[str]:
@@ -240,8 +240,8 @@ def _table(
 
 def _punctual(vehicle: Vehicle, recorder: Recorder) -> Vehicle:
     """The same without the delays that a record shows and a flight does not."""
-    kept = {k: v for k, v in vehicle.effects.items() if _of_record(k, recorder) is None}
-    return vehicle.with_effects(kept)
+    retained = {k: v for k, v in vehicle.effects.items() if _of_record(k, recorder) is None}
+    return vehicle.with_effects(retained)
 
 
 def _of_record(effect: str, recorder: Recorder) -> Shift | None:

@@ -58,7 +58,7 @@ def fly_missions(
 
 def _fly(vehicle: Vehicle, loop: ClosedLoop, name: str) -> Mission:
     try:
-        flight = loop.flown(name)
+        flight = loop.fly(name)
     except TwinError as error:
         return Mission(name, False, float("nan"), str(error))
     if not np.all(np.isfinite(flight.states)):

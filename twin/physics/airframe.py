@@ -30,7 +30,7 @@ from .rotors import Drive, rotor_equations, rotor_inputs
 from .trim import hover_trim
 
 Array = NDArray[np.float64]
-TOLD = "told."
+REPORTED = "told."
 """Before the name of an input that an airframe also shows, so that others can be fed by it."""
 
 
@@ -52,7 +52,7 @@ def airframe(
         effects: Effects to build in, switched off, as blocks of parameters: identifiers of
             `twin.effects.EFFECTS`, of which those count that act on the airframe. The effects of
             the vehicle are always in, and on.
-        restart: Whether it can be set anew while it runs: inputs `restart` and `restart.pos_x`
+        restart: Whether its state can be set while it runs: inputs `restart` and `restart.pos_x`
             to `restart.omega_z`. At the end of every `RESTART_PERIOD_S` in which `restart` is true
             its motion is the given one; rotors and memories go on as they are. What drives it is
             shown again, `told.cmd_1` and so on, since no part of a twin gives it.
@@ -118,9 +118,9 @@ def _equations(
             m.output(f"rotor_{i}", "rad/s", f"Speed of rotor {i}", speed)
     m.output("voltage", "V", "Battery voltage at the motors", motion.voltage)
     if restart:
-        for i, told in enumerate(inputs, start=1):
+        for i, given in enumerate(inputs, start=1):
             name, unit = (f"cmd_{i}", "1") if drive == "command" else (f"rotor_{i}", "rad/s")
-            m.output(f"{TOLD}{name}", unit, f"What drives rotor {i}, as it is given", told)
+            m.output(f"{REPORTED}{name}", unit, f"What drives rotor {i}, as it is given", given)
     for (name, unit, meaning), acts in zip(OUTSIDE, disturbance, strict=restart):
         m.output(f"disturbance.{name}", unit, f"{meaning}, as learned while it was set", acts)
     if vehicle.battery is not None:
@@ -265,7 +265,7 @@ def _wrench(m: ComponentBuilder, vehicle: Vehicle, rotors: Thrust) -> Wrench:
         motion.body.hubs, rotors.direction, rotors.thrust, rotors.torque, strict=True
     ):
         force[2] -= thrust
-        # +1 clockwise seen from above spins about +z; the body feels the reaction.
+        # +1 clockwise seen from above spins about +z; the reaction acts on the body.
         moment = [
             moment[0] - hub[1] * thrust,
             moment[1] + hub[0] * thrust,

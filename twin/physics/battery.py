@@ -1,6 +1,6 @@
 """Battery: open-circuit voltage that falls linearly with charge, behind an internal resistance.
 
-The drop over the resistance follows the current with a short lag, that of the capacitors beside
+The drop over the resistance follows the current with a short lag, that of the capacitors next to
 the motor controllers: a terminal voltage that answered at once would stand in an algebraic loop
 with motors whose current depends on it.
 """

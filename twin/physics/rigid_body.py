@@ -97,7 +97,7 @@ def move(
     specific_force_b: Sequence[ca.SX],
     angular_acceleration_b: Sequence[ca.SX],
 ) -> None:
-    """Declare how the states change, and show them with what the body feels.
+    """Declare how the states change, and output them with force and acceleration.
 
     Args:
         m: Of the airframe.
@@ -122,13 +122,15 @@ def move(
         m.output(f"q_{name}", "1", f"Attitude quaternion body to NED, {name}", motion.q_nb[i])
     for i, axis in enumerate(AXES):
         m.output(f"omega_{axis}", "rad/s", f"Body rate about {FRD[i]}", motion.omega_b[i])
-    felt_b = carried(specific_force_b, motion.body.origin, motion.omega_b, angular_acceleration_b)
+    at_origin_b = carried(
+        specific_force_b, motion.body.origin, motion.omega_b, angular_acceleration_b
+    )
     for i, axis in enumerate(AXES):
         m.output(
             f"specific_force_{axis}",
             "m/s2",
             f"Specific force where the vehicle file has the centre of mass, body {FRD[i]}",
-            felt_b[i],
+            at_origin_b[i],
         )
     for i, axis in enumerate(AXES):
         m.output(

@@ -72,8 +72,8 @@ def rotor_equations(
     thrust_share, torque_share = by_advance(m, rotors, motion, level)
     gained = gained_thrust(m, rotors.air, motion, level)
     # By commands and without lag the file's rotors have no acceleration.
-    told = drive == "rotor_speed" or rotors.follows
-    reactions = _reactions(m, rotors, rate) if told else [ca.SX(0)] * rotors.count
+    known = drive == "rotor_speed" or rotors.follows
+    reactions = _reactions(m, rotors, rate) if known else [ca.SX(0)] * rotors.count
     pushes = [t * k + g for t, k, g in zip(pushes, thrust_share, gained, strict=True)]
     twists = [q * k + r for q, k, r in zip(twists, torque_share, reactions, strict=True)]
     spin, spin_rate = _spin(vehicle, level, rate)
@@ -93,7 +93,7 @@ def _spin_rates(m: ComponentBuilder, rotors: Rotors, blocks: Blocks) -> list[ca.
 
 
 def _reactions(m: ComponentBuilder, rotors: Rotors, rate: list[ca.SX]) -> list[ca.SX]:
-    """Torque that speeds each rotor up, which the body feels as it does that of the air."""
+    """Torque that speeds each rotor up, which acts on the body as that of the air does."""
     if rotors.reaction_inertia_kg_m2 == 0:
         return [ca.SX(0)] * rotors.count
     inertia = m.parameter(
@@ -224,8 +224,8 @@ def _run_up(m: ComponentBuilder, rotors: Rotors) -> list[tuple[ca.SX, ca.SX]] | 
 
 
 SLOWEST_SPIN = 0.1
-"""Rotor speed over that in hover below which its rate is not told from the thrust: there the map
-of the command has no slope."""
+"""Rotor speed over that in hover below which its rate does not follow from the thrust: there the
+map of the command has no slope."""
 
 
 def _spin(

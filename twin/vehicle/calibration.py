@@ -1,4 +1,4 @@
-"""What flights have told of the numbers of one aircraft, all of them together."""
+"""Numbers of one aircraft as determined from all its flights together."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ class Calibration:
     """How well numbers are known together, and how much the days of an aircraft differ.
 
     Attributes:
-        flights: Names of those that told.
+        flights: Names of those used.
         numbers: "effect.number" of each, in the unit of the effect.
         covariance: Of these, shape (n, n).
         days: Standard deviation between flights by "effect.number".

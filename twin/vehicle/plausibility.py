@@ -68,18 +68,21 @@ class Band:
         return f"{self.low:g} to {self.high:g}"
 
 
-_SEEN = (
+_SURVEYED = (
     "the built-in vehicles, Hummingbird (RotorS, RotorPy), Pelican (RotorS), Iris and X500 (PX4's "
     "Gazebo models), Crazyflie (Foerster 2015)"
 )
 FLATNESS = Band(
-    "Izz over Ixx + Iyy", 0.65, 1.0, f"0.73 to 1.0 of {_SEEN}; 1 of a flat body, no body has more"
+    "Izz over Ixx + Iyy",
+    0.65,
+    1.0,
+    f"0.73 to 1.0 of {_SURVEYED}; 1 of a flat body, no body has more",
 )
 GYRATION_XY = Band(
     "radius of gyration about x and y over the arm",
     0.38,
     0.70,
-    f"0.43 to 0.62 of {_SEEN}, an eighth wider",
+    f"0.43 to 0.62 of {_SURVEYED}, an eighth wider",
 )
 GYRATION_Z = Band(
     "radius of gyration about z over the arm",

@@ -174,7 +174,7 @@ class Vehicle:
             of them, the sources say (`relative_deviation`).
         doubts: What looks odd but is not refused.
         effects: Effects that are switched on (`twin.effects`), each with all its parameters.
-        calibration: What flights have told of its numbers together; None: nobody has asked them.
+        calibration: Its numbers as determined from flights together; None: not calibrated.
         file: Name of the file that it was read from; "": none.
     """
 

@@ -10,7 +10,7 @@ import pytest
 from kinds import model
 
 from fmus import build
-from fmus.cache import keep, kept, kept_or_made
+from fmus.cache import cached, cached_or_made, store
 from twin.errors import FmuError
 
 Damage = Callable[[bytes, bytes], bytes]
@@ -51,22 +51,22 @@ def test_a_damaged_entry_never_gets_into_an_fmu(
 
 def test_what_is_kept_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "deep" / "cache"))
-    assert kept("a.so") is None
-    keep("a.so", b"content")
-    assert kept("a.so") == b"content"
-    keep("b.so", b"of another")
+    assert cached("a.so") is None
+    store("a.so", b"content")
+    assert cached("a.so") == b"content"
+    store("b.so", b"of another")
     for damage in DAMAGES.values():
         first, second = (tmp_path / "deep" / "cache" / name for name in ("a.so", "b.so"))
         whole = first.read_bytes()
         first.write_bytes(damage(whole, second.read_bytes()))
-        assert kept("a.so") is None
+        assert cached("a.so") is None
         first.write_bytes(whole)
     assert (tmp_path / "deep" / "cache").stat().st_mode & 0o777 == 0o700
 
 
 _MAKER = """
 import pathlib, sys, time
-from fmus.cache import kept_or_made
+from fmus.cache import cached_or_made
 
 def make():
     with open(sys.argv[1], "a") as calls:
@@ -74,7 +74,7 @@ def make():
     time.sleep(0.5)
     return b"content"
 
-assert kept_or_made("ab" * 32 + ".o", make) == b"content"
+assert cached_or_made("ab" * 32 + ".o", make) == b"content"
 """
 
 
@@ -98,8 +98,8 @@ def test_what_cannot_be_made_is_asked_for_again(
         raise FmuError("no")
 
     with pytest.raises(FmuError, match="no"):
-        kept_or_made("cd.o", fails)
-    assert kept_or_made("cd.o", lambda: b"mended") == b"mended"
+        cached_or_made("cd.o", fails)
+    assert cached_or_made("cd.o", lambda: b"mended") == b"mended"
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o775, 0o1777, 0o722])
@@ -120,11 +120,11 @@ def test_a_folder_of_somebody_else_is_refused(
     monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path))
     monkeypatch.setattr(os, "getuid", lambda: tmp_path.stat().st_uid + 1)
     with pytest.raises(FmuError, match="belongs to user"):
-        kept("a.so")
+        cached("a.so")
 
 
 def test_a_place_where_no_folder_can_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setenv("UAVTWIN_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(FmuError, match=r"file/cache: no folder for what was compiled"):
-        keep("a.so", b"")
+        store("a.so", b"")

@@ -9,7 +9,7 @@ import pytest
 from rig import BUILTIN
 
 from twin.component import Run
-from twin.flight.closed_loop import SETPOINTS, STEP_S, ClosedLoop, Flown, closed_loop, standing
+from twin.flight.closed_loop import SETPOINTS, STEP_S, ClosedLoop, Trajectory, closed_loop, standing
 from twin.flight.control.lqr_cascade import controller
 from twin.flight.mission import mission, mission_names
 from twin.frames import AXES
@@ -39,8 +39,8 @@ def loop(name: str, windy: bool) -> ClosedLoop:
 
 
 @cache
-def flown(name: str, plan: str, windy: bool) -> Flown:
-    return loop(name, windy).flown(plan)
+def flown(name: str, plan: str, windy: bool) -> Trajectory:
+    return loop(name, windy).fly(plan)
 
 
 def is_long(name: str, plan: str, windy: bool) -> bool:

@@ -19,7 +19,7 @@ COMMENT = "# put on by hand"
 NUMBERS = ("thrust_scale.scale", "mass_offset.mass_kg", "clock_offset.pose_s")
 SD = np.array([0.0123456789, 3.3e-3, 1 / 3 * 1e-3])
 CORRELATION = np.array([[1.0, 0.987654321, -0.1], [0.987654321, 1.0, 0.0], [-0.1, 0.0, 1.0]])
-TOLD = Calibration(
+REPORTED = Calibration(
     ("monday 1", 'a "quoted" one'),
     NUMBERS,
     CORRELATION * np.outer(SD, SD),
@@ -39,7 +39,7 @@ constants = { gyro_rate_x = 1.2 }
 
 
 def calibrated() -> Vehicle:
-    return replace(load_vehicle("copter_default"), calibration=TOLD)
+    return replace(load_vehicle("copter_default"), calibration=REPORTED)
 
 
 def test_what_is_written_is_read_back() -> None:
@@ -47,10 +47,10 @@ def test_what_is_written_is_read_back() -> None:
     assert COMMENT in text
     found = parse_vehicle(text, "mine.toml").calibration
     assert found is not None
-    assert (found.flights, found.numbers) == (TOLD.flights, TOLD.numbers)
-    assert found.covariance == pytest.approx(TOLD.covariance, rel=1e-9, abs=1e-15)
+    assert (found.flights, found.numbers) == (REPORTED.flights, REPORTED.numbers)
+    assert found.covariance == pytest.approx(REPORTED.covariance, rel=1e-9, abs=1e-15)
     for part in ("days", "constants", "records"):
-        assert getattr(found, part) == pytest.approx(getattr(TOLD, part), rel=1e-9)
+        assert getattr(found, part) == pytest.approx(getattr(REPORTED, part), rel=1e-9)
     again = update_text(parse_vehicle(text, "mine.toml"), text)
     assert again == text
 
@@ -66,7 +66,7 @@ def test_a_person_can_read_it() -> None:
 
 def test_it_is_replaced_and_taken_out() -> None:
     text = update_text(calibrated(), TEXT)
-    other = replace(TOLD, flights=("tuesday",))
+    other = replace(REPORTED, flights=("tuesday",))
     new = update_text(replace(calibrated(), calibration=other), text)
     assert new.count("[calibration]") == 1
     assert same_calibration(parse_vehicle(new, "mine.toml").calibration, other)
@@ -78,12 +78,12 @@ def test_it_is_replaced_and_taken_out() -> None:
 def test_an_effect_beside_it_stays() -> None:
     entry = 'k_xy_1_s = { value = 0.3, unit = "1/s", sd = 0.05, source = "flown" }'
     text = f"{TEXT}\n[effects.rotor_drag]\n{entry}\n"
-    vehicle = replace(parse_vehicle(text, "mine.toml"), calibration=TOLD)
+    vehicle = replace(parse_vehicle(text, "mine.toml"), calibration=REPORTED)
     new = parse_vehicle(update_text(vehicle, text), "mine.toml")
     assert new.effects == vehicle.effects
     assert new.deviations["effects.rotor_drag.k_xy_1_s"].numbers == (0.05,)
     off = update_text(replace(vehicle, effects={}), update_text(vehicle, text))
-    assert same_calibration(parse_vehicle(off, "mine.toml").calibration, TOLD)
+    assert same_calibration(parse_vehicle(off, "mine.toml").calibration, REPORTED)
 
 
 def test_inline_tables_are_read_as_well() -> None:

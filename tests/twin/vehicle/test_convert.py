@@ -234,7 +234,7 @@ Change = Callable[[str], str]
             lambda t: t.replace(
                 "</model>", "<include><uri>model://../../x</uri></include></model>"
             ),
-            "beside that of the file",
+            "next to that of the file",
         ),
     ],
 )
@@ -506,7 +506,7 @@ def test_a_vehicle_of_pyflyt_with_a_mistake_is_refused(
 
 
 def test_a_yaml_without_its_urdf_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match=r"quad\.urdf, which must lie beside it"):
+    with pytest.raises(ModelError, match=r"quad\.urdf, which must lie next to it"):
         convert_vehicle(written(tmp_path, YAML, "quad.yaml"))
 
 

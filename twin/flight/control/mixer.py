@@ -75,8 +75,8 @@ def mix(
     ]
     turn = [a * angular[0] + b * angular[1] for a, b in zip(ways[0], ways[1], strict=True)]
     spread = _most(turn) - _least(turn)
-    kept = ca.fmin(1.0, (full - idle) / ca.fmax(spread, _TINY))
-    turn = [kept * t for t in turn]
+    share = ca.fmin(1.0, (full - idle) / ca.fmax(spread, _TINY))
+    turn = [share * t for t in turn]
     # Between the lift that keeps the lowest rotor turning and the one that fills the highest.
     low = _most([(idle - t) / s for t, s in zip(turn, up, strict=True)])
     high = _least([(full - t) / s for t, s in zip(turn, up, strict=True)])
@@ -92,7 +92,7 @@ def mix(
     return Mixed(
         inputs=[polynomial(coefficients, ca.sqrt(t / full)) for t in thrust],
         lift=lifted,
-        angular=[kept * angular[0], kept * angular[1], turned * angular[2]],
+        angular=[share * angular[0], share * angular[1], turned * angular[2]],
     )
 
 

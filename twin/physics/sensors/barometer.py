@@ -3,7 +3,7 @@
     p = p_0 (1 - L h / T_0)^(g M / (R L)) + n
 
 with pressure p_0 and temperature T_0 at the origin of NED, h above it. At each sample instant n,
-white noise plus a random walk, is drawn anew; between the instants it is held while the rest
+white noise plus a random walk, is drawn; between the instants it is held while the rest
 follows the height. Bias and dynamic pressure are effects (`twin.effects`). Source: ISO 2533:1975,
 Standard Atmosphere, eq. 12.
 """

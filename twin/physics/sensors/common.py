@@ -81,7 +81,7 @@ def noise_level(m: ComponentBuilder, name: str, unit: str, white: float, walk: f
 
 
 def noise(m: ComponentBuilder, channel: str, unit: str, level: NoiseLevel, period: ca.SX) -> ca.SX:
-    """White noise plus walk of the bias of one channel, drawn anew at each sample instant."""
+    """White noise plus walk of the bias of one channel, drawn at each sample instant."""
     drift = m.memory(f"{channel}.drift", unit, f"Walk of the bias of {channel}")
     white = m.memory(f"{channel}.noise", unit, f"Noise of {channel}")
     m.update(f"{channel}.drift", drift + ca.sqrt(period) * m.noise(level.walk))

@@ -4,7 +4,7 @@
     gyro = LP(omega) + n_g
 
 with the specific force f_b at the centre of mass, the sensor at r, and LP a second-order
-Butterworth low-pass. At each sample instant n, white noise plus a random walk, is drawn anew;
+Butterworth low-pass. At each sample instant n, white noise plus a random walk, is drawn;
 between the instants it is held while the rest follows the motion. Source: Titterton & Weston,
 Strapdown Inertial Navigation Technology, ch. 3; noise model, IEEE Std 952-1997, annex C.
 
@@ -19,7 +19,7 @@ import numpy as np
 from ...component import Component, ComponentBuilder
 from ...effects import Blocks
 from ...effects.inertial import IMU_CHANNELS
-from ...effects.sensor_stages import Felt, Freezing, ImuNoise, ImuReading, Latency, Mounting
+from ...effects.sensor_stages import Freezing, ImuMotion, ImuNoise, ImuReading, Latency, Mounting
 from ...frames import AXES, carried
 from ...vehicle import Vehicle
 from .common import (
@@ -55,14 +55,20 @@ def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     m = ComponentBuilder("imu", f"Accelerometer and gyroscope of {vehicle.name}")
     period = m.sampled(SAMPLE_PERIOD_S, "Time between two draws of the noise")
     blocks = sensor_blocks(m, vehicle, "imu", effects)
-    still = _felt(m, vehicle, blocks)
-    felt = blocks.apply(still)
+    undisturbed = _motion_at_imu(m, vehicle, blocks)
+    disturbed = blocks.apply(undisturbed)
     reading = blocks.apply(
         ImuReading(
             acc=_low_pass(
-                m, "acc", felt.specific_force_b, still.specific_force_b, vehicle.accel_cutoff_hz
+                m,
+                "acc",
+                disturbed.specific_force_b,
+                undisturbed.specific_force_b,
+                vehicle.accel_cutoff_hz,
             ),
-            gyro=_low_pass(m, "gyro", felt.omega_b, still.omega_b, vehicle.gyro_cutoff_hz),
+            gyro=_low_pass(
+                m, "gyro", disturbed.omega_b, undisturbed.omega_b, vehicle.gyro_cutoff_hz
+            ),
         )
     )
     readings = _delayed(m, blocks, [*reading.acc, *reading.gyro])
@@ -77,7 +83,7 @@ def imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     return m.build()
 
 
-def _felt(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> Felt:
+def _motion_at_imu(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> ImuMotion:
     """Inputs, carried over to the place of the accelerometer."""
     force = vector_input(m, "specific_force", "m/s2", "Specific force at the centre of mass", BODY)
     alpha = vector_input(m, "angular_acceleration", "rad/s2", "Angular acceleration", BODY)
@@ -89,7 +95,7 @@ def _felt(m: ComponentBuilder, vehicle: Vehicle, blocks: Blocks) -> Felt:
     meaning = "Accelerometer from the centre of mass"
     arm = vector_parameter(m, "position", vehicle.imu_position_m.tolist(), "m", meaning, BODY)
     arm = blocks.apply(Mounting(arm)).arm_b
-    return Felt(carried(force, arm, omega, alpha), omega, spin)
+    return ImuMotion(carried(force, arm, omega, alpha), omega, spin)
 
 
 def _low_pass(
@@ -156,8 +162,8 @@ def _frozen(
     for channel, unit, reading, stuck in zip(
         IMU_CHANNELS, _UNITS, readings, freezing.stuck, strict=True
     ):
-        frozen = m.memory(f"{channel}.frozen", "1", f"Whether {channel} stands still")
-        last = m.memory(f"{channel}.last", unit, f"Value at which {channel} stands still")
+        frozen = m.memory(f"{channel}.frozen", "1", f"Whether {channel} stands undisturbed")
+        last = m.memory(f"{channel}.last", unit, f"Value at which {channel} stands undisturbed")
         shown = ca.if_else(frozen, last, reading)
         m.update(f"{channel}.frozen", stuck)
         m.update(f"{channel}.last", shown)

@@ -2,7 +2,7 @@
 
     mag = R_nb^T B_n + n
 
-At each sample instant n, white noise plus a random walk, is drawn anew; between the instants it
+At each sample instant n, white noise plus a random walk, is drawn; between the instants it
 is held while the rest follows the attitude. Iron, currents and a turned field are effects
 (`twin.effects`). Source: Titterton & Weston, Strapdown Inertial Navigation Technology, ch. 13.
 """

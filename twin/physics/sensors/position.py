@@ -114,7 +114,7 @@ def position_sensor(
     def taken(channel: str, unit: str, signal: ca.SX) -> ca.SX:
         return late(m, channel, unit, signal, latency, DELAY_SAMPLES)
 
-    position, velocity, attitude = _seen(m, data)
+    position, velocity, attitude = _measured_pose(m, data)
     sized = (
         ("pos", "m", "Position", position, data.noise_m, data.walk_m),
         ("vel", "m/s", "Velocity", velocity, data.velocity_noise_m_s, (0.0,) * 3),
@@ -133,7 +133,7 @@ def position_sensor(
     return m.build()
 
 
-def _seen(
+def _measured_pose(
     m: ComponentBuilder, data: PositionErrors
 ) -> tuple[list[ca.SX], list[ca.SX], list[ca.SX]]:
     """Position, velocity and attitude in the frame of the sensor."""

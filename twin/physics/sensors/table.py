@@ -1,6 +1,6 @@
 """The sensors that a flight is compared by: one row each.
 
-Whoever needs a list of sensors makes it from these rows, so that a new sensor is its module, its
+Every list of sensors is made from these rows, so that a new sensor is its module, its
 row, its columns of the flight table and its numbers in the vehicle file:
 docs/dev/extending/sensor.md. The position sensor is no row: what it measures is the motion along
 which the twin is evaluated.
@@ -19,7 +19,7 @@ from .imu import imu
 from .magnetometer import magnetometer
 
 BODY = "body"
-"""Group of the sensors that feel what acts on the body."""
+"""Group of the sensors that measure what acts on the body."""
 EARTH_FIELD_T = 5e-5
 """Magnetic flux density of the earth, roughly."""
 FLOW_PA = 200.0
@@ -48,9 +48,9 @@ class Sensor:
         title: What it measures, as the heading of a list.
         words: The same within a sentence.
         group: Sensors and effects of one group compete with each other; those of different groups
-            have no reading in common. `BODY`: told from what the airframe feels; any other: told
+            have no reading in common. `BODY`: predicted from the motion of the body; any other:
             from the pose.
-        needs: Measured motion without which its reading cannot be told from the pose: "pos",
+        needs: Measured motion without which its reading cannot be predicted from the pose: "pos",
             "vel", "q". Its component's other inputs are taken from columns of their names where
             the flight has them, and stay at their start values otherwise.
         size: Of each column, a change of the reading of the order of what it is there for, in

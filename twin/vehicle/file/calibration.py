@@ -15,7 +15,7 @@ from .. import Array, Calibration, Vehicle
 
 SECTION = "calibration"
 _PARTS = ("flights", "numbers", "sd", "correlation", "days", "constants", "records")
-_AGAIN = "Take the section out, or write it anew by `uavtwin calibrate`."
+_AGAIN = "Take the section out, or write it again by `uavtwin calibrate`."
 _DIGITS = 12
 """Significant ones of deviations, and decimals of correlations."""
 _ROUNDING = 1e-9

@@ -40,7 +40,7 @@ def read_effects(sections: Any, vehicle: Vehicle) -> SwitchedOn:
         elif not EFFECTS[name].of_vehicle:
             on.mistakes.append(
                 f"[effects.{name}] is of a record, not of the aircraft: {EFFECTS[name].meaning}. "
-                f"Take the section out; `explain` and `calibrate` find it anew in each flight."
+                f"Take the section out; `explain` and `calibrate` find it in each flight."
             )
         elif not isinstance(table, dict):
             on.mistakes.append(f"[effects.{name}] must be a table of its numbers.")

@@ -107,13 +107,13 @@ def parse_vehicle(text: str, file: str) -> Vehicle:
     vehicle = _vehicle(entries, default_name=Path(file).stem)
     _refuse(file, list(rotors_too_weak(vehicle)))
     switched_on = read_effects(effects, vehicle)
-    told = None
+    known = None
     if calibration is not None:
-        told = read_calibration(calibration, vehicle, switched_on.mistakes)
+        known = read_calibration(calibration, vehicle, switched_on.mistakes)
     _refuse(file, switched_on.mistakes)
     return replace(
         vehicle,
-        calibration=told,
+        calibration=known,
         effects=switched_on.values,
         sources={**vehicle.sources, **switched_on.sources},
         deviations={**vehicle.deviations, **switched_on.deviations},

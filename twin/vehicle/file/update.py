@@ -24,7 +24,7 @@ from .read import parse_vehicle
 from .sensors import PLACE, POSITION, SENSOR_NUMBERS, WHEN
 from .write import Written, with_effect_sections, without_effect_sections
 
-_BESIDE = ("sources", "deviations", "doubts", "effects", "calibration", "text", "file")
+_NOT_COMPARED = ("sources", "deviations", "doubts", "effects", "calibration", "text", "file")
 """Attributes of a vehicle that are no numbers of its body, rotors and sensors."""
 _MAPS = tuple(
     f"rotors.{what}_from_{of}"
@@ -56,7 +56,7 @@ def update_text(vehicle: Vehicle, text: str = "", file: str = "vehicle.toml") ->
         ModelError: The format cannot hold the vehicle, or the text is no vehicle file.
     """
     if text:
-        vehicle = _told_anew(vehicle, parse_vehicle(text, file))
+        vehicle = _with_new_sources(vehicle, parse_vehicle(text, file))
     for _ in range(_PASSES):
         there = parse_vehicle(text, file) if text else None
         changed = set(_changed(vehicle, there))
@@ -86,14 +86,14 @@ def _changed(vehicle: Vehicle, there: Vehicle | None) -> Iterator[str]:
     for key in wanted.keys() | found.keys():
         if there is None and vehicle.sources.get(key, "").startswith(DEFAULT):
             continue
-        known_anew = there is not None and _deviation(vehicle, key) != _deviation(there, key)
-        if known_anew or not _same(wanted.get(key), found.get(key)):
+        redetermined = there is not None and _deviation(vehicle, key) != _deviation(there, key)
+        if redetermined or not _same(wanted.get(key), found.get(key)):
             yield key
 
 
 def _differing(a: Any, b: Any, within: str = "") -> Iterator[str]:
-    """Attributes in which two vehicles differ, those of `_BESIDE` left out."""
-    for field in (f for f in fields(b) if f.name not in _BESIDE):
+    """Attributes in which two vehicles differ, those of `_NOT_COMPARED` left out."""
+    for field in (f for f in fields(b) if f.name not in _NOT_COMPARED):
         x, y, name = getattr(a, field.name), getattr(b, field.name), f"{within}{field.name}"
         if is_dataclass(x) and is_dataclass(y):
             yield from _differing(x, y, f"{name}.")
@@ -177,7 +177,7 @@ def _rotor_values(rotors: Rotors) -> dict[str, Any]:
 
 
 def _with_numbers(vehicle: Vehicle, text: str, changed: set[str]) -> str:
-    """The text with these keys written anew, each with a source."""
+    """The text with these keys replaced, each with a source."""
     document, wanted = tomlkit.parse(text), values_by_key(vehicle)
     for name in (n for n in ("name", "description") if n in changed):
         document[name] = wanted[name]
@@ -196,7 +196,7 @@ def _with_numbers(vehicle: Vehicle, text: str, changed: set[str]) -> str:
     return document.as_string()
 
 
-def _told_anew(vehicle: Vehicle, there: Vehicle) -> Vehicle:
+def _with_new_sources(vehicle: Vehicle, there: Vehicle) -> Vehicle:
     """The vehicle without what was said of numbers that it no longer has."""
     sources, deviations = dict(vehicle.sources), dict(vehicle.deviations)
     wanted, found = values_by_key(vehicle), values_by_key(there)

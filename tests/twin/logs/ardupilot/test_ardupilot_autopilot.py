@@ -16,7 +16,7 @@ from twin.logs.autopilot import Autopilot, Filter, Setpoint
 from twin.logs.columns import GYRO, POS, QUAT, VEL
 
 FOLDER = DATA / "quiver_pt1"
-TOLD = KINDS | {
+REPORTED = KINDS | {
     "ATT": Kind("Qcccccc", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw", "sddddhh", "FBBBBBB"),
     "RATE": Kind("Qffffff", "TimeUS,RDes,R,PDes,P,YDes,Y", "skkkkkk", "F------"),
     **{f"PSC{a}": Kind("Qffff", f"TimeUS,TP{a},P{a},TV{a},V{a}", "smmnn", "F0000") for a in "NED"},
@@ -27,7 +27,9 @@ T = np.arange(0.0, 28.0, 0.1)
 def planted(tmp_path: Path, params: dict[str, float] | None = None, **more: Any) -> Autopilot:
     """The flown flight, with what `more` says of its autopilot."""
     path = tmp_path / "log.bin"
-    path.write_bytes(dataflash(flown_messages() | more, FLOWN_PARAMS | (params or {}), kinds=TOLD))
+    path.write_bytes(
+        dataflash(flown_messages() | more, FLOWN_PARAMS | (params or {}), kinds=REPORTED)
+    )
     flight = read_flight(path)
     assert flight.autopilot is not None
     return flight.autopilot

@@ -6,7 +6,7 @@ the setpoints are taken as given instead of being smoothed again; hover thrust i
 PX4 estimates it; the velocity setpoint is shortened as a whole; nothing detects the landing.
 
 Source: PX4 v1.12, modules mc_pos_control, mc_att_control, mc_rate_control and
-lib/mixer/MultirotorMixer (BSD licence; written anew from the description of what they compute).
+lib/mixer/MultirotorMixer (BSD licence; written from the description of what they compute).
 """
 
 from collections.abc import Mapping

@@ -2,7 +2,7 @@
 
 The same as `flightlog.px4_control.mix`, which works on arrays of a log; a test compares them.
 
-Source: PX4 v1.12, lib/mixer/MultirotorMixer (BSD licence; written anew from the description of
+Source: PX4 v1.12, lib/mixer/MultirotorMixer (BSD licence; written from the description of
 what it computes).
 """
 

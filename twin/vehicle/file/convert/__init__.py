@@ -14,7 +14,7 @@ from .pyflyt import convert_pyflyt, is_pyflyt
 from .xml import read_xml
 
 KNOWN = (
-    "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf beside "
+    "SDF of Gazebo (.sdf), params.toml of drone-models, NAME.yaml of PyFlyt with NAME.urdf next to "
     "it, the aircraft XML of JSBSim"
 )
 

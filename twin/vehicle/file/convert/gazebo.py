@@ -12,8 +12,8 @@ import numpy as np
 
 from ....errors import ModelError
 from ..draft import Draft
-from .rigid import FLU_TO_FRD, HERE, Pose, put_together, six_elements, turned
-from .sdf import Model, own_pose, part_of, read_models, text_of
+from .rigid import FLU_TO_FRD, HERE, Pose, combined, six_elements, turned
+from .sdf import Model, link_mass, own_pose, read_models, text_of
 from .xml import Element, floats
 
 _PLUGIN = "MulticopterMotorModel"
@@ -121,8 +121,8 @@ def _motor(model: Model, plugin: Element) -> _Motor:
 def _draft(path: Path, model: Model, motors: list[_Motor]) -> Draft:
     file, its = model.file, motors[0].numbers
     base = model.pose(_base(model, motors))
-    poses = {link: model.pose(link).seen_from(base) for link in model.links}
-    body = put_together([part_of(file, n, e, poses[n]) for n, e in model.links.items()])
+    poses = {link: model.pose(link).relative_to(base) for link in model.links}
+    body = combined([link_mass(file, n, e, poses[n]) for n, e in model.links.items()])
     if its["rotorVelocitySlowdownSim"] <= 0 or its["maxRotVelocity"] <= 0:
         raise ModelError(f"{file}: rotorVelocitySlowdownSim and maxRotVelocity must be positive.")
     d = Draft(model.name, f"{model.name} of Gazebo, {_PLUGIN}", path.name)
@@ -217,7 +217,7 @@ def _base(model: Model, motors: list[_Motor]) -> str:
         raise ModelError(f"{model.file}: rotors hang on several links: {', '.join(parents)}.")
     (base,) = parents
     for motor in motors:
-        _check_upright(model, motor, model.pose(motor.link).seen_from(model.pose(base)))
+        _check_upright(model, motor, model.pose(motor.link).relative_to(model.pose(base)))
     return base
 
 
@@ -228,7 +228,7 @@ def _check_upright(model: Model, motor: _Motor, rotor: Pose) -> None:
     if axis is not None:
         along = floats(model.file, "<xyz>", axis.text, 3)
         frame = axis.get("expressed_in", "")
-        seen = model.pose(frame or motor.joint).seen_from(model.pose(motor.link))
+        seen = model.pose(frame or motor.joint).relative_to(model.pose(motor.link))
         along = seen.axes @ along / np.linalg.norm(along)
     if 1 - rotor.axes[2, 2] > _UPRIGHT or 1 - along[2] > _UPRIGHT:
         raise ModelError(
@@ -238,7 +238,7 @@ def _check_upright(model: Model, motor: _Motor, rotor: Pose) -> None:
 
 def _rotor_inertia(model: Model, motors: list[_Motor]) -> float:
     """Inertia of one rotor link about its own axis, kg m2, the same for all."""
-    parts = [part_of(model.file, m.link, model.links[m.link], HERE) for m in motors]
+    parts = [link_mass(model.file, m.link, model.links[m.link], HERE) for m in motors]
     found = [float(p.inertia_kg_m2[2, 2]) for p in parts]
     if max(found) - min(found) > 1e-9 * max(found):
         raise ModelError(f"{model.file}: <izz> differs between rotors: {sorted(found)}.")

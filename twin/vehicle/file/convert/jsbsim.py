@@ -15,7 +15,7 @@ import numpy as np
 from ....errors import ModelError
 from ... import Array
 from ..draft import Draft
-from .rigid import Part, put_together
+from .rigid import MassProperties, combined
 from .xml import Element, floats, read_xml
 
 SEA_LEVEL_KG_M3 = 1.225
@@ -55,7 +55,7 @@ def convert_jsbsim(path: Path) -> str:
     Raises:
         ModelError: Something in it has no place in a vehicle file.
     """
-    path = path.resolve()  # engines are in folders beside that of the aircraft
+    path = path.resolve()  # engines are in folders next to that of the aircraft
     parts = _parts(path)
     body = _body(path.name, parts["mass_balance"])
     engines = parts["propulsion"].findall("engine")
@@ -90,7 +90,7 @@ def convert_jsbsim(path: Path) -> str:
 
 
 def _describe_rotors(
-    d: Draft, file: str, engines: list[Element], body: Part, p: _Propeller, source: str
+    d: Draft, file: str, engines: list[Element], body: MassProperties, p: _Propeller, source: str
 ) -> None:
     thrusters = [e.find("thruster") for e in engines]
     hubs = np.stack([_location(file, t) for t in thrusters]) - body.centre_m
@@ -136,7 +136,7 @@ def _parts(path: Path) -> dict[str, Element]:
     for section in root:
         file = section.get("file")
         if file is not None and section.tag != "system":
-            section = read_xml(_beside(path, [path.parent], file))
+            section = read_xml(_file_in(path, [path.parent], file))
         found.setdefault(str(section.tag), section)
     missing = [k for k in ("mass_balance", "propulsion", "metrics") if k not in found]
     if missing:
@@ -144,7 +144,7 @@ def _parts(path: Path) -> dict[str, Element]:
     return found
 
 
-def _beside(path: Path, folders: list[Path], name: str) -> Path:
+def _file_in(path: Path, folders: list[Path], name: str) -> Path:
     """A file that another one names, in one of these folders."""
     if re.fullmatch(r"[A-Za-z0-9_][\w .+-]*", name):
         for folder in folders:
@@ -168,7 +168,7 @@ def _one_propeller(path: Path, engines: list[Element]) -> tuple[_Propeller, list
         _check_upright(path.name, thruster)
     if len(names) != 1:
         raise ModelError(f"{path.name}: thrusters differ: {', '.join(sorted(names))}.")
-    file = _beside(path, folders, min(names))
+    file = _file_in(path, folders, min(names))
     root = read_xml(file)
     if root.tag != "propeller":
         raise ModelError(f"{file.name}: is a <{root.tag}>, not a <propeller>.")
@@ -212,7 +212,7 @@ def _check_upright(file: str, thruster: Element) -> None:
 # -- body -----------------------------------------------------------------------------------
 
 
-def _body(file: str, balance: Element) -> Part:
+def _body(file: str, balance: Element) -> MassProperties:
     """Mass, centre in body axes from the origin of the structural frame, and inertia."""
     products = [_quantity(file, balance, k, "SLUG*FT2", 0.0) for k in ("ixy", "ixz", "iyz")]
     if any(products):
@@ -221,7 +221,7 @@ def _body(file: str, balance: Element) -> Part:
         raise ModelError(f"{file}: <pointmass> is not read; put it into <emptywt> and <ixx>...")
     moments = [_quantity(file, balance, f"i{a}{a}", "SLUG*FT2") for a in "xyz"]
     mass = _quantity(file, balance, "emptywt", "LBS")
-    return put_together([Part(mass, _location(file, balance), np.diag(moments))])
+    return combined([MassProperties(mass, _location(file, balance), np.diag(moments))])
 
 
 def _location(file: str, parent: Element) -> Array:

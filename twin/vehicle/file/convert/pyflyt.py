@@ -1,4 +1,4 @@
-"""A quadrotor of PyFlyt (`NAME.yaml` and `NAME.urdf` beside it) as a vehicle file.
+"""A quadrotor of PyFlyt (`NAME.yaml` and `NAME.urdf` next to it) as a vehicle file.
 
 The laws are those of its class QuadX; which they are is in `docs/guide/vehicle_from_simulators.md`.
 """
@@ -10,7 +10,7 @@ import numpy as np
 
 from ....errors import ModelError
 from ..draft import Draft
-from .rigid import FLU_TO_FRD, HERE, Part, Pose, pose_of, put_together, six_elements, turned
+from .rigid import FLU_TO_FRD, HERE, MassProperties, Pose, combined, pose_of, six_elements, turned
 from .xml import Element, floats, read_xml
 
 DIRECTIONS = ["ccw", "ccw", "cw", "cw"]
@@ -33,7 +33,7 @@ def convert_pyflyt(text: str, path: Path) -> str:
     """Text of a vehicle file for a QuadX, its YAML given as text.
 
     Raises:
-        ModelError: A number is missing, or there is no URDF beside the YAML, or it is not a rigid
+        ModelError: A number is missing, or there is no URDF next to the YAML, or it is not a rigid
             quadrotor.
     """
     its = _read_sections(text, path.name)
@@ -41,7 +41,7 @@ def convert_pyflyt(text: str, path: Path) -> str:
     urdf = path.with_suffix(".urdf")
     if not urdf.is_file():
         raise ModelError(
-            f"{path.name}: mass, inertia and rotors are in {urdf.name}, which must lie beside it."
+            f"{path.name}: mass, inertia and rotors are in {urdf.name}, which must lie next to it."
         )
     body, props = _read_urdf(urdf)
     if motor["thrust_coef"] <= 0 or motor["total_thrust"] <= 0:
@@ -129,7 +129,7 @@ def _read_sections(text: str, file: str) -> Numbers:
 # -- URDF -----------------------------------------------------------------------------------
 
 
-def _read_urdf(path: Path) -> tuple[Part, list[Pose]]:
+def _read_urdf(path: Path) -> tuple[MassProperties, list[Pose]]:
     """All links as one rigid body, and the centres of the four links that carry motors, FLU.
 
     Bullet numbers links by their joints; a force on a link acts at its centre of mass.
@@ -163,23 +163,23 @@ def _read_urdf(path: Path) -> tuple[Part, list[Pose]]:
                 f"{path.name}: link {name!r} has no <inertial>; Bullet gives it 1 kg. Write it out."
             )
         centres[name] = pose.of(_origin(path.name, inertial))
-        parts.append(_part(path.name, inertial, centres[name]))
+        parts.append(_link_mass(path.name, inertial, centres[name]))
     if sum(p.mass_kg for p in parts) <= 0:
         raise ModelError(f"{path.name}: its links have no mass.")
     props = [centres[c] for c in children[: len(DIRECTIONS)]]
     if any(abs(p.axes[2, 2] - 1) > 1e-6 for p in props):
         raise ModelError(f"{path.name}: a motor link is tilted; rotors here push along body z.")
-    return put_together(parts), props
+    return combined(parts), props
 
 
-def _part(file: str, inertial: Element, pose: Pose) -> Part:
+def _link_mass(file: str, inertial: Element, pose: Pose) -> MassProperties:
     values = _attributes(inertial.find("mass")) | _attributes(inertial.find("inertia"))
     names = ("value", "ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     mass, xx, yy, zz, xy, xz, yz = (
         float(floats(file, f"<inertial> {n}", values.get(n, ""), 1)[0]) for n in names
     )
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Part(mass, pose.origin, pose.axes @ J @ pose.axes.T)
+    return MassProperties(mass, pose.origin, pose.axes @ J @ pose.axes.T)
 
 
 def _origin(file: str, parent: Element) -> Pose:

@@ -1,4 +1,4 @@
-"""Rigid bodies of other files: poses, parts put together, and axes turned to forward-right-down."""
+"""Rigid bodies of other files: poses, combined masses, and axes turned to forward-right-down."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Pose:
         """A pose given in this frame, as seen from outside."""
         return Pose(self.origin + self.axes @ inner.origin, self.axes @ inner.axes)
 
-    def seen_from(self, other: "Pose") -> "Pose":
+    def relative_to(self, other: "Pose") -> "Pose":
         """This pose in the frame of another, both given in one frame."""
         back = other.axes.T
         return Pose(back @ (self.origin - other.origin), back @ self.axes)
@@ -41,7 +41,7 @@ def pose_of(place: Sequence[float], roll_pitch_yaw: Sequence[float]) -> Pose:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class MassProperties:
     """A rigid part.
 
     Attributes:
@@ -55,18 +55,18 @@ class Part:
     inertia_kg_m2: Array
 
 
-def put_together(parts: Sequence[Part]) -> Part:
+def combined(bodies: Sequence[MassProperties]) -> MassProperties:
     """One rigid body of several, all in one frame.
 
     Source: parallel axis theorem (Steiner).
     """
-    mass = sum(p.mass_kg for p in parts)
-    centre = sum((p.mass_kg * p.centre_m for p in parts), np.zeros(3)) / mass
+    mass = sum(p.mass_kg for p in bodies)
+    centre = sum((p.mass_kg * p.centre_m for p in bodies), np.zeros(3)) / mass
     inertia = np.zeros((3, 3))
-    for p in parts:
+    for p in bodies:
         r = p.centre_m - centre
         inertia += p.inertia_kg_m2 + p.mass_kg * (r @ r * np.eye(3) - np.outer(r, r))
-    return Part(mass, centre, inertia)
+    return MassProperties(mass, centre, inertia)
 
 
 def six_elements(inertia: Array) -> Array:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ....errors import ModelError
-from .rigid import HERE, Part, Pose, pose_of
+from .rigid import HERE, MassProperties, Pose, pose_of
 from .xml import Element, floats, number, read_xml
 
 _DEEPEST = 5
@@ -107,13 +107,13 @@ def _gather(model: Model, element: Element, path: Path, outside: Pose, depth: in
 
 
 def _included(path: Path, include: Element) -> tuple[Element, Path]:
-    """The model that an include names, from a folder beside that of the file."""
+    """The model that an include names, from a folder next to that of the file."""
     uri = (include.findtext("uri") or "").strip()
     match = re.fullmatch(r"(?:model://)?([A-Za-z0-9_][A-Za-z0-9_-]*)/?", uri)
     file = path.resolve().parent.parent / match[1] / "model.sdf" if match else None
     if file is None or not file.is_file():
         raise ModelError(
-            f"{path.name}: includes {uri!r}, which is not in a folder beside that of the file; "
+            f"{path.name}: includes {uri!r}, which is not in a folder next to that of the file; "
             f"write the model out with: gz sdf -p {path.name}"
         )
     model = read_xml(file).find("model")
@@ -138,7 +138,7 @@ def own_pose(file: str, element: Element) -> Pose:
     return pose_of(values[:3].tolist(), turn.tolist())
 
 
-def part_of(file: str, name: str, link: Element, pose: Pose) -> Part:
+def link_mass(file: str, name: str, link: Element, pose: Pose) -> MassProperties:
     """The rigid part that a link is, its pose given.
 
     Raises:
@@ -157,7 +157,7 @@ def part_of(file: str, name: str, link: Element, pose: Pose) -> Part:
     )
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     at = pose.of(own_pose(file, inertial))
-    return Part(number(file, inertial, "mass"), at.origin, at.axes @ J @ at.axes.T)
+    return MassProperties(number(file, inertial, "mass"), at.origin, at.axes @ J @ at.axes.T)
 
 
 def text_of(file: str, element: Element, tag: str) -> str:

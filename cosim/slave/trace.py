@@ -1,7 +1,7 @@
 """What a slave is doing, written into memory that another process reads even when it is dead.
 
-The board is one file of fixed size, each recording another one of the size that was asked for. The
-reading process makes them and seals their sizes, so that no code beside the writer can truncate or
+The trace is one file of fixed size, each recording another one of the size that was asked for. The
+reading process makes them and seals their sizes, so that no code but the writer can truncate or
 extend them; it reads no more than it asked for.
 """
 
@@ -25,7 +25,7 @@ _LEAD = 4096
 Python keeps its file open."""
 _CLOCK, _CALL, _NAMES, _NAME_BYTES, _MOST_NAMES = _LEAD, _LEAD + 8, _LEAD + 256, 256, 4095
 HEADER = _NAMES + _MOST_NAMES * _NAME_BYTES
-"""Bytes of the board: the clock, the number of the call, and what calls there are."""
+"""Bytes of the trace: the clock, the number of the call, and what calls there are."""
 ONE, QUARTER, MORE, FOLLOWING, TINY = 1.0, 2.0**-54, 1.5 * 2.0**-53, 1.0 + 2.0**-52, 5e-324
 """A process rounds to nearest if ONE + QUARTER + MORE is FOLLOWING, and keeps what is smaller than
 the smallest normal number if TINY + TINY is not 0. Variables, which are added where they are asked
@@ -36,7 +36,7 @@ _FENV_BYTES = 256
 """No less than the size of C99's `fenv_t`, the floating-point environment of a thread."""
 
 
-class Board:
+class SharedTrace:
     """The written side.
 
     Attributes:
@@ -81,14 +81,13 @@ class Board:
         return table
 
     def check_process(self) -> None:
-        """End this process if it is a copy, made by an FMU, of that which wrote the board."""
+        """End this process if it is a copy, made by an FMU, of that which wrote the trace."""
         if os.getpid() != self._pid:
             os._exit(0)
 
-    def told(self, who: str, function: str, call: Callable[[], Any]) -> "Told":
-        """A call that is told before; whether it changed how this process calculates is looked for
-        after."""
-        return Told(self, who, function, call)
+    def traced(self, who: str, function: str, call: Callable[[], Any]) -> "TracedCall":
+        """The call, written into the trace before it is made; see `TracedCall`."""
+        return TracedCall(self, who, function, call)
 
     def restore_arithmetic(self) -> None:
         """Round and treat small numbers as before the first call of an FMU."""
@@ -104,18 +103,20 @@ class Board:
         return number
 
 
-class Told:
-    """A call that writes its number on a board before, and that it has returned after.
+class TracedCall:
+    """A call that writes its number on a trace before, and that it has returned after.
 
     Attributes:
         number: Of the call.
         bare: The call alone, for a loop that writes the number itself.
     """
 
-    def __init__(self, board: Board, who: str, function: str, bare: Callable[[], Any]) -> None:
-        self._board, self._slot, self.bare = board, board.call, bare
+    def __init__(
+        self, trace: SharedTrace, who: str, function: str, bare: Callable[[], Any]
+    ) -> None:
+        self._trace, self._slot, self.bare = trace, trace.call, bare
         self._who, self._function = who, function
-        self.number = board.number(f"{who}\n{function}")
+        self.number = trace.number(f"{who}\n{function}")
 
     def __call__(self) -> Any:
         """Make the call.
@@ -133,9 +134,9 @@ class Told:
     def spoilt(self) -> FmuError:
         """Error for a call that has changed how this process calculates, which is undone: what
         others do from here on, and the end of the run, is not held against them."""
-        self._board.restore_arithmetic()
+        self._trace.restore_arithmetic()
         return FmuError(
-            f"{self._who}: {self._function} at {self._board.clock.value:g} s: changed how the "
+            f"{self._who}: {self._function} at {self._trace.clock.value:g} s: changed how the "
             f"processor rounds or treats small numbers, and with that the results of others. Ask "
             f"who made the FMU."
         )
@@ -150,8 +151,8 @@ def _mapped(file: int, size: int) -> mmap.mmap:
     return memory
 
 
-class Notice(NamedTuple):
-    """What a board says.
+class TraceEntry(NamedTuple):
+    """What a trace says.
 
     Attributes:
         clock_s: Time of the last call.
@@ -190,13 +191,13 @@ def shared_file(size: int) -> int:
     return file
 
 
-def read_board(file: int) -> Notice:
+def read_trace(file: int) -> TraceEntry:
     """The reading side."""
     clock_s, number = struct.unpack("dq", os.pread(file, 16, _CLOCK).ljust(16, b"\0"))
     at = _NAMES + (abs(number) - 1) * _NAME_BYTES
     name = os.pread(file, _NAME_BYTES, at) if 0 < abs(number) <= _MOST_NAMES else b""
     who, _, function = name.rstrip(b"\0").decode(errors="replace").partition("\n")
-    return Notice(clock_s, number > 0, who, function)
+    return TraceEntry(clock_s, number > 0, who, function)
 
 
 def table_bytes(count: int) -> int:
