@@ -114,7 +114,7 @@ def library() -> tuple[Physics, tuple[Number, ...], tuple[str, ...], tuple[str, 
     """Prediction, numbers, effects in the equations, and all effects that change a mean."""
     effects = candidates([blank()])
     numbers = (*numbers_of_logs(effects, VEHICLE), *numbers_of(effects, VEHICLE))
-    standing = tuple(e.name for e in effects if isinstance(e.seen_as, Equation))
+    standing = tuple(e.name for e in effects if isinstance(e.observable_as, Equation))
     body = airframe(VEHICLE, "command", standing)
     physics = Physics(body, VEHICLE, standing, numbers)
     return physics, numbers, standing, tuple(e.name for e in effects)
@@ -181,7 +181,7 @@ def unsteady(effect: str) -> Unsteady:
     stuck = stuck_channels(flight)
     found = find_stuck(stuck)
     residuals: Sequence[ChannelData] = ()
-    if not isinstance(EFFECTS[effect].seen_as, Repeats):
+    if not isinstance(EFFECTS[effect].observable_as, Repeats):
         model = model_of([without_stuck(flight, stuck)], vehicle, candidates([flight]))
         found, residuals = find_stochastic(model, {}), model.channels([])[0]
     own = next((u for u in found if u.effect == effect), None)

@@ -9,7 +9,7 @@ from twin.effects import EFFECTS
 from twin.errors import TwinError
 from twin.explain.calibration import Calibrated
 from twin.explain.calibration import calibrate as fitted
-from twin.explain.estimates import UNTOLD, Estimate
+from twin.explain.estimates import UNDETERMINED, Estimate
 from twin.explain.explanation import UNKNOWN_SITE, hovers_of, sited, usable_of
 from twin.explain.inference.fit import INTERVAL
 from twin.explain.model.numbers import Number
@@ -97,14 +97,14 @@ class CalibrateResult(Shown):
         return calibrated_vehicle(self.details, self.draft)
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def undetermined(self) -> tuple[str, ...]:
         """Numbers that these flights do not tell, "effect.number"."""
-        return self.details.untold
+        return self.details.undetermined
 
     @cached_property
     def headline(self) -> Headline:
         """How many numbers these flights determine, and the effects that take most."""
-        told = [n for n in self._numbers() if n.full not in self.untold]
+        told = [n for n in self._numbers() if n.full not in self.undetermined]
         lead = (
             f"{counted(self.flights, 'flight')} of {self.draft.name} "
             f"{'determines' if len(self.flights) == 1 else 'determine'} {len(told)} of its numbers"
@@ -130,9 +130,11 @@ class CalibrateResult(Shown):
             return abs(self._estimates[n.full].change) / n.about.smallest
 
         most = {n.effect: max(size(m) for m in own if m.effect == n.effect) for n in own}
-        untold = {e: all(m.full in self.untold for m in own if m.effect == e) for e in most}
+        undetermined = {
+            e: all(m.full in self.undetermined for m in own if m.effect == e) for e in most
+        }
         return sorted(
-            own, key=lambda n: (_room(n.effect), untold[n.effect], -most[n.effect], n.effect)
+            own, key=lambda n: (_room(n.effect), undetermined[n.effect], -most[n.effect], n.effect)
         )
 
     def frame(self) -> "pd.DataFrame":
@@ -150,7 +152,7 @@ class CalibrateResult(Shown):
                 (
                     n.full,
                     *number_cells(estimate.value, n.about.unit, estimate.ci95),
-                    TOLD_BY_PRIOR if n.full in self.untold else "",
+                    TOLD_BY_PRIOR if n.full in self.undetermined else "",
                     n.about.description,
                 )
             )
@@ -174,7 +176,7 @@ class CalibrateResult(Shown):
         """What to fly so that it is told what these flights do not tell."""
         found = []
         for names, what, how in _FLY:
-            if any(u.startswith(name) for u in self.untold for name in names):
+            if any(u.startswith(name) for u in self.undetermined for name in names):
                 found.append(f"{what}: {how}")
         if len(self.flights) < DAYS:
             found.append(f"days: {DAYS} flights or more, on different days")
@@ -182,7 +184,7 @@ class CalibrateResult(Shown):
 
     def untold_words(self) -> str:
         """What these flights do not tell, by effect."""
-        effects = dict.fromkeys(name.partition(".")[0] for name in self.untold)
+        effects = dict.fromkeys(name.partition(".")[0] for name in self.undetermined)
         return joined([e.replace("_", " ") for e in effects])
 
     def json(self) -> dict[str, Any]:
@@ -204,14 +206,14 @@ class CalibrateResult(Shown):
                     "no_effect": t.no_effect,
                     "before": n.now,
                     "prior_share": t.prior_share,
-                    "told": n.full not in self.untold,
+                    "determined": n.full not in self.undetermined,
                 }
                 for n in self._numbers()
                 for t in [self._estimates[n.full]]
             ],
-            "untold": list(self.untold),
+            "undetermined": list(self.undetermined),
             "days": {
-                "told": len(self.flights) >= DAYS,
+                "determined": len(self.flights) >= DAYS,
                 "sd": dict(known.days),
                 "per_flight": {
                     flight: {n: {"difference": v, "sd": sd} for n, (v, sd) in own.items()}
@@ -233,7 +235,7 @@ class CalibrateResult(Shown):
         for h in self.hovers:
             yield f"{h.flight}: {hover_sentence(self.draft.name, h)}"
         yield self.numbers_table()
-        if self.untold:
+        if self.undetermined:
             yield (
                 f"These flights do not tell numbers of {self.untold_words()}: they stand as "
                 f"expected, or as the file has them."
@@ -337,7 +339,7 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
             full, key = f"{effect}.{name}", f"effects.{effect}.{name}"
             known = half.get(full, 0.0) / INTERVAL
             sources[key] = f"uavtwin calibrate, {', '.join(flights)}"
-            if found.prior_share.get(full, 1.0) > UNTOLD:
+            if found.prior_share.get(full, 1.0) > UNDETERMINED:
                 sources[key] += ", not told by them: as expected"
             deviations.pop(key, None)
             value = float(f"{value:.9g}")
@@ -356,7 +358,7 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
 def _says(n: Number, found: Calibrated) -> bool:
     """Whether a number has anything to say: flights tell it, or it is not what no effect has."""
     away = abs(dict(found.fit.values)[n.full] - (n.about.neutral or 0.0))
-    told = found.prior_share.get(n.full, 1.0) <= UNTOLD
+    told = found.prior_share.get(n.full, 1.0) <= UNDETERMINED
     return not n.shape and (told or away > n.about.smallest)
 
 

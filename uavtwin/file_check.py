@@ -9,7 +9,7 @@ from fmus.inspect import inspect_fmu
 from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
 from twin.errors import ModelError, TwinError
-from twin.explain.told import told_by
+from twin.explain.observable import observable_effects
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL
 from twin.logs.containers import is_archive_of
@@ -39,8 +39,8 @@ class CheckReport(Shown):
         notes: What was done or assumed.
         good_for: What it can be used for.
         questions: What is odd about a vehicle and may yet be right.
-        told: Of a flight, effects that `explain` can look for in it, by component.
-        not_told: Effects that it cannot show, and what is missing.
+        observable: Of a flight, effects that `explain` can look for in it, by component.
+        not_observable: Effects that it cannot show, and what is missing.
         hover: Of a flight, its hover as numbers.
     """
 
@@ -51,8 +51,8 @@ class CheckReport(Shown):
     notes: tuple[str, ...]
     good_for: tuple[str, ...]
     questions: tuple[Question, ...] = ()
-    told: tuple[str, ...] = ()
-    not_told: tuple[str, ...] = ()
+    observable: tuple[str, ...] = ()
+    not_observable: tuple[str, ...] = ()
     hover: dict[str, Any] | None = None
 
     def json(self) -> dict[str, Any]:
@@ -65,8 +65,8 @@ class CheckReport(Shown):
             "questions": [q.json() for q in self.questions],
             "notes": list(self.notes),
             "good_for": list(self.good_for),
-            "told": list(self.told),
-            "not_told": list(self.not_told),
+            "observable": list(self.observable),
+            "not_observable": list(self.not_observable),
             "hover": self.hover,
         }
 
@@ -80,8 +80,8 @@ class CheckReport(Shown):
                 ("question", [str(q) for q in self.questions]),
                 ("note", self.notes),
                 ("good for", self.good_for),
-                ("explain can look for", self.told),
-                ("explain cannot look for", self.not_told),
+                ("explain can look for", self.observable),
+                ("explain cannot look for", self.not_observable),
             )
             for text in texts
         ]
@@ -213,7 +213,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         **beside,
         "holds": ", ".join(c for c in flight.columns if c != "time" and flight.has(c)),
         "rows": f"{len(flight.time_s)}",
-        "site": str(flight.site or "not known: taken for outdoors unless explain is told"),
+        "site": str(flight.site or "not known: taken for outdoors unless explain is given another"),
         **flight.facts,
     }
 
@@ -225,7 +225,7 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
             if f.severity == severity
         )
 
-    told = told_by(flight)
+    observable = observable_effects(flight)
     uses, useless = _uses(flight, hover)
     return CheckReport(
         file,
@@ -234,8 +234,12 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
         said("warning"),
         (*said("info"), *_unfit(flight)),
         uses,
-        told=tuple(f"{component}: {', '.join(names)}" for component, names in told.effects.items()),
-        not_told=tuple(f"{', '.join(names)}: {why}" for why, names in told.unknown.items()),
+        observable=tuple(
+            f"{component}: {', '.join(names)}" for component, names in observable.effects.items()
+        ),
+        not_observable=tuple(
+            f"{', '.join(names)}: {why}" for why, names in observable.unknown.items()
+        ),
         hover=None if hover is None else hover_json(hover, diagnosis),
     )
 

@@ -89,11 +89,11 @@ class Worker:
         self._answer, self._longest_s = answer, longest_s
         self._connection: Connection | None = None
 
-    def __call__(self, asked: Any) -> dict[str, Any]:
+    def __call__(self, query: Any) -> dict[str, Any]:
         """Result of a case."""
         try:
             connection = self._connection or self._start()
-            connection.send(asked)
+            connection.send(query)
             if connection.poll(self._longest_s):
                 result: dict[str, Any] = connection.recv()
                 return result

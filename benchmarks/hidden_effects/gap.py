@@ -11,7 +11,7 @@ from .plants.own.flight import Trace
 from .plants.own.parameters import FIELD_T, Array, Batch, Parameters
 from .plants.own.physics import Dynamics, Layout, motion, own_dynamics
 from .plants.own.vectors import rotation, to_body
-from .plants.sensing import accelerometer, barometer, gyroscope, magnetometer, seen_pose
+from .plants.sensing import accelerometer, barometer, gyroscope, magnetometer, measured_pose
 
 UNITS = {
     "acc": "m/s^2",
@@ -37,10 +37,10 @@ def true_gap(
     nominal = aircraft.nominal
     truth = trace.truth[:, :, i].T
     expected, alpha = _nominal(aircraft, truth, trace.command[:, :, i].T, dynamics)
-    pose = seen_pose(plant, trace, i)
+    pose = measured_pose(plant, trace, i)
     inverse = truth[6:10] * np.array([1.0, -1, -1, -1])[:, None]
     residual = {
-        "acc": accelerometer(plant, trace.felt[:, :, i].T) - expected,
+        "acc": accelerometer(plant, trace.imu_force[:, :, i].T) - expected,
         "angacc": truth[13:16] - alpha,
         "gyro": gyroscope(plant, trace, i) - truth[10:13],
         "mag": magnetometer(plant, trace, i)
@@ -90,7 +90,7 @@ def _nominal(
     speed, _ = lfilter([0.0, 1 - stay], [1.0, -stay], target, axis=1, zi=begin)
     x[layout.rotor] = speed
     at = motion(batch, layout, x, command, np.zeros((3, 1)), 0.0, dynamics)
-    return at.felt, at.angular_acceleration
+    return at.imu_force, at.angular_acceleration
 
 
 def _vector_part(a: Array, b: Array) -> Array:

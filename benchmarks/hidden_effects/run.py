@@ -83,15 +83,15 @@ class Question:
 
     Attributes:
         label: For people.
-        asked: What the worker is called with.
+        query: What the worker is called with.
         file: Where the answer goes.
-        beside: Written into it beside what is said.
+        extra: Written into it beside what is said.
     """
 
     label: str
-    asked: Any
+    query: Any
     file: Path
-    beside: Mapping[str, Any]
+    extra: Mapping[str, Any]
 
 
 def ask(questions: Iterable[Question], jobs: int, worker: Callable[[], Worker] = Worker) -> None:
@@ -113,7 +113,7 @@ def ask(questions: Iterable[Question], jobs: int, worker: Callable[[], Worker] =
         try:
             while True:
                 question = queue.get_nowait()
-                said = {**question.beside, **explain(question.asked)}
+                said = {**question.extra, **explain(question.query)}
                 write_json(question.file, said)
                 progress.done(question.label, said)
         except Empty:

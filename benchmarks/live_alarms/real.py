@@ -62,8 +62,8 @@ def with_numbers(vehicle: Vehicle, numbers: Mapping[str, float]) -> Vehicle:
     for full, value in numbers.items():
         name, _, number = full.partition(".")
         effect = EFFECTS[name]
-        acts = isinstance(effect.seen_as, Shift) and effect.seen_as.acts
-        if effect.of_vehicle and (acts or isinstance(effect.seen_as, Equation)):
+        acts = isinstance(effect.observable_as, Shift) and effect.observable_as.acts
+        if effect.of_vehicle and (acts or isinstance(effect.observable_as, Equation)):
             settings.setdefault(name, _at_rest(name, vehicle))
             if number in settings[name]:
                 settings[name][number] = value

@@ -7,7 +7,7 @@ from typing import Any
 
 TENSE = 3.0
 """Prior deviations from which on a number is not what its effect is expected to have."""
-UNTOLD = 0.7
+UNDETERMINED = 0.7
 """Posterior over prior deviation from which on a number is the prior's more than the flights'."""
 Case = Mapping[str, Any]
 
@@ -79,9 +79,9 @@ class Agreement:
         return tuple(f for f, n in self.by.items() if (n.tension or 0.0) > TENSE)
 
     @property
-    def untold(self) -> tuple[str, ...]:
+    def undetermined(self) -> tuple[str, ...]:
         """The same where the prior says more of it than the flights."""
-        return tuple(f for f, n in self.by.items() if (n.prior_share or 0.0) > UNTOLD)
+        return tuple(f for f, n in self.by.items() if (n.prior_share or 0.0) > UNDETERMINED)
 
     @property
     def compared(self) -> bool:

@@ -38,7 +38,11 @@ def agree(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
         unit = in_shown_unit(1.0, next((n.unit for n in a.by.values()), "-"))[1]
         right = scenario.expected.get(full)
         wanted = [] if not scenario.expected else ["-" if right is None else f"{right:g}"]
-        facts = (_yes(a.same_sign), _yes(a.overlap), *map(_listed, (a.edges, a.tense, a.untold)))
+        facts = (
+            _yes(a.same_sign),
+            _yes(a.overlap),
+            *map(_listed, (a.edges, a.tense, a.undetermined)),
+        )
         cells = [_number(a.by.get(h)) for h in holdouts]
         lines.append((f"`{full}`", unit, *wanted, *cells, *facts, _passed(a)))
     head = (
@@ -81,7 +85,7 @@ def passing(every: Sequence[Agreement]) -> tuple[int, int, int]:
 
 def _summary(every: Sequence[Agreement]) -> list[str]:
     good, compared, alone = passing(every)
-    lean = sum(a.passes and bool(a.untold) for a in every)
+    lean = sum(a.passes and bool(a.undetermined) for a in every)
     by_effect: dict[str, list[Agreement]] = {}
     for a in every:
         by_effect.setdefault(a.full.partition(".")[0], []).append(a)
@@ -162,7 +166,7 @@ def _scaled(value: float | None, unit: str) -> str:
 # -- beside the prototype -------------------------------------------------------------------
 
 
-def beside_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
+def against_prototype(scenario: Scenario, cases: Sequence[Case]) -> list[str]:
     """Rms of held-out flights beside those of the prototype, where it has any."""
     if scenario.name != prototype.SCENARIO:
         return []

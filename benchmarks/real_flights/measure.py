@@ -62,7 +62,7 @@ def numbers(found: Explanation) -> dict[str, dict[str, Any]]:
     if found.naming is None:
         return {}
     facts = {}
-    for effect in dict.fromkeys([*found.naming.told.effects, *listed_effects(found)]):
+    for effect in dict.fromkeys([*found.naming.conditional.effects, *listed_effects(found)]):
         for e in estimates_of(found, effect):
             facts[e.number.full] = {
                 "value": e.value,

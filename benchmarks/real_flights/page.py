@@ -7,7 +7,7 @@ from typing import Any
 from twin.residuals.channels import CHANNEL_HZ
 
 from .agreement import Case, agreements, alike_of, effects_of, judge, numbers_of
-from .details import agree, beside_prototype, by_band, constants, passing, wishes
+from .details import against_prototype, agree, by_band, constants, passing, wishes
 from .markup import figure, in_shown_unit, section, table
 from .scenarios import Scenario
 
@@ -31,7 +31,7 @@ def page(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> str:
         parts += agree(scenario, cases)
         parts += believe(scenario, cases)
         parts += wishes(scenario, cases)
-        parts += beside_prototype(scenario, cases)
+        parts += against_prototype(scenario, cases)
         for case in cases:
             parts += [*gap(case), *by_band(case), *constants(case)]
     every = [c for _, cases in found for c in cases]
@@ -55,12 +55,12 @@ def overview(found: Sequence[tuple[Scenario, Sequence[Case]]]) -> list[str]:
         always = [f"`{j.effect}`" for j in judged if len(j.named) == len(cases)]
         stand = [f"`{j.effect}`" for j in judged if not j.against]
         verdicts = [c["said"]["verdict"] for c in cases]
-        told = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
+        verdict_counts = ", ".join(f"{verdicts.count(v)} {v}" for v in dict.fromkeys(verdicts))
         good, compared, _ = passing(agreements(cases))
         numbers = f"{good} of {compared}" if compared else "-"
         alike = dict.fromkeys(f"`{e}`" for c in cases for e in alike_of(c))
         lists = (", ".join(names) or "-" for names in (always, stand, alike))
-        lines.append((scenario.title, told, *lists, numbers))
+        lines.append((scenario.title, verdict_counts, *lists, numbers))
     head = (
         *("scenario", "verdicts", "in every rotation", "nothing speaks against"),
         *("something acts like", "numbers that pass"),

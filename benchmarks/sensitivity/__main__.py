@@ -67,9 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failed else 0
 
 
-def ask_with(asked: Asked) -> dict[str, Any]:
+def ask_with(query: Asked) -> dict[str, Any]:
     """What is said about a case with some settings changed; an exception becomes a verdict."""
-    folder, changed = asked
+    folder, changed = query
     return answer(folder, partial(explain_case, changed=changed))
 
 
@@ -101,9 +101,9 @@ def answer_all(
             if _is_answered(file, state):
                 there += 1
                 continue
-            beside = {"case": i, "twin": state}
-            asked = (out / "flights" / i, changed)
-            questions.append(Question(f"{name} {i}", asked, file, beside))
+            extra = {"case": i, "twin": state}
+            query = (out / "flights" / i, changed)
+            questions.append(Question(f"{name} {i}", query, file, extra))
     print(f"{there + len(questions)} answers, {there} there already", file=sys.stderr)
     ask(questions, jobs, worker)
     if twin_state() != state:

@@ -157,7 +157,7 @@ def test_what_cannot_be_calibrated_on(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(
-    ("untold", "says"),
+    ("undetermined", "says"),
     [
         ("rotor_drag.k_xy_1_s", "fast straight legs"),
         ("yaw_torque_scale.scale", "yaw steps"),
@@ -168,10 +168,10 @@ def test_what_cannot_be_calibrated_on(tmp_path: Path, capsys: pytest.CaptureFixt
         ("thrust_scale.scale", "known mass aboard"),
     ],
 )
-def test_what_is_untold_is_flown_next(untold: str, says: str) -> None:
+def test_what_is_undetermined_is_flown_next(undetermined: str, says: str) -> None:
     flights = ("a", "b", "c")
     vehicle = replace(COPTER, calibration=Calibration(flights, (), np.zeros((0, 0)), {}, {}))
-    details = cast(Calibrated, SimpleNamespace(untold=(untold,), vehicle=vehicle))
+    details = cast(Calibrated, SimpleNamespace(undetermined=(undetermined,), vehicle=vehicle))
     (only,) = CalibrateResult(details, COPTER).fly_next()
     assert says in only
 
@@ -219,9 +219,9 @@ def test_the_numbers_of_the_aircraft(calibrated: dict[str, Any]) -> None:
     assert first["name"] == "rotor_drag.k_xy_1_s"
     assert first["value"] == pytest.approx(DRAG_1_S, rel=0.03)
     assert first["ci95"][0] < first["value"] < first["ci95"][1]
-    assert first["told"]
+    assert first["determined"]
     assert calibrated["flights"] == ["one", "two", "three"]
-    assert calibrated["days"]["told"]
+    assert calibrated["days"]["determined"]
     assert calibrated["days"]["sd"]["cog_offset.x_m"] > 0
     (warning,) = calibrated["warnings"]
     assert warning.startswith("left out: flipped: ")

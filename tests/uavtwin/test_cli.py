@@ -403,7 +403,7 @@ def test_a_mistake_of_ours_is_one_line_with_a_code_of_its_own(
 ) -> None:
     """An equation that divides by zero, in `check` and in a verb that does not look for it."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-    monkeypatch.setattr("uavtwin.file_check.told_by", lambda flight: 1 / 0)
+    monkeypatch.setattr("uavtwin.file_check.observable_effects", lambda flight: 1 / 0)
     monkeypatch.setattr("uavtwin.vehicles.load_vehicle", lambda name: 1 / 0)
     for arguments, doing in (
         (("check", table), f"check {table}"),

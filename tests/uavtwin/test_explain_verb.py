@@ -314,9 +314,9 @@ def test_what_speaks_against_a_name_is_in_the_claim(named: Run) -> None:
     assert "next to none" not in headline(found).text and "does not fly" not in headline(found).text
     fallen = replace(found, missions=(Mission("hover", False, math.nan, "it tips over"),))
     assert headline(fallen).text.endswith("The model with it does not fly hover in closed loop.")
-    told = found.naming.told
+    told = found.naming.conditional
     wide = replace(told, half_widths=100 * np.abs(told.half_widths))
-    vague = replace(found, naming=replace(found.naming, told=wide))
+    vague = replace(found, naming=replace(found.naming, conditional=wide))
     assert "Rotor drag may be zero: these flights do not determine it." in headline(vague).text
 
 

@@ -55,13 +55,13 @@ def _layout(m: Making) -> Layout:
     else:
         return _as_it_turned(m, motors)
     for flight in m.flights:
-        told = turning(flight, layout)
-        if told is not None and min(told.worst, told.yaw) < -CLEAR:
+        turned = turning(flight, layout)
+        if turned is not None and min(turned.worst, turned.yaw) < -CLEAR:
             better = best_frame(flight, motors)
             hint = f" It turns like frame {better[0]!r} ({better[1]})." if better else ""
             m.warnings.append(
                 f"{flight.name}: its commands turn it otherwise than these rotors would "
-                f"({layout.source}): moment and angular acceleration correlate by {told}.{hint}"
+                f"({layout.source}): moment and angular acceleration correlate by {turned}.{hint}"
             )
     return layout
 
@@ -74,9 +74,9 @@ def _as_it_turned(m: Making, motors: int) -> Layout:
             f"{m.flights[0].name}: the log does not say where its {motors} rotors are and how they "
             f"turn. Give the frame (--frame), one of: {', '.join(frames_of(motors)) or 'none'}."
         )
-    name, told = found
+    name, turned = found
     return frame(
-        name, f"frame {name}: of those with {motors} rotors it turns like this one ({told})"
+        name, f"frame {name}: of those with {motors} rotors it turns like this one ({turned})"
     )
 
 

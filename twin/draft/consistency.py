@@ -89,10 +89,13 @@ def consistency(flight: AnyFlight, vehicle: Vehicle) -> Consistency:
     layout, count = airframe.layout, vehicle.rotors.count
     driven = flight.has(f"cmd_{count}") and not flight.has(f"cmd_{count + 1}")
     if layout is None or layout.count != count:
-        told = (layout.count, layout.source) if layout is not None else airframe.rotors
-        if told is None or told[0] == count or driven:
+        reported = (layout.count, layout.source) if layout is not None else airframe.rotors
+        if reported is None or reported[0] == count or driven:
             return Consistency(warnings=tuple(warnings))
-        why = f"rotors.position of {file} has {count} rotors, the log has {told[0]} ({told[1]})"
+        why = (
+            f"rotors.position of {file} has {count} rotors, the log has {reported[0]} "
+            f"({reported[1]})"
+        )
         return Consistency(_refusal(flight, (why,)), tuple(warnings))
     found = _differences(layout, vehicle, file) if layout.places_known else _Differences()
     if not found:
@@ -256,41 +259,46 @@ def _sizes(flight: AnyFlight, vehicle: Vehicle, file: str) -> Iterator[str]:
     layout = flight.airframe.layout
     if layout is None or not layout.metric or layout.count != vehicle.rotors.count:
         return
-    told, own = layout.arm, vehicle.arm_m
-    if not 1 / SAME_SIZE < own / told < SAME_SIZE:
+    reported, own = layout.arm, vehicle.arm_m
+    if not 1 / SAME_SIZE < own / reported < SAME_SIZE:
         yield (
-            f"the arm is {own:.3g} m by rotors.position of {file}, {told:.3g} m by {layout.source}"
+            f"the arm is {own:.3g} m by rotors.position of {file}, {reported:.3g} m by "
+            f"{layout.source}"
         )
 
 
 def _cells(flight: AnyFlight, vehicle: Vehicle, file: str) -> Iterator[str]:
     assert flight.airframe is not None
-    told, battery, key = flight.airframe.cells, vehicle.battery, "battery.full_voltage"
-    if told is None:
+    reported, battery, key = flight.airframe.cells, vehicle.battery, "battery.full_voltage"
+    if reported is None:
         return
-    low_v, high_v = (told.value.count * v for v in (told.value.empty_v, told.value.full_v))
+    low_v, high_v = (
+        reported.value.count * v for v in (reported.value.empty_v, reported.value.full_v)
+    )
     if (
         battery is not None
         and not high_v / SAME_CELLS < battery.full_voltage_v < high_v * SAME_CELLS
     ):
         yield (
-            f"{key} of {file} is {battery.full_voltage_v:.3g} V, the log has {told.value.count} "
-            f"cells, {high_v:.3g} V when full ({told.source})"
+            f"{key} of {file} is {battery.full_voltage_v:.3g} V, the log has "
+            f"{reported.value.count} cells, {high_v:.3g} V when full ({reported.source})"
         )
     reference_v = vehicle.rotors.reference_voltage_v
     if reference_v is not None and not low_v / SAME_CELLS < reference_v < high_v * SAME_CELLS:
         yield (
             f"rotors.reference_voltage of {file} is {reference_v:.3g} V, the log has "
-            f"{told.value.count} cells, {low_v:.3g} to {high_v:.3g} V ({told.source})"
+            f"{reported.value.count} cells, {low_v:.3g} to {high_v:.3g} V ({reported.source})"
         )
 
 
 def _cutoffs(flight: AnyFlight, vehicle: Vehicle, file: str) -> Iterator[str]:
     assert flight.airframe is not None
-    for name, told, own in (
+    for name, reported, own in (
         ("accel", flight.airframe.accel_cutoff_hz, vehicle.accel_cutoff_hz),
         ("gyro", flight.airframe.gyro_cutoff_hz, vehicle.gyro_cutoff_hz),
     ):
-        if told is None or own is None or 1 / SAME_CUTOFF < own / told.value < SAME_CUTOFF:
+        if reported is None or own is None or 1 / SAME_CUTOFF < own / reported.value < SAME_CUTOFF:
             continue
-        yield f"imu.{name}_cutoff of {file} is {own:g} Hz, {told.source} is {told.value:g} Hz"
+        yield (
+            f"imu.{name}_cutoff of {file} is {own:g} Hz, {reported.source} is {reported.value:g} Hz"
+        )

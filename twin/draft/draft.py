@@ -87,8 +87,8 @@ def _check(flights: Sequence[Flight]) -> None:
             )
     counts = {f.name: len(drives(f)) for f in flights}
     if len(set(counts.values())) > 1:
-        told = ", ".join(f"{name} {n}" for name, n in counts.items())
-        raise ModelError(f"these are different aircraft, by their rotors: {told}. Draft each.")
+        reported = ", ".join(f"{name} {n}" for name, n in counts.items())
+        raise ModelError(f"these are different aircraft, by their rotors: {reported}. Draft each.")
 
 
 def _hover(flight: Flight) -> Hover:
@@ -107,15 +107,16 @@ def _notes(m: Making) -> None:
         "A draft: what flights and owner tell, and what is usual for an aircraft of this size. "
         "`uavtwin calibrate` and `explain` believe each number as far as its sd goes."
     )
-    told = m.airframe
-    if told.pulse_us is not None:
-        low, high = told.pulse_us.value
+    reported = m.airframe
+    if reported.pulse_us is not None:
+        low, high = reported.pulse_us.value
         m.file.notes.append(
-            f"Commands 0 and 1 are pulses of {low:.0f} and {high:.0f} us: {told.pulse_us.source}."
+            f"Commands 0 and 1 are pulses of {low:.0f} and {high:.0f} us: "
+            f"{reported.pulse_us.source}."
         )
-    if told.filters:
+    if reported.filters:
         m.file.notes.append(
-            f"Filters on board that the logged samples have not gone through: {told.filters}."
+            f"Filters on board that the logged samples have not gone through: {reported.filters}."
         )
     m.file.notes.append("No drag: `explain` finds it in a flight that goes forward.")
     levels = {h.flight: h.level for h in m.hovers}

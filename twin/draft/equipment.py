@@ -101,16 +101,16 @@ def draft_sensors(m: Making) -> None:
             said.append(f"{columns[0].partition('_')[0]} {value:.3g} {unit} {noise.where}")
     if said:
         m.say("noise", "; ".join(said), "readings of the flights")
-    told = m.airframe
+    reported = m.airframe
     for key, cutoff in (
-        ("imu.accel_cutoff", told.accel_cutoff_hz),
-        ("imu.gyro_cutoff", told.gyro_cutoff_hz),
+        ("imu.accel_cutoff", reported.accel_cutoff_hz),
+        ("imu.gyro_cutoff", reported.gyro_cutoff_hz),
     ):
         if cutoff is not None:
             m.file.number(key, cutoff.value, "Hz", cutoff.source, percent(_PARAMETER_SD))
             m.say(key.replace("imu.", "").replace("_", " "), f"{cutoff.value:g} Hz", cutoff.source)
-    if told.imu_position_m is not None:
-        place, source = told.imu_position_m
+    if reported.imu_position_m is not None:
+        place, source = reported.imu_position_m
         m.file.number("imu.position", np.array(place), "m", source, _PLACE_SD_M)
         m.say("accelerometer", f"at {', '.join(f'{x:g}' for x in place)} m", source)
 

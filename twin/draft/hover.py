@@ -52,17 +52,17 @@ class Hover:
     @property
     def motors(self) -> int:
         """Number of motors."""
-        return int(self._told.shape[1])
+        return int(self._drive.shape[1])
 
     @property
     def level(self) -> float:
         """Median of the mean over the motors: of the commands, else of the speeds, rad/s."""
-        return float(np.median(self._told.mean(axis=1)))
+        return float(np.median(self._drive.mean(axis=1)))
 
     @property
     def each(self) -> tuple[float, ...]:
         """Median of each motor's command, else speed."""
-        return tuple(np.median(self._told, axis=0).tolist())
+        return tuple(np.median(self._drive, axis=0).tolist())
 
     @property
     def split(self) -> tuple[float, ...]:
@@ -71,10 +71,10 @@ class Hover:
         return tuple((each / each.mean() - 1).tolist())
 
     @property
-    def _told(self) -> Array:
-        told = self.cmd if self.cmd is not None else self.rotor_rad_s
-        assert told is not None
-        return told
+    def _drive(self) -> Array:
+        drive = self.cmd if self.cmd is not None else self.rotor_rad_s
+        assert drive is not None
+        return drive
 
 
 def drives(flight: AnyFlight) -> tuple[str, ...]:
@@ -96,19 +96,19 @@ def hover_of(flight: AnyFlight) -> Hover | None:
     columns = drives(flight)
     if not columns:
         return None
-    t_s, told = flight.signal(columns)
+    t_s, drive = flight.signal(columns)
     if len(t_s) < 2:
         return None
     step_s = np.minimum(np.diff(t_s, append=t_s[-1]), LONGEST_STEP_S)
-    for rows, hovers, where in _choices(flight, t_s, told):
+    for rows, hovers, where in _choices(flight, t_s, drive):
         seconds = float(step_s[rows].sum())
-        if seconds >= LEAST_S and told[rows].any():
-            speeds = _speeds(flight, t_s[rows], told.shape[1])
+        if seconds >= LEAST_S and drive[rows].any():
+            speeds = _speeds(flight, t_s[rows], drive.shape[1])
             return Hover(
                 flight.name,
                 t_s[rows],
-                told[rows] if columns[0].startswith("cmd") else None,
-                told[rows] if columns[0].startswith("rotor") else speeds,
+                drive[rows] if columns[0].startswith("cmd") else None,
+                drive[rows] if columns[0].startswith("rotor") else speeds,
                 _load(flight, t_s[rows], hovers),
                 sampled(flight, "vbat_v", t_s[rows]),
                 seconds,
@@ -120,8 +120,8 @@ def hover_of(flight: AnyFlight) -> Hover | None:
 
 def flown(flight: AnyFlight) -> Rows:
     """Where a flight is in the air, at the times of what drives its rotors, shape (n,)."""
-    t_s, told = flight.signal(drives(flight))
-    return _flown(flight, t_s, told)
+    t_s, drive = flight.signal(drives(flight))
+    return _flown(flight, t_s, drive)
 
 
 def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.object_]:
@@ -131,7 +131,7 @@ def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.object_]:
     return names[codes[row]]
 
 
-def together(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
+def common_samples(flight: AnyFlight, columns: Sequence[str]) -> tuple[Array, Array] | None:
     """Samples of columns that are taken at the same times; None: there are none."""
     if not flight.has(*columns):
         return None
@@ -147,12 +147,12 @@ def sampled(flight: AnyFlight, column: str, t_s: Array) -> Array | None:
     return np.interp(t_s, t, values[:, 0])
 
 
-def _choices(flight: AnyFlight, t_s: Array, told: Array) -> list[tuple[Rows, bool, str]]:
+def _choices(flight: AnyFlight, t_s: Array, drive: Array) -> list[tuple[Rows, bool, str]]:
     """Rows, whether the aircraft hovers there, and which they are in words; the best first."""
-    phase, air = phases_at(flight, t_s), _flown(flight, t_s, told)
+    phase, air = phases_at(flight, t_s), _flown(flight, t_s, drive)
     steady = air & ~np.isin(phase, _NOT_FLOWN)
     found = [(phase == "hover", True, "phase hover, {:.0f} s")]
-    moved = together(flight, VEL)
+    moved = common_samples(flight, VEL)
     if moved is not None:
         speed = np.interp(t_s, moved[0], np.linalg.norm(moved[1], axis=1))
         slow = steady & (speed < _SLOW_M_S)
@@ -166,14 +166,14 @@ def _choices(flight: AnyFlight, t_s: Array, told: Array) -> list[tuple[Rows, boo
     return found
 
 
-def _flown(flight: AnyFlight, t_s: Array, told: Array) -> Rows:
+def _flown(flight: AnyFlight, t_s: Array, drive: Array) -> Rows:
     """In the air: not on the ground by its phases; else above half a metre; else well driven."""
     phase = phases_at(flight, t_s)
     if np.any(phase == "ground"):
         return np.asarray(phase != "ground")
-    mean = told.mean(axis=1)
+    mean = drive.mean(axis=1)
     driven = mean > 0.5 * np.percentile(mean, 90)
-    place = together(flight, POS)
+    place = common_samples(flight, POS)
     if place is not None:
         height = np.interp(t_s, place[0], -place[1][:, 2])
         return np.asarray(driven & (height > height.min() + 0.5)) if np.ptp(height) > 1 else driven
@@ -182,7 +182,7 @@ def _flown(flight: AnyFlight, t_s: Array, told: Array) -> Rows:
 
 def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
     """Measured rotor speeds at some times, shape (n, motors)."""
-    measured = together(flight, motor_columns("rotor", motors))
+    measured = common_samples(flight, motor_columns("rotor", motors))
     if measured is None:
         return None
     t, speeds = measured
@@ -191,7 +191,7 @@ def _speeds(flight: AnyFlight, t_s: Array, motors: int) -> Array | None:
 
 def _load(flight: AnyFlight, t_s: Array, hovers: bool) -> float:
     """Mean thrust over weight: what a tilted aircraft needs, else what the accelerometer felt."""
-    attitude = together(flight, QUAT) if hovers else None
+    attitude = common_samples(flight, QUAT) if hovers else None
     if attitude is not None:
         t, q = attitude
         upright = 1.0 - 2.0 * (q[:, 1] ** 2 + q[:, 2] ** 2)

@@ -86,8 +86,8 @@ class Making:
     @property
     def airframe(self) -> Airframe:
         """What the logs say of the aircraft, each fact by the first log that holds it."""
-        told = [f.airframe for f in self.flights if f.airframe is not None]
-        return Airframe.together(told)
+        reported = [f.airframe for f in self.flights if f.airframe is not None]
+        return Airframe.together(reported)
 
     @property
     def level(self) -> float:

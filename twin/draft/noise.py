@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..logs import Flight
 from ..logs.columns import ACC, GYRO, MAG
-from .hover import Hover, drives, phases_at, together
+from .hover import Hover, common_samples, drives, phases_at
 
 Array = NDArray[np.float64]
 Choice = Callable[[Flight, Array], NDArray[np.bool_]]
@@ -62,7 +62,7 @@ def noise_of(flights: Sequence[Flight], hovers: Sequence[Hover], columns: Sequen
 
 
 def _second(flight: Flight, columns: Sequence[str], chosen: Choice) -> Array:
-    found = together(flight, columns)
+    found = common_samples(flight, columns)
     if found is None or len(found[0]) < 3:
         return np.zeros((0, len(columns)))
     t_s, values = found
@@ -78,10 +78,10 @@ def _resting(flight: Flight, t_s: Array) -> NDArray[np.bool_]:
     columns = drives(flight)
     if not columns:
         return ground
-    t, told = flight.signal(columns)
-    scale = 1.0 if columns[0].startswith("cmd") else float(told.max())
+    t, drive = flight.signal(columns)
+    scale = 1.0 if columns[0].startswith("cmd") else float(drive.max())
     row = np.clip(np.searchsorted(t, t_s, side="right") - 1, 0, len(t) - 1)
-    return np.asarray(ground & (told.max(axis=1)[row] <= _IDLE * scale) & (t_s >= t[0]))
+    return np.asarray(ground & (drive.max(axis=1)[row] <= _IDLE * scale) & (t_s >= t[0]))
 
 
 def _within(hover: Hover) -> Choice:

@@ -83,13 +83,13 @@ def elasticity(flights: Sequence[Flight], hovers: Sequence[Hover], command: floa
         return usual
     weights = np.array([e.sd for e in found]) ** -2
     value = float(np.average([e.value for e in found], weights=weights))
-    told = Estimate(
+    estimate = Estimate(
         value,
         float(np.hypot(weights.sum() ** -0.5, _LAG_SD * value)),
         f"accelerometer against commands in hover {value:.2f}",
     ).with_prior(usual)
     low, high = _EXTREMES
-    return Estimate(min(max(told.value, low), high), told.sd, told.source)
+    return Estimate(min(max(estimate.value, low), high), estimate.sd, estimate.source)
 
 
 def _followed(flight: Flight, hover: Hover) -> Estimate | None:
@@ -133,13 +133,13 @@ def sag(hovers: Sequence[Hover], e: float, reference_v: float, command: float) -
     x, y = x - x.mean(), y - y.mean()
     slope = -float(x @ y / (x @ x))
     scatter = float(np.sqrt(np.sum((y + slope * x) ** 2) / (len(x) - 2) / (x @ x)))
-    told = Estimate(
+    estimate = Estimate(
         slope,
         float(np.hypot(scatter, _DRIFT / np.ptp(volts))),
         f"hover commands from {volts.min() * reference_v:.2f} to "
         f"{volts.max() * reference_v:.2f} V say {slope:.1f} +- {scatter:.1f}",
     ).with_prior(usual)
-    return Estimate(min(max(told.value, 0.0), 4.0), told.sd, told.source)
+    return Estimate(min(max(estimate.value, 0.0), 4.0), estimate.sd, estimate.source)
 
 
 def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]:
@@ -148,9 +148,10 @@ def _blocks(hover: Hover, e: float, command: float) -> list[tuple[float, float]]
         return []
     shape = thrust_shape(e, _followed_by_rotors(hover) / command).mean(axis=1) / hover.load
     number = ((hover.t_s - hover.t_s[0]) / _BLOCK_S).astype(np.int64)
-    kept = [k for k in np.unique(number) if np.ptp(hover.t_s[number == k]) > 0.5 * _BLOCK_S]
+    retained = [k for k in np.unique(number) if np.ptp(hover.t_s[number == k]) > 0.5 * _BLOCK_S]
     return [
-        (float(hover.voltage_v[number == k].mean()), float(shape[number == k].mean())) for k in kept
+        (float(hover.voltage_v[number == k].mean()), float(shape[number == k].mean()))
+        for k in retained
     ]
 
 

@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 from ..logs import Flight
 from ..logs.columns import GYRO
 from ..vehicle.layouts import Layout, frame, frames_of
-from .hover import drives, flown, together
+from .hover import common_samples, drives, flown
 
 Array = NDArray[np.float64]
 
@@ -52,16 +52,16 @@ def turning(flight: Flight, layout: Layout) -> Turning | None:
         None: no body rates, another number of motors, or too short.
     """
     columns = drives(flight)
-    driven, rotated = together(flight, columns), together(flight, GYRO)
+    driven, rotated = common_samples(flight, columns), common_samples(flight, GYRO)
     if len(columns) != layout.count or driven is None or rotated is None:
         return None
-    (t_s, told), (t_gyro, rates) = driven, rotated
+    (t_s, commands), (t_gyro, rates) = driven, rotated
     air = flown(flight)
     grid = np.arange(max(t_s[0], t_gyro[0]), min(t_s[-1], t_gyro[-1]), _GRID_S)
     if len(grid) < _LEAST_S / _GRID_S:
         return None
     thrust = np.column_stack(
-        [np.interp(grid - _LAG_S, t_s, told[:, k]) for k in range(layout.count)]
+        [np.interp(grid - _LAG_S, t_s, commands[:, k]) for k in range(layout.count)]
     )
     x, y = layout.position[:, 0], layout.position[:, 1]
     moments = thrust @ np.column_stack([-y, x, -layout.direction])

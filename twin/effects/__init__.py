@@ -3,7 +3,16 @@
 from ..vehicle import Vehicle
 from . import air, gust, inertial, mass, propulsion, sensors, timing
 from .definition import Block, Blocks, ComponentName, Effect, EffectParameter, Limit, Period
-from .seen import Average, Equation, Lines, NoiseFloor, Observer, RandomForce, Repeats, Seen, Shift
+from .observability import (
+    Average,
+    Equation,
+    Lines,
+    NoiseFloor,
+    Observer,
+    RandomForce,
+    Repeats,
+    Shift,
+)
 
 _MODULES = (air, gust, propulsion, mass, inertial, sensors, timing)
 EFFECTS: dict[str, Effect] = {e.name: e for module in _MODULES for e in module.EFFECTS}
@@ -28,7 +37,9 @@ def effects_for(vehicle: Vehicle) -> tuple[str, ...]:
 
 def acting_late() -> tuple[Effect, ...]:
     """Effects by which signals act later than a record says."""
-    return tuple(e for e in EFFECTS.values() if isinstance(e.seen_as, Shift) and e.seen_as.acts)
+    return tuple(
+        e for e in EFFECTS.values() if isinstance(e.observable_as, Shift) and e.observable_as.acts
+    )
 
 
 def late_actions(vehicle: Vehicle) -> dict[str, float]:
@@ -44,9 +55,9 @@ def ages(vehicle: Vehicle) -> dict[str, float]:
 def _shifts(vehicle: Vehicle, acts: bool) -> dict[str, float]:
     found: dict[str, float] = {}
     for name, numbers in vehicle.effects.items():
-        seen_as = EFFECTS[name].seen_as
-        if isinstance(seen_as, Shift) and seen_as.acts == acts:
-            for number, signals in seen_as.moves.items():
+        observable_as = EFFECTS[name].observable_as
+        if isinstance(observable_as, Shift) and observable_as.acts == acts:
+            for number, signals in observable_as.moves.items():
                 found |= {s: found.get(s, 0.0) + numbers.get(number, 0.0) for s in signals}
     return found
 

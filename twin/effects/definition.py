@@ -14,7 +14,7 @@ import casadi as ca
 
 from ..component import ComponentBuilder, Kind
 from ..vehicle import Vehicle
-from .seen import Equation, Observer, Seen
+from .observability import Equation, Observability, Observer
 
 ComponentName = str
 """Name of the component that an effect stands in: of the airframe, the environment or a sensor."""
@@ -128,7 +128,7 @@ class Effect:
         source: Paper and equation, or the measurement.
         term: `(stage, block) -> stage`, pure.
         limits: What its numbers together can be, for a vehicle.
-        seen_as: How a flight shows it.
+        observable_as: How a flight shows it.
         of_logs: Numbers that it has in a log alone, and in no component.
         period: How often the airframe is sampled for its memory; None: it has no memory there.
         of_weather: Whether the day brings it: what a flight tells of it holds for no other.
@@ -143,7 +143,7 @@ class Effect:
     source: str
     term: Callable[[Any, "Block"], Any] = field(repr=False)
     limits: Callable[[Vehicle], tuple[Limit, ...]] = field(default=_no_limits, repr=False)
-    seen_as: Seen = field(default_factory=Equation)
+    observable_as: Observability = field(default_factory=Equation)
     of_logs: tuple[EffectParameter, ...] = ()
     period: Period | None = None
     of_weather: bool = False
@@ -161,12 +161,12 @@ class Effect:
     @property
     def observer(self) -> Observer | None:
         """What follows its states, if something does."""
-        return self.seen_as.observer if isinstance(self.seen_as, Equation) else None
+        return self.observable_as.observer if isinstance(self.observable_as, Equation) else None
 
     @property
     def mistaken_for(self) -> tuple[str, ...]:
         """See `Equation.mistaken_for`."""
-        return self.seen_as.mistaken_for if isinstance(self.seen_as, Equation) else ()
+        return self.observable_as.mistaken_for if isinstance(self.observable_as, Equation) else ()
 
     def starts(self, vehicle: Vehicle) -> dict[str, float]:
         """Its numbers by name, each at its start value."""
@@ -180,7 +180,7 @@ def effect_of_records(
     numbers: tuple[EffectParameter, ...],
     needs: tuple[str, ...],
     source: str,
-    seen_as: Seen,
+    observable_as: Observability,
 ) -> Effect:
     """An effect without a term in any component. Arguments as of `Effect`."""
     return Effect(
@@ -192,7 +192,7 @@ def effect_of_records(
         needs,
         source,
         lambda stage, _: stage,
-        seen_as=seen_as,
+        observable_as=observable_as,
         of_logs=numbers,
     )
 

@@ -23,7 +23,7 @@ import numpy as np
 from ..component.portable import decay
 from ..errors import ModelError
 from .definition import Block, Effect, EffectParameter
-from .seen import RandomForce
+from .observability import RandomForce
 
 FOOT_M = 0.3048
 GUST_HEIGHT_M = 6.096
@@ -97,8 +97,8 @@ def _gust(b: Breeze, p: Block) -> Breeze:
 def _along(p: Block, name: str, step: ca.SX) -> ca.SX:
     """First-order filter of unit variance, advanced by `step` time constants."""
     x = p.memory(name, "1", f"{name} over its intensity")
-    kept = decay(step)
-    p.update(name, kept * x + ca.sqrt(1 - kept * kept) * p.noise())
+    retained = decay(step)
+    p.update(name, retained * x + ca.sqrt(1 - retained * retained) * p.noise())
     return x
 
 
@@ -111,8 +111,8 @@ def _across(p: Block, name: str, step: ca.SX) -> ca.SX:
     """
     z1 = p.memory(f"{name}_1", "1", f"{name}, first filter")
     z2 = p.memory(f"{name}_2", "1", f"{name}, second filter")
-    kept = decay(step)
-    square = kept * kept
+    retained = decay(step)
+    square = retained * retained
     q11 = 0.5 * (1 - square)
     q12 = 0.25 - square * (0.5 * step + 0.25)
     q22 = 0.25 - square * (0.5 * step * step + 0.5 * step + 0.25)
@@ -120,8 +120,8 @@ def _across(p: Block, name: str, step: ca.SX) -> ca.SX:
     shared = q12 / spread
     own = ca.sqrt(ca.fmax(q22 - shared * shared, 0.0))
     first, second = p.noise(), p.noise()
-    p.update(f"{name}_1", kept * z1 + spread * first)
-    p.update(f"{name}_2", kept * (step * z1 + z2) + shared * first + own * second)
+    p.update(f"{name}_1", retained * z1 + spread * first)
+    p.update(f"{name}_2", retained * (step * z1 + z2) + shared * first + own * second)
     return _ROOT3 * z1 + (1 - _ROOT3) * z2
 
 
@@ -149,7 +149,7 @@ GUST = Effect(
     ("acc", "vel", "q"),
     "MIL-F-8785C, sec. 3.7",
     _gust,
-    seen_as=RandomForce(
+    observable_as=RandomForce(
         ("intensity_u", "intensity_v", "intensity_w"), ("length_u", "length_v", "length_w")
     ),
     of_weather=True,

@@ -11,7 +11,7 @@ from ..frames import to_body
 from ..vehicle import Vehicle
 from ..vehicle.thrust_map import hover_level
 from .definition import Block, Effect, EffectParameter
-from .seen import Lines, NoiseFloor, Repeats
+from .observability import Lines, NoiseFloor, Repeats
 from .sensor_stages import Freezing, ImuMotion, ImuNoise, ImuReading, Mounting
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
@@ -134,7 +134,7 @@ VIBRATION = Effect(
     "rotating unbalance, force m r omega^2: Den Hartog, Mechanical Vibrations, ch. 2; twice "
     "per turn from two blades",
     _vibration,
-    seen_as=Lines("frequency_hz", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+    observable_as=Lines("frequency_hz", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
 )
 
 ACCEL_SCALE = Effect(
@@ -220,7 +220,7 @@ SENSOR_NOISE_LEVEL = Effect(
     ("acc", "gyro"),
     "definition: sqrt((scale noise)^2 + further^2), standard deviation of independent noises",
     _sensor_noise_level,
-    seen_as=NoiseFloor("scale", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
+    observable_as=NoiseFloor("scale", {"acc": "accel_m_s2", "gyro": "gyro_rad_s"}),
 )
 
 STUCK_SENSOR = Effect(
@@ -242,7 +242,7 @@ STUCK_SENSOR = Effect(
     ("acc", "gyro"),
     "definition: from the first sample instant at or after that time the last value is repeated",
     _stuck_sensor,
-    seen_as=Repeats("channel", "time_s", IMU_CHANNELS),
+    observable_as=Repeats("channel", "time_s", IMU_CHANNELS),
 )
 
 EFFECTS = (

@@ -9,7 +9,7 @@ import numpy as np
 from ..frames import to_body
 from ..vehicle import Vehicle
 from .definition import Block, Effect, EffectParameter, Limit
-from .seen import Array, Equation, Observer
+from .observability import Array, Equation, Observer
 from .slung_load_observer import (
     DIRECTION_GAIN_1_S,
     ROPE_HZ,
@@ -99,9 +99,9 @@ def _slung_load(w: Wrench, p: Block) -> Wrench:
 
 
 def _follow_load(
-    free_n: Array, felt_n: Array, numbers: Mapping[str, float], step_s: float
+    free_n: Array, excess_n: Array, numbers: Mapping[str, float], step_s: float
 ) -> Course:
-    return observe_swing(free_n, felt_n, numbers["length_m"], step_s)
+    return observe_swing(free_n, excess_n, numbers["length_m"], step_s)
 
 
 def _place_load(
@@ -206,7 +206,9 @@ SLUNG_LOAD = Effect(
     "point mass on an elastic rope that pulls only, hung at the centre of mass; it knows no "
     "ground: Sreenath, Michael & Kumar, ICRA 2013, with a spring for the rigid link",
     _slung_load,
-    seen_as=Equation(Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)),
+    observable_as=Equation(
+        Observer(_follow_load, _place_load, ("acc_x", "acc_y"), DIRECTION_GAIN_1_S)
+    ),
 )
 
 EFFECTS = (MASS_OFFSET, COG_OFFSET, INERTIA_ERROR, SLUNG_LOAD)

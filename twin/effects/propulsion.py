@@ -8,7 +8,7 @@ import casadi as ca
 from ..frames import cross
 from ..vehicle import Vehicle
 from .definition import Block, Effect, EffectParameter
-from .seen import Equation
+from .observability import Equation
 from .stages import Motors, Thrust, Wrench
 
 LEAST_LAG_S = 2.5e-3
@@ -201,7 +201,7 @@ ROTOR_EFFICIENCY_LOSS = Effect(
     "definition: one factor per rotor; thrust and torque of a rotor that turns more slowly go with "
     "the square of its speed, one with a damaged blade may keep more of its torque",
     _rotor_efficiency_loss,
-    seen_as=Equation(mistaken_for=("cog_offset", "thrust_scale", "mass_offset")),
+    observable_as=Equation(mistaken_for=("cog_offset", "thrust_scale", "mass_offset")),
 )
 
 ROTOR_INERTIA_TORQUE = _momentum(

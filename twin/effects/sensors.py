@@ -6,7 +6,7 @@ import casadi as ca
 
 from ..component.portable import cosine, sine
 from .definition import Block, Effect, EffectParameter
-from .seen import Equation
+from .observability import Equation
 from .sensor_stages import BaroReading, EarthField, MagReading
 
 _AXES = (("x", "forward"), ("y", "right"), ("z", "down"))
@@ -52,7 +52,7 @@ HEADING_OFFSET = Effect(
     "definition: the field turned about the vertical",
     _heading_offset,
     # A compass that is off may have misled the estimate of the attitude, or not.
-    seen_as=Equation(turns_pose="pose_rad"),
+    observable_as=Equation(turns_pose="pose_rad"),
     of_logs=(
         EffectParameter(
             "pose_rad", "rad", "logged attitude turned about the vertical", 0.2, (-1.6, 1.6)

@@ -40,30 +40,30 @@ PLACE = tuple(f"slung_load.r_{a}" for a in "xyz")
 SPEED = tuple(f"slung_load.v_{a}" for a in "xyz")
 
 
-def observe_swing(free_n: Array, felt_n: Array, length_m: float, step_s: float) -> Course:
+def observe_swing(free_n: Array, excess_n: Array, length_m: float, step_s: float) -> Course:
     """Direction of the rope and its rate, from a load at rest.
 
     Args:
         free_n: Specific force predicted without the load, NED, m/s^2. Shape (n, 3).
-        felt_n: Measured specific force beyond it, NED, m/s^2; zero where unknown. Shape (n, 3).
+        excess_n: Measured specific force beyond it, NED, m/s^2; zero where unknown. Shape (n, 3).
         length_m: Of the rope.
         step_s: Of the grid.
 
     Returns:
         Unit vectors from the vehicle to the load, and their rates, 1/s, NED. Shapes (n, 3).
     """
-    state, free, felt = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("felt", 3)
+    state, free, excess = ca.SX.sym("state", 6), ca.SX.sym("free", 3), ca.SX.sym("felt", 3)
     p, w = state[:3], state[3:]
     taut = length_m * ca.dot(w, w) > ca.dot(p, free)
-    seen = (felt - ca.dot(felt, p) * p) / ca.fmax(ca.norm_2(felt + 1e-12), FAINT_M_S2)
+    innovation = (excess - ca.dot(excess, p) * p) / ca.fmax(ca.norm_2(excess + 1e-12), FAINT_M_S2)
     bend = (ca.dot(p, free) * p - free) / length_m - ca.dot(w, w) * p
-    seen = ca.if_else(taut, seen, 0.0)
-    w = w + step_s * (bend + RATE_GAIN_1_S2 * seen)
-    p = p + step_s * (w + DIRECTION_GAIN_1_S * seen)
+    innovation = ca.if_else(taut, innovation, 0.0)
+    w = w + step_s * (bend + RATE_GAIN_1_S2 * innovation)
+    p = p + step_s * (w + DIRECTION_GAIN_1_S * innovation)
     p = p / ca.norm_2(p)
-    step = ca.Function("swing_step", [state, free, felt], [ca.vertcat(p, w - ca.dot(w, p) * p)])
+    step = ca.Function("swing_step", [state, free, excess], [ca.vertcat(p, w - ca.dot(w, p) * p)])
     start = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-    (after,) = accumulated(step, start, free_n, felt_n)
+    (after,) = accumulated(step, start, free_n, excess_n)
     rows = np.vstack([start, after[:-1]])
     return rows[:, :3], rows[:, 3:]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from .definition import Block, Effect, EffectParameter, Period, effect_of_records
-from .seen import Average, Shift
+from .observability import Average, Shift
 from .sensor_stages import Latency
 from .stages import Motors
 
@@ -48,7 +48,7 @@ IMU_DELAY = Effect(
     ("acc", "gyro"),
     "definition; samples between two instants on a straight line",
     _later,
-    seen_as=Shift({"delay_s": ("acc", "gyro")}),
+    observable_as=Shift({"delay_s": ("acc", "gyro")}),
 )
 
 POSITION_DELAY = Effect(
@@ -64,7 +64,7 @@ POSITION_DELAY = Effect(
     ("pos", "acc"),
     "definition; 0.11 s is PX4's assumption for a GNSS receiver (EKF2_GPS_DELAY)",
     _later,
-    seen_as=Shift({"delay_s": ("pos", "vel"), "attitude_s": ("q",)}),
+    observable_as=Shift({"delay_s": ("pos", "vel"), "attitude_s": ("q",)}),
     # Attitude may come from where position does, or not.
     of_logs=(
         EffectParameter(
@@ -86,7 +86,7 @@ COMMAND_DELAY = Effect(
     ("acc", "gyro", "cmd"),
     "definition; at least 1 ms, the sample period, once it is on",
     _commands_later,
-    seen_as=Shift({"delay_s": ("cmd",)}, acts=True),
+    observable_as=Shift({"delay_s": ("cmd",)}, acts=True),
     period=Period(COMMAND_PERIOD_S, "Time between two looks at the commands, for command_delay"),
 )
 

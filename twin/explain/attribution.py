@@ -59,7 +59,9 @@ def attribute_effect(
         power, left = float(lacking @ lacking), float(complete @ complete)
         taken[channel.name] = 1 - left / power if power > 0 else 0.0
     ranked = sorted(taken, key=lambda name: -taken[name])
-    channels = tuple(name for name in ranked if taken[name] >= settings.felt) or tuple(ranked[:1])
+    channels = tuple(name for name in ranked if taken[name] >= settings.least_share) or tuple(
+        ranked[:1]
+    )
     phases = _phases(channels[0], model, without, with_all, settings.strong)
     return Attribution(effect, channels, phases, without)
 

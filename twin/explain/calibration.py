@@ -13,9 +13,9 @@ from ..errors import LogError
 from ..logs import Flight
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
-from .estimates import UNTOLD, Estimate, fitted_estimates
+from .estimates import UNDETERMINED, Estimate, fitted_estimates
 from .inference.beliefs import Beliefs, beliefs_of, effect_of
-from .inference.evidence import Judge
+from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, fit_of
 from .inference.refit import Problem, State
 from .inference.search import calibration_start, search
@@ -38,8 +38,9 @@ class Calibrated:
         estimates: The same by "effect.number", shapes left out; `no_effect` is the neutral value.
         prior_share: Posterior over prior deviation of each number of `fit`: 1 where the flights
             say nothing.
-        untold: Numbers, "effect.number", shapes left out, that these flights do not tell: they
-            stand as expected, those of effects that are not in `fit` as the vehicle has them.
+        undetermined: Numbers, "effect.number", shapes left out, that these flights do not
+            determine: they stay at the prior mean, those of effects that are not in `fit` as the
+            vehicle has them.
         days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
             what all flights share, and its standard deviation.
         problem: What was fitted.
@@ -53,7 +54,7 @@ class Calibrated:
     fit: Fit
     estimates: Mapping[str, Estimate]
     prior_share: Mapping[str, float]
-    untold: tuple[str, ...]
+    undetermined: tuple[str, ...]
     days: Mapping[str, Mapping[str, tuple[float, float]]]
     problem: Problem
     state: State
@@ -102,7 +103,7 @@ def calibrate(
             calibration_start(problem.beliefs),
             progress=lambda done: progress(0.55 + 0.4 * done),
         )
-    state = replace(found.state, best=found.judge.here_as(found.state.effects, found.state.kappa))
+    state = replace(found.state, best=found.laplace.here_as(found.state.effects, found.state.kappa))
     best, beliefs = state.best, problem.beliefs
     free = [int(i) for i in best.free if i < len(beliefs.now)]
     causes = sorted({beliefs.cause[i] for i in free})
@@ -113,8 +114,8 @@ def calibrate(
     sd = best.deviations()
     share = {beliefs.names[i]: min(1.0, float(sd[i] / prior[i])) for i in free}
     shapes = {beliefs.names[i] for i in np.flatnonzero(beliefs.shape)}
-    untold = [name for name, s in share.items() if s > UNTOLD and name not in shapes]
-    untold += _untold_beyond(beliefs, found.judge, state)
+    undetermined = [name for name, s in share.items() if s > UNDETERMINED and name not in shapes]
+    undetermined += _undetermined_beyond(beliefs, found.laplace, state)
     told = Calibration(
         tuple(f.name for f in flights),
         tuple(beliefs.names[i] for i in free),
@@ -127,7 +128,7 @@ def calibrate(
     days, shares = days_of(problem, best), shares_of(problem, state)
     estimates = _estimates(fit, beliefs, share, settings)
     return Calibrated(
-        made, fit, estimates, share, tuple(untold), days, problem, state, shares, refused
+        made, fit, estimates, share, tuple(undetermined), days, problem, state, shares, refused
     )
 
 
@@ -159,8 +160,8 @@ def _estimates(
 ) -> dict[str, Estimate]:
     """Every number with its interval, which the number of effects that are fitted together widens
     as it does in `explain`."""
-    told = {n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNTOLD}
-    wider = math.sqrt(1 + settings.selection.beside * len(told))
+    told = {n.effect for n in fit.numbers if not n.shape and share.get(n.full, 1.0) <= UNDETERMINED}
+    wider = math.sqrt(1 + settings.selection.variance_per_effect * len(told))
     found = {}
     for effect in fit.effects:
         for t in fitted_estimates(fit, beliefs, effect, wider):
@@ -170,13 +171,13 @@ def _estimates(
     return found
 
 
-def _untold_beyond(beliefs: Beliefs, judge: Judge, state: State) -> list[str]:
+def _undetermined_beyond(beliefs: Beliefs, laplace: LaplaceEvidence, state: State) -> list[str]:
     """Numbers of effects that were left out, for all that these flights say of them."""
     found = []
     for cause in (c for c in beliefs.causes if c not in state.effects):
-        sd = judge.best((*state.effects, cause), state.kappa).deviations()
+        sd = laplace.best((*state.effects, cause), state.kappa).deviations()
         own = [i for i in beliefs.of([cause]) if beliefs.cause[i] == cause and not beliefs.shape[i]]
-        found += [beliefs.names[i] for i in own if sd[i] > UNTOLD * beliefs.slab[i]]
+        found += [beliefs.names[i] for i in own if sd[i] > UNDETERMINED * beliefs.slab[i]]
     return found
 
 

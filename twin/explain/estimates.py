@@ -16,7 +16,7 @@ from .stochastic.finding import StochasticEffect
 
 MOST_RIVALS = 5
 """That are listed."""
-UNTOLD = 0.7
+UNDETERMINED = 0.7
 """Posterior over prior deviation of a number from which on flights do not tell it."""
 MOST_OF_PRIOR = 0.5
 """The same for a number that a headline gives: the flights say more of it than the prior."""
@@ -165,14 +165,14 @@ def undecided(found: Explanation) -> tuple[str, ...]:
 
 def probability_of(found: Explanation, effect: str) -> float:
     """That an effect is missing, alone or with others."""
-    beside = beside_mean(found, effect)
-    if beside is not None:
-        return beside.probability
+    stochastic = stochastic_effect(found, effect)
+    if stochastic is not None:
+        return stochastic.probability
     assert found.naming is not None
     return found.naming.probability_of(effect)
 
 
-def beside_mean(found: Explanation, effect: str) -> StochasticEffect | None:
+def stochastic_effect(found: Explanation, effect: str) -> StochasticEffect | None:
     """An effect that changes no mean; None where it changes one."""
     return next((u for u in found.stochastic if u.effect == effect), None)
 
@@ -189,7 +189,7 @@ def best_with(naming: Naming, effect: str) -> Fit:
     return next(f for f in naming.fitted if effect in f.effects)
 
 
-def told_together(found: Explanation) -> int:
+def reported_count(found: Explanation) -> int:
     """How many effects are told at once, those among them that something acts like."""
     resembled = () if found.naming is None else found.naming.resemblances
     return len(listed_effects(found)) + len(resembled)
@@ -199,28 +199,28 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
     """The numbers of an effect that is listed, where it is there.
 
     The more effects are told, the more is open beside what the posterior holds, which
-    `SelectionSettings.beside` counts.
+    `SelectionSettings.stochastic` counts.
     """
-    beside = beside_mean(found, effect)
-    if beside is not None:
+    stochastic = stochastic_effect(found, effect)
+    if stochastic is not None:
         numbers = numbers_of([EFFECTS[effect]], found.vehicle)
-        own = beside.intervals
+        own = stochastic.intervals
         return [
-            Estimate(n, beside.values[n.full], n.about.neutral, own.get(n.full))
+            Estimate(n, stochastic.values[n.full], n.about.neutral, own.get(n.full))
             for n in numbers
-            if n.full in beside.values
+            if n.full in stochastic.values
         ]
     naming = found.naming
     assert naming is not None
-    wider = math.sqrt(1 + naming.settings.beside * told_together(found))
-    return fitted_estimates(naming.told, naming.problem.beliefs, effect, wider)
+    wider = math.sqrt(1 + naming.settings.variance_per_effect * reported_count(found))
+    return fitted_estimates(naming.conditional, naming.problem.beliefs, effect, wider)
 
 
-def where_felt(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Channels and phases on which an effect acts most; none where that is not known."""
-    beside = beside_mean(found, effect)
-    if beside is not None:
-        return beside.channels, ()
+    stochastic = stochastic_effect(found, effect)
+    if stochastic is not None:
+        return stochastic.channels, ()
     acts = next((a for a in found.attributions if a.effect == effect), None)
     return ((), ()) if acts is None else (acts.channels, acts.phases)
 
@@ -235,9 +235,9 @@ def rivals(found: Explanation, effect: str) -> list[dict[str, Any]]:
     `behind`: log probability below the best set with the effect, of the best set with the rival in
     its place, together with the effects `with`.
     """
-    beside, naming = beside_mean(found, effect), found.naming
-    if beside is not None:
-        return [{"name": "nothing", "probability": 1 - beside.probability}]
+    stochastic, naming = stochastic_effect(found, effect), found.naming
+    if stochastic is not None:
+        return [{"name": "nothing", "probability": 1 - stochastic.probability}]
     assert naming is not None
     fitted = best_with(naming, effect)
     others: dict[str, dict[str, Any]] = {}

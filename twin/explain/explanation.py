@@ -126,8 +126,8 @@ class Explanation:
         """The model with the effects that it lacks and the numbers that its file was unsure of;
         None where nothing is named and nothing was unsure, and where nothing has changed since a
         calibration. What it holds is no longer what flights calibrated."""
-        told = ("named",) if self.since is not None else ("named", "nothing")
-        if self.verdict not in told or not self.effects:
+        conclusive = ("named",) if self.since is not None else ("named", "nothing")
+        if self.verdict not in conclusive or not self.effects:
             return None
         made = with_effects(self.vehicle, self.effects, self.values)
         return replace(made, calibration=None)
@@ -165,7 +165,7 @@ def explain(
     Raises:
         ModelError: The vehicle holds no calibration to ask since.
     """
-    asked = calibrated_on(vehicle) if since else None
+    calibrated = calibrated_on(vehicle) if since else None
     cut = [[part_read(sited(f, indoors), settings.usable) for f in s] for s in (flights, holdout)]
     read, away = ([f for f, _ in some] for some in cut)
     partly = [note for some in cut for _, note in some if note is not None]
@@ -181,7 +181,7 @@ def explain(
         warnings=(*partly, *driven, *parts.warnings),
         holdout=parts.away,
         settings=settings,
-        since=asked,
+        since=calibrated,
         recorded=(*read, *away),
     )
     if not parts.fit:
@@ -202,7 +202,7 @@ def explain(
     found = _named(found, naming, [s for s in stuck if s.flight in names])
     found = replace(
         found,
-        warnings=(*found.warnings, *_not_felt(naming)),
+        warnings=(*found.warnings, *_not_observable(naming)),
         hovers=hovers_of(found.recorded, vehicle),
     )
     progress(0.65)
@@ -313,14 +313,14 @@ def hovers_of(flights: Sequence[AnyFlight], vehicle: Vehicle) -> tuple[HoverDiag
     return tuple(h for h in found if h is not None)
 
 
-def _not_felt(naming: Naming) -> list[str]:
+def _not_observable(naming: Naming) -> list[str]:
     """A line where effects have no place in what drives the model."""
-    unfelt = naming.problem.model.unfelt
-    if not unfelt:
+    unobservable = naming.problem.model.unobservable
+    if not unobservable:
         return []
     return [
         f"not visible where measured rotor speeds drive the model, which leave no command to look "
-        f"at: {', '.join(unfelt)}"
+        f"at: {', '.join(unobservable)}"
     ]
 
 
@@ -339,11 +339,11 @@ def usable_of(
 def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explanation:
     """The same with the effects that were found, and their numbers."""
     shown, settings = _shown(naming), found.settings.stochastic
-    model, steady = naming.ground.model, {} if shown is None else shown.values
+    model, steady = naming.whitened.model, {} if shown is None else shown.values
     every = (*find_stuck(stuck, settings), *find_stochastic(model, steady, settings))
-    beside = tuple(u for u in every if u.log_odds > 0)
-    verdict: Verdict = "named" if naming.verdict == "nothing" and beside else naming.verdict
-    exact = dict(steady) | {k: v for u in beside for k, v in u.values.items()}
+    stochastic = tuple(u for u in every if u.log_odds > 0)
+    verdict: Verdict = "named" if naming.verdict == "nothing" and stochastic else naming.verdict
+    exact = dict(steady) | {k: v for u in stochastic for k, v in u.values.items()}
     values = {k: float(f"{v:.{DIGITS}g}") for k, v in exact.items()}
     alike = [f"something acts like {r.effect}: {r.why}" for r in naming.resemblances]
     return replace(
@@ -351,7 +351,7 @@ def _named(found: Explanation, naming: Naming, stuck: Sequence[Stuck]) -> Explan
         verdict=verdict,
         naming=naming,
         shown=shown,
-        stochastic=beside,
+        stochastic=stochastic,
         values=values,
         warnings=(*alike, *found.warnings),
     )
@@ -367,12 +367,12 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
     assert naming is not None
     if len(naming.best.effects) > found.settings.inference.adequacy.most:
         return found
-    if any(isinstance(EFFECTS[u.effect].seen_as, RandomForce) for u in found.stochastic):
+    if any(isinstance(EFFECTS[u.effect].observable_as, RandomForce) for u in found.stochastic):
         return found  # a random force has no equation
-    ground, settings = naming.ground, found.settings.unnamed
+    whitened, settings = naming.whitened, found.settings.unnamed
     stands = _stands(naming)
-    alone = find_equations(ground, stands, seed, settings)
-    if alone is None or not explains_better(ground, naming.likely, alone, settings, stands):
+    alone = find_equations(whitened, stands, seed, settings)
+    if alone is None or not explains_better(whitened, naming.likely, alone, settings, stands):
         return found
     return replace(
         found, verdict="unnamed", shown=None, stochastic=(), values={}, unnamed=alone.equations
@@ -433,7 +433,7 @@ def _with_gap(
         attribute_effect(e, comparison.model, steady, comparison.after, settings.attribution)
         for e in effects
     ]
-    where = localize(found.naming.ground.model, steady, comparison.floors, settings.localization)
+    where = localize(found.naming.whitened.model, steady, comparison.floors, settings.localization)
     return replace(
         found,
         comparison=comparison,

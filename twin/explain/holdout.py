@@ -170,7 +170,7 @@ def compare_holdout(
 
 
 def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
-    """Numbers of a model as `Best.x`."""
+    """Numbers of a model as `MapEstimate.x`."""
     beliefs = problem.beliefs
     x = np.zeros(len(beliefs.now) + problem.rest.days.size)
     for i, (name, now) in enumerate(zip(beliefs.names, beliefs.now, strict=True)):
@@ -186,15 +186,15 @@ def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float]
     held = replace(
         problem, beliefs=replace(b, now=b.now + problem.split(x)[0], file=np.zeros_like(b.file))
     )
-    judge = held.judge(Spectrum.of(linear, shared, none, b.days))
-    return held.days(judge.best((), 1.0).x)
+    laplace = held.laplace(Spectrum.of(linear, shared, none, b.days))
+    return held.days(laplace.best((), 1.0).x)
 
 
 def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]]:
     """What all numbers leave of each channel, fitted to the flights themselves from `x` on."""
     beliefs = problem.beliefs
-    judge = problem.judge(Spectrum.of(linear, *problem.split(x), beliefs.days))
-    shared, days = problem.split(judge.best(beliefs.causes, 1.0).x - x)
+    laplace = problem.laplace(Spectrum.of(linear, *problem.split(x), beliefs.days))
+    shared, days = problem.split(laplace.best(beliefs.causes, 1.0).x - x)
     left = []
     for flight, day in zip(linear, days, strict=True):
         step = shared.copy()

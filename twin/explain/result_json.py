@@ -8,13 +8,13 @@ from typing import Any
 from ..flight.stability import Mission
 from .estimates import (
     calibrated_effects,
+    channels_and_phases,
     estimates_of,
     listed_effects,
     nothing_probability,
     probability_of,
     rivals,
     undecided,
-    where_felt,
 )
 from .explanation import Explanation
 from .holdout import ChannelGap
@@ -63,7 +63,7 @@ def explain_json(found: Explanation) -> dict[str, Any]:
 
 
 def _effect(found: Explanation, effect: str) -> dict[str, Any]:
-    channels, phases = where_felt(found, effect)
+    channels, phases = channels_and_phases(found, effect)
     return {
         "name": effect,
         "probability": probability_of(found, effect),

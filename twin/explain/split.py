@@ -8,7 +8,7 @@ import numpy as np
 from ..logs import Flight
 from ..logs.columns import ACC_NED, POS, QUAT, VEL
 from ..physics.sensors.table import SENSORS
-from .model.flight import unfelt_by
+from .model.flight import missing_imu_signals
 from .settings import DEFAULT, HoldoutSettings
 
 READINGS = tuple(c for s in SENSORS for c in s.columns)
@@ -37,7 +37,7 @@ def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
     for start, end in spans:
         within |= (time >= start) & (time < end)
     table = flight.table.copy()
-    compared = READINGS + POSE if unfelt_by([flight]) else READINGS
+    compared = READINGS + POSE if missing_imu_signals([flight]) else READINGS
     readings = [c for c in compared if c in table]
     table.loc[within == inside, readings] = np.nan
     return replace(flight, table=table)

@@ -25,7 +25,7 @@ from .model.payload import Payloads, carrying
 from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]
-_FELT = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
+_BODY_CHANNELS = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
 """What channels of force and torque begin with."""
 Event = tuple[float, float, str]
 """Start and end of what happened, s, and what it was."""
@@ -80,7 +80,7 @@ def with_readings(
     All flights of a search are compared in the channels that all have: one that shows nothing of
     force or torque would hide it in all.
     """
-    kept: list[Flight] = []
+    retained: list[Flight] = []
     reasons: list[str] = []
     named: list[tuple[Flight, list[str]]] = []
     for flight in flights:
@@ -88,12 +88,12 @@ def with_readings(
             named.append((flight, channel_names(flight, flown(flight, vehicle, payloads))))
         except LogError as error:
             reasons.append(str(error))
-    told = [any(name.startswith(_FELT) for name in names) for _, names in named]
-    every = {n for _, names in named for n in names if n.startswith(_FELT)}
-    for (flight, names), body in zip(named, told, strict=True):
+    complete = [any(name.startswith(_BODY_CHANNELS) for name in names) for _, names in named]
+    every = {n for _, names in named for n in names if n.startswith(_BODY_CHANNELS)}
+    for (flight, names), body in zip(named, complete, strict=True):
         if not names:
             reasons.append(f"{flight.name}: no reading is known for long enough in the air")
-        elif any(told) and not body:
+        elif any(complete) and not body:
             reasons.append(
                 f"{flight.name}: neither accelerometer, gyroscope nor pose with attitude is known "
                 f"for long enough in the air, as in other flights"
@@ -104,8 +104,8 @@ def with_readings(
                 f"a limit, as in other flights"
             )
         else:
-            kept.append(flight)
-    return kept, reasons
+            retained.append(flight)
+    return retained, reasons
 
 
 def _has_read(flight: Flight, channel: str) -> bool:

@@ -104,7 +104,7 @@ def responds_to_wind(twin: Assembly) -> bool:
 
 def gust_switches(on: bool) -> dict[str, float]:
     """Start values that let the air of an assembly gust, or keep it steady."""
-    blown = (e for e in EFFECTS.values() if isinstance(e.seen_as, RandomForce))
+    blown = (e for e in EFFECTS.values() if isinstance(e.observable_as, RandomForce))
     return {f"{e.component}.{e.name}.enabled": float(on) for e in blown}
 
 

@@ -145,7 +145,7 @@ def simulate_flight(
 def _added(effects: Iterable[str], flown: Vehicle) -> list[str]:
     """Effects that the airframe needs a place for, switched off."""
     own = [e for e in effects if EFFECTS[e].in_the_air and e not in flown.effects]
-    return [e for e in own if not isinstance(EFFECTS[e].seen_as, Shift)]
+    return [e for e in own if not isinstance(EFFECTS[e].observable_as, Shift)]
 
 
 def _changes(before: Component, after: Component) -> dict[str, tuple[float, float]]:
@@ -186,10 +186,10 @@ def _recorded(
 def _stuck_columns(effects: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, float]]:
     """Columns that stand still, noise and all, and since when, s."""
     for effect, numbers in effects.items():
-        seen_as = EFFECTS[effect].seen_as
-        if isinstance(seen_as, Repeats) and numbers[seen_as.channel] >= 1:
-            column = seen_as.channels[round(numbers[seen_as.channel]) - 1]
-            yield column, numbers.get(seen_as.since, 0.0)
+        observable_as = EFFECTS[effect].observable_as
+        if isinstance(observable_as, Repeats) and numbers[observable_as.channel] >= 1:
+            column = observable_as.channels[round(numbers[observable_as.channel]) - 1]
+            yield column, numbers.get(observable_as.since, 0.0)
 
 
 def _sense(known: dict[str, Array], flown: Vehicle, recorder: Recorder) -> None:
@@ -246,10 +246,10 @@ def _punctual(vehicle: Vehicle, recorder: Recorder) -> Vehicle:
 
 def _of_record(effect: str, recorder: Recorder) -> Shift | None:
     """What an effect shifts in a record; a sensor that is late is so in its component."""
-    seen_as = EFFECTS[effect].seen_as
-    if not isinstance(seen_as, Shift) or EFFECTS[effect].component in components_of_sensors():
+    observable_as = EFFECTS[effect].observable_as
+    if not isinstance(observable_as, Shift) or EFFECTS[effect].component in components_of_sensors():
         return None
-    return None if seen_as.acts and not recorder.early_commands else seen_as
+    return None if observable_as.acts and not recorder.early_commands else observable_as
 
 
 def _late_columns(
@@ -275,11 +275,11 @@ def _late_columns(
 def _averaged_columns(plant: Vehicle, known: Sequence[str]) -> Iterator[tuple[str, float]]:
     """Columns of a record that are averages over time, and the standard width of each, s."""
     for effect, numbers in plant.effects.items():
-        seen_as = EFFECTS[effect].seen_as
-        if isinstance(seen_as, Average):
-            for number in seen_as.spreads.keys() & {k for k, v in numbers.items() if v > 0}:
+        observable_as = EFFECTS[effect].observable_as
+        if isinstance(observable_as, Average):
+            for number in observable_as.spreads.keys() & {k for k, v in numbers.items() if v > 0}:
                 for column in known:
-                    if column.rpartition("_")[0] in seen_as.spreads[number]:
+                    if column.rpartition("_")[0] in observable_as.spreads[number]:
                         yield column, float(np.sqrt(numbers[number]))
 
 

@@ -349,7 +349,7 @@ class Alignment:
 
 def _quiet(sensor: Component) -> Component:
     """The sensor without its noise: what it reads on average is compared with the flight."""
-    louder = (e.name for e in EFFECTS.values() if isinstance(e.seen_as, NoiseFloor))
+    louder = (e.name for e in EFFECTS.values() if isinstance(e.observable_as, NoiseFloor))
     ends = ("_noise", "_bias_walk", *(f"{name}.enabled" for name in louder))
     noise = [v.name for v in sensor.parameters if v.name.endswith(ends)]
     return sensor.with_starts(dict.fromkeys(noise, 0.0))

@@ -124,7 +124,7 @@ def prompt_imu(vehicle: Vehicle, effects: Iterable[str] = ()) -> Component:
     prompt = {
         name: numbers
         for name, numbers in vehicle.effects.items()
-        if isinstance(EFFECTS[name].seen_as, Equation)
+        if isinstance(EFFECTS[name].observable_as, Equation)
     }
     still = replace(vehicle, accel_cutoff_hz=None, gyro_cutoff_hz=None)
     return imu(still.with_effects(prompt), effects)

@@ -5,12 +5,12 @@ from typing import Any
 
 from twin.effects import EFFECTS, RandomForce
 from twin.explain.estimates import (
-    beside_mean,
+    channels_and_phases,
     estimates_of,
     listed_effects,
     probability_of,
     rivals,
-    where_felt,
+    stochastic_effect,
 )
 from twin.explain.explanation import Explanation
 
@@ -88,7 +88,7 @@ def _page(found: Explanation, budget: Budget) -> str:
 
 def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
     """One effect as the template reads it."""
-    channels, phases = where_felt(found, effect)
+    channels, phases = channels_and_phases(found, effect)
     figures, how, over = _evidence(found, effect, budget)
     return {
         "name": title(effect),
@@ -105,7 +105,7 @@ def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
                         strict=True,
                     )
                 ),
-                "told_by": by_prior(found, t.prior_share),
+                "informed_by": by_prior(found, t.prior_share),
             }
             for t in estimates_of(found, effect)
         ],
@@ -158,11 +158,11 @@ def _evidence(
     compared = found.comparison
     if acts is not None and compared is not None:
         return *steady_evidence(acts, compared.after, compared.model.flights, budget), None
-    unsteady = beside_mean(found, effect)
+    unsteady = stochastic_effect(found, effect)
     felt = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
     if unsteady is None or not felt:
         return [], "", None
-    if compared is None or not isinstance(EFFECTS[effect].seen_as, RandomForce):
+    if compared is None or not isinstance(EFFECTS[effect].observable_as, RandomForce):
         shown = unsteady_evidence(unsteady, felt[-1], (), found.vehicle, budget)
         return *shown, unsteady_strip(effect, felt[-1])
     flight = compared.model.flights[0].flight

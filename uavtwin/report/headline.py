@@ -16,12 +16,12 @@ from twin.effects import EFFECTS
 from twin.explain.calibration import Calibrated
 from twin.explain.estimates import (
     Estimate,
-    beside_mean,
     estimates_of,
     fitted_estimates,
     listed_effects,
     nothing_probability,
     probability_of,
+    stochastic_effect,
     undecided,
 )
 from twin.explain.explanation import Explanation
@@ -149,13 +149,13 @@ def _phrase(
     found: Explanation, effect: str, estimates: Sequence[Estimate], most: int, since: bool = False
 ) -> Headline:
     """An effect with the numbers that a headline may give."""
-    beside = beside_mean(found, effect)
-    if beside is None:
+    stochastic = stochastic_effect(found, effect)
+    if stochastic is None:
         size = sizes(effect, estimates, most, since)
         return Headline(f"{title(effect)}{': ' * bool(size.text)}{size.text}", size.numbers)
     told = [t for t in estimates if t.determined or t.number.shape][:most]
     texts = [f"{t.number.name} = {quantity(t.value, t.number.about.unit)}" for t in told]
-    where = f"{title(effect)} in {', '.join(beside.channels)}"
+    where = f"{title(effect)} in {', '.join(stochastic.channels)}"
     numbers = tuple(t.number.full for t in told)
     return Headline(where + (f": {joined(texts)}" if texts else ""), numbers)
 
@@ -238,7 +238,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
         first, later = leading(effects, naming.shares, _determined(estimates))
         parts = [
             _phrase(found, e, estimates[e], 1)
-            if beside_mean(found, e) is not None
+            if stochastic_effect(found, e) is not None
             else _change(naming, e, estimates[e])
             for e in first
         ]

@@ -5,10 +5,10 @@ from typing import Any
 
 from twin.effects import EFFECTS
 from twin.explain.estimates import (
-    UNTOLD,
-    beside_mean,
+    UNDETERMINED,
     calibrated_effects,
     estimates_of,
+    stochastic_effect,
 )
 from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
@@ -22,7 +22,7 @@ TOLD_BY_PRIOR = "told by the prior"
 
 def instead(found: Explanation, effect: str) -> str:
     """What else may stand in the place of an effect, in words; "" where nothing may."""
-    if found.naming is None or beside_mean(found, effect) is not None:
+    if found.naming is None or stochastic_effect(found, effect) is not None:
         return ""
     parts = []
     for cause in found.naming.one_of(effect):
@@ -33,7 +33,7 @@ def instead(found: Explanation, effect: str) -> str:
 
 def by_prior(found: Explanation, share: float | None) -> str:
     """What is said beside a number of which flights say little; "" of others."""
-    if share is None or share <= UNTOLD:
+    if share is None or share <= UNDETERMINED:
         return ""
     return TOLD_BY_PRIOR if found.since is None else "told by the calibration"
 

@@ -56,15 +56,15 @@ def _changes(
 ) -> dict[str, Array]:
     """Readings with the effect less those without, rows over time."""
     nominal, truth = aircraft.nominal, trace.truth[:, :, i].T
-    felt, turning = _moved(aircraft, alone, trace, i, dynamics)
-    felt_0, turning_0 = _moved(aircraft, nominal, trace, i, dynamics)
+    imu_force, turning = _moved(aircraft, alone, trace, i, dynamics)
+    imu_force_0, turning_0 = _moved(aircraft, nominal, trace, i, dynamics)
     late = alone.imu_delay * STEP_S
     rates, pose_late = truth[10:13], alone.position_delay * STEP_S
     acceleration = np.gradient(truth[3:6], 1 / CONTROL_HZ, axis=1)
     return {
-        "acc_": accelerometer(alone, felt)
-        - accelerometer(nominal, felt_0)
-        - late * np.gradient(felt_0, 1 / CONTROL_HZ, axis=1),
+        "acc_": accelerometer(alone, imu_force)
+        - accelerometer(nominal, imu_force_0)
+        - late * np.gradient(imu_force_0, 1 / CONTROL_HZ, axis=1),
         "gyro_": (alone.gyro_scale - 1)[:, None] * rates
         + alone.gyro_bias[:, None]
         - late * truth[13:16],
@@ -113,4 +113,4 @@ def _moved(
     x[layout.rotor] = lfilter([0.0, 1 - stay], [1.0, -stay], target, axis=1, zi=begin)[0]
     wind = np.asarray(p.wind)[:, None]
     at = motion(batch, layout, x, command, wind, 0.0, dynamics)
-    return at.felt, at.angular_acceleration
+    return at.imu_force, at.angular_acceleration

@@ -172,10 +172,10 @@ class _File:
         argument = f', of = "{of}"' if of else ""
         self._entry(key, f'coefficients = {_text([*coefficients])}, unit = "{unit}"{argument}')
 
-    def _entry(self, key: str, told: str) -> None:
+    def _entry(self, key: str, value: str) -> None:
         known = self._deviations.get(f"{self._section}.{key}")
         deviation = f", sd = {known}" if known else ""
-        self.lines.append(f'{key} = {{ {told}, source = "{_MADE_UP}"{deviation} }}')
+        self.lines.append(f'{key} = {{ {value}, source = "{_MADE_UP}"{deviation} }}')
 
 
 def vehicle_toml(

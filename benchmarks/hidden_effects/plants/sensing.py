@@ -32,7 +32,7 @@ def flight_table(order: Order, trace: Trace, i: int) -> pd.DataFrame:
     rng = np.random.default_rng([*order.seed, 1])
     noise, p = order.noise, order.plant
     k = np.arange(len(trace.acc))
-    pose = seen_pose(p, trace, i)
+    pose = measured_pose(p, trace, i)
     pos = pose[:3] + trace.draws.pos[:, :, i].T
     vel = pose[3:6] + trace.draws.vel[:, :, i].T
     q = turned(pose[6:], trace.draws.attitude[:, :, i].T)
@@ -84,7 +84,7 @@ def gyroscope(p: Parameters, trace: Trace, i: int) -> Array:
     return np.asarray(p.gyro_scale[:, None] * trace.gyro[:, :, i].T + p.gyro_bias[:, None])
 
 
-def seen_pose(p: Parameters, trace: Trace, i: int) -> Array:
+def measured_pose(p: Parameters, trace: Trace, i: int) -> Array:
     """Position, velocity and attitude of the position sensor without noise, shape (10, k)."""
     attitude = trace.pose[:, 6:, i] if p.late_attitude else trace.truth[:, 6:10, i]
     return np.concatenate([trace.pose[:, :6, i].T, attitude.T])

@@ -131,8 +131,8 @@ class _Call:
             for k, shape in _SETTINGS.items()
         ]
         self._buffer, self._run = mapped.buffer()
-        self._kept = (self._state, self._command, *constant)
-        for i, array in enumerate(self._kept):
+        self._retained = (self._state, self._command, *constant)
+        for i, array in enumerate(self._retained):
             self._buffer.set_arg(i, array.data)
         self._buffer.set_res(0, self._rate.data)
 

@@ -26,7 +26,7 @@ def of_inclusion(outcomes: Sequence[Outcome]) -> list[Forecast]:
     """Of every candidate effect, named or not."""
     return [
         Forecast(p, name in o.hidden)
-        for o in _asked(outcomes)
+        for o in _without_since(outcomes)
         for name, p in (o.said.get("inclusion") or {}).items()
         if name not in o.excused
     ]
@@ -36,13 +36,13 @@ def of_names(outcomes: Sequence[Outcome]) -> list[Forecast]:
     """Of the effects that were named."""
     return [
         Forecast(e["probability"], e["name"] in o.hidden)
-        for o in _asked(outcomes)
+        for o in _without_since(outcomes)
         for e in o.said["effects"]
         if o.verdict == "named" and e["name"] not in o.excused
     ]
 
 
-def _asked(outcomes: Sequence[Outcome]) -> list[Outcome]:
+def _without_since(outcomes: Sequence[Outcome]) -> list[Outcome]:
     return [o for o in outcomes if o.kind != "since"]
 
 

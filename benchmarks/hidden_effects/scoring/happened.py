@@ -25,7 +25,7 @@ def class_said(o: Outcome) -> str:
 def classes_said(o: Outcome) -> set[str]:
     """That class, and those of what cannot be told from the surest name."""
     first = next((n for n in o.named if n not in _MOVED), "")
-    names = o.cannot_be_told_from(first) if first else set()
+    names = o.indistinguishable_from(first) if first else set()
     return {class_said(o)} | {c for c, of_class in CLASSES.items() if names & of_class}
 
 

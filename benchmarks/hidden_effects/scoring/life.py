@@ -145,7 +145,7 @@ def _precision(many: Sequence[Outcome]) -> tuple[int, int]:
 
 def _stands_for(o: Outcome, name: str) -> set[str]:
     """Effects that count as said with a name."""
-    return o.cannot_be_told_from(name) | (_FAMILY if name in _FAMILY else set())
+    return o.indistinguishable_from(name) | (_FAMILY if name in _FAMILY else set())
 
 
 def _errors(o: Outcome) -> Iterator[ParameterError]:

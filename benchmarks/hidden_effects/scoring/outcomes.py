@@ -71,7 +71,7 @@ class Outcome:
         far = {e["effect"] for e in self.truth.get("file", ()) if abs(e["z"]) > FAR}
         return (late | far) - self.hidden
 
-    def cannot_be_told_from(self, name: str) -> set[str]:
+    def indistinguishable_from(self, name: str) -> set[str]:
         """Effects that the program says could stand for a name as well, the name with it; of one
         rotor or clock, "effect:part", the effect counts."""
         of_name = [e.get("one_of") or [] for e in self.said["effects"] if e["name"] == name]

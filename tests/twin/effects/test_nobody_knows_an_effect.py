@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twin.effects import _MODULES, EFFECTS, Effect, Repeats, Shift
-from twin.effects.seen import Average, Lines, NoiseFloor, RandomForce
+from twin.effects.observability import Average, Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
@@ -55,7 +55,7 @@ def test_no_effect_is_known_by_name(path: Path) -> None:
         for line, text in literals(ast.parse(path.read_text(encoding="utf-8")))
         if " " not in text and NAMED.fullmatch(text)
     ]
-    assert not found, "let the effect say how it is seen (twin/effects/seen.py)"
+    assert not found, "let the effect say how it is seen (twin/effects/observability.py)"
 
 
 def test_the_pattern_finds_names() -> None:
@@ -67,7 +67,7 @@ def test_the_pattern_finds_names() -> None:
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=EFFECTS)
 def test_what_an_effect_says_of_itself_names_its_own_numbers(effect: Effect) -> None:
     own = {p.name for p in (*effect.parameters, *effect.of_logs)}
-    match effect.seen_as:
+    match effect.observable_as:
         case Shift(moves=moves):
             named = {*moves}
         case Average(spreads=spreads):

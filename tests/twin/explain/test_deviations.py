@@ -73,8 +73,10 @@ def test_an_error_of_six_deviations_has_a_name() -> None:
     assert "mass_offset" in found.naming.named
     assert found.values["mass_offset.mass_kg"] == pytest.approx(0.12 * COPTER.mass_kg, rel=0.2)
     assert calibrated_effects(found) == []
-    told = found.naming.told
-    width = dict(zip((n.full for n in told.numbers), told.half_widths.tolist(), strict=True))
+    conditional = found.naming.conditional
+    width = dict(
+        zip((n.full for n in conditional.numbers), conditional.half_widths.tolist(), strict=True)
+    )
     n = len(found.naming.named) + len(found.naming.resemblances)
     (mass,) = estimates_of(found, "mass_offset")
     assert mass.ci95 is not None
@@ -105,7 +107,7 @@ def test_a_number_at_its_edge_is_of_something_that_acts_like_its_effect() -> Non
     for value, why in ((1.2, "at the edge"), (1.06, "5.8 deviations"), (1.02, "")):
         numbers = tuple(n for n in problem.model.numbers if n.effect == "gyro_scale")
         values = {n.full: 1.0 for n in numbers} | {"gyro_scale.x": value}
-        told = Fit(("gyro_scale",), values, numbers, np.zeros(3), 0.0)
-        found = _resemblances(problem, told, told, {}, rules)
+        conditional = Fit(("gyro_scale",), values, numbers, np.zeros(3), 0.0)
+        found = _resemblances(problem, conditional, conditional, {}, rules)
         assert [r.effect for r in found] == ["gyro_scale"] * bool(why)
         assert all(why in r.why for r in found)

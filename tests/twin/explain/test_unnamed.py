@@ -12,7 +12,7 @@ from search_rigs.library import library
 from twin.component.sampled import noiseless_outputs
 from twin.explain.explanation import explain
 from twin.explain.inference.fit import Fit
-from twin.explain.inference.whitening import Block, Ground
+from twin.explain.inference.whitening import Block, WhitenedFlights
 from twin.explain.unnamed.equations import (
     _band,
     _spectrum,
@@ -47,12 +47,12 @@ LIBRARY = ("rotor_drag", "accel_bias", "thrust_scale")
 NOTHING = Fit((), {}, (), np.zeros(0), 0.0)
 
 
-def fitted(flight: Flight, *effects: str) -> tuple[Ground, Fit]:
+def fitted(flight: Flight, *effects: str) -> tuple[WhitenedFlights, Fit]:
     """The flight with the noise that some effects of a small library leave of it, and their
     numbers."""
     problem = against(flight, COPTER, *LIBRARY)
     fit = fit_set(problem, effects)
-    return Ground.of(problem.model, fit.values), fit
+    return WhitenedFlights.of(problem.model, fit.values), fit
 
 
 def planted(flight: Flight, force: Callable[[Array, Array], Array]) -> Flight:
@@ -81,8 +81,8 @@ def quiet() -> Flight:
 @pytest.mark.slow
 def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> None:
     drag = planted(quiet, lambda _, v: CUBIC_S_M2 * (v * v).sum(axis=0) * v[0])
-    ground, _ = fitted(drag)
-    found = find_equations(ground, NOTHING)
+    whitened, _ = fitted(drag)
+    found = find_equations(whitened, NOTHING)
     assert found is not None
     (equation,) = found.equations
     assert equation.channel == "acc_x"
@@ -93,13 +93,13 @@ def test_a_foreign_drag_is_found_with_coefficient_and_unit(quiet: Flight) -> Non
     assert equation.share > 0.9
     assert found.gain == pytest.approx(equation.gain)
     _, bias = fitted(drag, "accel_bias")
-    assert explains_better(ground, [NOTHING, bias], found)
+    assert explains_better(whitened, [NOTHING, bias], found)
 
 
 @pytest.mark.slow
 def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
-    ground, _ = fitted(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
-    found = find_equations(ground, NOTHING)
+    whitened, _ = fitted(planted(quiet, lambda t, _: 0.4 * np.sin(2 * np.pi * TONE_HZ * t)))
+    found = find_equations(whitened, NOTHING)
     assert found is not None
     (equation,) = found.equations
     hz = [float(term.split()[1]) for term, _, _ in equation.terms if "Hz" in term]
@@ -111,20 +111,20 @@ def test_a_shaking_is_found_with_its_frequency(quiet: Flight) -> None:
 
 @pytest.mark.slow
 def test_no_equation_where_nothing_is_missing(quiet: Flight) -> None:
-    ground, _ = fitted(quiet)
-    assert find_equations(ground, NOTHING) is None
-    assert not explains_better(ground, [NOTHING], None)
+    whitened, _ = fitted(quiet)
+    assert find_equations(whitened, NOTHING) is None
+    assert not explains_better(whitened, [NOTHING], None)
 
 
 @pytest.mark.slow
 def test_an_effect_of_the_library_is_not_called_unnamed() -> None:
     drag = COPTER.drag_linear_n_s_m + 0.5 * COPTER.mass_kg * np.array([1.0, 1.0, 0.0])
     dragged = fly(COPTER, replace(COPTER, drag_linear_n_s_m=drag), 1, "drag", LEGS)
-    ground, right = fitted(without_gyro(dragged), "rotor_drag")
-    alone = find_equations(ground, NOTHING)
+    whitened, right = fitted(without_gyro(dragged), "rotor_drag")
+    alone = find_equations(whitened, NOTHING)
     assert alone is not None
-    assert covered(ground, right, alone) > 0.9
-    assert not explains_better(ground, [NOTHING, right], alone)
+    assert covered(whitened, right, alone) > 0.9
+    assert not explains_better(whitened, [NOTHING, right], alone)
 
 
 def test_only_columns_that_pay_out_of_sample_are_picked() -> None:

@@ -20,7 +20,7 @@ from search_rigs.hypotheses import problem_of as problem_about
 from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers, shown
 from twin.effects import EFFECTS, Shift
 from twin.explain.inference.beliefs import effect_of
-from twin.explain.inference.fit import worth_a_name
+from twin.explain.inference.fit import substantial_effects
 from twin.explain.inference.refit import Problem
 from twin.explain.inference.selection import days_of
 from twin.explain.model.model import Model, candidates
@@ -46,17 +46,17 @@ def problem_of(flight: Flight) -> Problem:
 
 def likely(problem: Problem) -> list[str]:
     """Single effects by what they gain where the model as it stands is linear, the best first."""
-    judge, gains = problem.judge(problem.rest), {}
+    laplace, gains = problem.laplace(problem.rest), {}
     for e in problem.model.effects:
         causes = [c for c in problem.beliefs.causes if effect_of(c) == e]
-        gains[e] = judge.best(causes, 1.0).evidence
+        gains[e] = laplace.best(causes, 1.0).evidence
     return sorted(gains, key=lambda e: -gains[e])
 
 
 def test_the_flight_shows_every_effect_that_changes_a_mean() -> None:
     _, _, _, names = library()
     assert {*names} == {e.name for e in candidates([blank()])}
-    others = {type(EFFECTS[e].seen_as).__name__ for e in EFFECTS if e not in names}
+    others = {type(EFFECTS[e].observable_as).__name__ for e in EFFECTS if e not in names}
     assert others == {"NoiseFloor", "Lines", "RandomForce", "Repeats"}  # see test_unsteady
 
 
@@ -84,11 +84,11 @@ def test_an_effect_is_the_best_single_explanation_of_itself(effect: str) -> None
     own = columns_of(problem.model.numbers, [effect])
     (rows,) = problem.model.channels(own)
     assert any(np.any(c.slopes) for c in rows), f"{effect}: slope 0"
-    of_clocks = isinstance(EFFECTS[effect].seen_as, Shift) and EFFECTS[effect].of_vehicle
+    of_clocks = isinstance(EFFECTS[effect].observable_as, Shift) and EFFECTS[effect].of_vehicle
     rivals = [e for e in likely(problem) if EFFECTS[e].of_vehicle or not of_clocks]
     nothing = nothing_of(problem)
     fits = {e: fit_set(problem, [e], nothing) for e in {*rivals[:TRIED], effect}}
-    named = [e for e, f in fits.items() if e in worth_a_name(f)]
+    named = [e for e, f in fits.items() if e in substantial_effects(f)]
     best = max(named, key=lambda e: fits[e].gain, default=None)
     check_picture(effect, problem.model)
     gains = {e: round(f.gain, 1) for e, f in sorted(fits.items(), key=lambda f: -f[1].gain)}

@@ -116,7 +116,7 @@ def suggestions(
         progress: Called with the share done.
         settings: Sizes of manoeuvres.
     """
-    block_s = naming.ground.settings.block_s
+    block_s = naming.whitened.settings.block_s
     rivals, flights = naming.fitted[:2], _flights(naming)
     listed = [m for m in _flyable(naming, vehicle, settings) if among is None or m.name in among]
     leads = {m.name: 0.0 for m in listed}
@@ -151,7 +151,7 @@ def _parting(
     """What one explanation predicts for a flight beyond another, by blocks of time."""
     union = {*truth.effects, *other.effects}
     model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
-    noise = dict(zip(_names(naming.ground.model), naming.ground.noise, strict=True))
+    noise = dict(zip(_names(naming.whitened.model), naming.whitened.noise, strict=True))
     true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
     rows = [
         replace(c, residual=c.residual - true[c.name])
@@ -159,7 +159,7 @@ def _parting(
         if c.name in noise
     ]
     even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
-    return blocks_of([rows], even, naming.ground.settings) if rows else {}
+    return blocks_of([rows], even, naming.whitened.settings) if rows else {}
 
 
 def lead(blocks: Sequence[Block], held: Held) -> float:
@@ -181,10 +181,10 @@ def lead(blocks: Sequence[Block], held: Held) -> float:
 
 def _held(naming: Naming, fitted: Fit) -> Held:
     """How far the flights so far, and the priors, let the numbers of an explanation move."""
-    ground = naming.ground
-    answers = _answers(ground.model, fitted)
-    blocks = blocks_of(answers, ground.noise, ground.settings).values()
-    numbers = _numbers(ground.model, fitted)
+    whitened = naming.whitened
+    answers = _answers(whitened.model, fitted)
+    blocks = blocks_of(answers, whitened.noise, whitened.settings).values()
+    numbers = _numbers(whitened.model, fitted)
     at = {n.full: n.now for n in numbers} | dict(fitted.values)  # of some rotors, maybe
     prior = np.diag([1 / n.sd**2 for n in numbers])
     return Held(
@@ -196,13 +196,13 @@ def _held(naming: Naming, fitted: Fit) -> Held:
 
 def _present(naming: Naming, a: Fit, b: Fit) -> float:
     """Log likelihood by which the truth leads in the flights so far: both are at their best."""
-    ground, model = naming.ground, naming.ground.model
+    whitened, model = naming.whitened, naming.whitened.model
     ours, theirs = model.channels([], a.values), model.channels([], b.values)
     rows = [
         [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
         for f, g in zip(ours, theirs, strict=True)
     ]
-    blocks = blocks_of(rows, ground.noise, ground.settings).values()
+    blocks = blocks_of(rows, whitened.noise, whitened.settings).values()
     return 0.5 * sum(block.power for block in blocks)
 
 
@@ -243,12 +243,12 @@ def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list
     charged = volts_of(flights, vehicle) >= vehicle.voltage_v
     listed = manoeuvres(vehicle, charged, settings)
     effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
-    felt = vehicle.rotors.reference_voltage_v is not None
-    felt = felt or any("vbat" in EFFECTS[e].needs for e in effects)
-    if felt and all(f.has("vbat_v") for f in flights):
+    voltage_matters = vehicle.rotors.reference_voltage_v is not None
+    voltage_matters = voltage_matters or any("vbat" in EFFECTS[e].needs for e in effects)
+    if voltage_matters and all(f.has("vbat_v") for f in flights):
         return list(listed)
     return [m for m in listed if m.voltage == 1]
 
 
 def _flights(naming: Naming) -> list[Flight]:
-    return [m.flight for m in naming.ground.model.flights]
+    return [m.flight for m in naming.whitened.model.flights]

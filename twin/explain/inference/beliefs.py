@@ -125,7 +125,7 @@ def _cause_of(number: Number) -> str:
         return f"{number.effect}:{number.name.removeprefix(number.about.name).lstrip('_')}"
     effect = EFFECTS[number.effect]
     several = len(effect.parameters) + len(effect.of_logs) > 1
-    if several and isinstance(effect.seen_as, Shift):
+    if several and isinstance(effect.observable_as, Shift):
         return f"{number.effect}:{number.name}"
     return number.effect
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..model.model import Model
 from .beliefs import effect_of
-from .evidence import Judge
+from .evidence import LaplaceEvidence
 from .refit import State
 
 POWER_95 = 1.645
@@ -67,7 +67,7 @@ def critical_size(
 
 
 def smallest_detectable(
-    model: Model, judge: Judge, state: State, sure: float
+    model: Model, laplace: LaplaceEvidence, state: State, sure: float
 ) -> Mapping[str, Detectable]:
     """By effect that is not in the final set, the smallest one that flights would show.
 
@@ -76,16 +76,16 @@ def smallest_detectable(
 
     Args:
         model: Numbers in the order of the search.
-        judge: The linearisation at the end of a search.
+        laplace: The linearisation at the end of a search.
         state: The final set of effects.
         sure: Probability from which on an effect is named.
     """
-    b = judge.beliefs
+    b = laplace.beliefs
     present = {effect_of(c) for c in state.effects}
     found: dict[str, tuple[float, Detectable]] = {}
-    for cause in (c for c in b.causes if effect_of(c) not in present and not judge.silent(c)):
+    for cause in (c for c in b.causes if effect_of(c) not in present and not laplace.silent(c)):
         own = [int(i) for i in b.of([cause]) if b.cause[i] == cause and not b.shape[i]]
-        sd = judge.best((*state.effects, cause), state.kappa).deviations()
+        sd = laplace.best((*state.effects, cause), state.kappa).deviations()
         informed = np.array([sd[i] < (1 - 1e-6) * b.slab[i] for i in own])
         noise = {i: 1 / (sd[i] ** -2.0 - b.slab[i] ** -2.0) for i in np.array(own)[informed]}
         penalty = {

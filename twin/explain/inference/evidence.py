@@ -99,7 +99,7 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True)
-class Best:
+class MapEstimate:
     """A set of effects at its best in one linearisation.
 
     Attributes:
@@ -125,7 +125,7 @@ class Best:
         return sd
 
 
-class Judge:
+class LaplaceEvidence:
     """Sets of effects in one linearisation."""
 
     def __init__(
@@ -160,11 +160,11 @@ class Judge:
         self._limited = {
             e for e, c in self._columns.items() if np.any(bounds.rows[:, c] if c.size else 0)
         }
-        self._known: dict[tuple[tuple[str, ...], float], Best] = {}
+        self._known: dict[tuple[tuple[str, ...], float], MapEstimate] = {}
 
     @property
     def here(self) -> Array:
-        """Where the residuals were taken, as `Best.x`."""
+        """Where the residuals were taken, as `MapEstimate.x`."""
         return np.concatenate([self.spectrum.theta, self.spectrum.days.ravel()])
 
     def _sum(self) -> None:
@@ -277,7 +277,7 @@ class Judge:
         prior = -0.5 * (y - mean) @ precision @ (y - mean)
         return self._density(np.maximum(rss, 0), kappa) + float(prior) + odds
 
-    def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> Best:
+    def best(self, on: Sequence[str], kappa: float, reach: Array | None = None) -> MapEstimate:
         """The best numbers of a set, and its evidence.
 
         Args:
@@ -292,7 +292,7 @@ class Judge:
             self._known[key] = self._solve(key[0], kappa, self.here, STEPS)
         return self._known[key]
 
-    def here_as(self, on: Sequence[str], kappa: float) -> Best:
+    def here_as(self, on: Sequence[str], kappa: float) -> MapEstimate:
         """The evidence of a set with its numbers left where the residuals were taken."""
         return self._solve(tuple(sorted(on)), kappa, self.here, 0)
 
@@ -303,7 +303,7 @@ class Judge:
         start: Array,
         steps: int,
         reach: Array | None = None,
-    ) -> Best:
+    ) -> MapEstimate:
         free, mean, precision, odds = self._prior(on, kappa)
         g = self._grams[:, 1 + free[:, None], 1 + free]
         q, power = self._grams[:, 0, 1 + free], self._grams[:, 0, 0]
@@ -354,7 +354,7 @@ class Judge:
         laplace = 0.5 * (Factored.of(precision).log_determinant - h.log_determinant)
         full = np.zeros(len(self._low))
         full[free] = x
-        return Best(now + laplace + odds, kappa, full, free, h.inverse())
+        return MapEstimate(now + laplace + odds, kappa, full, free, h.inverse())
 
     def _allowed(self, x: Array, free: NDArray[np.intp], h: "Factored") -> Array:
         """Numbers with what nature rules out taken back."""

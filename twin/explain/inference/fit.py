@@ -12,7 +12,7 @@ from ...representation import short_repr
 from ..model.model import Model
 from ..model.numbers import Number
 from .beliefs import effect_of
-from .evidence import Best
+from .evidence import MapEstimate
 from .refit import Problem
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ def fit_of(
     deviations: Array,
     gain: float,
 ) -> Fit:
-    """Some causes with numbers, days among them, and their deviations, as `Best.x` has them."""
+    """Fit of some causes from `MapEstimate.x`, days included, and its standard deviations."""
     on = tuple(sorted({effect_of(c) for c in causes}))
     own = problem.beliefs.of(causes)
     numbers = tuple(problem.model.numbers[problem.beliefs.columns[i]] for i in own)
@@ -71,12 +71,12 @@ def fit_of(
     return Fit(on, values, numbers, INTERVAL * deviations[own], gain, problem.days(x))
 
 
-def fit_of_best(problem: Problem, causes: Sequence[str], best: Best, nothing: float) -> Fit:
+def fit_of_best(problem: Problem, causes: Sequence[str], best: MapEstimate, nothing: float) -> Fit:
     """A set in a linearisation."""
     return fit_of(problem, causes, best.x, best.deviations(), best.evidence - nothing)
 
 
-def worth_a_name(fitted: Fit) -> tuple[str, ...]:
+def substantial_effects(fitted: Fit) -> tuple[str, ...]:
     """Effects of a set that are large enough to speak of."""
     sizes, same = fitted.sizes(), _same_in_sum(fitted)
     return tuple(e for e in fitted.effects if sizes[e] >= 1 and e not in same)

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...representation import short_repr
-from .evidence import Best, Judge
+from .evidence import LaplaceEvidence, MapEstimate
 from .refit import Problem
-from .search import Found, is_time, worth
+from .search import SearchResult, is_time, log_posterior
 
 Array = NDArray[np.float64]
 Set = tuple[str, ...]
@@ -24,14 +24,14 @@ SWEEPS = 12
 """Of the chain."""
 WINDOW = 12.0
 """Nats below the best set from which on a set does not matter."""
-HOPELESS, SURE, TWICE = 7.0, 30.0, 2
+PRUNE_BELOW, PRUNE_ABOVE, PRUNE_AFTER = 7.0, 30.0, 2
 """Nats that an effect costs, or earns, from which on it is asked no more, once it said so twice."""
 EXCHANGED = -0.3
 """Correlation of two inclusions from which on one stands for the other."""
 
 
 @dataclass(frozen=True, slots=True)
-class Weighed:
+class ScoredModel:
     """A set of effects.
 
     Attributes:
@@ -42,7 +42,7 @@ class Weighed:
 
     effects: Set
     probability: float
-    best: Best
+    best: MapEstimate
 
     __repr__ = short_repr
 
@@ -58,7 +58,7 @@ class Posterior:
         without: Of each effect of the best set, evidence that it adds, nats, fitted again.
     """
 
-    sets: tuple[Weighed, ...]
+    sets: tuple[ScoredModel, ...]
     inclusion: Mapping[str, float]
     without: Mapping[str, float]
 
@@ -78,7 +78,7 @@ class Posterior:
 
 def weigh(
     problem: Problem,
-    found: Found,
+    found: SearchResult,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Posterior:
@@ -90,20 +90,21 @@ def weigh(
         seed: Of the chain.
         progress: Called with the share done.
     """
-    judge, kappa = found.judge, found.state.kappa
+    laplace, kappa = found.laplace, found.state.kappa
     causes = problem.beliefs.causes
-    free = [e for e in causes if not judge.silent(e) and not is_time(e)]
-    met = _Met(judge, kappa)
+    free = [e for e in causes if not laplace.silent(e) and not is_time(e)]
+    met = _Met(laplace, kappa)
     _walk(met, found.state.effects, free, np.random.default_rng(seed), progress)
     gained, weights = _corrected(met, found)
     first = max(weights, key=lambda k: weights[k])
     near = {k for k in weights if len({*first} - {*k}) == 1 >= len({*k} - {*first})}
     matter = near | {k for k, v in weights.items() if v > weights[first] - WINDOW}
-    kept = sorted(matter, key=lambda k: (-weights[k], k))
-    share = np.exp([weights[k] - weights[first] for k in kept])
+    retained = sorted(matter, key=lambda k: (-weights[k], k))
+    share = np.exp([weights[k] - weights[first] for k in retained])
     share = share / share.sum()
     sets = tuple(
-        Weighed(k, float(p), judge.best(k, kappa)) for k, p in zip(kept, share, strict=True)
+        ScoredModel(k, float(p), laplace.best(k, kappa))
+        for k, p in zip(retained, share, strict=True)
     )
     inclusion = {e: float(sum(s.probability for s in sets if e in s.effects)) for e in causes}
     return Posterior(sets, inclusion, gained)
@@ -112,15 +113,15 @@ def weigh(
 class _Met:
     """Sets that were met about one, with their evidence."""
 
-    def __init__(self, judge: Judge, kappa: float) -> None:
-        self.judge, self._kappa = judge, kappa
+    def __init__(self, laplace: LaplaceEvidence, kappa: float) -> None:
+        self.laplace, self._kappa = laplace, kappa
         self.sets: dict[Set, float] = {}
 
     def evidence(self, effects: Sequence[str]) -> float:
         """Log of the probability of a set, remembered."""
         key = tuple(sorted(effects))
         if key not in self.sets:
-            self.sets[key] = self.judge.best(key, self._kappa).evidence
+            self.sets[key] = self.laplace.best(key, self._kappa).evidence
         return self.sets[key]
 
 
@@ -135,19 +136,19 @@ def _walk(
     on, evidence = list(start), met.evidence
     evidence(on)
     for old in on:
-        for new in _rivals(met.judge, old, on, free):
+        for new in _rivals(met.laplace, old, on, free):
             evidence([*(a for a in on if a != old), new])
     settled: dict[str, int] = {}
     for sweep in range(SWEEPS):
-        open_ = [e for e in free if settled.get(e, 0) < TWICE]
+        open_ = [e for e in free if settled.get(e, 0) < PRUNE_AFTER]
         for e in (open_[i] for i in rng.permutation(len(open_))):
             without = [a for a in on if a != e]
             lead = evidence([*without, e]) - evidence(without)
-            settled[e] = settled.get(e, 0) + 1 if lead < -HOPELESS or lead > SURE else 0
+            settled[e] = settled.get(e, 0) + 1 if lead < -PRUNE_BELOW or lead > PRUNE_ABOVE else 0
             there = rng.random() < 1 / (1 + np.exp(-np.clip(lead, -500, 500)))
             on = [*without, e] if there else without
         for old in list(on):
-            rivals = _rivals(met.judge, old, on, free)
+            rivals = _rivals(met.laplace, old, on, free)
             if rivals:
                 new = rivals[int(rng.integers(len(rivals)))]
                 other = [*(a for a in on if a != old), new]
@@ -156,7 +157,7 @@ def _walk(
         progress((sweep + 1) / (SWEEPS + 2))
 
 
-def _corrected(met: _Met, found: Found) -> tuple[dict[str, float], dict[Set, float]]:
+def _corrected(met: _Met, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:
     """What each effect of the end adds as fitted, and the evidence of every set with what the
     linearisation gets wrong about absent effects, but for the share of their lead that others in
     their place take."""
@@ -180,7 +181,7 @@ def _corrected(met: _Met, found: Found) -> tuple[dict[str, float], dict[Set, flo
     return gained, {k: weight(k) for k in [*met.sets]}
 
 
-def _gained(found: Found, effect: str, rest: Set) -> float:
+def _gained(found: SearchResult, effect: str, rest: Set) -> float:
     """Nats that an effect of the end adds to the others, as fitted; of a delay or a lag, to them
     with any other in its place."""
     others = [found.tried[rest, found.state.kappa]]
@@ -190,14 +191,16 @@ def _gained(found: Found, effect: str, rest: Set) -> float:
             for (k, _), v in found.tried.items()
             if effect not in k and set(rest) <= set(k) and len(k) == len(found.state.effects)
         ]
-    return worth(found.state) - max(others)
+    return log_posterior(found.state) - max(others)
 
 
-def _rivals(judge: Judge, old: str, on: Sequence[str], free: Sequence[str]) -> list[str]:
+def _rivals(
+    laplace: LaplaceEvidence, old: str, on: Sequence[str], free: Sequence[str]
+) -> list[str]:
     """Effects that may stand in the place of one; of clocks and lags, see `_gained`."""
     if old not in free:
         return []
-    return [e for e in free if e not in on and judge.share_a_channel(old, e)]
+    return [e for e in free if e not in on and laplace.share_a_channel(old, e)]
 
 
 def _correlation(a: Array, b: Array, p: Array) -> float:

@@ -21,7 +21,7 @@ from .beliefs import Beliefs, effect_of
 from .bounds import Bounds
 from .coherence import silent_bands
 from .constants import constants_of_days
-from .evidence import Best, Judge, Noise
+from .evidence import LaplaceEvidence, MapEstimate, Noise
 from .spectrum import Spectrum
 
 Array = NDArray[np.float64]
@@ -63,7 +63,7 @@ class State:
     """
 
     effects: tuple[str, ...]
-    best: Best
+    best: MapEstimate
     spectrum: Spectrum
 
     __repr__ = short_repr
@@ -134,13 +134,13 @@ class Problem:
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
         return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings, kappas)
 
-    def judge(self, spectrum: Spectrum) -> Judge:
+    def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
         """Sets of effects in a linearisation."""
-        return Judge(spectrum, self.noise, self.beliefs, self.bounds, self.settings)
+        return LaplaceEvidence(spectrum, self.noise, self.beliefs, self.bounds, self.settings)
 
     def values(self, x: Array) -> dict[str, float]:
         """Numbers that all flights share and that differ from the model as it stands,
-        "effect.number" -> value, given `Best.x`."""
+        "effect.number" -> value, given `MapEstimate.x`."""
         shared = self.split(x)[0]
         theta, moved = self.beliefs.now + shared, shared != 0
         acting = {effect_of(self.beliefs.cause[i]) for i in np.flatnonzero(moved)}
@@ -199,10 +199,10 @@ class Problem:
             kappas=(1.0,),
         )
 
-    def linearised(self, state: State) -> Judge:
+    def linearised(self, state: State) -> LaplaceEvidence:
         """All sets about one, slopes by every number taken there."""
         flights = self.channels(state.best.x, range(len(self.beliefs.now)))
-        return self.judge(Spectrum.of(flights, *self.split(state.best.x), self.beliefs.days))
+        return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.beliefs.days))
 
     def start(self, effects: Sequence[str], kappa: float) -> State:
         """A set from its expected numbers on."""
@@ -226,7 +226,7 @@ class Problem:
             effects: Identifiers.
             kappa: By how much days differ more than is usual.
             spectrum: Slopes to begin with.
-            start: Numbers to begin with, as `Best.x`.
+            start: Numbers to begin with, as `MapEstimate.x`.
             least: Evidence below which the set is of no interest: a fit that is not on its way
                 there is given up.
         """
@@ -236,18 +236,18 @@ class Problem:
         if not np.array_equal(x, np.concatenate([spectrum.theta, spectrum.days.ravel()])):
             spectrum = self._renewed(spectrum, x, columns)
         spectrum = spectrum.only(columns)
-        judge = self.judge(spectrum)
-        now = judge.at(on, kappa)
+        laplace = self.laplace(spectrum)
+        now = laplace.at(on, kappa)
         shaped = bool(np.any(self.beliefs.shape[columns]))
         fresh, reach = True, self._reach()
         for n in range(ROUNDS):
-            wanted = judge.best(on, kappa, reach).x
-            promised = judge.at(on, kappa, wanted) - now
+            wanted = laplace.best(on, kappa, reach).x
+            promised = laplace.at(on, kappa, wanted) - now
             step, better = 1.0, None
             while step > SHORTEST_STEP:
                 y = x + step * (wanted - x)
                 there = spectrum.moved(self.channels(y), *self.split(y))
-                over = self.judge(there)
+                over = self.laplace(there)
                 value = over.at(on, kappa)
                 if np.isfinite(value) and value > now + KEPT * step * promised:
                     better = y, there, over, value
@@ -257,19 +257,19 @@ class Problem:
                 break
             if better is None:
                 spectrum, fresh = self._renewed(spectrum, x, columns), True
-                judge = self.judge(spectrum)
+                laplace = self.laplace(spectrum)
                 continue
             bent = _bend(spectrum, better[1])
             gain = better[3] - now
             reach = reach * (FARTHER if step == 1 and bent < STRAIGHT else step)
-            x, spectrum, judge, now = better
+            x, spectrum, laplace, now = better
             fresh = False
             if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:
                 break
             if bent > STRAIGHT or (shaped and n == 0):
                 spectrum, fresh = self._renewed(spectrum, x, columns), True
-                judge = self.judge(spectrum)
-        return State(on, judge.here_as(on, kappa), spectrum)
+                laplace = self.laplace(spectrum)
+        return State(on, laplace.here_as(on, kappa), spectrum)
 
     def _reach(self) -> Array:
         """How far a step may move each number: what shifts signals in time is far from linear."""

@@ -17,7 +17,7 @@ from ...effects import EFFECTS, Shift
 from ...effects.priors import LAST, UNMEASURED, prior_of
 from ...representation import short_repr
 from .beliefs import Beliefs, effect_of
-from .evidence import Judge
+from .evidence import LaplaceEvidence
 from .refit import Problem, State, gained_by_following
 
 Array = NDArray[np.float64]
@@ -29,7 +29,7 @@ FEW = 8
 """Effects of a set up to which two are dropped at once: they may stand for a third together."""
 CLEAR = 15.0
 """Nats that the linearisation gives an effect from which on it is not fitted without it again."""
-WORTH = 0.3
+MIN_GAIN = 0.3
 """Nats that a move has to gain."""
 SHORT = 3.0
 """Nats that a fit has to have ended below what is promised, or beside another end of the same set,
@@ -52,17 +52,17 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SearchResult:
     """The end of a search.
 
     Attributes:
         state: Where it ended.
-        judge: All sets about it.
+        laplace: All sets about it.
         tried: Evidence of every set that was fitted on the way.
     """
 
     state: State
-    judge: Judge
+    laplace: LaplaceEvidence
     tried: Tried
 
     __repr__ = short_repr
@@ -79,7 +79,7 @@ def search(
     start: Sequence[str],
     kappa: float = 1.0,
     progress: Callable[[float], None] = lambda _: None,
-) -> Found:
+) -> SearchResult:
     """Climb from a set.
 
     Args:
@@ -93,42 +93,42 @@ def search(
 
 def search_on(
     problem: Problem, state: State, progress: Callable[[float], None] = lambda _: None
-) -> Found:
+) -> SearchResult:
     """The same from a set that is fitted already."""
-    tried = {(state.effects, state.kappa): worth(state)}
+    tried = {(state.effects, state.kappa): log_posterior(state)}
     begun: set[tuple[str, ...]] = set()
     again: set[tuple[tuple[str, ...], float]] = set()
-    judge = problem.linearised(state)
+    laplace = problem.linearised(state)
     for n in range(MOVES):
         progress(1 - 0.9**n)
         better = (
-            _better(problem, judge, state, tried, again)
-            or _followed(problem, judge, state, tried, begun, WORTH)
-            or _verified(problem, judge, state, tried, _without_clocks(state))
-            or _verified(problem, judge, state, tried, _clocks(problem, judge, state))
-            or _verified(problem, judge, state, tried, _weak(judge, state))
-            or _verified(problem, judge, state, tried, _alone(state))
-            or _verified(problem, judge, state, tried, _mistaken(problem, state))
-            or _anew(problem, state, tried, begun)
-            or _followed(problem, judge, state, tried, begun, -np.inf)
+            _better(problem, laplace, state, tried, again)
+            or _followed(problem, laplace, state, tried, begun, MIN_GAIN)
+            or _verified(problem, laplace, state, tried, _without_clocks(state))
+            or _verified(problem, laplace, state, tried, _clocks(problem, laplace, state))
+            or _verified(problem, laplace, state, tried, _weak(laplace, state))
+            or _verified(problem, laplace, state, tried, _alone(state))
+            or _verified(problem, laplace, state, tried, _mistaken(problem, state))
+            or _restarted(problem, state, tried, begun)
+            or _followed(problem, laplace, state, tried, begun, -np.inf)
         )
         if better is None:
             break
         state = better
-        judge = problem.linearised(state)
-    return Found(state, judge, tried)
+        laplace = problem.linearised(state)
+    return SearchResult(state, laplace, tried)
 
 
-def worth(state: State) -> float:
+def log_posterior(state: State) -> float:
     """Log of the probability of a state, that of its days included."""
     return state.evidence + log_prior_of_days(state.kappa)
 
 
-def asked_for(problem: Problem) -> tuple[str, ...]:
+def score_test_candidates(problem: Problem) -> tuple[str, ...]:
     """Effects that the model as it stands asks for, each the best by its linearisation."""
-    judge = problem.judge(problem.rest)
-    first = neighbours(problem, judge, (), 1.0)
-    ahead = _ahead(problem, judge, (), first)
+    laplace = problem.laplace(problem.rest)
+    first = neighbours(problem, laplace, (), 1.0)
+    ahead = _ahead(problem, laplace, (), first)
     return first[0].effects if ahead is None and first else () if ahead is None else ahead.effects
 
 
@@ -144,7 +144,7 @@ def calibration_start(beliefs: Beliefs) -> list[str]:
 
 def _better(
     problem: Problem,
-    judge: Judge,
+    laplace: LaplaceEvidence,
     state: State,
     tried: Tried,
     again: set[tuple[tuple[str, ...], float]],
@@ -154,19 +154,19 @@ def _better(
     One that was fitted already, and ended lower than is promised now, is fitted once again: what a
     fit reaches depends on where it begins.
     """
-    candidates = neighbours(problem, judge, state.effects, state.kappa)
-    ahead = _ahead(problem, judge, state.effects, candidates)
+    candidates = neighbours(problem, laplace, state.effects, state.kappa)
+    ahead = _ahead(problem, laplace, state.effects, candidates)
     queue = [*([ahead] if ahead else []), *_different(candidates, state.effects)]
     fitted = 0
     for move in queue:
         key = move.effects, move.kappa
         if key in tried:
-            if key in again or tried[key] > worth(state) + move.gain - SHORT:
+            if key in again or tried[key] > log_posterior(state) + move.gain - SHORT:
                 continue
             again.add(key)
-        there = problem.settle(move.effects, move.kappa, judge.spectrum, state.best.x)
-        tried[key] = max(worth(there), tried.get(key, -np.inf))
-        if worth(there) > worth(state) + WORTH:
+        there = problem.settle(move.effects, move.kappa, laplace.spectrum, state.best.x)
+        tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
+        if log_posterior(there) > log_posterior(state) + MIN_GAIN:
             return there
         fitted += 1
         if fitted == TRIED:
@@ -174,7 +174,7 @@ def _better(
     return None
 
 
-def _anew(
+def _restarted(
     problem: Problem, state: State, tried: Tried, begun: set[tuple[str, ...]]
 ) -> State | None:
     """The set itself from what is expected of its numbers, once: on the way numbers of days may
@@ -183,9 +183,9 @@ def _anew(
         return None
     begun.add(state.effects)
     there = problem.start(state.effects, state.kappa)
-    if worth(there) <= worth(state) + SHORT:
+    if log_posterior(there) <= log_posterior(state) + SHORT:
         return None
-    tried[state.effects, state.kappa] = worth(there)
+    tried[state.effects, state.kappa] = log_posterior(there)
     return there
 
 
@@ -208,7 +208,7 @@ def _without_clocks(state: State) -> list[Trial]:
     return [(tuple(a for a in state.effects if a != e), None) for e in state.effects if is_time(e)]
 
 
-def _clocks(problem: Problem, judge: Judge, state: State) -> list[Trial]:
+def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Trial]:
     """The set with any other delay or lag in the place of each.
 
     What moves signals in time is not linear over a few milliseconds, so that no linearisation tells
@@ -221,18 +221,18 @@ def _clocks(problem: Problem, judge: Judge, state: State) -> list[Trial]:
     sets: list[Trial] = []
     for old in present:
         rest = tuple(e for e in state.effects if e != old)
-        known = [e for e in absent if judge.share_a_channel(old, e) and not judge.silent(e)]
+        known = [e for e in absent if laplace.share_a_channel(old, e) and not laplace.silent(e)]
         sets += [(tuple(sorted((*rest, new))), new) for new in known]
     return sets
 
 
-def _weak(judge: Judge, state: State) -> list[Trial]:
+def _weak(laplace: LaplaceEvidence, state: State) -> list[Trial]:
     """The set without each effect that adds little by the linearisation."""
-    whole = judge.best(state.effects, state.kappa).evidence
+    whole = laplace.best(state.effects, state.kappa).evidence
     sets: list[Trial] = []
     for old in (e for e in state.effects if not is_time(e)):
         rest = tuple(e for e in state.effects if e != old)
-        if whole - judge.best(rest, state.kappa).evidence < CLEAR:
+        if whole - laplace.best(rest, state.kappa).evidence < CLEAR:
             sets.append((rest, None))
     return sets
 
@@ -272,7 +272,7 @@ def _mistaken(problem: Problem, state: State) -> list[Trial]:
 
 def _followed(
     problem: Problem,
-    judge: Judge,
+    laplace: LaplaceEvidence,
     state: State,
     tried: Tried,
     begun: set[tuple[str, ...]],
@@ -292,24 +292,24 @@ def _followed(
         if EFFECTS[effect_of(c)].observer is None:
             continue
         on = tuple(sorted({*state.effects, c}))
-        promised = judge.best(on, state.kappa).evidence - state.evidence
+        promised = laplace.best(on, state.kappa).evidence - state.evidence
         noise = gained_by_following(c, problem.rest, problem.noise)
         if c not in state.effects and promised + noise <= least:
             continue
-        apart = tuple(e for e in on if e == c or not judge.share_a_channel(e, c))
+        apart = tuple(e for e in on if e == c or not laplace.share_a_channel(e, c))
         for trial in dict.fromkeys((on, apart) if c in state.effects else (on,)):
             if trial in begun:
                 continue
             begun.add(trial)
             there = problem.start(trial, state.kappa)
             key = trial, state.kappa
-            tried[key] = max(worth(there), tried.get(key, -np.inf))
-            best = there if worth(there) > worth(best) + WORTH else best
+            tried[key] = max(log_posterior(there), tried.get(key, -np.inf))
+            best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
     return None if best is state else best
 
 
 def _verified(
-    problem: Problem, judge: Judge, state: State, tried: Tried, sets: Sequence[Trial]
+    problem: Problem, laplace: LaplaceEvidence, state: State, tried: Tried, sets: Sequence[Trial]
 ) -> State | None:
     """The best of some sets, each fitted; None where none is better."""
     best = state
@@ -317,16 +317,16 @@ def _verified(
         if (on, state.kappa) in tried:
             continue
         x = state.best.x if new is None else _with_expected(problem, state.best.x, new)
-        there = problem.settle(on, state.kappa, judge.spectrum, x, worth(best))
-        tried[on, state.kappa] = worth(there)
-        best = there if worth(there) > worth(best) + WORTH else best
+        there = problem.settle(on, state.kappa, laplace.spectrum, x, log_posterior(best))
+        tried[on, state.kappa] = log_posterior(there)
+        best = there if log_posterior(there) > log_posterior(best) + MIN_GAIN else best
     return None if best is state else best
 
 
 def is_time(cause: str) -> bool:
     """Whether a cause moves signals in time: a delay, a clock, a lag."""
     effect = effect_of(cause)
-    return isinstance(EFFECTS[effect].seen_as, Shift) or prior_of(EFFECTS[effect]).timed
+    return isinstance(EFFECTS[effect].observable_as, Shift) or prior_of(EFFECTS[effect]).timed
 
 
 def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
@@ -338,30 +338,34 @@ def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
     return x
 
 
-def neighbours(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> list[Move]:
+def neighbours(
+    problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], kappa: float
+) -> list[Move]:
     """Moves that promise a gain, best first."""
-    base = judge.best(on, kappa).evidence + log_prior_of_days(kappa)
+    base = laplace.best(on, kappa).evidence + log_prior_of_days(kappa)
     found = [
         Move(m.effects, m.kappa, m.gain - base)
-        for m in _around(problem, judge, on, kappa)
-        if m.gain > base + WORTH
+        for m in _around(problem, laplace, on, kappa)
+        if m.gain > base + MIN_GAIN
     ]
     return sorted(found, key=lambda m: -m.gain)
 
 
-def _around(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> Iterator[Move]:
+def _around(
+    problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], kappa: float
+) -> Iterator[Move]:
     """Every neighbour with its worth; none with a clock in the place of something else, see
     `_clocks`."""
 
     def move(effects: Sequence[str], days: float) -> Move:
-        made = judge.best(effects, days)
+        made = laplace.best(effects, days)
         return Move(tuple(sorted(effects)), days, made.evidence + log_prior_of_days(days))
 
     i = problem.kappas.index(kappa)
     for j in (i - 1, i + 1):
         if 0 <= j < len(problem.kappas):
             yield move(on, problem.kappas[j])
-    absent = [e for e in judge.beliefs.causes if e not in on and not judge.silent(e)]
+    absent = [e for e in laplace.beliefs.causes if e not in on and not laplace.silent(e)]
     more = [(e, move([*on, e], kappa)) for e in absent]
     yield from (m for _, m in more)
     for e in (e for e in on if not is_time(e)):
@@ -372,11 +376,13 @@ def _around(problem: Problem, judge: Judge, on: Sequence[str], kappa: float) -> 
     strongest = sorted(more, key=lambda m: -m[1].gain)[:RIVALS]
     for new, _ in strongest:
         for old in on:
-            if not (is_time(old) or is_time(new)) and judge.share_a_channel(old, new):
+            if not (is_time(old) or is_time(new)) and laplace.share_a_channel(old, new):
                 yield move([*(a for a in on if a != old), new], kappa)
 
 
-def _ahead(problem: Problem, judge: Judge, on: Sequence[str], first: Sequence[Move]) -> Move | None:
+def _ahead(
+    problem: Problem, laplace: LaplaceEvidence, on: Sequence[str], first: Sequence[Move]
+) -> Move | None:
     """Several moves in a row, each the best by the linearisation; None where one is all.
 
     Where there is a delay or a lag already, no other comes in on the way: a linearisation cannot
@@ -394,7 +400,7 @@ def _ahead(problem: Problem, judge: Judge, on: Sequence[str], first: Sequence[Mo
     for _ in range(AHEAD):
         if here is None:
             break
-        following = neighbours(problem, judge, here.effects, here.kappa)
+        following = neighbours(problem, laplace, here.effects, here.kappa)
         then = best(following, here.effects)
         if then is None:
             break

@@ -26,13 +26,20 @@ from .adequacy import credible, misfits
 from .beliefs import beliefs_of, beliefs_since, effect_of
 from .bounds import edges
 from .detectable import Detectable, smallest_detectable
-from .evidence import Best
-from .fit import Fit, fit_of, fit_of_best, worth_a_name
+from .evidence import MapEstimate
+from .fit import Fit, fit_of, fit_of_best, substantial_effects
 from .inclusion import Posterior, weigh
 from .refit import Problem, State
-from .search import Found, asked_for, calibration_start, search, search_on, worth
+from .search import (
+    SearchResult,
+    calibration_start,
+    log_posterior,
+    score_test_candidates,
+    search,
+    search_on,
+)
 from .spectrum import force_shares
-from .whitening import Ground
+from .whitening import WhitenedFlights
 
 Array = NDArray[np.float64]
 Verdict = Literal["named", "nothing", "unnamed", "cannot_tell", "unusable"]
@@ -62,12 +69,12 @@ class Naming:
         inclusion: Probability of every effect of the search that it is there and worth a name.
         shown: Every effect that may be there with the mean of its numbers over all sets: what
             predicts best. Numbers that the file is unsure of are among them.
-        told: The same effects, each with its numbers where it is there.
+        conditional: The same effects, each with its numbers where it is there.
         credible: Probability that the cause of an effect is of the library at all.
         resemblances: Effects that something acts like.
         posterior: All sets.
         problem: What they were fitted against.
-        ground: The flights, each on its day, with the noise that `shown` leaves.
+        whitened: The flights, each on its day, with the noise that `shown` leaves.
         kappa: By how much the days of these flights differ over what is usual.
         days: What stands out of the day of a flight: flight -> "effect.number" -> difference from
             what all flights share, and its standard deviation.
@@ -81,12 +88,12 @@ class Naming:
     probabilities: tuple[float, ...]
     inclusion: Mapping[str, float]
     shown: Fit
-    told: Fit
+    conditional: Fit
     credible: Mapping[str, float]
     resemblances: tuple[Resemblance, ...]
     posterior: Posterior
     problem: Problem
-    ground: Ground
+    whitened: WhitenedFlights
     kappa: float
     days: Mapping[str, Mapping[str, tuple[float, float]]] = field(default_factory=dict)
     shares: Mapping[str, tuple[float, str]] = field(default_factory=dict)
@@ -113,7 +120,7 @@ class Naming:
 
     def probability_of(self, effect: str) -> float:
         """That an effect is missing, alone or with others."""
-        return self.together([effect])
+        return self.joint_probability([effect])
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -139,14 +146,16 @@ class Naming:
     def _is_sure(self, effect: str) -> bool:
         if any(r.effect == effect for r in self.resemblances):
             return False
-        return self.together([effect]) >= self.settings.sure * self.credible.get(effect, 1.0)
+        return self.joint_probability([effect]) >= self.settings.sure * self.credible.get(
+            effect, 1.0
+        )
 
     @property
     def sure(self) -> bool:
         """Whether there is nothing left to tell apart."""
         return self.verdict != "cannot_tell" and not self.undecided
 
-    def together(self, effects: Collection[str]) -> float:
+    def joint_probability(self, effects: Collection[str]) -> float:
         """That some effects are missing, all of them, and each cause is of the library."""
         pairs = zip(self.fitted, self.probabilities, strict=True)
         among = float(sum(p for f, p in pairs if set(effects) <= set(f.effects)))
@@ -193,7 +202,7 @@ def name_effects(
     found = climb(problem, lambda done: progress(0.1 + 0.5 * done))
     if len(model.flights) >= DAYS_SHOWN:
         problem = problem.accustomed(found.state)
-        state = problem.settle(found.state.effects, 1.0, found.judge.spectrum, found.state.best.x)
+        state = problem.settle(found.state.effects, 1.0, found.laplace.spectrum, found.state.best.x)
         found = search_on(problem, state, lambda done: progress(0.6 + 0.1 * done))
     posterior = weigh(problem, found, seed, lambda done: progress(0.7 + 0.25 * done))
     return _named(problem, found, posterior, settings)
@@ -212,7 +221,7 @@ def since_problem(model: Model, settings: InferenceSettings = DEFAULT.inference)
     return Problem.of(model, beliefs, settings.evidence, gated=True, constants=constants)
 
 
-def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> Found:
+def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> SearchResult:
     """The end of the search from where it promises most.
 
     A model that lacks little is searched from nothing on. One that asks for many effects at once is
@@ -220,13 +229,13 @@ def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) 
     judged while all others are absent.
     """
     every = calibration_start(problem.beliefs)
-    if len(asked_for(problem)) > MANY:
+    if len(score_test_candidates(problem)) > MANY:
         return search(problem, every, progress=progress)
     found = search(problem, (), progress=progress)
     if len(found.state.effects) <= MANY:
         return found
     other = search(problem, every, progress=progress)
-    return max(found, other, key=lambda f: worth(f.state))
+    return max(found, other, key=lambda f: log_posterior(f.state))
 
 
 DAYS_SHOWN = 3
@@ -236,46 +245,46 @@ MANY = 4
 
 
 def _named(
-    problem: Problem, found: Found, posterior: Posterior, settings: InferenceSettings
+    problem: Problem, found: SearchResult, posterior: Posterior, settings: InferenceSettings
 ) -> Naming:
-    judge, kappa, rules = found.judge, found.state.kappa, settings.selection
-    nothing = judge.best((), kappa).evidence
+    laplace, kappa, rules = found.laplace, found.state.kappa, settings.selection
+    nothing = laplace.best((), kappa).evidence
     chances: dict[tuple[str, ...], float] = {(): 0.0}
     fits: dict[tuple[str, ...], Fit] = {
-        (): fit_of_best(problem, (), judge.best((), kappa), nothing)
+        (): fit_of_best(problem, (), laplace.best((), kappa), nothing)
     }
     causes: dict[tuple[str, ...], list[str]] = {(): []}
     inclusion = dict.fromkeys(problem.model.effects, 0.0)
     silent = _silent(problem, posterior, rules)
     for s in posterior.sets:
         whole = fit_of_best(problem, s.effects, s.best, nothing)
-        for e in worth_a_name(whole):
+        for e in substantial_effects(whole):
             inclusion[e] += s.probability
         heard = [c for c in s.effects if c not in silent]
-        own = worth_a_name(fit_of(problem, heard, s.best.x, s.best.deviations(), 0.0))
+        own = substantial_effects(fit_of(problem, heard, s.best.x, s.best.deviations(), 0.0))
         chances[own] = chances.get(own, 0.0) + s.probability
         if own not in fits:
             causes[own] = [c for c in heard if effect_of(c) in own]
             fits[own] = fit_of(problem, causes[own], s.best.x, s.best.deviations(), whole.gain)
     order = sorted(chances, key=lambda k: -chances[k])
     fitted, probabilities = tuple(fits[k] for k in order), tuple(chances[k] for k in order)
-    shown, told = _averaged(problem, posterior, causes[order[0]], rules)
+    shown, conditional = _averaged(problem, posterior, causes[order[0]], rules)
     believable = _credible(problem, found, fitted[0], settings)
     return Naming(
         fitted,
         probabilities,
         inclusion,
         shown,
-        told,
+        conditional,
         believable,
-        tuple(_resemblances(problem, told, fitted[0], believable, rules)),
+        tuple(_resemblances(problem, conditional, fitted[0], believable, rules)),
         posterior,
         problem,
-        Ground.of(shown.on_its_days(problem.model), shown.values, settings.likelihood),
+        WhitenedFlights.of(shown.on_its_days(problem.model), shown.values, settings.likelihood),
         kappa,
         days_of(problem, found.state.best),
         shares_of(problem, found.state),
-        smallest_detectable(problem.model, judge, found.state, rules.sure),
+        smallest_detectable(problem.model, laplace, found.state, rules.sure),
         rules,
     )
 
@@ -323,13 +332,13 @@ def _averaged(
         return chance >= 0.5 or cause in named or (chance >= rules.least and large)
 
     likely = {c for c in b.causes if moves(c)}
-    kept = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
+    retained = [c for c in dict.fromkeys(b.cause) if c in likely or np.any(spiked[b.of([c])])]
     own = np.concatenate([held, days])
-    return fit_of(problem, kept, mean, spread, 0.0), fit_of(problem, kept, own, spread, 0.0)
+    return fit_of(problem, retained, mean, spread, 0.0), fit_of(problem, retained, own, spread, 0.0)
 
 
 def _credible(
-    problem: Problem, found: Found, best: Fit, settings: InferenceSettings
+    problem: Problem, found: SearchResult, best: Fit, settings: InferenceSettings
 ) -> dict[str, float]:
     """Of each effect of the best set what `adequacy.credible` says.
 
@@ -342,7 +351,7 @@ def _credible(
 
     def whole(on: Sequence[str]) -> Fit:
         """A set with every number that moves with it, those that the file is unsure of too."""
-        made = found.judge.best(on, state.kappa)
+        made = found.laplace.best(on, state.kappa)
         return replace(fit_of_best(problem, on, made, 0.0), values=problem.values(made.x))
 
     without = {e: whole([a for a in state.effects if effect_of(a) != e]) for e in best.effects}
@@ -352,17 +361,25 @@ def _credible(
 
 def _resemblances(
     problem: Problem,
-    told: Fit,
+    conditional: Fit,
     best: Fit,
     believable: Mapping[str, float],
     rules: SelectionSettings,
 ) -> Sequence[Resemblance]:
-    tension = problem.beliefs.tension({n.full: told.values[n.full] for n in told.numbers})
-    bare = Fit(best.effects, told.values, tuple(n for n in told.numbers), told.half_widths, 0.0)
+    tension = problem.beliefs.tension(
+        {n.full: conditional.values[n.full] for n in conditional.numbers}
+    )
+    bare = Fit(
+        best.effects,
+        conditional.values,
+        tuple(n for n in conditional.numbers),
+        conditional.half_widths,
+        0.0,
+    )
     at_edge = dict(edges(bare.numbers, bare.values, problem.model.vehicle))
     found = []
     for e in best.effects:
-        own = [n for n in told.numbers if n.effect == e]
+        own = [n for n in conditional.numbers if n.effect == e]
         far = max(own, key=lambda n: tension[n.full])
         if e in at_edge:
             found.append(Resemblance(e, at_edge[e]))
@@ -370,7 +387,7 @@ def _resemblances(
             found.append(
                 Resemblance(
                     e,
-                    f"{far.full} = {told.values[far.full]:.4g} is {tension[far.full]:.1f} "
+                    f"{far.full} = {conditional.values[far.full]:.4g} is {tension[far.full]:.1f} "
                     f"deviations from what such a number is expected to be",
                 )
             )
@@ -385,11 +402,11 @@ def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
     return force_shares(state.spectrum, [effect_of(c) for c in b.cause], state.best.x)
 
 
-def days_of(problem: Problem, best: Best) -> dict[str, dict[str, tuple[float, float]]]:
+def days_of(problem: Problem, best: MapEstimate) -> dict[str, dict[str, tuple[float, float]]]:
     """What stands out of each flight's day: flight -> "effect.number" -> value and deviation."""
     b = problem.beliefs
     k, d, sd = len(b.now), len(b.days), best.deviations()
-    told: dict[str, dict[str, tuple[float, float]]] = {}
+    conditional: dict[str, dict[str, tuple[float, float]]] = {}
     for f, flight in enumerate(problem.model.flights):
         own = {}
         for j, column in enumerate(b.days):
@@ -397,5 +414,5 @@ def days_of(problem: Problem, best: Best) -> dict[str, dict[str, tuple[float, fl
             number = problem.model.numbers[b.columns[column]]
             if abs(best.x[i]) > max(2 * sd[i], number.about.smallest):
                 own[b.names[column]] = float(best.x[i]), float(sd[i])
-        told[flight.flight.name] = own
-    return told
+        conditional[flight.flight.name] = own
+    return conditional

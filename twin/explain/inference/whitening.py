@@ -222,7 +222,7 @@ def blocks_of(
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class WhitenedFlights:
     """Flights with the noise that is left of them.
 
     Attributes:
@@ -243,7 +243,7 @@ class Ground:
         model: Model,
         values: Mapping[str, float],
         settings: LikelihoodSettings = DEFAULT.inference.likelihood,
-    ) -> "Ground":
+    ) -> "WhitenedFlights":
         """The noise that the model leaves with some numbers, "effect.number" -> value."""
         left = model.channels([], values)
         noise = (

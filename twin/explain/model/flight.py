@@ -26,12 +26,12 @@ from ...residuals.aligned import align_flight
 from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, shifted
 from ...residuals.imu import OF_IMU
 from ...vehicle import Vehicle
-from .motion import motion_parts
+from .factors import FlightContext
+from .motion import motion_factors
 from .numbers import DRIVES, PLACE, TURN, Number, age_of, values_of
-from .parts import Seen
-from .pose import pose_parts
+from .pose import pose_factors
 from .prediction import Physics
-from .sensors import imu_parts, other_parts
+from .sensors import imu_factors, other_factors
 from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -42,14 +42,14 @@ TIME_STEP_S = 0.002
 """By which a lag is moved where its answer is a difference."""
 SMALL = 0.01
 """Share of the step of a number in a difference that is to be a derivative."""
-TOGETHER = 8
+SLOPES_AT_ONCE = 8
 """Slopes that are seen at the samples of a pose at a time."""
 BEND_S = 0.02
 """Step of differences of what was averaged over time: they leave vibration out, and are those of
 motion to 5 % at the band of the pose."""
 
 
-def unfelt_by(flights: Sequence[Flight]) -> tuple[str, ...]:
+def missing_imu_signals(flights: Sequence[Flight]) -> tuple[str, ...]:
     """Signals of the IMU that not every flight has."""
     return tuple(s.signal for s in OF_IMU if not all(f.has(*s.columns) for f in flights))
 
@@ -60,11 +60,11 @@ def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
     Raises:
         LogError: It cannot be put on the grid of the vehicle.
     """
-    seen = Seen(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ), (), ())
-    force = np.zeros((len(seen.aligned.inputs.t_s), 3))
-    parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
-    parts += motion_parts(seen, unfelt_by([flight]))
-    return [name for part in parts for name in part.readings.names]
+    context = FlightContext(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ), (), ())
+    force = np.zeros((len(context.aligned.inputs.t_s), 3))
+    factors = imu_factors(context) + pose_factors(context, force) + other_factors(context)
+    factors += motion_factors(context, missing_imu_signals([flight]))
+    return [name for factor in factors for name in factor.readings.names]
 
 
 class FlightModel:
@@ -75,7 +75,7 @@ class FlightModel:
         vehicle: The model as it stands.
         numbers: Every number that may change, in the order of the prediction's.
         aligned: On the grid, with the model as it stands.
-        parts: Its sensors, and what predicts each.
+        factors: Its sensors, and what predicts each.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class FlightModel:
         physics: Physics,
         effects: Sequence[str],
         numbers: Sequence[Number],
-        unfelt: Collection[str] | None = None,
+        missing: Collection[str] | None = None,
     ) -> None:
         """Put the flight on the grid and filter its readings.
 
@@ -95,17 +95,19 @@ class FlightModel:
             physics: Airframe and IMU, made with the same effects and numbers.
             effects: Effects in the equations, all switched on.
             numbers: Every number, in the order of the prediction's.
-            unfelt: Signals of the IMU for which the pose stands in; None: those that it lacks.
+            missing: Signals of the IMU for which the pose stands in; None: those that it lacks.
         """
         self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
         self._physics = physics
         self._trajectory = Trajectory(flight, vehicle, physics, effects, numbers)
         self.aligned = self._trajectory.aligned
         self._now = values_of(numbers, {})
-        seen = Seen(flight, vehicle, self.aligned, effects, self.numbers)
+        context = FlightContext(flight, vehicle, self.aligned, effects, self.numbers)
         force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
-        self.parts = imu_parts(seen) + pose_parts(seen, force) + other_parts(seen)
-        self.parts += motion_parts(seen, unfelt_by([flight]) if unfelt is None else unfelt)
+        self.factors = imu_factors(context) + pose_factors(context, force) + other_factors(context)
+        self.factors += motion_factors(
+            context, missing_imu_signals([flight]) if missing is None else missing
+        )
         self._resting: dict[int, list[ChannelData]] = {}
         self._predicted: dict[tuple[int, bool], Array] = {}
 
@@ -123,24 +125,24 @@ class FlightModel:
         touched |= {name.partition(".")[0] for name in change}
         body: dict[bool, tuple[Array, Array]] = {}
         found: list[ChannelData] = []
-        for k, part in enumerate(self.parts):
-            if not touched & part.effects:
+        for k, factor in enumerate(self.factors):
+            if not touched & factor.effects:
                 found += self._untouched(k, len(columns))
                 continue
-            bare = part.as_logged is not None
-            if part.batch is None and bare not in body:
+            bare = factor.as_logged is not None
+            if factor.batch is None and bare not in body:
                 body[bare] = self._body_answers(columns, change, bare)
             predicted, slopes = self._answers(k, columns, change, body.get(bare), body.get(False))
-            found += part.readings.channels(predicted, slopes)
+            found += factor.readings.channels(predicted, slopes)
         return found
 
     def _untouched(self, k: int, width: int) -> list[ChannelData]:
         """Channels of a part that no number in question reaches."""
         if k not in self._resting:
-            part = self.parts[k]
-            bare = part.as_logged is not None
-            body = self._body_answers([], {}, bare) if part.batch is None else None
-            self._resting[k] = part.readings.channels(*self._answers(k, [], {}, body))
+            factor = self.factors[k]
+            bare = factor.as_logged is not None
+            body = self._body_answers([], {}, bare) if factor.batch is None else None
+            self._resting[k] = factor.readings.channels(*self._answers(k, [], {}, body))
         return [replace(c, slopes=np.zeros((len(c.t_s), width))) for c in self._resting[k]]
 
     def _answers(
@@ -149,7 +151,7 @@ class FlightModel:
         columns: Sequence[int],
         change: Mapping[str, float],
         body: tuple[Array, Array] | None,
-        felt: tuple[Array, Array] | None = None,
+        at_imu: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
         """Prediction of a part on the grid, and its slopes.
 
@@ -158,31 +160,31 @@ class FlightModel:
             columns: Numbers to differentiate by.
             change: "effect.number" -> value.
             body: The same of airframe and IMU, or of the airframe alone, where the part is theirs.
-            felt: The same of airframe and IMU, where these numbers reach them.
+            at_imu: The same of airframe and IMU, where these numbers reach them.
         """
-        part, theta = self.parts[k], values_of(self.numbers, change)
-        if part.batch is None:
+        factor, theta = self.factors[k], values_of(self.numbers, change)
+        if factor.batch is None:
             assert body is not None
-            at, slopes = (a[:, part.outputs] for a in body)
+            at, slopes = (a[:, factor.outputs] for a in body)
             predicted = at
-            if part.rate:
+            if factor.rate:
                 predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
-            if part.as_logged is not None:
-                shown = self._logged(part.as_logged, columns, theta, predicted, slopes)
-                return shown[0][:, part.axes], shown[1][:, part.axes]
+            if factor.as_logged is not None:
+                shown = self._logged(factor.as_logged, columns, theta, predicted, slopes)
+                return shown[0][:, factor.axes], shown[1][:, factor.axes]
         else:
             # Numbers change what is clean: a scale below one would damp the noise of the pose.
-            at = part.batch.value(theta, part.at)
-            more = (at - self._standing(k, part.at))[:, part.outputs]
-            slopes = part.batch.slopes(columns, theta, part.at)[:, part.outputs]
-            predicted, at = self._clean(k, theta)[:, part.outputs], at[:, part.outputs]
-            if part.sampled is not None:
-                more, slopes = _sampled(part.sampled, more, slopes)
-            if part.carried is not None:
-                more = more + part.carried
+            at = factor.batch.value(theta, factor.at)
+            more = (at - self._standing(k, factor.at))[:, factor.outputs]
+            slopes = factor.batch.slopes(columns, theta, factor.at)[:, factor.outputs]
+            predicted, at = self._clean(k, theta)[:, factor.outputs], at[:, factor.outputs]
+            if factor.sampled is not None:
+                more, slopes = _sampled(factor.sampled, more, slopes)
+            if factor.carried is not None:
+                more = more + factor.carried
             predicted = predicted + more
-            if part.turning is not None and felt is not None:
-                at = felt[0][:, part.outputs]
+            if factor.turning is not None and at_imu is not None:
+                at = at_imu[0][:, factor.outputs]
         return self._in_time(k, columns, theta, predicted, slopes, at)
 
     def _body_answers(
@@ -246,37 +248,37 @@ class FlightModel:
         at: Array,
     ) -> tuple[Array, Array]:
         """Ages, an averaged pose, a turned heading: they shift, bend or turn what is predicted."""
-        part = self.parts[k]
+        factor = self.factors[k]
         rate = np.gradient(at, 1 / GRID_HZ, axis=0)
-        turned = None if part.turning is None else self._turned(at)
+        turned = None if factor.turning is None else self._turned(at)
         for i, n in enumerate(self.numbers):
-            if theta[i] and set(n.averages) & part.averaged:
+            if theta[i] and set(n.averages) & factor.averaged:
                 predicted = predicted + theta[i] * self._by_average(k, i, at)
-            if n.full in part.late and theta[i]:
-                predicted = shifted(predicted, part.late[n.full] * theta[i])
+            if n.full in factor.late and theta[i]:
+                predicted = shifted(predicted, factor.late[n.full] * theta[i])
             if n.turns_pose and theta[i] and turned is not None:
                 predicted = predicted + theta[i] * turned
         for column, i in enumerate(columns):
             n = self.numbers[i]
-            if set(n.averages) & part.averaged:
+            if set(n.averages) & factor.averaged:
                 answer[:, :, column] = self._by_average(k, i, at)
-            elif n.full in part.late:
-                answer[:, :, column] = -part.late[n.full] * rate
-            elif part.turning is not None and n.turns_pose:
+            elif n.full in factor.late:
+                answer[:, :, column] = -factor.late[n.full] * rate
+            elif factor.turning is not None and n.turns_pose:
                 answer[:, :, column] = turned
-            elif part.older is not None and set(n.moves) & {*PLACE, *TURN}:
+            elif factor.older is not None and set(n.moves) & {*PLACE, *TURN}:
                 answer[:, :, column] = self._by_age(k, i, theta, rate, at)
         return predicted, answer
 
     def _by_age(self, k: int, i: int, theta: Array, rate: Array, at: Array) -> Array:
         """Answer to the age of position or attitude, which both make the prediction."""
-        part, moves = self.parts[k], set(self.numbers[i].moves)
-        if part.turning is None:
+        factor, moves = self.factors[k], set(self.numbers[i].moves)
+        if factor.turning is None:
             ahead = theta.copy()
             ahead[i] += AGE_STEP_S
             change = self._clean(k, ahead) - self._clean(k, theta)
-            return np.asarray(change[:, part.outputs] / AGE_STEP_S)
-        swept = np.cross(part.turning, at)
+            return np.asarray(change[:, factor.outputs] / AGE_STEP_S)
+        swept = np.cross(factor.turning, at)
         answer = np.zeros_like(at)
         if moves & {*PLACE}:
             answer = rate + swept
@@ -292,8 +294,8 @@ class FlightModel:
         top, hides all. That of the gyroscope, which the residual has too, feigns a little of an
         average where the vehicle hardly turns.
         """
-        part, signals = self.parts[k], set(self.numbers[i].averages)
-        if part.turning is None:
+        factor, signals = self.factors[k], set(self.numbers[i].averages)
+        if factor.turning is None:
             return -0.5 * _bend(at)
         assert self.aligned.motion.attitude is not None
         answer = np.zeros_like(at)
@@ -302,24 +304,24 @@ class FlightModel:
             force_n = np.stack(to_ned(q, list(at.T)), axis=-1)
             answer -= 0.5 * np.stack(to_body(q, list(_bend(force_n).T)), axis=-1)
         if signals & {*TURN}:
-            ahead, back = (shifted(part.turning, s) for s in (-BEND_S, BEND_S))
+            ahead, back = (shifted(factor.turning, s) for s in (-BEND_S, BEND_S))
             answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
         return answer
 
     def _clean(self, k: int, theta: Array) -> Array:
         """Prediction of the model as it stands, the ages of the pose taken out."""
-        part = self.parts[k]
+        factor = self.factors[k]
         ages = age_of(self.numbers, theta, PLACE), age_of(self.numbers, theta, TURN)
-        if part.older is None or not any(ages):
-            return self._standing(k, part.rows)
-        assert part.batch is not None
-        return part.batch.value(self._now, part.older(*ages))
+        if factor.older is None or not any(ages):
+            return self._standing(k, factor.rows)
+        assert factor.batch is not None
+        return factor.batch.value(self._now, factor.older(*ages))
 
     def _standing(self, k: int, rows: Array) -> Array:
         """Prediction of the model as it stands, from one of the two kinds of rows of a part."""
-        batch = self.parts[k].batch
+        batch = self.factors[k].batch
         assert batch is not None
-        key = k, rows is self.parts[k].at
+        key = k, rows is self.factors[k].at
         if key not in self._predicted:
             self._predicted[key] = batch.value(self._now, rows)
         return self._predicted[key]
@@ -336,8 +338,8 @@ def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> t
     """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
     both = np.concatenate([more[:, :, None], slopes], axis=2)
     some = np.flatnonzero(np.any(both, axis=(0, 1)))
-    for first in range(0, len(some), TOGETHER):  # all at once, they would fill the memory
-        few = some[first : first + TOGETHER]
+    for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
+        few = some[first : first + SLOPES_AT_ONCE]
         both[:, :, few] = sampled(both[:, :, few])
     return both[:, :, 0], both[:, :, 1:]
 

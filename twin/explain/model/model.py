@@ -15,7 +15,7 @@ from ...representation import short_repr
 from ...residuals.channels import ChannelData
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
-from .flight import FlightModel, unfelt_by
+from .flight import FlightModel, missing_imu_signals
 from .numbers import DRIVES, Number, at_voltage, has_signal, numbers_of, numbers_of_logs, visible
 from .payload import Payloads, carrying
 from .prediction import Physics
@@ -32,8 +32,8 @@ class Model:
         effects: Effects that all flights can show.
         numbers: Every number of these.
         flights: One per flight.
-        unfelt: Effects that have no place in the airframe of some flight, and so cannot be told:
-            where measured rotor speeds drive it, nothing between command and rotor.
+        unobservable: Effects that have no place in the airframe of some flight: where measured
+            rotor speeds drive it, nothing between command and rotor.
         days: Per flight, what its day adds to numbers, "effect.number" -> difference; empty where
             all flights share all numbers.
     """
@@ -42,7 +42,7 @@ class Model:
     effects: tuple[str, ...]
     numbers: tuple[Number, ...]
     flights: tuple[FlightModel, ...]
-    unfelt: tuple[str, ...] = ()
+    unobservable: tuple[str, ...] = ()
     days: tuple[Mapping[str, float], ...] = ()
 
     __repr__ = short_repr
@@ -74,7 +74,7 @@ def candidates(flights: Sequence[Flight]) -> list[Effect]:
 
 def has_mean(effect: Effect) -> bool:
     """Whether an effect changes a mean."""
-    return isinstance(effect.seen_as, Equation | Shift | Average)
+    return isinstance(effect.observable_as, Equation | Shift | Average)
 
 
 def model_of(
@@ -99,26 +99,26 @@ def model_of(
     masses = [(payloads or {}).get(f.name, 0.0) for f in flights]
     flown = {m: carrying(vehicle, m) for m in masses}
     kinds = [(choose_drive(f, flown[m]), m) for f, m in zip(flights, masses, strict=True)]
-    standing = [e.name for e in effects if isinstance(e.seen_as, Equation)]
+    standing = [e.name for e in effects if isinstance(e.observable_as, Equation)]
     bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
     wanted = {e.name: e for e in (*effects, *acting_late())}.values()
-    unfelt = [e.name for e in wanted if not all(_has_place(b, e) for b in bodies.values())]
-    if unfelt:
-        effects = [e for e in effects if e.name not in unfelt]
-        standing = [name for name in standing if name not in unfelt]
+    unobservable = [e.name for e in wanted if not all(_has_place(b, e) for b in bodies.values())]
+    if unobservable:
+        effects = [e for e in effects if e.name not in unobservable]
+        standing = [name for name in standing if name not in unobservable]
         bodies = {k: airframe(flown[k[1]], k[0], standing) for k in kinds}
     own = (at_voltage(n, flights, vehicle) for n in numbers_of(effects, vehicle))
     of_logs = numbers_of_logs(effects, vehicle)
-    numbers = (*(n for n in of_logs if _is_told(n, flights, bodies.values())), *own)
+    numbers = (*(n for n in of_logs if _is_identifiable(n, flights, bodies.values())), *own)
     predicted = {k: Physics(b, flown[k[1]], standing, numbers) for k, b in bodies.items()}
-    made, unfelt_signals = [], unfelt_by(flights)
+    made, missing = [], missing_imu_signals(flights)
     for i, (flight, kind) in enumerate(zip(flights, kinds, strict=True)):
         made.append(
-            FlightModel(flight, flown[kind[1]], predicted[kind], standing, numbers, unfelt_signals)
+            FlightModel(flight, flown[kind[1]], predicted[kind], standing, numbers, missing)
         )
         progress((i + 1) / len(flights))
     names = tuple(e.name for e in effects)
-    model = Model(vehicle, names, numbers, tuple(made), tuple(unfelt))
+    model = Model(vehicle, names, numbers, tuple(made), tuple(unobservable))
     if not model.channels([])[0]:
         raise LogError(
             f"{', '.join(f.name for f in flights)}: no reading that all have is known for long "
@@ -128,7 +128,9 @@ def model_of(
     return model
 
 
-def _is_told(number: Number, flights: Sequence[Flight], bodies: Iterable[Component]) -> bool:
+def _is_identifiable(
+    number: Number, flights: Sequence[Flight], bodies: Iterable[Component]
+) -> bool:
     """Whether some flight shows a signal whose time a number of logs is about; else all do."""
     signals = (*number.moves, *number.averages)
     drives = tuple(f"{s}_" for s in signals if s in DRIVES)
@@ -139,10 +141,10 @@ def _is_told(number: Number, flights: Sequence[Flight], bodies: Iterable[Compone
 
 def _has_place(body: Component, effect: Effect) -> bool:
     """Whether an airframe has what the effect acts on; an effect of a sensor always has it."""
-    seen_as = effect.seen_as
-    if isinstance(seen_as, Shift) and seen_as.acts:
-        moved = [f"{s}_" for signals in seen_as.moves.values() for s in signals]
+    observable_as = effect.observable_as
+    if isinstance(observable_as, Shift) and observable_as.acts:
+        moved = [f"{s}_" for signals in observable_as.moves.values() for s in signals]
         return any(name.startswith(tuple(moved)) for name in body.input_names)
-    if effect.component != body.name or not isinstance(seen_as, Equation):
+    if effect.component != body.name or not isinstance(observable_as, Equation):
         return True
     return any(v.name == f"{effect.name}.enabled" for v in body.parameters)

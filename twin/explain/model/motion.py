@@ -23,8 +23,16 @@ from ...residuals.channels import (
     shifted,
 )
 from ...residuals.measured import Signal, rates_of
+from .factors import (
+    FlightContext,
+    SensorFactor,
+    driven_apart,
+    in_body,
+    moving,
+    pull_of_pose,
+    reaching,
+)
 from .numbers import ACCELEROMETER, DRIVES, GYROSCOPE, PLACE, TURN, Number, age_of
-from .parts import Part, Seen, driven_apart, in_body, moving, pull_of_pose, reaching
 
 Array = NDArray[np.float64]
 FORCE, TORQUE = (tuple(f"motion_{kind}_{a}" for a in "xyz") for kind in ("acc", "rate"))
@@ -33,38 +41,38 @@ SHARE_OF_RATE = 0.2
 """Band of what is differentiated once, over the rate at which it was sampled."""
 
 
-def motion_parts(seen: Seen, unfelt: Collection[str]) -> list[Part]:
+def motion_factors(context: FlightContext, missing: Collection[str]) -> list[SensorFactor]:
     """Specific force and angular acceleration of the pose.
 
     Args:
-        seen: A flight and its twin.
-        unfelt: Signals of the IMU that stand in no flight, or not in every one.
+        context: A flight and its twin.
+        missing: Signals of the IMU that stand in no flight, or not in every one.
     """
-    attitude = seen.aligned.motion.attitude
+    attitude = context.aligned.motion.attitude
     if attitude is None:
         return []
-    t, found = seen.aligned.inputs.t_s, []
+    t, found = context.aligned.inputs.t_s, []
     q_nb = attitude.at(t)
     band = min(POSE_BAND_HZ, SHARE_OF_RATE * attitude.rate_hz)
-    reach = reaching("airframe") | moving(seen, (*PLACE, *TURN, *DRIVES))
-    pull = pull_of_pose(seen) if ACCELEROMETER in unfelt else None
+    reach = reaching("airframe") | moving(context, (*PLACE, *TURN, *DRIVES))
+    pull = pull_of_pose(context) if ACCELEROMETER in missing else None
     if pull is not None:
-        narrow = min(band, SHARE_OF_RATE * _rate_of_velocity(seen.flight))
-        turned = reach | {n.effect for n in seen.numbers if n.turns_pose}
-        shown = partial(_force_as_logged, q_nb, seen.numbers)
+        narrow = min(band, SHARE_OF_RATE * _rate_of_velocity(context.flight))
+        turned = reach | {n.effect for n in context.numbers if n.turns_pose}
+        shown = partial(_force_as_logged, q_nb, context.numbers)
         force = in_body(q_nb, pull)
-        for axes, left_out in driven_apart(seen, False):
-            readings = _readings(seen, FORCE[axes], "m/s²", force[:, axes], narrow, left_out)
+        for axes, left_out in driven_apart(context, False):
+            readings = _readings(context, FORCE[axes], "m/s²", force[:, axes], narrow, left_out)
             found.append((readings, slice(0, 3), turned, False, shown, axes))
-    if GYROSCOPE in unfelt:
+    if GYROSCOPE in missing:
         turning = rate_over_step(on_grid(rates_of(attitude), t))
-        ((_, left_out),) = driven_apart(seen, True)
-        readings = _readings(seen, TORQUE, "rad/s²", turning, band, left_out)
-        shown = partial(_torque_as_logged, seen.numbers)
+        ((_, left_out),) = driven_apart(context, True)
+        readings = _readings(context, TORQUE, "rad/s²", turning, band, left_out)
+        shown = partial(_torque_as_logged, context.numbers)
         found.append((readings, slice(3, 6), reach, True, shown, slice(0, 3)))
     nothing = np.zeros((0, 0))
     return [
-        Part(
+        SensorFactor(
             readings, None, nothing, nothing, outputs, {}, effects, rate, as_logged=shown, axes=axes
         )
         for readings, outputs, effects, rate, shown, axes in found
@@ -83,16 +91,16 @@ def _rate_of_velocity(flight: Flight) -> float:
 
 
 def _readings(
-    seen: Seen,
+    context: FlightContext,
     names: Sequence[str],
     unit: str,
     values: Array,
     band_hz: float,
     left_out: NDArray[np.bool_] | None,
 ) -> Measured | None:
-    known = seen.aligned.airborne & np.all(np.isfinite(seen.aligned.states), axis=1)
+    known = context.aligned.airborne & np.all(np.isfinite(context.aligned.states), axis=1)
     known = known if left_out is None else known & ~left_out
-    return measured(names, unit, seen.aligned.inputs.t_s, values, known, band_hz, None)
+    return measured(names, unit, context.aligned.inputs.t_s, values, known, band_hz, None)
 
 
 def _force_as_logged(q_nb: Array, numbers: Sequence[Number], force_b: Array, theta: Array) -> Array:

@@ -66,26 +66,28 @@ class Number:
     @property
     def moves(self) -> tuple[str, ...]:
         """Signals that it shifts in time."""
-        seen_as = EFFECTS[self.effect].seen_as
-        return seen_as.moves.get(self.name, ()) if isinstance(seen_as, Shift) else ()
+        observable_as = EFFECTS[self.effect].observable_as
+        return observable_as.moves.get(self.name, ()) if isinstance(observable_as, Shift) else ()
 
     @property
     def acts(self) -> bool:
         """Whether these act late; else what they show is old."""
-        seen_as = EFFECTS[self.effect].seen_as
-        return isinstance(seen_as, Shift) and seen_as.acts
+        observable_as = EFFECTS[self.effect].observable_as
+        return isinstance(observable_as, Shift) and observable_as.acts
 
     @property
     def averages(self) -> tuple[str, ...]:
         """Signals that it smooths."""
-        seen_as = EFFECTS[self.effect].seen_as
-        return seen_as.spreads.get(self.name, ()) if isinstance(seen_as, Average) else ()
+        observable_as = EFFECTS[self.effect].observable_as
+        return (
+            observable_as.spreads.get(self.name, ()) if isinstance(observable_as, Average) else ()
+        )
 
     @property
     def turns_pose(self) -> bool:
         """Whether it turns the logged attitude about the vertical."""
-        seen_as = EFFECTS[self.effect].seen_as
-        return isinstance(seen_as, Equation) and seen_as.turns_pose == self.name
+        observable_as = EFFECTS[self.effect].observable_as
+        return isinstance(observable_as, Equation) and observable_as.turns_pose == self.name
 
     @property
     def step(self) -> float:
@@ -161,11 +163,11 @@ def pose_shows(signal: str, flight: AnyFlight) -> bool:
 
 def on_the_body(effect: Effect) -> bool:
     """Whether the pose alone can show what an effect does."""
-    seen_as = effect.seen_as
+    observable_as = effect.observable_as
     if effect.component in {s.component for s in SENSORS}:
         return False
-    return isinstance(seen_as, Shift) or (
-        isinstance(seen_as, Equation) and seen_as.observer is None
+    return isinstance(observable_as, Shift) or (
+        isinstance(observable_as, Equation) and observable_as.observer is None
     )
 
 

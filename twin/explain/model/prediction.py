@@ -129,21 +129,21 @@ class Physics:
         x, u = ca.SX.sym("x", len(body.states)), ca.SX.sym("u", len(body.inputs))
         y = body.outputs(x, u, _parameters(body, effects, names, theta, {"ground.enabled": 0.0}))
         outputs = {name: y[i] for i, name in enumerate(body.output_names)}
-        felt = ca.vertcat(*[outputs[n] for n in sensor.input_names])
+        imu_inputs = ca.vertcat(*[outputs[n] for n in sensor.input_names])
         sensed = ca.SX.sym("sensed", len(sensor.inputs))
         z = ca.SX.sym("z", len(self._states.index))
         p = _parameters(sensor, effects, names, theta, {})
         shown = _shown(self._states, sensed, z, p)
         rate = gyro_rate(sensor, sensed, shown)
-        self._felt: Batch | None = None
+        self._imu_inputs: Batch | None = None
         if self._states.index:
-            self._felt = Batch([x, u], theta, felt, over)
+            self._imu_inputs = Batch([x, u], theta, imu_inputs, over)
             place = ca.SX(sensor.initial(sensed, p))
             flow = sensor.derivatives(self._states.filled(place, z), sensed, p)[self._states.index]
             rate += ca.jtimes(shown[3:], z, flow)
         readings = ca.vertcat(shown[:3], rate)
         rows = [x, u, z] if self._states.index else [x, u]
-        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, felt), over)
+        self._batch = Batch(rows, theta, ca.substitute(readings, sensed, imu_inputs), over)
         moved = [f"{s}_{a}" for s in ("specific_force", "angular_acceleration") for a in "xyz"]
         self._moved = [x, u], theta, ca.vertcat(*[outputs[n] for n in moved])
 
@@ -173,9 +173,9 @@ class Physics:
 
     def _along(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, ...]:
         """States of effects in the IMU."""
-        if self._felt is None:
+        if self._imu_inputs is None:
             return ()
-        return self._states.along(self._felt.value(theta, states, inputs), theta)
+        return self._states.along(self._imu_inputs.value(theta, states, inputs), theta)
 
 
 class SensorBatch:
@@ -231,16 +231,16 @@ def _shown(states: EffectStates, sensed: ca.SX, z: ca.SX, p: ca.SX) -> ca.SX:
 
 
 def _parameters(
-    part: Component,
+    factor: Component,
     effects: Sequence[str],
     names: Sequence[str],
     theta: ca.SX,
     values: dict[str, float],
 ) -> ca.SX:
     """Parameters of a part: its start values, the effects on, the numbers as symbols."""
-    known = {v.name: i for i, v in enumerate(part.parameters)}
+    known = {v.name: i for i, v in enumerate(factor.parameters)}
     on = {f"{e}.enabled": 1.0 for e in effects if f"{e}.enabled" in known}
-    p = ca.SX(part.parameter_values(on | values))
+    p = ca.SX(factor.parameter_values(on | values))
     for i, name in enumerate(names):
         if name in known:
             p[known[name]] = theta[i]

@@ -11,68 +11,79 @@ from ...residuals.aligned import AlignedFlight
 from ...residuals.channels import POSE_BAND_HZ, measured, shifted
 from ...residuals.imu import OF_IMU, imu_readings
 from ...residuals.measured import Signal
+from .factors import (
+    FlightContext,
+    SensorFactor,
+    driven_apart,
+    moving,
+    named,
+    reaching,
+    rows_of,
+    shift_signs,
+)
 from .numbers import DRIVES, PLACE, TURN
-from .parts import Part, Seen, driven_apart, late_by, moving, named, reaching, rows_of
 from .prediction import SensorBatch
 
 Array = NDArray[np.float64]
 OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
 
 
-def imu_parts(seen: Seen) -> list[Part]:
+def imu_factors(context: FlightContext) -> list[SensorFactor]:
     """Accelerometer, and rate of change of the gyroscope."""
-    flight, nothing = seen.flight, np.zeros((0, 0))
+    flight, nothing = context.flight, np.zeros((0, 0))
     found = []
     for k, sensor in enumerate(OF_IMU):
         if not flight.has(*sensor.columns):
             continue
-        late = late_by(seen, (sensor.signal,), ())
-        reach = reaching("airframe", sensor.component) | moving(seen, (*PLACE, *TURN, *DRIVES))
+        late = shift_signs(context, (sensor.signal,), ())
+        reach = reaching("airframe", sensor.component) | moving(context, (*PLACE, *TURN, *DRIVES))
         reach |= {name.partition(".")[0] for name in late}
         rate = bool(sensor.rate_unit)
-        for axes, left_out in driven_apart(seen, rate):
+        for axes, left_out in driven_apart(context, rate):
             readings = imu_readings(
-                sensor, flight, seen.vehicle, seen.aligned, axes=axes, left_out=left_out
+                sensor, flight, context.vehicle, context.aligned, axes=axes, left_out=left_out
             )
             if readings is not None:
                 outputs = slice(3 * k + axes.start, 3 * k + axes.stop)
-                found.append(Part(readings, None, nothing, nothing, outputs, late, reach, rate))
+                found.append(
+                    SensorFactor(readings, None, nothing, nothing, outputs, late, reach, rate)
+                )
     return found
 
 
-def other_parts(seen: Seen) -> list[Part]:
+def other_factors(context: FlightContext) -> list[SensorFactor]:
     """Sensors that the pose alone tells."""
-    t, flight = seen.aligned.inputs.t_s, seen.flight
-    pose = _pose(seen.aligned)
+    t, flight = context.aligned.inputs.t_s, context.flight
+    pose = _pose(context.aligned)
     found = []
     for kind in OF_POSE:
         if not flight.has(*kind.columns) or not set(kind.needs) <= pose.keys():
             continue
-        sensor = kind.make(seen.vehicle, seen.effects)
+        sensor = kind.make(context.vehicle, context.effects)
         inputs = {k: v for signal in pose.values() for k, v in signal.items()}
         for name in sensor.input_names:
             if name not in inputs and flight.has(name):
                 inputs[name] = Signal(*flight.signal([name])).held(t)[:, 0]
         rows = rows_of(sensor, inputs, len(t))
         signal = Signal(*flight.signal(kind.columns))
-        known = seen.aligned.airborne & np.all(np.isfinite(rows), axis=1)
+        known = context.aligned.airborne & np.all(np.isfinite(rows), axis=1)
         band = min(POSE_BAND_HZ, 0.35 * signal.rate_hz)
-        cutoff = kind.cutoff_hz(seen.vehicle)
+        cutoff = kind.cutoff_hz(context.vehicle)
         readings = measured(kind.channels, kind.unit, t, signal.at(t), known, band, cutoff)
         if readings is None:
             continue
-        felt = [s for s, values in pose.items() if values.keys() & set(sensor.input_names)]
-        two_clocks = bool(set(felt) & set(PLACE)) and bool(set(felt) & set(TURN))
+        pose_inputs = [s for s, values in pose.items() if values.keys() & set(sensor.input_names)]
+        two_clocks = bool(set(pose_inputs) & set(PLACE)) and bool(set(pose_inputs) & set(TURN))
         first = sensor.output_names.index(kind.columns[0])
         found.append(
-            Part(
+            SensorFactor(
                 readings,
-                SensorBatch(sensor, seen.effects, seen.numbers),
+                SensorBatch(sensor, context.effects, context.numbers),
                 rows,
                 rows,
                 slice(first, first + len(kind.columns)),
-                late_by(seen, (kind.signal,), () if two_clocks else felt),
-                reaching(kind.component) | moving(seen, (kind.signal, *felt)),
+                shift_signs(context, (kind.signal,), () if two_clocks else pose_inputs),
+                reaching(kind.component) | moving(context, (kind.signal, *pose_inputs)),
                 older=partial(_older, sensor, rows) if two_clocks else None,
             )
         )

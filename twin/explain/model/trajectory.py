@@ -141,24 +141,24 @@ class Trajectory:
             states[:, hidden] = hidden_states(body, hidden, states, inputs)
         return replace(self.aligned, airframe=body, inputs=inputs, states=states)
 
-    def _felt_beyond(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
+    def _excess_force(self, theta: Array, states: Array, inputs: Array) -> tuple[Array, Array]:
         """Specific force at some numbers, and what is felt beyond it, NED, (n, 3) each.
 
         Where the former is unknown, or on the ground, the vehicle counts as held.
         """
         aligned = self.aligned
         force = self._physics.value(theta, states, inputs)[:, :3]
-        felt = np.zeros_like(force)
+        excess = np.zeros_like(force)
         if self._flight.has(*ACC):
-            felt = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - force
+            excess = on_grid(Signal(*self._flight.signal(ACC)), aligned.inputs.t_s) - force
         assert aligned.motion.attitude is not None
         q = list(aligned.motion.attitude.at(aligned.inputs.t_s).T)
-        force_n, felt_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, felt))
+        force_n, excess_n = (np.stack(to_ned(q, list(v.T)), axis=-1) for v in (force, excess))
         known = aligned.airborne & np.all(np.isfinite(force_n), axis=1)
-        there = known & np.all(np.isfinite(felt_n), axis=1)
+        there = known & np.all(np.isfinite(excess_n), axis=1)
         return (
             np.where(known[:, None], force_n, [0.0, 0.0, -self._vehicle.gravity_m_s2]),
-            np.where(there[:, None], felt_n, 0.0),
+            np.where(there[:, None], excess_n, 0.0),
         )
 
     def _observed(self, states: Array, inputs: Array, theta: Array) -> Array:
@@ -173,14 +173,14 @@ class Trajectory:
             without[own] = self._now[own]
             without[sizes] = neutral
             at = effect, without.tobytes()
-            free, felt = _remembered(
-                self._forces, at, partial(self._felt_beyond, without, states, inputs)
+            free, excess = _remembered(
+                self._forces, at, partial(self._excess_force, without, states, inputs)
             )
             numbers = {self._numbers[i].name: float(theta[i]) for i in own}
             course = _remembered(
                 self._courses,
                 (*at, tuple(float(theta[i]) for i in own if i not in sizes)),
-                partial(observer.follow, free, felt, numbers, 1 / GRID_HZ),
+                partial(observer.follow, free, excess, numbers, 1 / GRID_HZ),
             )
             states = observer.place(states, names, course, free, numbers, self._vehicle)
         return states
@@ -206,13 +206,13 @@ class Trajectory:
         return states, inputs
 
 
-def _remembered(kept: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
+def _remembered(retained: dict[Key, Made], key: Key, make: Callable[[], Made]) -> Made:
     """What was made before, or is made now; the oldest goes where there are many."""
-    if key not in kept:
-        while len(kept) >= REMEMBERED:
-            del kept[next(iter(kept))]
-        kept[key] = make()
-    return kept[key]
+    if key not in retained:
+        while len(retained) >= REMEMBERED:
+            del retained[next(iter(retained))]
+        retained[key] = make()
+    return retained[key]
 
 
 def _owner(state: str) -> str:

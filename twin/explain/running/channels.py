@@ -24,8 +24,8 @@ from ...residuals.airborne import LIFT_OFF_HEIGHT_M
 from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ
 from ...residuals.imu import OF_IMU, prompt_imu
 from ...vehicle import Vehicle
+from ..model.factors import in_body, named, rows_of
 from ..model.numbers import values_of
-from ..model.parts import in_body, named, rows_of
 from ..model.prediction import Physics, SensorBatch
 from .feed import FRAME_ROWS, FRAME_S, GridBlock
 from .hypotheses import Library

@@ -320,7 +320,7 @@ class RunningEvidence:
     def _update_silent(self, frame: Frame) -> None:
         """Alarms of what changes no mean, each by itself."""
         signs: list[SilentSign] = []
-        if any(isinstance(EFFECTS[e].seen_as, Repeats) for e in self._library.silent):
+        if any(isinstance(EFFECTS[e].observable_as, Repeats) for e in self._library.silent):
             signs += self._still.signs(frame)
         signs += self._shaking.signs(self._library.silent)
         price = np.log(self._settings.every_s / FRAME_S)

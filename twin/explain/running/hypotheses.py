@@ -99,7 +99,7 @@ def library_of(
             f"{', '.join(BEGINNINGS)}."
         )
     every = [*effects, *(b for b in standing_effects if b not in effects)]
-    own = tuple(e for e in every if isinstance(EFFECTS[e].seen_as, Equation))
+    own = tuple(e for e in every if isinstance(EFFECTS[e].observable_as, Equation))
     numbers = tuple(numbers_of((EFFECTS[e] for e in own), vehicle))
     columns = tuple(i for i, n in enumerate(numbers) if not n.shape)
     standing = np.array(

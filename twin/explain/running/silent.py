@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ...effects import EFFECTS, Repeats
 from ...effects.inertial import IMU_CHANNELS
-from ...effects.seen import Lines, NoiseFloor
+from ...effects.observability import Lines, NoiseFloor
 from ...representation import short_repr
 from ..settings import DEFAULT
 from .alarms import EstimatedChange
@@ -27,7 +27,7 @@ window."""
 
 def _effect_observed_as(kind: type[object]) -> str:
     """The effect of the library that is seen so."""
-    return next(name for name, effect in EFFECTS.items() if isinstance(effect.seen_as, kind))
+    return next(name for name, effect in EFFECTS.items() if isinstance(effect.observable_as, kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +87,15 @@ class StandStill:
     def signs(self, frame: Frame) -> list[SilentSign]:
         """Readings that stand still now, the one that does so for longest."""
         effect = EFFECTS[_effect_observed_as(Repeats)]
-        assert isinstance(effect.seen_as, Repeats)
+        assert isinstance(effect.observable_as, Repeats)
         found = []
         for column, start in sorted(self._frames.items(), key=lambda kv: kv[1])[:1]:
             rate = frame.samples[column.partition("_")[0]]
             evidence = self._settings.repeat_nats * rate * (frame.number + 1 - start)
             number = 1.0 + IMU_CHANNELS.index(column)
             estimates = (
-                EstimatedChange(effect.seen_as.channel, number, 0.0, "1"),
-                EstimatedChange(effect.seen_as.since, start * FRAME_S, FRAME_S / 2, "s"),
+                EstimatedChange(effect.observable_as.channel, number, 0.0, "1"),
+                EstimatedChange(effect.observable_as.since, start * FRAME_S, FRAME_S / 2, "s"),
             )
             found.append(SilentSign(effect.name, start, evidence, estimates))
         return found
@@ -158,7 +158,7 @@ class Shaking:
             across = float(added[rows : rows + 2].sum(axis=1).mean())
             # Four rotors, each a circle in the plane of the rotors: 2 A^2 along each axis, while
             # their phases are by chance.
-            lines = isinstance(EFFECTS[effect].seen_as, Lines)
+            lines = isinstance(EFFECTS[effect].observable_as, Lines)
             size = np.sqrt(across / 2) if lines else np.sqrt(2.7 * across)
             found.append(EstimatedChange(name, float(size), 0.5 * float(size), unit))
         return tuple(found)

@@ -117,10 +117,10 @@ class SelectionSettings(Group):
         "made up",
         1.0,
     )
-    beside: float = setting(
+    variance_per_effect: float = setting(
         1.0,
         "variances",
-        "of a number that each effect which is told adds to it: no law is exact, and what one of "
+        "of a number that each reported effect adds to it: no law is exact, and what one of "
         "them gets wrong the numbers of the others make up for",
         "chosen on: half of the cases of benchmarks/hidden_effects as in life "
         "(docs/results/hidden_effects.md); 0.5 is too few there, 1.5 and 2 do as well",

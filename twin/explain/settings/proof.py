@@ -23,7 +23,7 @@ class HoldoutSettings(Group):
 class AttributionSettings(Group):
     """Of `twin.explain.attribution`."""
 
-    felt: float = setting(
+    least_share: float = setting(
         0.1,
         "share",
         "of the power of a channel's residual that an effect explains where it acts",

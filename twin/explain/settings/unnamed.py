@@ -37,7 +37,7 @@ class UnnamedSettings(Group):
     in_band: float = setting(
         0.95, "share", "of the power of an equation that its band holds", "made up", 1.0
     )
-    worth: float = setting(
+    least_share: float = setting(
         0.5,
         "share",
         "of what is there; an equation that explains less explains nothing",

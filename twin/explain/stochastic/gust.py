@@ -138,10 +138,12 @@ def _gust_numbers(
     length = max(float(np.mean(through)), 1.0) * time_s
     doubt = 1.5 if known else 3.0
     values, intervals = {}, {}
-    seen_as = effect.seen_as
-    assert isinstance(seen_as, RandomForce)
+    observable_as = effect.observable_as
+    assert isinstance(observable_as, RandomForce)
     sizes = (sigma[:2].mean(), sigma[:2].mean(), sigma[2])
-    for strength, reach, size in zip(seen_as.intensity, seen_as.length, sizes, strict=True):
+    for strength, reach, size in zip(
+        observable_as.intensity, observable_as.length, sizes, strict=True
+    ):
         values[f"{effect.name}.{strength}"] = float(size)
         intervals[f"{effect.name}.{strength}"] = (float(size) / doubt, float(size) * doubt)
         values[f"{effect.name}.{reach}"] = length

@@ -27,12 +27,12 @@ def find_noise_level(
         model: Flights.
         effect: Seen as a noise floor.
     """
-    seen_as, own = effect.seen_as, settings.noise_level
-    assert isinstance(seen_as, NoiseFloor)
-    noisy = [s for s in SENSORS if s.signal in seen_as.further]
+    observable_as, own = effect.observable_as, settings.noise_level
+    assert isinstance(observable_as, NoiseFloor)
+    noisy = [s for s in SENSORS if s.signal in observable_as.further]
     stated = {s.columns: s.noise(model.vehicle) for s in noisy}
-    further = {s.columns: f"{effect.name}.{seen_as.further[s.signal]}" for s in noisy}
-    scale = f"{effect.name}.{seen_as.scale}"
+    further = {s.columns: f"{effect.name}.{observable_as.further[s.signal]}" for s in noisy}
+    scale = f"{effect.name}.{observable_as.scale}"
     each = {c: _ratio(model, c, s, settings) for c, s in stated.items() if s > 0}
     ratios = {c: r for c, r in each.items() if r is not None}
     off = {c: r for c, r in ratios.items() if r != 1.0}

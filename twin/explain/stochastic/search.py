@@ -35,7 +35,7 @@ def find_stochastic(
     """
     found = []
     for effect in EFFECTS.values():
-        match effect.seen_as:
+        match effect.observable_as:
             case NoiseFloor():
                 found.append(find_noise_level(model, effect, settings))
             case Lines():
@@ -56,5 +56,5 @@ def find_stuck(
     return [
         StochasticEffect(e.name, odds, stuck_numbers(stuck, e), {}, channels, 1.0)
         for e in EFFECTS.values()
-        if isinstance(e.seen_as, Repeats)
+        if isinstance(e.observable_as, Repeats)
     ]

@@ -104,16 +104,16 @@ def stuck_numbers(stuck: Sequence[Stuck], effect: Effect) -> Mapping[str, float]
         stuck: Of all flights.
         effect: Seen as repeats.
     """
-    seen_as = effect.seen_as
-    assert isinstance(seen_as, Repeats)
-    own = [s for s in stuck if s.channel in seen_as.channels and s.to_the_end]
+    observable_as = effect.observable_as
+    assert isinstance(observable_as, Repeats)
+    own = [s for s in stuck if s.channel in observable_as.channels and s.to_the_end]
     if not own:
         return {}
     worst = max(own, key=lambda s: s.to_s - s.from_s).channel
     times = [s.from_s for s in own if s.channel == worst]
     return {
-        f"{effect.name}.{seen_as.channel}": 1.0 + seen_as.channels.index(worst),
-        f"{effect.name}.{seen_as.since}": float(np.median(times)),
+        f"{effect.name}.{observable_as.channel}": 1.0 + observable_as.channels.index(worst),
+        f"{effect.name}.{observable_as.since}": float(np.median(times)),
     }
 
 

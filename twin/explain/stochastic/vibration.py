@@ -51,11 +51,11 @@ def find_vibration(
         effect: Seen as lines.
         settings: Of the spectra, and what makes a line one.
     """
-    seen_as, own = effect.seen_as, settings.vibration
-    assert isinstance(seen_as, Lines)
-    felt = (s for s in SENSORS if s.signal in seen_as.amplitudes)
-    sensors = [s for s in (_shaken(model, sensor, settings) for sensor in felt) if s]
-    hover_hz = next(p for p in effect.parameters if p.name == seen_as.frequency).sized(
+    observable_as, own = effect.observable_as, settings.vibration
+    assert isinstance(observable_as, Lines)
+    affected = (s for s in SENSORS if s.signal in observable_as.amplitudes)
+    sensors = [s for s in (_shaken(model, sensor, settings) for sensor in affected) if s]
+    hover_hz = next(p for p in effect.parameters if p.name == observable_as.frequency).sized(
         model.vehicle
     )
     if not sensors:
@@ -173,10 +173,10 @@ def _named_vibration(
     settings: StochasticSettings,
 ) -> StochasticEffect | None:
     """The line with its sizes, or None where it is too small or predicted as motion."""
-    seen_as, own = effect.seen_as, settings.vibration
-    assert isinstance(seen_as, Lines)
+    observable_as, own = effect.observable_as, settings.vibration
+    assert isinstance(observable_as, Lines)
     smallest = {"acc": own.smallest_acc_m_s2, "gyro": own.smallest_gyro_rad_s}
-    frequency = f"{effect.name}.{seen_as.frequency}"
+    frequency = f"{effect.name}.{observable_as.frequency}"
     values = {frequency: frequency_hz}
     doubt = 0.02 * frequency_hz if moves else 0.5 / settings.line_window_s
     intervals = {frequency: (frequency_hz - doubt, frequency_hz + doubt)}
@@ -184,7 +184,7 @@ def _named_vibration(
     shares: list[float] = []
     for sensor in sensors:
         power, share, motion, lift = _line_power(sensor, frequency_hz, moves, own.line_bins)
-        name = f"{effect.name}.{seen_as.amplitudes[sensor.sensor.signal]}"
+        name = f"{effect.name}.{observable_as.amplitudes[sensor.sensor.signal]}"
         cutoff = sensor.sensor.cutoff_hz(model.vehicle)
         passed = 1.0 if cutoff is None else 1 / np.sqrt(1 + (frequency_hz / cutoff) ** 4)
         plane = power[:, :2].mean(axis=1)  # (pieces,)

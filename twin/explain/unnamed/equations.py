@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ...physics.sensors.table import BODY, SENSORS, sensor_of
 from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
 from ..inference.fit import Fit
-from ..inference.whitening import Block, Ground, Key, Noise, blocks_of, noise_of
+from ..inference.whitening import Block, Key, Noise, WhitenedFlights, blocks_of, noise_of
 from ..settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 from .quantities import Quantity, quantities
 from .regression import Sparse, fold_of, longest, sparse
@@ -100,32 +100,35 @@ class _Channel:
 
 
 def find_equations(
-    ground: Ground, fitted: Fit, seed: int = 0, settings: UnnamedSettings = DEFAULT.unnamed
+    whitened: WhitenedFlights,
+    fitted: Fit,
+    seed: int = 0,
+    settings: UnnamedSettings = DEFAULT.unnamed,
 ) -> Unnamed | None:
     """Equations for what a hypothesis leaves; None where none is worth having.
 
     Args:
-        ground: Flights and noise.
+        whitened: Flights and noise.
         fitted: The hypothesis; no effects: what the model as it stands leaves.
         seed: Draws which blocks of time are left out together.
         settings: Terms, their price, and when an equation is worth having.
     """
-    days = fitted.on_its_days(ground.model).channels([], fitted.values)
+    days = fitted.on_its_days(whitened.model).channels([], fitted.values)
     left = [[_about_its_day(c) for c in flight] for flight in days]
-    keys = list(blocks_of(left, ground.noise, ground.settings))
-    search = _Search(fold_of(keys, seed, settings), settings, ground.settings)
-    known = _shared([quantities(f) for f in ground.model.flights], left)
+    keys = list(blocks_of(left, whitened.noise, whitened.settings))
+    search = _Search(fold_of(keys, seed, settings), settings, whitened.settings)
+    known = _shared([quantities(f) for f in whitened.model.flights], left)
     tones = _tones(left, settings)
     equations, gains, noises = [], dict.fromkeys(keys, 0.0), {}
     for i, first in enumerate(left[0]):
         if sensor_of(first.name) is None:
             continue  # what the pose implies has its own noise in every regressor
-        made = _channel(ground, [f[i] for f in left], known, tones, settings)
+        made = _channel(whitened, [f[i] for f in left], known, tones, settings)
         found = _found(made, search)
         if found is None:
             continue
         equation, best, noise = found
-        if not _worth(equation, ground, settings):
+        if not _is_substantial(equation, whitened, settings):
             continue
         equations.append(equation)
         noises[first.name] = noise
@@ -226,12 +229,12 @@ def _shared(
 ) -> list[dict[str, Quantity]]:
     """Quantities that every flight has, known wherever a residual is, and not at rest in all."""
     names = [k for k in each[0] if all(k in e for e in each)]
-    kept = []
+    retained = []
     for k in names:
         values = np.concatenate([e[k].values for e in each])
         if np.ptp(values[np.isfinite(values)], axis=0) > 0:
-            kept.append(k)
-    return [{k: _bridged(e[k]) for k in kept} for e in each]
+            retained.append(k)
+    return [{k: _bridged(e[k]) for k in retained} for e in each]
 
 
 def _bridged(quantity: Quantity) -> Quantity:
@@ -242,7 +245,7 @@ def _bridged(quantity: Quantity) -> Quantity:
 
 
 def _channel(
-    ground: Ground,
+    whitened: WhitenedFlights,
     flights: Sequence[ChannelData],
     known: Sequence[dict[str, Quantity]],
     tones_hz: tuple[float, ...],
@@ -251,9 +254,9 @@ def _channel(
     """The channel with every candidate, low-passed as the channel is."""
     name = flights[0].name
     made, columns = [], []
-    for channel, own, flight in zip(flights, known, ground.model.flights, strict=True):
+    for channel, own, flight in zip(flights, known, whitened.model.flights, strict=True):
         columns = terms(own, name, tones_hz if _of_body(name) else (), settings)
-        readings = next(p.readings for p in flight.parts if name in p.readings.names)
+        readings = next(p.readings for p in flight.factors if name in p.readings.names)
         made.append(replace(channel, slopes=_filtered(readings, columns)))
     return _Channel(name, flights[0].unit, tuple(columns), tuple(made))
 
@@ -302,16 +305,20 @@ def _transform(trial_hz: Array, t_s: Array, values: Array) -> Array:
 # -- decision ---------------------------------------------------------------------------------
 
 
-def _worth(equation: Equation, ground: Ground, settings: UnnamedSettings) -> bool:
+def _is_substantial(
+    equation: Equation, whitened: WhitenedFlights, settings: UnnamedSettings
+) -> bool:
     """Whether an equation explains enough, of something large enough to speak of."""
-    return equation.share >= settings.worth and equation.rms >= smallest(equation.channel, ground)
+    return equation.share >= settings.least_share and equation.rms >= smallest(
+        equation.channel, whitened
+    )
 
 
-def smallest(channel: str, ground: Ground) -> float:
+def smallest(channel: str, whitened: WhitenedFlights) -> float:
     """What is too little to speak of, rms in the unit of a channel."""
     sensor = sensor_of(channel)
     assert sensor is not None, channel
-    return SMALLEST * sensor.size(ground.model.vehicle)[sensor.channels.index(channel)]
+    return SMALLEST * sensor.size(whitened.model.vehicle)[sensor.channels.index(channel)]
 
 
 def _about_its_day(c: ChannelData) -> ChannelData:
@@ -326,7 +333,7 @@ def _of_body(channel: str) -> bool:
 
 
 def explains_better(
-    ground: Ground,
+    whitened: WhitenedFlights,
     named: Sequence[Fit],
     alone: Unnamed | None,
     settings: UnnamedSettings = DEFAULT.unnamed,
@@ -335,7 +342,7 @@ def explains_better(
     """Whether something outside the library is the better account of the flights.
 
     Args:
-        ground: Flights.
+        whitened: Flights.
         named: Hypotheses of the library that are worth considering; none of them may cover what
             the equations explain. No effects: nothing.
         alone: Equations for what the model as it stands leaves, see `unnamed`.
@@ -345,19 +352,21 @@ def explains_better(
     return (
         alone is not None
         and alone.gain > settings.enough
-        and all(covered(ground, f, alone, stands) < settings.covers for f in named)
+        and all(covered(whitened, f, alone, stands) < settings.covers for f in named)
     )
 
 
-def covered(ground: Ground, named: Fit, alone: Unnamed, stands: Fit | None = None) -> float:
+def covered(
+    whitened: WhitenedFlights, named: Fit, alone: Unnamed, stands: Fit | None = None
+) -> float:
     """Share of what equations explain, in their channels, that a hypothesis explains as well.
 
     Both in log likelihood, under the noise that the equations leave: the noise of the ground has
     learnt what the library cannot explain, and would forgive it.
     """
     now = stands or replace(named, values={}, days=())
-    before = now.on_its_days(ground.model).channels([], now.values)
-    after = named.on_its_days(ground.model).channels([], {**now.values, **named.values})
+    before = now.on_its_days(whitened.model).channels([], now.values)
+    after = named.on_its_days(whitened.model).channels([], {**now.values, **named.values})
     taken = 0.0
     for i, channel in enumerate(before[0]):
         if channel.name in alone.noise:
@@ -365,7 +374,9 @@ def covered(ground: Ground, named: Fit, alone: Unnamed, stands: Fit | None = Non
             power, left = (
                 sum(
                     b.power
-                    for b in blocks_of([[f[i]] for f in flights], [noise], ground.settings).values()
+                    for b in blocks_of(
+                        [[f[i]] for f in flights], [noise], whitened.settings
+                    ).values()
                 )
                 for flights in (before, after)
             )

@@ -78,7 +78,7 @@ def unsteady_evidence(
         vehicle: The model as it stood.
         budget: Of the page.
     """
-    kind, name = type(EFFECTS[found.effect].seen_as), found.effect.replace("_", " ")
+    kind, name = type(EFFECTS[found.effect].observable_as), found.effect.replace("_", " ")
     time = _unsteady_group(found.effect)
     figures = [unsteady_figure(found, flight, residuals, vehicle, time, budget)]
     if kind is RandomForce:

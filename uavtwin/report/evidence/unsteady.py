@@ -44,7 +44,7 @@ def unsteady_figure(
         time: Group of figures whose time axes move together.
         budget: Of the page.
     """
-    match EFFECTS[found.effect].seen_as:
+    match EFFECTS[found.effect].observable_as:
         case Repeats():
             return _still(found, flight, time, budget)
         case RandomForce():
@@ -81,7 +81,7 @@ def _spectra(
     found: StochasticEffect, flight: AnyFlight, vehicle: Vehicle, budget: Budget
 ) -> Figure | None:
     """Spectra of readings, the noise that the vehicle file says, and the effect."""
-    seen_as = EFFECTS[found.effect].seen_as
+    observable_as = EFFECTS[found.effect].observable_as
     names = [c for c in found.channels if flight.has(c)][:MOST_CHANNELS]
     if not names:
         return None
@@ -91,7 +91,7 @@ def _spectra(
         sensor = next(s for s in SENSORS if name in s.columns)
         t, values = flight.signal([name])
         s = spectrum(t, values[:, 0])
-        linear = isinstance(seen_as, Lines)
+        linear = isinstance(observable_as, Lines)
         axes = _density(panels, name, sensor.unit, i == len(names) - 1, linear)
         keep = (s.f_hz > 0) & (s.psd > 0)
         if not keep.any():
@@ -106,12 +106,12 @@ def _spectra(
         if stated > 0:
             level = np.full(2, 2 * stated**2 / s.rate_hz)
             panels.line(axes, ends, level, "noise of the vehicle file", noise)
-        if isinstance(seen_as, NoiseFloor):
-            with_it = np.full(2, 2 * _noise(stated, own, seen_as, sensor) ** 2 / s.rate_hz)
+        if isinstance(observable_as, NoiseFloor):
+            with_it = np.full(2, 2 * _noise(stated, own, observable_as, sensor) ** 2 / s.rate_hz)
             effect = {"color": ORANGE, "width": 1.8}
             panels.line(axes, ends, with_it, "noise with the effect", effect)
-        if isinstance(seen_as, Lines):
-            at = own[seen_as.frequency]
+        if isinstance(observable_as, Lines):
+            at = own[observable_as.frequency]
             at = abs((at + s.rate_hz / 2) % s.rate_hz - s.rate_hz / 2)  # folded, as it is seen
             reach = 10 ** np.array([psd.min(), psd.max()])
             line = {"color": ORANGE, "width": 1.8, "dash": "dot"}
@@ -119,10 +119,12 @@ def _spectra(
     return panels.figure
 
 
-def _noise(stated: float, own: Mapping[str, float], seen_as: NoiseFloor, sensor: Sensor) -> float:
+def _noise(
+    stated: float, own: Mapping[str, float], observable_as: NoiseFloor, sensor: Sensor
+) -> float:
     """Standard deviation of a reading with the effect."""
-    further = own.get(seen_as.further.get(sensor.signal, ""), 0.0)
-    return float(np.hypot(stated * own.get(seen_as.scale, 1.0), further))
+    further = own.get(observable_as.further.get(sensor.signal, ""), 0.0)
+    return float(np.hypot(stated * own.get(observable_as.scale, 1.0), further))
 
 
 def _slow_force(

@@ -30,7 +30,7 @@ class Trace:
     Readings of the IMU and the position sensor are taken earlier by their delays.
 
     Attributes:
-        felt: Specific force at the accelerometer, unfiltered, delayed.
+        imu_force: Specific force at the accelerometer, unfiltered, delayed.
         acc: The same behind the low-pass.
         gyro: Body rates at the gyroscope, delayed.
         pose: Position and velocity of the marker, attitude, delayed.
@@ -40,7 +40,7 @@ class Trace:
         command: As the controller gave them.
     """
 
-    felt: Array
+    imu_force: Array
     acc: Array
     gyro: Array
     pose: Array
@@ -192,7 +192,7 @@ def _sensed(
 
 
 def _readings(layout: Layout, x: Array, at: Motion) -> dict[str, Array]:
-    return {"felt": at.felt, "acc": x[layout.acc], "gyro": at.shaken}
+    return {"felt": at.imu_force, "acc": x[layout.acc], "gyro": at.shaken}
 
 
 def _truth(layout: Layout, x: Array, at: Motion, wind: Array) -> Array:

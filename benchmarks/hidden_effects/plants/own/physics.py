@@ -92,7 +92,7 @@ class Motion:
 
     Attributes:
         angular_acceleration: Body, rad/s2, shape (3, n).
-        felt: Specific force at the accelerometer, body, m/s2.
+        imu_force: Specific force at the accelerometer, body, m/s2.
         shaken: Body rates at the gyroscope, rad/s.
         rate: Time derivative of the state.
         target: Speed that the rotors strive for, rad/s, shape (r, n).
@@ -101,7 +101,7 @@ class Motion:
     """
 
     angular_acceleration: Array
-    felt: Array
+    imu_force: Array
     shaken: Array
     rate: Array
     target: Array
@@ -177,12 +177,12 @@ def motion(
     else:
         rate[layout.rope] = rate[layout.swing] = 0.0
     specific = force / p.mass
-    felt, shaken = specific, omega
+    imu_force, shaken = specific, omega
     if batch.on("imu_arm"):
-        felt = specific + cross(alpha, p.imu_arm) + cross(omega, cross(omega, p.imu_arm))
+        imu_force = specific + cross(alpha, p.imu_arm) + cross(omega, cross(omega, p.imu_arm))
     if batch.on("shake_accel") or batch.on("shake_gyro"):
         shake = unbalance(batch, rotor, x[layout.phase])
-        felt, shaken = felt + p.shake_accel * shake, omega + p.shake_gyro * shake
+        imu_force, shaken = imu_force + p.shake_accel * shake, omega + p.shake_gyro * shake
     acceleration = to_ned(r, specific)
     acceleration[2] += GRAVITY_M_S2
     low = 2 * np.pi * p.accel_cutoff_hz
@@ -190,11 +190,11 @@ def motion(
     rate[layout.q], rate[layout.omega] = quaternion_rate(q, omega), alpha
     rate[layout.acc] = x[layout.acc_rate]
     rate[layout.acc_rate] = (
-        low * low * (felt - x[layout.acc]) - np.sqrt(2.0) * low * x[layout.acc_rate]
+        low * low * (imu_force - x[layout.acc]) - np.sqrt(2.0) * low * x[layout.acc_rate]
     )
     rate[layout.charge] = -current / p.capacity
     rate[layout.rotor], rate[layout.phase] = (target - rotor) / p.lag, rotor
-    return Motion(alpha, felt, shaken, rate, target, voltage, current)
+    return Motion(alpha, imu_force, shaken, rate, target, voltage, current)
 
 
 def _load(batch: Batch, rope: Array, swing: Array, force: Array) -> tuple[Array, Array]:

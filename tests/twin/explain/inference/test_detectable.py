@@ -62,8 +62,8 @@ def test_the_evidence_of_flights_agrees() -> None:
     names = ("mass_offset", "rotor_efficiency_loss", "cog_offset")
     quiet = against(fly(COPTER, COPTER, seed=4, waypoints=ROUND), COPTER, *names)
     nothing = nothing_of(quiet)
-    judge = quiet.linearised(nothing)
-    found = smallest_detectable(quiet.model, judge, nothing, SURE)
+    laplace = quiet.linearised(nothing)
+    found = smallest_detectable(quiet.model, laplace, nothing, SURE)
     assert {*found} == {*names}
     assert found["mass_offset"].unit == "kg"
     size = found["mass_offset"].value

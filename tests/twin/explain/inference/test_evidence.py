@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.fft import dct
 from scipy.stats import multivariate_normal
-from search_rigs.linear_judge import Linear
+from search_rigs.linear_evidence import Linear
 
 from twin.explain.inference.evidence import (
     Factored,
@@ -68,8 +68,8 @@ def test_evidence_is_the_integral_over_number_and_noise_level(size: float) -> No
     prior = np.exp(-0.5 * ((x - 0.2) / 0.5) ** 2)
     with_number = integral(rss[None, :], prior[None, :] / prior.sum())
     without = integral(np.array([[r @ r]]), np.ones((1, 1)))
-    judge = problem.judge
-    found = judge.best(["a"], 1.0).evidence - judge.best([], 1.0).evidence
+    laplace = problem.laplace
+    found = laplace.best(["a"], 1.0).evidence - laplace.best([], 1.0).evidence
     assert found == pytest.approx(with_number - without - 2.5, abs=0.02)
 
 
@@ -114,14 +114,14 @@ def constants(seed: int = 0, **changes: object) -> Linear:
 @pytest.mark.parametrize("on", ["", "a", "bc", "abc"])
 def test_evidence_of_known_noise_is_the_normal_density(on: str) -> None:
     problem = constants()
-    assert problem.judge.best(on, 1.0).evidence == pytest.approx(normal(problem, on), abs=1e-9)
+    assert problem.laplace.best(on, 1.0).evidence == pytest.approx(normal(problem, on), abs=1e-9)
 
 
 @pytest.mark.parametrize("kappa", [0.25, 1.0])
 @pytest.mark.parametrize("on", ["", "ac"])
 def test_numbers_of_days_and_constants_widen_by_kappa(on: str, kappa: float) -> None:
     problem = constants(day=np.array([0.5, 0.0, 1.5]))
-    found = problem.judge.best(on, kappa).evidence
+    found = problem.laplace.best(on, kappa).evidence
     assert found == pytest.approx(normal(problem, on, kappa), abs=1e-9)
 
 
@@ -129,11 +129,11 @@ def test_what_a_file_is_unsure_of_counts_with_its_covariance() -> None:
     """Two numbers of the file that are off together; then one of them by an effect as well."""
     file = np.array([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.0]])
     problem = constants(file=file)
-    assert problem.judge.best("", 1.0).evidence == pytest.approx(normal(problem, ""), abs=1e-9)
+    assert problem.laplace.best("", 1.0).evidence == pytest.approx(normal(problem, ""), abs=1e-9)
     alone = constants(file=np.diag(np.diag(file)))
     assert abs(normal(problem, "") - normal(alone, "")) > 0.1
     wider = constants(file=file, slab=np.array([1.5, 2.0, 2.0]), mean=np.zeros(3))
-    assert wider.judge.best("a", 1.0).evidence == pytest.approx(normal(wider, "a"), abs=1e-9)
+    assert wider.laplace.best("a", 1.0).evidence == pytest.approx(normal(wider, "a"), abs=1e-9)
 
 
 # -- what it does not depend on ---------------------------------------------------------------
@@ -144,8 +144,8 @@ def test_gains_and_losses_count_alike() -> None:
     u = np.random.default_rng(2).standard_normal(200)[:, None]
     channels = [[(bands(200), 2 * u[:, 0], u)], [(bands(200), u[:, 0], -u)]]
     floor = {(c, b): 0.01 for c in (0, 1) for b in (0, 1)}
-    judge = Linear(["a"], channels, floor, mean=np.array([0.5])).judge
-    before, after = (judge.at(["a"], 1.0, np.array([x])) for x in (0.0, 1.0))
+    laplace = Linear(["a"], channels, floor, mean=np.array([0.5])).laplace
+    before, after = (laplace.at(["a"], 1.0, np.array([x])) for x in (0.0, 1.0))
     assert before == pytest.approx(after, abs=1e-9)
 
 
@@ -163,8 +163,8 @@ def test_differences_do_not_depend_on_units() -> None:
         ]
         plain = Linear(["a", "b"], channels, {})
         noise = Noise.of(plain.spectrum, [0.1, 0.1 * scale])
-        judge = replace(plain, floor=noise.floor, own=noise.own).judge
-        return judge.best(["a"], 1.0).evidence - judge.best(["b"], 1.0).evidence
+        laplace = replace(plain, floor=noise.floor, own=noise.own).laplace
+        return laplace.best(["a"], 1.0).evidence - laplace.best(["b"], 1.0).evidence
 
     assert lead(1e3) == pytest.approx(lead(1.0), abs=1e-6)
     assert lead(1.0) > 3
@@ -180,12 +180,13 @@ def test_a_band_that_does_not_vote_has_no_influence() -> None:
     both = Linear(["a"], [[(band, r, s)]], floor)
     gated = replace(both, silent=frozenset({(0, 2)}))
     alone = Linear(["a"], [[(band[:n], r[:n], s[:n])]], floor)
-    assert gated.judge.best(["a"], 1.0).x == pytest.approx(alone.judge.best(["a"], 1.0).x)
+    assert gated.laplace.best(["a"], 1.0).x == pytest.approx(alone.laplace.best(["a"], 1.0).x)
     leads = [
-        p.judge.best(["a"], 1.0).evidence - p.judge.best([], 1.0).evidence for p in (gated, alone)
+        p.laplace.best(["a"], 1.0).evidence - p.laplace.best([], 1.0).evidence
+        for p in (gated, alone)
     ]
     assert leads[0] == pytest.approx(leads[1], abs=1e-9)
-    assert abs(both.judge.best(["a"], 1.0).x[0] - gated.judge.best(["a"], 1.0).x[0]) > 0.1
+    assert abs(both.laplace.best(["a"], 1.0).x[0] - gated.laplace.best(["a"], 1.0).x[0]) > 0.1
 
 
 def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() -> None:
@@ -197,8 +198,8 @@ def test_one_flight_tells_no_more_than_its_samples_however_fast_it_was_logged() 
         plain = Linear(["a"], [[(bands(n), r, s)]], {})
         noise = Noise.of(plain.spectrum, [1.0])
         assert noise.own[0] * n == pytest.approx(1 / (1 / n + 1 / samples))
-        judge = replace(plain, floor=noise.floor, own=noise.own).judge
-        leads.append(judge.best(["a"], 1.0).evidence - judge.best([], 1.0).evidence)
+        laplace = replace(plain, floor=noise.floor, own=noise.own).laplace
+        leads.append(laplace.best(["a"], 1.0).evidence - laplace.best([], 1.0).evidence)
     assert leads[1] == pytest.approx(leads[0], rel=0.2)
     assert leads[1] < 0.5 * samples * np.log(2)  # half the power is explained
 
@@ -209,7 +210,7 @@ def test_a_number_stays_inside_its_range_and_the_others_make_the_best_of_it() ->
     s[:, 1] += 0.8 * s[:, 0]
     r = s @ [2.0, 0.1] + 0.1 * rng.standard_normal(400)
     problem = Linear(["a", "b"], [[(bands(400), r, s)]], ONE_BAND, reach=1.0)
-    x = problem.judge.best(["a", "b"], 1.0).x
+    x = problem.laplace.best(["a", "b"], 1.0).x
     assert x[0] == pytest.approx(1.0)
     rest = r - s[:, 0]
     assert x[1] == pytest.approx(min(1.0, s[:, 1] @ rest / (s[:, 1] @ s[:, 1])), rel=0.02)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from search_rigs.linear_judge import Linear
+from search_rigs.linear_evidence import Linear
 
 from twin.explain.inference.inclusion import Posterior, weigh
 from twin.explain.inference.refit import State
-from twin.explain.inference.search import Found, worth
+from twin.explain.inference.search import SearchResult, log_posterior
 
 Array = NDArray[np.float64]
 NAMES = ("accel_bias", "gyro_bias", "mass_offset", "thrust_scale")
@@ -34,11 +34,13 @@ def weighed(
     floor = {(0, 0): 1.0, (0, 1): 1e-4}
     odds = dict.fromkeys(effects, -2.5)
     linear = Linear(effects, [[(band, residual, slopes)]], floor, odds=odds)
-    judge = linear.judge
+    laplace = linear.laplace
 
-    end = State(tuple(sorted(on)), judge.best(on, 1.0), linear.spectrum)
+    end = State(tuple(sorted(on)), laplace.best(on, 1.0), linear.spectrum)
     problem: Any = SimpleNamespace(beliefs=linear.beliefs)
-    return weigh(problem, Found(end, judge, {((), 1.0): worth(end)} if bent else {}), seed)
+    return weigh(
+        problem, SearchResult(end, laplace, {((), 1.0): log_posterior(end)} if bent else {}), seed
+    )
 
 
 def noise(n: int = 400, seed: int = 0) -> tuple[np.random.Generator, Array]:

@@ -13,12 +13,12 @@ from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
 from twin.explain.inference.adequacy import coherent, credible
 from twin.explain.inference.bounds import Bounds, edges
-from twin.explain.inference.fit import Fit, worth_a_name
-from twin.explain.inference.inclusion import Posterior, Weighed
-from twin.explain.inference.search import Found
+from twin.explain.inference.fit import Fit, substantial_effects
+from twin.explain.inference.inclusion import Posterior, ScoredModel
+from twin.explain.inference.search import SearchResult
 from twin.explain.inference.search import search as climbed
 from twin.explain.inference.selection import Naming, Resemblance, _named, name_effects
-from twin.explain.inference.whitening import Ground
+from twin.explain.inference.whitening import WhitenedFlights
 from twin.explain.model.numbers import at_voltage, numbers_of
 from twin.explain.settings import DEFAULT
 from twin.logs import Flight
@@ -278,7 +278,7 @@ def test_a_delay_below_a_sample_is_no_name() -> None:
     numbers = tuple(numbers_of([EFFECTS["imu_delay"], EFFECTS["mass_offset"]], COPTER))
     values = {"imu_delay.delay_s": 0.002, "mass_offset.mass_kg": 0.1}
     both = Fit(("imu_delay", "mass_offset"), values, numbers, np.zeros(2), 1.0)
-    assert worth_a_name(both) == ("mass_offset",)
+    assert substantial_effects(both) == ("mass_offset",)
 
 
 @pytest.mark.parametrize(
@@ -296,7 +296,7 @@ def test_a_lag_that_takes_a_delay_back_is_no_name(
     numbers = tuple(numbers_of([EFFECTS["command_delay"], EFFECTS["motor_lag"]], COPTER))
     values = {"command_delay.delay_s": delay_s, "motor_lag.tau_s": lag_s}
     both = Fit(("command_delay", "motor_lag"), values, numbers, np.zeros(2), 1.0)
-    assert worth_a_name(both) == named
+    assert substantial_effects(both) == named
 
 
 def named_of(
@@ -308,18 +308,18 @@ def named_of(
     """What is said of sets of these probabilities, each number as large as given where it is."""
     problem = against(flight, COPTER, "accel_bias", "imu_delay")
     state = problem.start((), 1.0)
-    judge, names = problem.linearised(state), problem.beliefs.names
+    laplace, names = problem.linearised(state), problem.beliefs.names
 
-    def of(effects: tuple[str, ...], probability: float) -> Weighed:
-        best = judge.best(effects, 1.0)
+    def of(effects: tuple[str, ...], probability: float) -> ScoredModel:
+        best = laplace.best(effects, 1.0)
         x = np.zeros_like(best.x)
         for name, value in sizes.items():
             if name.partition(".")[0] in effects:
                 x[names.index(name)] = value
-        return Weighed(effects, probability, replace(best, x=x))
+        return ScoredModel(effects, probability, replace(best, x=x))
 
     posterior = Posterior(tuple(of(*s) for s in sets.items()), inclusion, {})
-    return _named(problem, Found(state, judge, {}), posterior, DEFAULT.inference)
+    return _named(problem, SearchResult(state, laplace, {}), posterior, DEFAULT.inference)
 
 
 def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None:
@@ -336,7 +336,7 @@ def test_sets_that_differ_by_what_is_no_name_count_as_one(quiet: Flight) -> None
     assert naming.inclusion == pytest.approx({"accel_bias": 0.8, "imu_delay": 0.0})
     shown = naming.shown.values  # what predicts best: the mean over all sets
     assert shown["accel_bias.x_m_s2"] == pytest.approx(0.8 * 0.5)
-    assert naming.told.values["accel_bias.x_m_s2"] == pytest.approx(0.5)
+    assert naming.conditional.values["accel_bias.x_m_s2"] == pytest.approx(0.5)
     assert shown["imu_delay.delay_s"] == pytest.approx(0.5 * 0.001)
 
 
@@ -353,7 +353,7 @@ def test_the_most_probable_set_may_hold_what_is_unlikely_and_small(quiet: Flight
         {"accel_bias": 0.45, "imu_delay": 0.3},
     )
     assert naming.best.effects == ("accel_bias",)
-    assert naming.told.values["accel_bias.x_m_s2"] == pytest.approx(size)
+    assert naming.conditional.values["accel_bias.x_m_s2"] == pytest.approx(size)
     assert naming.verdict == "cannot_tell"
 
 
@@ -376,7 +376,7 @@ def weighed(
         tuple(Resemblance(e, "made up") for e in alike),
         Posterior((), {}, {}),
         problem,
-        Ground(problem.model, (), DEFAULT.inference.likelihood),
+        WhitenedFlights(problem.model, (), DEFAULT.inference.likelihood),
         1.0,
     )
 
@@ -416,7 +416,7 @@ def test_one_tie_does_not_take_away_a_name_that_is_sure(quiet: Flight) -> None:
     sure = dict.fromkeys("abc", 0.95)
     one = weighed(quiet, [ab, ac], [0.6, 0.4], sure)
     assert (one.verdict, one.undecided, one.sure) == ("named", ("b",), False)
-    assert one.together("ab") == pytest.approx(0.6 * 0.95**2)
+    assert one.joint_probability("ab") == pytest.approx(0.6 * 0.95**2)
     all_tied = weighed(quiet, [ab, ac, bc], [0.4, 0.3, 0.3], sure)
     assert (all_tied.verdict, all_tied.undecided) == ("cannot_tell", ("a", "b"))
 

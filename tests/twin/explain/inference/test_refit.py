@@ -66,15 +66,15 @@ def test_a_fit_ends_where_its_residuals_are_those_of_the_model() -> None:
 def test_more_effects_never_fit_worse_and_numbers_stay_in_range() -> None:
     few = state_of(problem(), EFFECTS_AT_ONCE[:2])
     every = problem().settle(EFFECTS_AT_ONCE, 1.0, problem().rest, few.best.x)
-    judge = problem().judge(every.spectrum)
+    laplace = problem().laplace(every.spectrum)
     assert every.evidence > few.evidence
     b = problem().beliefs
     k = len(b.now)
     values = b.now + every.best.x[:k]
     on = b.of(EFFECTS_AT_ONCE)
     assert np.all(values[on] >= b.low[on] - 1e-12) and np.all(values[on] <= b.high[on] + 1e-12)
-    assert judge.at(every.effects, 1.0) == pytest.approx(
-        judge.at(every.effects, 1.0, every.best.x), abs=1e-6
+    assert laplace.at(every.effects, 1.0) == pytest.approx(
+        laplace.at(every.effects, 1.0, every.best.x), abs=1e-6
     )
 
 

@@ -93,7 +93,7 @@ def test_nothing_between_command_and_rotor_is_visible_where_rotor_speeds_drive(
     flight = without(dragged, KINDS[kind])
     model = model_of([flight], VEHICLE, candidates([flight]))
     assert OF_COMMANDS.isdisjoint(model.effects) == (kind != "commands")
-    assert {*model.unfelt} == (set() if kind == "commands" else OF_COMMANDS)
+    assert {*model.unobservable} == (set() if kind == "commands" else OF_COMMANDS)
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_late_stamps_of_the_speeds_are_estimated(dragged: Flight) -> None:
 def test_flights_of_two_kinds_show_what_both_can_show(dragged: Flight) -> None:
     flights = [without(dragged, SPEEDS), replace(without(dragged, COMMANDS), name="other")]
     model = model_of(flights, VEHICLE, candidates(flights))
-    assert {*model.unfelt} == OF_COMMANDS
+    assert {*model.unobservable} == OF_COMMANDS
     assert OF_COMMANDS.isdisjoint(model.effects)
     assert "rotor_drag" in model.effects
 

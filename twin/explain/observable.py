@@ -10,7 +10,7 @@ from .model.numbers import ACCELEROMETER, GYROSCOPE, SIGNALS, lacking, on_the_bo
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ObservableEffects:
     """What a search can look for in a flight.
 
     Attributes:
@@ -22,21 +22,23 @@ class Told:
     unknown: dict[str, tuple[str, ...]]
 
 
-def told_by(flight: AnyFlight) -> Told:
+def observable_effects(flight: AnyFlight) -> ObservableEffects:
     """Effects that the columns of a flight can show, by the rule of the search itself.
 
     Whether it flew long enough, and moved in a way that shows them, is not asked.
     """
     drive = _no_drive(flight)
-    told: dict[str, list[str]] = {}
+    observable: dict[str, list[str]] = {}
     unknown: dict[str, list[str]] = {}
     for effect in EFFECTS.values():
         missing = drive or "; ".join(_missing(effect, flight))
         if missing:
             unknown.setdefault(missing, []).append(effect.name)
         else:
-            told.setdefault(effect.component, []).append(effect.name)
-    return Told({k: tuple(v) for k, v in told.items()}, {k: tuple(v) for k, v in unknown.items()})
+            observable.setdefault(effect.component, []).append(effect.name)
+    return ObservableEffects(
+        {k: tuple(v) for k, v in observable.items()}, {k: tuple(v) for k, v in unknown.items()}
+    )
 
 
 def _no_drive(flight: AnyFlight) -> str:

@@ -35,7 +35,7 @@ class Observer:
     an observer pulls them towards what the flight shows, with what is past alone.
 
     Attributes:
-        follow: `(free_n, felt_n, numbers, step_s) -> course`: the specific force, m/s^2, that is
+        follow: `(free_n, excess_n, numbers, step_s) -> course`: the specific force, m/s^2, that is
             predicted without the effect, and what the accelerometer reads beyond that, zero where
             unknown, both NED, shape (n, 3), to whatever `place` needs. It uses the shapes alone of
             the numbers: those without a neutral value.
@@ -150,4 +150,4 @@ class Repeats:
     channels: tuple[str, ...] = field(default=())
 
 
-Seen = Equation | Shift | Average | NoiseFloor | Lines | RandomForce | Repeats
+Observability = Equation | Shift | Average | NoiseFloor | Lines | RandomForce | Repeats

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FlightContext:
     """A flight and its twin.
 
     Attributes:
@@ -45,7 +45,7 @@ class Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class SensorFactor:
     """One sensor of a flight: readings, and what predicts them from rows on the grid.
 
     Attributes:
@@ -88,61 +88,65 @@ class Part:
     __repr__ = short_repr
 
 
-def driven_apart(seen: Seen, rate: bool) -> list[tuple[slice, NDArray[np.bool_] | None]]:
+def driven_apart(
+    context: FlightContext, rate: bool
+) -> list[tuple[slice, NDArray[np.bool_] | None]]:
     """Axes of a specific force, or of an angular acceleration, with the grid points to leave out.
 
     While a motor is at a limit its command does not tell thrust and torque; what acts across the
     thrust does not depend on it.
 
     Args:
-        seen: A flight and its twin.
+        context: A flight and its twin.
         rate: Whether of the angular acceleration.
     """
-    saturated = seen.aligned.saturated
-    if not (saturated & seen.aligned.airborne).any():
+    saturated = context.aligned.saturated
+    if not (saturated & context.aligned.airborne).any():
         return [(slice(0, 3), None)]
     if rate:
         return [(slice(0, 3), saturated)]
     return [(slice(0, 2), None), (slice(2, 3), saturated)]
 
 
-def pull_signal(seen: Seen) -> tuple[AnySignal, int] | None:
+def pull_signal(context: FlightContext) -> tuple[AnySignal, int] | None:
     """What shows the acceleration of the pose, and how often it is to be differentiated.
 
     The acceleration of the record where it has one, else the velocity; None without either.
     """
-    if seen.flight.has(*ACC_NED):
-        return Signal(*seen.flight.signal(ACC_NED)), 0
-    velocity = seen.aligned.motion.velocity
+    if context.flight.has(*ACC_NED):
+        return Signal(*context.flight.signal(ACC_NED)), 0
+    velocity = context.aligned.motion.velocity
     return None if velocity is None else (velocity, 1)
 
 
-def pull_of_pose(seen: Seen) -> Array | None:
+def pull_of_pose(context: FlightContext) -> Array | None:
     """Acceleration that the pose shows less gravity, NED, on the grid, shape (n, 3)."""
-    shown = pull_signal(seen)
+    shown = pull_signal(context)
     if shown is None:
         return None
     signal, derivative = shown
-    pull = smooth_at(signal, seen.aligned.inputs.t_s, derivative)
-    pull[:, 2] -= seen.vehicle.gravity_m_s2
+    pull = smooth_at(signal, context.aligned.inputs.t_s, derivative)
+    pull[:, 2] -= context.vehicle.gravity_m_s2
     return pull
 
 
-def late_by(seen: Seen, shown: Collection[str], told_from: Collection[str]) -> dict[str, float]:
+def shift_signs(
+    context: FlightContext, shown: Collection[str], measured_from: Collection[str]
+) -> dict[str, float]:
     """Sign with which each age shifts a prediction: later where what is shown is old, earlier where
     what it is told from is."""
     late = {}
-    for n in seen.numbers:
+    for n in context.numbers:
         if set(n.moves) & set(shown):
             late[n.full] = 1.0
-        elif set(n.moves) & set(told_from):
+        elif set(n.moves) & set(measured_from):
             late[n.full] = -1.0
     return late
 
 
-def moving(seen: Seen, signals: Collection[str]) -> frozenset[str]:
+def moving(context: FlightContext, signals: Collection[str]) -> frozenset[str]:
     """Effects that shift some signals."""
-    return frozenset(n.effect for n in seen.numbers if set(n.moves) & set(signals))
+    return frozenset(n.effect for n in context.numbers if set(n.moves) & set(signals))
 
 
 def reaching(*components: str) -> frozenset[str]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from twin.explain.inference.beliefs import Beliefs
 from twin.explain.inference.bounds import Bounds
-from twin.explain.inference.evidence import Judge, Noise
+from twin.explain.inference.evidence import LaplaceEvidence, Noise
 from twin.explain.inference.spectrum import Rows, Spectrum
 from twin.explain.settings import EvidenceSettings
 from twin.physics.sensors.table import SENSORS
@@ -78,9 +78,9 @@ class Linear:
         return Spectrum(names, rows, np.zeros(k), days, beliefs.days)
 
     @property
-    def judge(self) -> Judge:
+    def laplace(self) -> LaplaceEvidence:
         k, beliefs = len(self.effects), self.beliefs
         bounds = Bounds(beliefs.low, beliefs.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
         noise = Noise(self.floor, own, {}, self.silent)
-        return Judge(self.spectrum, noise, beliefs, bounds, EvidenceSettings())
+        return LaplaceEvidence(self.spectrum, noise, beliefs, bounds, EvidenceSettings())

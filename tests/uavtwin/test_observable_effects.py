@@ -11,7 +11,7 @@ import pytest
 from twin.effects import EFFECTS, Average, Equation, Shift
 from twin.errors import LogError
 from twin.explain.model.model import candidates
-from twin.explain.told import told_by
+from twin.explain.observable import observable_effects
 from twin.logs import Flight, read_flight, write_flight
 from twin.logs.columns import COLUMNS
 from uavtwin.file_check import check_file
@@ -38,29 +38,33 @@ def without(*stems: str) -> Flight:
 @pytest.mark.parametrize(
     "stems", [(), ("mag_",), ("acc_", "gyro_"), ("acc_", "gyro_", "q_"), ("baro", "vbat", "ibat")]
 )
-def test_what_can_be_told_is_what_the_search_looks_for(stems: tuple[str, ...]) -> None:
+def test_what_is_observable_is_what_the_search_looks_for(stems: tuple[str, ...]) -> None:
     flight = without(*stems)
-    told = told_by(flight)
-    listed = {e for names in told.effects.values() for e in names}
-    unknown = {e for names in told.unknown.values() for e in names}
+    observable = observable_effects(flight)
+    listed = {e for names in observable.effects.values() for e in names}
+    unknown = {e for names in observable.unknown.values() for e in names}
     assert listed | unknown == {*EFFECTS}
     assert not listed & unknown
-    steady = {n for n in listed if isinstance(EFFECTS[n].seen_as, Average | Equation | Shift)}
+    steady = {n for n in listed if isinstance(EFFECTS[n].observable_as, Average | Equation | Shift)}
     assert steady == {e.name for e in candidates([flight])}
 
 
 def test_the_missing_column_is_named() -> None:
-    told = told_by(without("mag_", "baro"))
-    (compass,) = (why for why, names in told.unknown.items() if "mag_hard_iron" in names)
+    observable = observable_effects(without("mag_", "baro"))
+    (compass,) = (why for why, names in observable.unknown.items() if "mag_hard_iron" in names)
     assert compass == "no mag_x, mag_y, mag_z"
-    (thrust,) = (w for w, n in told_by(without("acc_", "q_")).unknown.items() if "mass_offset" in n)
+    (thrust,) = (
+        w
+        for w, n in observable_effects(without("acc_", "q_")).unknown.items()
+        if "mass_offset" in n
+    )
     assert thrust == "no acc_x, acc_y, acc_z (or q with vel, pos or acc_ned)"
 
 
-def test_without_commands_nothing_can_be_told() -> None:
-    told = told_by(without("cmd_", "rotor_"))
-    assert told.effects == {}
-    (why,) = told.unknown
+def test_without_commands_nothing_is_observable() -> None:
+    observable = observable_effects(without("cmd_", "rotor_"))
+    assert observable.effects == {}
+    (why,) = observable.unknown
     assert why.startswith("neither commands")
 
 
@@ -68,9 +72,11 @@ def test_check_lists_it(tmp_path: Path) -> None:
     path = tmp_path / "f.parquet"
     write_flight(without("mag_", "acc_", "gyro_"), path)
     report = check_file(path)
-    assert any(text.startswith("airframe: ") and "thrust_scale" in text for text in report.told)
-    assert any("accel_bias" in text and "acc_x" in text for text in report.not_told)
-    assert json.loads(json.dumps(report.json()))["told"] == list(report.told)
+    assert any(
+        text.startswith("airframe: ") and "thrust_scale" in text for text in report.observable
+    )
+    assert any("accel_bias" in text and "acc_x" in text for text in report.not_observable)
+    assert json.loads(json.dumps(report.json()))["observable"] == list(report.observable)
     assert any("explain cannot look for: " in text for _, text in report.lines())
 
 
