@@ -43,6 +43,7 @@ fuzz: setup  ## files changed at random: does one fell a reader, is a change tol
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports --no-logo
 	$(BIN)/mypy
 
 AUDIT_STAMP := $(VENV)/.audit-installed

@@ -1,70 +1,51 @@
-"""The floor plan of docs/dev/architecture.md: what the tree keeps, and how each rule breaks.
+"""The floor plan of docs/dev/architecture.md.
 
-The rules themselves are functions of `rigs/import_graph`.
+Layers, circles and forbidden imports are contracts of import-linter in `pyproject.toml`; here are
+these contracts, and the rules that import-linter does not have (`rigs/import_graph`).
 """
 
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
+import grimp
 import pytest
 from import_graph import (
-    Tree,
-    circles,
-    imports_of,
+    fragments,
+    long_modules,
+    modules_of,
     private_uses,
-    read_layers,
-    read_tree,
     shared_names,
     untyped_packages,
-    upward_arrows,
 )
+from importlinter.cli import lint_imports
 from places import ROOT
 
 SHIPPED = ("twin", "learning", "fmus", "cosim", "uavtwin")
 PACKAGES = (*SHIPPED, "benchmarks")
-CHECKING = "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n"
-LAYERS = read_layers((ROOT / "docs" / "dev" / "architecture.md").read_text())
+FEWEST_LINES = 60
+"""Of a module that one other module imports."""
+MOST_LINES = 650
+"""Of a module: one concept; about 600."""
 
 
 @cache
-def tree() -> Tree:
-    return read_tree(ROOT, PACKAGES)
+def graph() -> grimp.ImportGraph:
+    """Imports for type checkers alone do not count."""
+    return grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
 
 
 # -- the tree -------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_no_circle() -> None:
-    """Imports inside functions count: none of them is there to break a circle."""
-    assert circles(tree()) == []
+def test_contracts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Layers, circles, forbidden imports; imports inside functions count."""
+    monkeypatch.chdir(ROOT)
+    assert lint_imports(no_cache=True, show_timings=False) == 0
 
 
-def test_no_arrow_upwards() -> None:
-    assert upward_arrows(tree(), LAYERS) == []
-
-
-def test_every_layer_is_there() -> None:
-    """A layer that was renamed would let everything through."""
-    named = [name for layer in LAYERS for name in layer]
-    assert [n for n in named if n not in tree().files] == []
-    assert len(set(named)) == len(named)
-    assert {n.partition(".")[0] for n in named} == set(PACKAGES)
-
-
-def test_cosim_sees_nothing_of_explain() -> None:
-    assert imports_of(tree(), "twin.explain", within="cosim") == []
-
-
-def test_torch_is_in_learning_alone() -> None:
-    assert imports_of(tree(), "torch", outside="learning") == []
-    assert imports_of(tree(), "torch") != []
-
-
-@pytest.mark.slow
-def test_private_names_stay_at_home() -> None:
-    assert private_uses(tree()) == []
+def test_private_names_stay_in_their_module() -> None:
+    assert private_uses(modules_of(ROOT, PACKAGES)) == []
 
 
 def test_test_modules_have_names_of_their_own() -> None:
@@ -80,89 +61,25 @@ def test_caches_of_benchmarks_follow_every_source_they_come_from() -> None:
     from benchmarks.compensator.residuals import source_files
 
     hashed = {f.resolve() for f in source_files()}
+    files = modules_of(ROOT, PACKAGES)
     makers = ("learning.data.flights", "learning.data.residual_table", "twin.logs.read")
+    needed = set(makers).union(*(graph().find_upstream_modules(m) for m in makers))
     packages = {"learning", "learning.data"}  # a line of text each
-    needed = {tree().files[m].resolve() for m in tree().reached(makers) - packages}
-    assert needed - hashed == set()
+    assert {files[m].resolve() for m in needed & files.keys() - packages} - hashed == set()
 
 
 # -- each rule can be broken ----------------------------------------------------------------
 
 
-def made_up(folder: Path, files: Mapping[str, str]) -> Tree:
-    """A tree of these files, and the packages they are in."""
+def made_up(folder: Path, files: Mapping[str, str]) -> dict[str, Path]:
+    """Modules of a tree of these files, and the packages they are in."""
     for name, text in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
         for parent in path.relative_to(folder).parents:
             (folder / parent / "__init__.py").touch()
-    return read_tree(folder, sorted({name.partition("/")[0] for name in files}))
-
-
-@pytest.mark.parametrize(
-    ("there", "found"),
-    [
-        ("from .b import y", True),
-        ("from . import b", True),
-        ("from p import b", True),
-        ("import p.b", True),
-        ("def f():\n    from .b import y", True),
-        ("class A:\n    def f(self):\n        import p.b as other", True),
-        ("import importlib\nimportlib.import_module('p.b')", True),
-        ("try:\n    from .b import y\nexcept ImportError:\n    y = 1", True),
-        (
-            f"{CHECKING}    from .b import y\nelse:\n    y = 1",
-            False,
-        ),
-        (
-            f"{CHECKING}    y = 1\nelse:\n    from .b import y",
-            True,
-        ),
-        ("import q.b", False),
-    ],
-)
-def test_circles_are_found(tmp_path: Path, there: str, found: bool) -> None:
-    broken = made_up(tmp_path, {"p/a.py": there, "p/b.py": "from .a import x\ny = 1"})
-    assert bool(circles(broken)) == found
-
-
-def test_arrows_upwards_are_found(tmp_path: Path) -> None:
-    """The longest prefix counts, whatever the order of the packages."""
-    layers = [["p.low"], ["p.mid.deep"], ["p.mid"]]
-    files = {
-        "p/low/a.py": "",
-        "p/mid/b.py": "import p\nfrom .deep.c import x\nfrom ..low import a",
-        "p/mid/deep/c.py": "from ...low.a import y",
-    }
-    assert upward_arrows(made_up(tmp_path, files), layers) == []
-    files["p/mid/deep/c.py"] = "def f():\n    from ..b import z"
-    files["p/low/a.py"] = "from p.mid.deep import c"
-    files["p/new/d.py"] = "from ..low import a"
-    assert upward_arrows(made_up(tmp_path, files), layers) == [
-        "p.low.a:1 imports p.mid.deep.c, which is above it",
-        "p.mid.deep.c:2 imports p.mid.b, which is above it",
-        "p.new.d is in no layer",
-    ]
-
-
-def test_forbidden_imports_are_found(tmp_path: Path) -> None:
-    """Of others' packages and of ours, whole and in part; names alike are none."""
-    broken = made_up(
-        tmp_path,
-        {
-            "cosim/a.py": "from twin.explain.fit import x",
-            "cosim/b.py": "import torchvision\nimport twin.explained",
-            "cosim/c.py": "def f():\n    import torch.nn as nn",
-            "learning/d.py": "import torch",
-            "twin/explain/fit.py": "x = 1",
-            "twin/explained.py": "",
-        },
-    )
-    assert imports_of(broken, "twin.explain", within="cosim") == [
-        "cosim.a:1 imports twin.explain.fit"
-    ]
-    assert imports_of(broken, "torch", outside="learning") == ["cosim.c:2 imports torch.nn"]
+    return modules_of(folder, sorted({name.partition("/")[0] for name in files}))
 
 
 def test_private_names_are_found(tmp_path: Path) -> None:
@@ -180,9 +97,30 @@ def test_private_names_are_found(tmp_path: Path) -> None:
     )
     assert private_uses(broken) == [
         "p.c:1 imports p.a._x",
-        "p.e:1 imports p._b.z",
         "p.d:2 reads other._x",
+        "p.e:1 imports p._b.z",
     ]
+
+
+def test_fragments_and_long_modules_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Short and imported once; short and imported twice; long."""
+    files = made_up(
+        tmp_path,
+        {
+            "made_up_tree/once.py": "x = 1",
+            "made_up_tree/twice.py": "y = 2",
+            "made_up_tree/a.py": "from .once import x\nfrom .twice import y\n" + "\n" * 80,
+            "made_up_tree/b.py": "from .twice import y\nfrom . import a\n",
+        },
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    built = grimp.build_graph("made_up_tree", cache_dir=None)
+    assert fragments(files, built, 60) == [
+        "made_up_tree.once: 1 lines, imported by made_up_tree.a alone"
+    ]
+    assert long_modules(files, 80) == ["made_up_tree.a: 82 lines"]
 
 
 def test_missing_markers_are_found(tmp_path: Path) -> None:
@@ -198,9 +136,3 @@ def test_names_that_are_there_twice_are_found(tmp_path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
     assert shared_names(tmp_path, "tests") == ["test_x: tests/a/test_x.py, tests/b/test_x.py"]
-
-
-def test_layers_are_read() -> None:
-    assert read_layers("text\n```layers\na b\nc\n```\nmore") == [["a", "b"], ["c"]]
-    with pytest.raises(AssertionError, match="no block"):
-        read_layers("none here")

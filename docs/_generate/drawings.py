@@ -5,6 +5,8 @@
 writes SVG that needs nothing else: no script, no font, no network.
 """
 
+import re
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -40,9 +42,8 @@ WORDS = {
     "twin.draft": "a vehicle file from flights, mass and size",
     "twin.logs": "any format to one flight table",
     "twin.physics": "airframe, rotors, ground, battery, air, sensors/",
-    "twin.vehicle.file": "TOML with units and sources, effects included",
     "twin.effects": "the library of named causes",
-    "twin.vehicle": "numbers of one aircraft",
+    "twin.vehicle": "numbers of one aircraft; file/: TOML with units and sources",
     "twin.component": "an equation written once: builder, rows, noise",
     "twin.errors": "what a user can mend",
     "twin.frames": "NED, FRD, rotations",
@@ -97,10 +98,21 @@ ARROWS = (
 
 
 def rooms() -> list[list[str]]:
-    """The list of layers of the architecture page, those side by side together, the top first."""
-    page = (PICTURES.parent / "dev" / "architecture.md").read_text("utf-8")
-    listed = page.split("```layers\n")[1].split("```")[0]
-    return [line.split() for line in reversed(listed.splitlines())]
+    """Layers of the contracts in `pyproject.toml`, the top first, those side by side together."""
+    settings = tomllib.loads((PICTURES.parents[1] / "pyproject.toml").read_text("utf-8"))
+    contracts = settings["tool"]["importlinter"]["contracts"]
+    packages, twin, explain = [c["layers"] for c in contracts if c["type"] == "layers"][:3]
+    below = [[f"twin.{name}" for name in _side_by_side(layer)] for layer in twin]
+    return [
+        *([name] for name in packages if name != "twin"),
+        below[0],
+        *(_side_by_side(layer) for layer in explain),
+        *below[1:],
+    ]
+
+
+def _side_by_side(layer: str) -> list[str]:
+    return [name.strip() for name in re.split("[|:]", layer)]
 
 
 def layers() -> str:
