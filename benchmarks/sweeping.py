@@ -11,7 +11,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from uavtwin.sweeps.journal import JOURNAL
+from uavtwin.sweeps.outcome import JOURNAL
 
 from .watched import watched
 

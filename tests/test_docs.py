@@ -18,8 +18,7 @@ from twin.draft import hover_of
 from twin.residuals.gap import Channel, FlightGap, gap_json
 from twin.vehicle.file import parse_vehicle
 from uavtwin.demo.flights import fly, hide
-from uavtwin.file_check import CheckReport
-from uavtwin.flight_facts import hover_json
+from uavtwin.file_check import CheckReport, hover_json
 
 ROOT = Path(__file__).parents[1]
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import pandas as pd
 
-from uavtwin.fleets.aircraft import aircraft_name, file_stem
 from uavtwin.fleets.dataset import JOURNAL
-from uavtwin.fleets.logs import found_logs
+from uavtwin.fleets.fleet import found_logs
+from uavtwin.fleets.log_analysis import aircraft_name, file_stem
 from uavtwin.flights import open_alike
 from uavtwin.vehicles import Vehicle
 

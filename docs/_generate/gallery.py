@@ -15,9 +15,8 @@ from pathlib import Path
 from benchmarks.planted import flown, model_of_library, shown, unsteady
 from twin.effects import EFFECTS
 from twin.explain.model.model import has_mean
-from uavtwin.report.drawing.budget import Budget
-from uavtwin.report.drawing.degenerate import degenerate
-from uavtwin.report.evidence.plots import steady_evidence, unsteady_evidence
+from uavtwin.report.drawing import Budget, degenerate
+from uavtwin.report.evidence import steady_evidence, unsteady_evidence
 from uavtwin.report.page import Plot, render
 
 HERE = Path(__file__).parent

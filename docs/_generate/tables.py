@@ -43,7 +43,7 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
-from uavtwin.fleets.columns import TABLES
+from uavtwin.fleets.dataset import TABLES
 from uavtwin.series.flight_mcap import TOPICS
 from uavtwin.series.foxglove import FOXGLOVE, MEANINGS
 from uavtwin.series.table import SIDES

@@ -24,7 +24,7 @@ from twin.errors import TwinError
 from twin.vehicle.file import load_vehicle
 from uavtwin.cli.export import Choice, export_components
 from uavtwin.exports.parts import component
-from uavtwin.exports.products import WrittenFile
+from uavtwin.exports.write import WrittenFile
 
 Array = NDArray[np.float64]
 COMPONENTS = (

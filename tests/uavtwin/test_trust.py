@@ -22,7 +22,7 @@ from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
 from uavtwin.cli.simulate import simulate as simulate_verb
-from uavtwin.trust import read_hashes
+from uavtwin.run import read_hashes
 
 Call = Callable[..., tuple[int, str, str]]
 

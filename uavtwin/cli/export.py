@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from twin.physics.sensors.position import Kind
 
     from ..exports.parts import Controller, LearnedForce
-    from ..exports.products import Exportable, WrittenFile
+    from ..exports.write import Exportable, WrittenFile
     from ..vehicles import Vehicle
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"

@@ -22,20 +22,20 @@ from twin.scratch import scratch_folder
 from .bench import bench
 from .calibrate import calibrate
 from .check import check
+from .convert import convert
 from .demo import demo
 from .evaluate import evaluate
 from .explain import explain
 from .export import export
-from .fleet.fleet import fleet
-from .fleet.query import query
-from .flights.convert import convert
-from .flights.generate import generate
+from .fleet import fleet
 from .gap import gap
-from .live.hil import hil
-from .live.live import live
-from .live.replay import replay
+from .generate import generate
+from .hil import hil
+from .live import live
 from .options import Exit
 from .printing import STDERR, STDOUT, print_error
+from .query import query
+from .replay import replay
 from .simulate import simulate
 from .sweep import sweep
 from .train import train

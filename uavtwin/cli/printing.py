@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from twin.logs import AnyFlight
 
     from ..explanation import ExplainResult
-    from ..exports.products import WrittenFile
+    from ..exports.write import WrittenFile
     from ..output import OptionalSteps
     from ..shown import TextTable
 

@@ -1,15 +1,248 @@
-"""Components of a vehicle, or its whole twin, as files that FMI tools run."""
+"""What an export writes: one file per product and FMI version, each in its own way."""
 
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+from cosim.ssp import write_ssp
+from cosim.whole_twin import COMPENSATOR, fused_model, parts_of, system_of
+from fmus import FmuModel, build, component_model
+from fmus.compensator import NetworkFile, UnsupportedNetworkError, native_model
+from fmus.model import with_real_outputs
 from fmus.platforms import Platform, compilers, select_platforms
+from fmus.python_slave.build import build_network_slave, build_python_slave
+from twin.component import Component, unknown_name
 from twin.errors import TwinError
 
-from ..output import results_folder
+from ..output import results_folder, sha256
 from ..shown import Shown, TextTable, counted
-from .products import Exportable, Starts, WrittenFile, products_of, write_products
+from .parts import Twin
+
+Exportable = Component | FmuModel | NetworkFile | Twin
+
+
+@dataclass(slots=True)
+class Starts:
+    """Start values that a user gave, and what of them has found its place.
+
+    Attributes:
+        values: By name; "part.name" for the whole twin.
+        known: Names that something to be exported has.
+    """
+
+    values: Mapping[str, float]
+    known: set[str] = field(default_factory=set)
+
+    def of(self, part: Component | FmuModel, name: str = "") -> dict[str, float]:
+        """Those of one part; `name`: by which it is known in the whole twin."""
+        prefix = f"{name}." if name else ""
+        settable = {v.name for v in part.variables if v.causality != "output"}
+        self.known |= {prefix + n for n in settable}
+        return {n: self.values[prefix + n] for n in settable if prefix + n in self.values}
+
+    def check(self) -> None:
+        """Refuse names that nothing has.
+
+        Raises:
+            TwinError: There is one.
+        """
+        for name in self.values:
+            if name not in self.known:
+                raise TwinError(unknown_name("start value", "parameter or input", name, self.known))
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """One file per FMI version.
+
+    Attributes:
+        file: Its name.
+        write: `(path, FMI version, platforms)`: write it.
+        note: What the user should know of it, or "".
+        model: Of a native FMU; None: it is something else.
+    """
+
+    file: str
+    write: Callable[[Path, int, Sequence[str]], object]
+    note: str = ""
+    model: FmuModel | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFile:
+    """A file that was written.
+
+    Attributes:
+        file: Its path, relative to the folder of the export.
+        fmi: FMI version.
+        platforms: For which it holds binaries.
+        bytes: Its size.
+        sha256: Of its content.
+        note: What the user should know of it, or "".
+    """
+
+    file: str
+    fmi: int
+    platforms: tuple[str, ...]
+    bytes: int
+    sha256: str
+    note: str = ""
+
+    def as_json(self) -> dict[str, Any]:
+        """As plain data, without a note where there is none."""
+        content = asdict(self) | {"platforms": list(self.platforms)}
+        return content if self.note else {k: v for k, v in content.items() if k != "note"}
+
+
+def products_of(
+    what: Exportable,
+    starts: Starts,
+    versions: Sequence[int],
+    python_slave: bool = False,
+    arrays: bool = False,
+    real_outputs: bool = False,
+) -> list[Product]:
+    """Files of one thing to be exported; the whole twin has two, fused and as `.ssp`.
+
+    Args:
+        what: To export.
+        starts: Start values, of which it takes its own.
+        versions: FMI versions that are wanted.
+        python_slave: Whether Python evaluates it inside the FMU, for prototypes.
+        arrays: Whether variables that belong together are arrays; no `.ssp` then.
+        real_outputs: Whether every output is a real number; no `.ssp` then.
+
+    Raises:
+        TwinError: It cannot be written so.
+    """
+    if real_outputs:
+        if python_slave:
+            raise TwinError("real outputs are of native FMUs; leave out the Python slave.")
+        typed = products_of(what, starts, versions, arrays=arrays)
+        models = ((with_real_outputs(p.model), p.note) for p in typed if p.model is not None)
+        return [replace(_native(model), note=note) for model, note in models]
+    if arrays:
+        if list(versions) != [3] or python_slave:
+            raise TwinError("arrays are of FMI 3 and native FMUs; ask for that version alone.")
+        scalar = products_of(what, starts, versions)
+        return [_with_arrays(p.model, p.note) for p in scalar if p.model is not None]
+    if python_slave and (list(versions) != [2] or not isinstance(what, Component | NetworkFile)):
+        raise TwinError("a Python slave speaks FMI 2 and is one component; leave the rest native.")
+    if isinstance(what, Twin):
+        return _twin_products(what, starts)
+    if isinstance(what, NetworkFile):
+        return [_compensator_product(what, versions, python_slave, starts)]
+    if isinstance(what, Component):
+        ready = what.with_starts(starts.of(what))
+        if python_slave:
+            return [_slave(ready)]
+        return [_native(component_model(ready, exchange=ready.for_solvers))]
+    if isinstance(what, FmuModel):
+        return [_native(what.with_starts(starts.of(what)))]
+    raise TwinError(
+        f"export: a {type(what).__name__} cannot be exported. Give twin(vehicle), component(NAME, "
+        f"vehicle), replay(flight) or compensator(folder)."
+    )
+
+
+def _native(model: FmuModel) -> Product:
+    def write(path: Path, fmi: int, platforms: Sequence[str]) -> Path:
+        return build(model, path, fmi, platforms)
+
+    return Product(f"{model.name}.fmu", write, model=model)
+
+
+def _with_arrays(model: FmuModel, note: str) -> Product:
+    return replace(_native(replace(model, arrays=True)), note=note)
+
+
+def _slave(component: Component) -> Product:
+    return Product(f"{component.name}.fmu", lambda path, *_: build_python_slave(component, path))
+
+
+def _compensator_product(
+    network: NetworkFile, versions: Sequence[int], python_slave: bool, starts: Starts
+) -> Product:
+    """Native; as a Python slave where that is wanted, or the C generator refuses the network."""
+    if not python_slave:
+        try:
+            model = native_model(network)
+            return _native(model.with_starts(starts.of(model)))
+        except UnsupportedNetworkError as refusal:
+            if list(versions) != [2]:
+                raise TwinError(
+                    f"{network.path}: {refusal}. A Python slave can run it, for FMI 2 alone."
+                ) from None
+            note = f"{refusal}; so it is a Python slave: its host must be Python with onnxruntime"
+            return replace(_network_slave(network), note=note)
+    return _network_slave(network)
+
+
+def _network_slave(network: NetworkFile) -> Product:
+    return Product("compensator.fmu", lambda path, *_: build_network_slave(network, path))
+
+
+def _twin_products(twin: Twin, starts: Starts) -> list[Product]:
+    """The fused FMU and the `.ssp`."""
+    compensator = None
+    if twin.compensator is not None:
+        try:
+            compensator = native_model(twin.compensator)
+        except UnsupportedNetworkError as refusal:
+            raise TwinError(
+                f"{twin.compensator.path}: {refusal}. The corrected twin is native; export the "
+                f"compensator alone, as a Python slave."
+            ) from None
+    parts = parts_of(twin.assembly, compensator)
+    own = {name: starts.of(part, name) for name, part in parts.items()}
+    assembly = twin.assembly.with_starts(
+        {f"{name}.{n}": x for name in twin.assembly.parts for n, x in own[name].items()}
+    )
+    if compensator is not None:
+        compensator = compensator.with_starts(own[COMPENSATOR])
+
+    def write(path: Path, fmi: int, platforms: Sequence[str]) -> None:
+        """The `.ssp`, its FMUs built beside it and taken away again."""
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".parts") as folder:
+            write_ssp(
+                system_of(assembly, Path(folder), fmi, platforms, compensator=compensator), path
+            )
+
+    fused = fused_model(assembly, twin.name, compensator)
+    return [_native(fused), Product(f"{fused.name}.ssp", write)]
+
+
+def write_products(
+    products: Sequence[Product],
+    versions: Sequence[int],
+    platforms: Sequence[Platform],
+    out: Path,
+    progress: Callable[[float], None],
+) -> list[WrittenFile]:
+    """Write everything; several FMI versions each into a folder of their own, `fmi2`, `fmi3`."""
+    names = tuple(p.name for p in platforms)
+    written: list[WrittenFile] = []
+    for version in versions:
+        folder = out if len(versions) == 1 else out / f"fmi{version}"
+        folder.mkdir(exist_ok=True)
+        for product in products:
+            path = folder / product.file
+            product.write(path, version, names)
+            written.append(
+                WrittenFile(
+                    str(path.relative_to(out)),
+                    version,
+                    names,
+                    path.stat().st_size,
+                    sha256(path),
+                    product.note,
+                )
+            )
+            progress(len(written) / (len(versions) * len(products)))
+    return written
+
 
 Progress = Callable[[float], None]
 VERSIONS = (2, 3)

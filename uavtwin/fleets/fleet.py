@@ -1,24 +1,107 @@
 """A fleet from start to end: found, looked at on an engine, resumed where it was killed."""
 
+import glob
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from twin.component import unknown_name
-from twin.errors import TwinError
+from twin.errors import LogError, TwinError
+from twin.logs.formats import FORMATS
 
+from ..flights import counted_key, what_is_there
 from ..jobs.engine import Engine, EngineName, opened_engine
 from ..jobs.process import Allowed
 from ..output import check_folder, results_folder, write_json
 from ..vehicles import Vehicle, load_vehicle
-from .dataset import JOURNAL, Journal, write_dataset
-from .logs import Log, found_logs, job_number
-from .looking import VERBS, Found, Look, Looking, Verb
+from .dataset import JOURNAL, JobRows, Journal, write_dataset
+from .log_analysis import VERBS, LogAnalysis, LogJob, Verb
 from .result import FleetResult, result_of
 from .vehicles import numbers_of_files, write_vehicles
+
+MOST_LOGS = 10_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One file.
+
+    Attributes:
+        path: Absolute.
+        name: From the folder that all have in common.
+        bytes: Its size.
+        changed_ns: When it was changed last.
+    """
+
+    path: str
+    name: str
+    bytes: int
+    changed_ns: int
+
+    @property
+    def job(self) -> int:
+        """Number by which it is known again, 63 bits: other content has another one."""
+        text = f"{self.path}\0{self.bytes}\0{self.changed_ns}"
+        return job_number(text)
+
+
+def job_number(text: str) -> int:
+    """63 bits of a hash."""
+    return int.from_bytes(hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()[:8]) >> 1
+
+
+def found_logs(given: Sequence[str | Path]) -> list[Log]:
+    """All logs of files, patterns and folders, by name, each once.
+
+    Args:
+        given: Of a folder those files, at any depth, that end as logs do.
+
+    Raises:
+        LogError: There are none where some should be.
+    """
+    paths = sorted({p for one in given for p in _of(str(one))}, key=counted_key)
+    if not paths:
+        raise LogError("fleet: no log is given.")
+    if len(paths) > MOST_LOGS:
+        raise LogError(f"fleet: {len(paths)} logs, at most {MOST_LOGS} are taken at once.")
+    above = os.path.commonpath([os.path.dirname(p) for p in paths])
+    found = []
+    for path in paths:
+        stat = os.stat(path)
+        name = Path(os.path.relpath(path, above)).as_posix()
+        found.append(Log(path, name, stat.st_size, stat.st_mtime_ns))
+    return found
+
+
+def _of(text: str) -> Iterator[str]:
+    """Absolute paths that are meant."""
+    if os.path.isdir(text):
+        suffixes = {s for f in FORMATS for s in f.suffixes}
+        inside = [
+            os.path.join(folder, name)
+            for folder, _, names in os.walk(text)
+            for name in names
+            if os.path.splitext(name)[1].lower() in suffixes and not name.startswith(".")
+        ]
+        if not inside:
+            raise LogError(
+                f"{text}: the folder holds no logs. Files that end in "
+                f"{', '.join(sorted(suffixes))} are looked for."
+            )
+    elif os.path.isfile(text) or not glob.has_magic(text):
+        if not os.path.exists(text):
+            raise LogError(f"{text}: there is no such file. {what_is_there(Path(text))}")
+        inside = [text]
+    else:
+        inside = [p for p in glob.glob(text, recursive=True) if os.path.isfile(p)]
+        if not inside:
+            raise LogError(f"{text}: no log matches this pattern. {what_is_there(Path(text))}")
+    yield from (os.path.abspath(p) for p in inside)
+
 
 Progress = Callable[[float], None]
 
@@ -41,8 +124,8 @@ class Work:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
-    """What is asked of a fleet.
+class FleetRequest:
+    """What is done with a fleet.
 
     Attributes:
         vehicle: Name or file of the vehicle of all aircraft; None: each has its own.
@@ -138,55 +221,55 @@ def fleet(
         raise TwinError(unknown_name("fleet", "each", each, ("flight", "aircraft")))
     folder = None if per_aircraft is None else Path(per_aircraft)
     named = None if vehicle is None else str(vehicle)
-    asked = Asked(named, folder, tuple(verbs), each == "flight", indoors)
+    request = FleetRequest(named, folder, tuple(verbs), each == "flight", indoors)
     given = [logs] if isinstance(logs, str | Path) else list(logs)
     work = Work(engine, workers, scheduler, allowed or Allowed())
-    return run_fleet(given, asked, Path(out), work, force, progress)
+    return run_fleet(given, request, Path(out), work, force, progress)
 
 
 def run_fleet(
     given: Sequence[str | Path],
-    asked: Asked,
+    request: FleetRequest,
     out: Path,
     work: Work,
     force: bool = False,
     progress: Progress = lambda _: None,
     found: Callable[[FleetResult], None] = lambda _: None,
-    beside: Callable[[FleetResult, Path], None] = lambda *_: None,
-    each: Callable[[Found], None] = lambda _: None,
+    alongside: Callable[[FleetResult, Path], None] = lambda *_: None,
+    each: Callable[[JobRows], None] = lambda _: None,
 ) -> FleetResult:
     """Look at the logs that are not done, and write what they say together.
 
     Args:
         given: Files, patterns, folders.
-        asked: What is asked of them.
+        request: What is done with them.
         out: Folder.
         work: How.
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
         found: Takes the result as soon as there is one.
-        beside: Writes what else belongs into the folder, which it is given.
+        alongside: Writes what else belongs into the folder, which it is given.
         each: Called with what is found in each log, or of each aircraft, as it comes.
 
     Raises:
         TwinError: As `fleet`.
     """
     check_folder(out, force, JOURNAL)
-    base, own = asked.base(), asked.own()
+    base, own = request.base(), request.own()
     logs = found_logs(given)
-    looking = looking_of(asked, base, own, work.allowed)
-    with closing(Journal(out / JOURNAL, looking.key)) as journal:
+    analysis = analysis_of(request, base, own, work.allowed)
+    with closing(Journal(out / JOURNAL, analysis.key)) as journal:
         with opened_engine(work.engine, work.workers, work.scheduler) as engine:
-            looks = [_look(log) for log in logs]
-            together = "explain" in asked.verbs and not asked.alone
-            share = 0.5 if together else 1.0
-            _do(looks, looking, engine, journal, lambda d: progress(share * d), each)
-            if together:
-                more = aircraft_looks(looks, journal)
-                _do(more, looking, engine, journal, lambda d: progress(share + share * d), each)
-                looks += more
+            jobs = [LogJob(log.job, (log.path,), (log.name,), log.bytes) for log in logs]
+            by_aircraft = "explain" in request.verbs and not request.alone
+            share = 0.5 if by_aircraft else 1.0
+            _do(jobs, analysis, engine, journal, lambda d: progress(share * d), each)
+            if by_aircraft:
+                more = aircraft_jobs(jobs, journal)
+                _do(more, analysis, engine, journal, lambda d: progress(share + share * d), each)
+                jobs += more
         with results_folder(out, force, JOURNAL) as folder:
-            write_dataset(journal.lines(looks, journal.places()), folder)
+            write_dataset(journal.lines([k.job for k in jobs], journal.places()), folder)
             result = result_of(folder, "" if base is None else base.name)
             found(result)
             if result.explained:
@@ -194,73 +277,69 @@ def run_fleet(
                 write_vehicles(files, base, own, folder)
             result.report(folder / "report.html")
             write_json(folder / "fleet.json", result.json())
-            beside(result, folder)
+            alongside(result, folder)
     return replace(result, folder=out)
 
 
-def looking_of(
-    asked: Asked, base: Vehicle | None, own: Mapping[str, Vehicle], allowed: Allowed
-) -> Looking:
-    """What is done with each log, with a hash of all that decides what is found."""
+def analysis_of(
+    request: FleetRequest, base: Vehicle | None, own: Mapping[str, Vehicle], allowed: Allowed
+) -> LogAnalysis:
+    """The analysis of each log, with a hash of everything that its rows depend on."""
     import uavtwin
 
     texts = {stem: v.text for stem, v in own.items()}
     vehicle = "" if base is None else base.text
-    content = [uavtwin.__version__, vehicle, texts, asked.verbs, asked.alone, asked.indoors]
-    content += [asdict(allowed), asked.trust_vehicle]
+    content = [uavtwin.__version__, vehicle, texts, request.verbs, request.alone, request.indoors]
+    content += [asdict(allowed), request.trust_vehicle]
     key = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-    file = asked.vehicle or f"{asked.per_aircraft}"
-    return Looking(
+    file = request.vehicle or f"{request.per_aircraft}"
+    return LogAnalysis(
         key,
         vehicle,
         texts,
         Path(file).name,
-        asked.verbs,
-        asked.alone,
-        asked.indoors,
+        request.verbs,
+        request.alone,
+        request.indoors,
         allowed,
-        asked.trust_vehicle,
+        request.trust_vehicle,
     )
 
 
-def _look(log: Log) -> Look:
-    return Look(log.job, (log.path,), (log.name,), log.bytes)
-
-
-def aircraft_looks(looks: Sequence[Look], journal: Journal) -> list[Look]:
+def aircraft_jobs(jobs: Sequence[LogJob], journal: Journal) -> list[LogJob]:
     """A job for each aircraft that logs name, by its name, each flight once."""
-    flights: dict[str, list[Look]] = {}
-    for look, line in zip(looks, journal.lines(looks, journal.places()), strict=True):
+    flights: dict[str, list[LogJob]] = {}
+    for job, line in zip(jobs, journal.lines([k.job for k in jobs], journal.places()), strict=True):
         about = line["flights"][0]
         if about.get("aircraft") and about["status"] in ("fine", "findings"):
-            flights.setdefault(about["aircraft"], []).append(look)
+            flights.setdefault(about["aircraft"], []).append(job)
     found = []
     for aircraft, own in sorted(flights.items()):
         text = "\0".join([aircraft, *(str(k.job) for k in own)])
         paths, names = tuple(k.paths[0] for k in own), tuple(k.names[0] for k in own)
         size = sum(k.bytes for k in own)
-        found.append(Look(job_number(text), paths, names, size, aircraft))
+        found.append(LogJob(job_number(text), paths, names, size, aircraft))
     return found
 
 
 def _do(
-    looks: Sequence[Look],
-    looking: Looking,
+    jobs: Sequence[LogJob],
+    analysis: LogAnalysis,
     engine: Engine,
     journal: Journal,
     progress: Progress,
-    each: Callable[[Found], None],
+    each: Callable[[JobRows], None],
 ) -> None:
     """Do what is not done."""
-    left = [k for k in looks if k.job not in journal.done]
-    done = len(looks) - len(left)
-    for found in engine.run(looking, _largest_first(left)):
+    left = [k for k in jobs if k.job not in journal.done]
+    done = len(jobs) - len(left)
+    for found in engine.run(analysis, _largest_first(left)):
         journal.add(found)
         done += 1
         each(found)
-        progress(done / len(looks))
+        progress(done / len(jobs))
 
 
-def _largest_first(looks: Sequence[Look]) -> Iterator[Look]:
+def _largest_first(jobs: Sequence[LogJob]) -> Iterator[LogJob]:
     """The large ones first: no worker has one left when the others are done."""
-    return iter(sorted(looks, key=lambda k: (-k.bytes, k.names[0])))
+    return iter(sorted(jobs, key=lambda k: (-k.bytes, k.names[0])))

@@ -9,9 +9,8 @@ import numpy as np
 import pandas as pd
 
 from ..shown import TextTable
-from .columns import MOTORS
-from .dataset import read_table
-from .vitals import misfit
+from .dataset import MOTORS, read_table
+from .log_analysis import misfit
 
 UNNAMED = "(not named by its log)"
 _NUMBERS = ("hover_command", "hover_speed_rad_s", "carried", "back_m", "right_m")

@@ -12,8 +12,7 @@ import pyarrow.dataset as ds
 
 from twin.errors import TwinError, install_command
 
-from .columns import TABLES
-from .dataset import check_dataset, path_of
+from .dataset import TABLES, check_dataset, path_of
 
 if TYPE_CHECKING:
     import pandas as pd

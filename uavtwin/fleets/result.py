@@ -11,11 +11,9 @@ import pandas as pd
 from ..output import output_file
 from ..shown import Shown, TextTable
 from .dataset import read_table
-from .estimates import Spread, explained_aircraft, spreads
+from .fleet_statistics import Difference, Drift, Spread, compared, explained_aircraft, spreads
 from .overview import UNNAMED, Overview, of_aircraft, of_logs, table_of
-from .statistics.differences import FEWEST as FEWEST_AIRCRAFT
-from .statistics.trends import FEWEST as FEWEST_FLIGHTS
-from .together import Difference, Drift, compared
+from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
 MOST_TOLD = 20
 """Rows of a table that are printed."""

@@ -10,8 +10,8 @@ from twin.explain.model.numbers import with_effects
 from twin.vehicle import Deviation
 
 from ..vehicles import Vehicle
-from .aircraft import file_stem
-from .estimates import Spread
+from .fleet_statistics import Spread
+from .log_analysis import file_stem
 
 DIGITS = 6
 FOLDER = "vehicles"

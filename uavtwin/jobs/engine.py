@@ -1,14 +1,244 @@
 """Where jobs are done: processes of this machine, or a cluster; what comes of them is the same."""
 
+import contextlib
 import os
+import queue
+import tempfile
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import closing, contextmanager
-from typing import Literal, Protocol
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
 
-from twin.errors import TwinError
+from twin.errors import TwinError, install_command
 
-from .local import LocalEngine
-from .task import D, J, Task
+J = TypeVar("J")
+D = TypeVar("D")
+J_contra = TypeVar("J_contra", contravariant=True)
+D_co = TypeVar("D_co", covariant=True)
+
+
+class Worker(Protocol[J_contra, D_co]):
+    """Does one job after another, in one thread."""
+
+    def do(self, job: J_contra, /) -> D_co:
+        """What comes of a job; whatever happens in it, there is something."""
+
+    def close(self) -> None:
+        """End what it has started."""
+
+
+class Task(Protocol[J, D]):
+    """The same for all jobs."""
+
+    @property
+    def key(self) -> str:
+        """Hash of all that decides what comes of the jobs."""
+
+    def name(self, job: J, /) -> str:
+        """By which a job is told from others."""
+
+    def worker(self) -> Worker[J, D]:
+        """One more that does jobs."""
+
+    def packed(self) -> "Packed[J, D]":
+        """As it travels to another machine."""
+
+    def lost(self, job: J, why: str, /) -> D:
+        """What comes of a job whose workers were lost."""
+
+
+class Packed(Protocol[J, D]):
+    """A task that is pickled."""
+
+    @property
+    def key(self) -> str:
+        """Of the task."""
+
+    def unpacked(self, folder: Path, /) -> Task[J, D]:
+        """The task, its files written into a folder."""
+
+
+class LocalEngine:
+    """As many workers as asked for."""
+
+    def __init__(self, workers: int) -> None:
+        """Start nothing yet.
+
+        Args:
+            workers: Threads, each with a worker.
+        """
+        self._workers = workers
+
+    def run(self, task: Task[J, D], jobs: Iterable[J]) -> Iterator[D]:
+        """What comes of the jobs, in any order; jobs are taken when there is room for them."""
+        waiting: queue.Queue[J | None] = queue.Queue(2 * self._workers)
+        done: queue.Queue[D | _Raised] = queue.Queue()
+        ended = threading.Event()
+
+        def work() -> None:
+            """Until there is nothing more to do, or nobody who wants it."""
+            try:
+                with contextlib.closing(task.worker()) as worker:
+                    while (job := waiting.get()) is not None and not ended.is_set():
+                        done.put(worker.do(job))
+            except BaseException as error:
+                done.put(_Raised(error))
+
+        threads = [threading.Thread(target=work, daemon=True) for _ in range(self._workers)]
+        for thread in threads:
+            thread.start()
+        try:
+            under_way = 0
+            for job in jobs:
+                if under_way == 2 * self._workers:
+                    yield _found(done.get())
+                    under_way -= 1
+                waiting.put(job)
+                under_way += 1
+            for _ in range(under_way):
+                yield _found(done.get())
+        finally:
+            ended.set()
+            for _ in threads:
+                _offer(waiting)
+            for thread in threads:
+                thread.join(timeout=1.0)  # a long step is not waited for; its process ends with us
+
+    def close(self) -> None:
+        """Nothing is left of it."""
+
+
+class _Raised:
+    """An error of a worker's thread."""
+
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
+
+def _found(found: D | _Raised) -> D:
+    if isinstance(found, _Raised):
+        raise found.error
+    return found
+
+
+def _offer(waiting: "queue.Queue[J | None]") -> None:
+    """Say that there is nothing more; where nobody takes jobs, they are dropped."""
+    while True:
+        try:
+            return waiting.put_nowait(None)
+        except queue.Full:
+            with contextlib.suppress(queue.Empty):
+                waiting.get_nowait()
+
+
+AHEAD = 4
+"""Jobs that are given to the cluster for each of its threads."""
+
+
+class DaskEngine:
+    """The workers of a cluster; what a killed one was doing is done by another."""
+
+    def __init__(self, scheduler: str) -> None:
+        """Connect.
+
+        Args:
+            scheduler: Its address, tcp://HOST:8786.
+
+        Raises:
+            TwinError: The package is missing, or no scheduler answers.
+        """
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise TwinError(
+                f"--engine dask: needs the package distributed: {install_command('dask')}."
+            ) from error
+        try:
+            self._client: Any = Client(scheduler, set_as_default=False, timeout=10)
+        except (OSError, ValueError) as error:
+            raise TwinError(f"--scheduler {scheduler}: no scheduler answers: {error}.") from error
+        self._keys: list[str] = []
+
+    def run(self, task: Task[J, D], jobs: Iterable[J]) -> Iterator[D]:
+        """What comes of the jobs, in any order; jobs are taken when there is room for them."""
+        from distributed import KilledWorker, as_completed
+
+        client = self._client
+        self._keys.append(task.key)
+        packed = client.scatter(task.packed(), broadcast=True)
+        coming = as_completed(loop=client.loop)
+        under_way: dict[str, J] = {}
+        threads = sum(client.nthreads().values())
+        waiting = iter(jobs)
+        while True:
+            ahead = AHEAD * max(1, threads)
+            while len(under_way) < ahead and (job := next(waiting, None)) is not None:
+                key = f"uavtwin-{task.key[:16]}-{task.name(job)}"
+                coming.add(client.submit(do_packed, packed, job, key=key, pure=False))
+                under_way[key] = job
+            if not under_way:
+                return
+            future = next(coming)
+            job = under_way.pop(future.key)
+            try:
+                yield future.result()
+            except KilledWorker as error:
+                yield task.lost(job, f"its workers were lost: {error}")
+
+    def close(self) -> None:
+        """Leave the cluster, and nothing on it."""
+        try:
+            for key in self._keys:
+                self._client.run(release, key)
+        finally:
+            self._client.close()
+
+
+@dataclass(slots=True)
+class _Held:
+    """What a process of the cluster keeps from one job to the next.
+
+    Attributes:
+        folder: Of the task's files.
+        task: With its files there.
+        workers: By thread.
+    """
+
+    folder: "tempfile.TemporaryDirectory[str]"
+    task: Task[Any, Any]
+    workers: dict[int, Worker[Any, Any]] = field(default_factory=dict)
+
+
+_HELD: dict[str, _Held] = {}
+"""In a process of the cluster, by key of the task."""
+_LOCK = threading.Lock()
+
+
+def do_packed(packed: Packed[J, D], job: J) -> D:
+    """On the cluster: do a job with a worker that the next job finds again."""
+    with _LOCK:
+        if packed.key not in _HELD:
+            folder = tempfile.TemporaryDirectory(prefix="uavtwin-", ignore_cleanup_errors=True)
+            _HELD[packed.key] = _Held(folder, packed.unpacked(Path(folder.name)))
+        held = _HELD[packed.key]
+        worker = held.workers.get(threading.get_ident())
+        if worker is None:
+            worker = held.workers[threading.get_ident()] = held.task.worker()
+    found: D = worker.do(job)
+    return found
+
+
+def release(key: str) -> None:
+    """On the cluster: end the processes of a task and delete its files."""
+    with _LOCK:
+        held = _HELD.pop(key, None)
+    if held is not None:
+        for worker in held.workers.values():
+            worker.close()
+        held.folder.cleanup()
+
 
 EngineName = Literal["local", "dask"]
 MOST_WORKERS = 1024
@@ -39,8 +269,6 @@ def opened_engine(
         TwinError: One is given that the engine has no use for, or lacks.
     """
     if name == "dask":
-        from .dask import DaskEngine
-
         if scheduler is None:
             raise TwinError("--engine dask: give --scheduler tcp://HOST:8786.")
         with closing(DaskEngine(scheduler)) as remote:

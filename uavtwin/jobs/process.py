@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol
 
 from twin.errors import TwinError
 
-from .task import D, J, J_contra
+from .engine import D, J, J_contra
 
 FRESH = 100
 """Jobs after which a process is replaced: what libraries keep for good does not pile up."""

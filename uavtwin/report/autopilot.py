@@ -1,28 +1,217 @@
 """What the autopilot says of a flight, as pages show it: what it was asked for against what it did,
 vibration with the filters on board, and its words."""
 
+from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from twin.frames import to_euler
 from twin.logs import AnyFlight
-from twin.logs.autopilot import Autopilot, Message, Parameter
-from twin.logs.columns import GYRO, POS, QUAT, VEL, motor_columns
+from twin.logs.autopilot import Autopilot, Message, Parameter, Sensor
+from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.representation import short_repr
+from twin.residuals.measured import signal_of
 from twin.residuals.spectra import slow_part
 
-from .drawing.budget import Budget
-from .drawing.panels import Panels, Spans
-from .drawing.series import thinned
-from .drawing.spectrogram import Spectrogram, spectrogram
-from .drawing.strip import Strip, strip
-from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot
+from .drawing import Budget, Panels, Spans, thinned
+from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, embedded, plot
 
 Array = NDArray[np.float64]
+COLUMNS, ROWS = 180, 96
+"""Pixels along time and frequency, at most."""
+SEGMENT_S = 1.28
+"""Of a column: lines 1 Hz apart are told apart, a climb of the rotors is followed."""
+LEAST_RATE_HZ = 20.0
+"""Slower signals show no vibration."""
+_KNOWN = 0.7
+"""Share of the samples of a segment that have to be there."""
+_LOWEST, _HIGHEST = 5.0, 99.9
+"""Percentiles of the power between which colours are spread."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spectrogram:
+    """Power of the three axes of a sensor together.
+
+    Attributes:
+        sensor: Which.
+        start_s: Time of the left edge.
+        end_s: Time of the right edge.
+        rate_hz: Of the samples; the upper edge is half of it.
+        power_db: Power spectral density, dB over 1 unit^2/Hz, shape (rows, columns), from 0 Hz up;
+            NaN where samples are missing.
+    """
+
+    sensor: Sensor
+    start_s: float
+    end_s: float
+    rate_hz: float
+    power_db: Array
+
+    __repr__ = short_repr
+
+    @property
+    def top_hz(self) -> float:
+        """Half of the sampling rate."""
+        return 0.5 * self.rate_hz
+
+    def content(self, columns: int = COLUMNS) -> dict[str, object]:
+        """As a page holds it: a byte a cell, 0 where unknown, 1 to 255 from `low` to `high`.
+
+        Args:
+            columns: At most; the strongest of neighbours is kept.
+        """
+        known = self.power_db[np.isfinite(self.power_db)]
+        low, high = (float(v) for v in np.percentile(known, [_LOWEST, _HIGHEST]))
+        high = max(high, low + 1.0)
+        share = np.clip((self.power_db - low) / (high - low), 0.0, 1.0)
+        if share.shape[1] > columns:
+            starts = np.arange(columns) * share.shape[1] // columns
+            share = np.fmax.reduceat(share, starts, axis=1)
+        cells = np.where(np.isfinite(share), 1 + np.round(254 * np.nan_to_num(share)), 0)
+        rows, columns = share.shape
+        return {
+            **{"start": self.start_s, "end": self.end_s, "top": self.top_hz},
+            **{"rows": rows, "columns": columns, "low": round(low, 1), "high": round(high, 1)},
+            "cells": b64encode(cells.astype(np.uint8).tobytes()).decode("ascii"),
+        }
+
+
+def spectrogram(flight: AnyFlight) -> Spectrogram | None:
+    """Spectrogram of the gyroscope, of the accelerometer where that is missing or slower by half.
+
+    Each column is a segment of `SEGMENT_S` about its middle: Hann window, mean removed, samples
+    laid on their median rate. Of a long flight they lie apart, so that a column is a sample of it.
+
+    Args:
+        flight: As read, or left in its file.
+
+    Returns:
+        None where it has neither at `LEAST_RATE_HZ` for ten segments.
+    """
+    sensors: tuple[tuple[Sensor, tuple[str, ...]], ...] = (("gyro", GYRO), ("acc", ACC))
+    found = [
+        (name, signal_of(flight, columns)) for name, columns in sensors if flight.has(*columns)
+    ]
+    found = [(name, s) for name, s in found if s.rate_hz >= LEAST_RATE_HZ]
+    if not found:
+        return None
+    sensor, signal = found[0]
+    if len(found) > 1 and found[1][1].rate_hz > 2.0 * signal.rate_hz:
+        sensor, signal = found[1]
+    rate_hz = signal.rate_hz
+    start_s, end_s = float(flight.time_s[0]), float(flight.time_s[-1])
+    n = max(16, round(SEGMENT_S * rate_hz))
+    length_s = n / rate_hz
+    if end_s - start_s < 10.0 * length_s:
+        return None
+    columns = min(COLUMNS, int((end_s - start_s) / (0.25 * length_s)))
+    edges = np.linspace(start_s, end_s, columns + 1)
+    window = np.hanning(n)
+    scale = 2.0 / (rate_hz * float((window**2).sum()))
+    power = np.full((n // 2, columns), np.nan)
+    for k, middle in enumerate((edges[1:] + edges[:-1]) / 2.0):
+        first = min(max(middle - 0.5 * length_s, start_s), end_s - length_s)
+        near = signal.between(first, first + length_s)
+        if len(near.t_s) < _KNOWN * n:
+            continue
+        grid = first + np.arange(n) / rate_hz
+        total = np.zeros(n // 2)
+        for axis in near.values.T:
+            values = np.interp(grid, near.t_s, axis)
+            spectrum = np.fft.rfft(window * (values - values.mean()))
+            total += scale * np.abs(spectrum[1 : n // 2 + 1]) ** 2
+        power[:, k] = total
+    if not np.isfinite(power).any():
+        return None
+    with np.errstate(divide="ignore"):
+        power_db = 10.0 * np.log10(np.maximum(_pooled(power), 1e-30))
+    return Spectrogram(sensor, start_s, end_s, rate_hz, power_db)
+
+
+def _pooled(power: Array) -> Array:
+    """The largest of neighbouring frequencies, so that a line stays one."""
+    every = -(-len(power) // ROWS)
+    starts = np.arange(0, len(power), every)
+    return np.asarray(np.maximum.reduceat(power, starts, axis=0))
+
+
+HEIGHT_PX = 18
+MOST_BANDS = 100
+"""Modes and failsafes that are drawn, of each."""
+PLACES = 90
+"""Marks along a strip, at most; messages nearer to each other share one."""
+_TOLD = 6
+"""Messages that one mark tells."""
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """What a template needs of it.
+
+    Attributes:
+        group: Of the figures whose time axes move together.
+        json: `modes` and `failsafes` as name, begin, end; `marks` as time, kind and text.
+    """
+
+    group: str
+    json: Markup
+
+
+def strip(group: str, told: Autopilot | None, end_s: float) -> Strip | None:
+    """The strip of a flight; None where its log tells nothing of that.
+
+    Args:
+        group: Of its figures.
+        told: What its autopilot says.
+        end_s: End of the record, s.
+    """
+    if told is None or not end_s > 0.0:
+        return None
+    modes, failsafes = (
+        [[escape(s.name), s.start_s, s.end_s] for s in several]
+        for several in (told.mode_stretches(end_s), told.failsafes)
+    )
+    marks: list[list[object]] = []
+    for each in told.armed:
+        marks.append([each.start_s, "armed", "armed"])
+        if each.end_s < end_s:
+            marks.append([each.end_s, "disarmed", "disarmed"])
+    marks = [*_messages(told.messages, end_s), *marks[: 2 * MOST_BANDS]]
+    if not (modes or failsafes or marks):
+        return None
+    content = {"modes": modes[:MOST_BANDS], "failsafes": failsafes[:MOST_BANDS], "marks": marks}
+    return Strip(group, embedded({"height": HEIGHT_PX, **content}))
+
+
+def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
+    """A mark for those that lie near each other, grave where one of them is."""
+    places: dict[int, list[Message]] = {}
+    for each in messages:
+        if 0.0 <= each.t_s <= end_s:
+            places.setdefault(int(each.t_s / end_s * PLACES), []).append(each)
+    marks: list[list[object]] = []
+    for several in places.values():
+        graver = sorted(several, key=lambda m: not m.grave)[:_TOLD]
+        lines = [
+            escape(f"{m.level}: {m.text}" if m.level else m.text)
+            for m in several
+            if any(m is g for g in graver)
+        ]
+        if len(several) > _TOLD:
+            lines.append(f"and {len(several) - _TOLD} more")
+        t_s = next((m.t_s for m in several if m.grave), several[0].t_s)
+        grave = any(m.grave for m in several)
+        marks.append([t_s, "grave" if grave else "said", "<br>".join(lines)])
+    return marks
+
+
 MOST_MESSAGES = 200
 MOST_PARAMETERS = 300
 """Rows of a page, of all its flights together at most five times as many."""

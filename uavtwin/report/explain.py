@@ -14,17 +14,16 @@ from twin.explain.estimates import (
 )
 from twin.explain.explanation import Explanation
 
-from .autopilot import told_content
-from .drawing.budget import Budget, fitted
-from .drawing.strip import Strip, strip
-from .evidence.plots import (
+from .autopilot import Strip, strip, told_content
+from .drawing import Budget, fitted
+from .evidence import (
+    before_after_figure,
     phases_of,
     steady_evidence,
     time_group,
     unsteady_evidence,
     unsteady_strip,
 )
-from .evidence.steady import before_after_figure
 from .figures import number, percent, pretty_unit
 from .headline import got_worse, headline
 from .hover import hover_sentence

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from twin.residuals.gap import Channel
 from twin.residuals.spectra import Spectrum, spectrum
 
-from .drawing.budget import Budget
-from .drawing.panels import GAP_PX, Axis, Panels, Spans
-from .drawing.series import DENSE_HZ, TREND_HZ, thinned
+from .drawing import DENSE_HZ, GAP_PX, TREND_HZ, Axis, Budget, Panels, Spans, thinned
 from .page import BLACK, BLUE, GREY, Figure
 
 Array = NDArray[np.float64]

@@ -9,14 +9,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .drawing.panels import Panels
+from .drawing import Panels
 from .figures import number, pretty_unit
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 if TYPE_CHECKING:
-    from ..fleets.estimates import Spread
+    from ..fleets.fleet_statistics import Drift, Measure, Spread
     from ..fleets.result import FleetResult
-    from ..fleets.together import Drift, Measure
 
 Array = NDArray[np.float64]
 MOST_ROWS = 100
@@ -41,7 +40,7 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
         path: HTML file to write; an existing one is replaced.
     """
     from ..fleets.overview import of_logs, table_of
-    from ..fleets.statistics.discovery import FALSE_SHARE
+    from ..fleets.statistics import FALSE_SHARE
 
     by_aircraft, over_time = _drawn(result)
     bad = result.bad_logs(MOST_ROWS)
@@ -85,7 +84,7 @@ def _facts(result: "FleetResult") -> dict[str, str]:
 
 def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
     """Figures by aircraft, and over time; each number is read once."""
-    from ..fleets.together import measures
+    from ..fleets.fleet_statistics import measures
 
     first = {d.number: k for k, d in reversed(list(enumerate(result.differences)))}
     numbers = sorted(first, key=lambda n: first[n])[:MOST_NUMBERS]

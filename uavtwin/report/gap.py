@@ -25,8 +25,7 @@ from twin.residuals.gap import (
 from twin.residuals.spectra import SLOW_HZ
 
 from .autopilot import told_content
-from .drawing.budget import Budget, fitted
-from .drawing.panels import Spans
+from .drawing import Budget, Spans, fitted
 from .figures import channel_figures, number, percent, pretty_unit
 from .hover import hover_sentence
 from .kinds import Kind, describe, grouped, mode

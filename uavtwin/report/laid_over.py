@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from twin.residuals.gap import Channel, FlightGap
 
-from .drawing.budget import Budget
-from .drawing.panels import Panels
+from .drawing import Budget, Panels
 from .figures import RESIDUAL_PX, SIGNAL_PX, pretty_unit
 from .kinds import KINDS, Kind, grouped, mode
 from .overview import Overview

@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 from twin.residuals.spectra import spectrum
 
-from .drawing.budget import Budget
-from .drawing.panels import Panels
-from .drawing.series import thinned
+from .drawing import Budget, Panels, thinned
 from .figures import pretty_unit
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
 

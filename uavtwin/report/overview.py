@@ -13,11 +13,9 @@ from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
 from .autopilot import Told, told_of
-from .drawing.budget import Budget
-from .drawing.panels import Panels, Spans
-from .drawing.series import thinned
-from .drawing.track import Track, track_plots
+from .drawing import Budget, Panels, Spans, thinned
 from .page import BLACK, BLUE, GREY, Plot, plot
+from .track import Track, track_plots
 
 Array = NDArray[np.float64]
 HELD = 1200

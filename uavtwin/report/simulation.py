@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from cosim.recording import Recording
 from twin.flight.mission import PHASES
 
-from .drawing.budget import Budget, fitted
-from .drawing.panels import Panels, Spans, spans_of
-from .drawing.series import thinned
-from .drawing.track import Track, track_plots
+from .drawing import Budget, Panels, Spans, fitted, spans_of, thinned
 from .figures import pretty_unit
 from .page import BLACK, BLUE, Figure, Plot, plot, render
+from .track import Track, track_plots
 
 Array = NDArray[np.float64]
 _ROW_PX = 150

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from .drawing.panels import Panels
+from .drawing import Panels
 from .figures import number, pretty_unit
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 

@@ -24,7 +24,7 @@ from twin.vehicle.file import load_vehicle
 
 from ..flights import check_names
 from ..output import output_file
-from ..report.drawing.budget import Budget, fitted
+from ..report.drawing import Budget, fitted
 from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import (
     anomaly_figure,

@@ -28,7 +28,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 from ..output import output_file
-from ..report.drawing.budget import Budget, fitted
+from ..report.drawing import Budget, fitted
 from ..report.figures import number, pretty_unit
 from ..report.learning_figures import spectra_figure
 from ..report.page import Plot, plot, render

@@ -1,5 +1,6 @@
 """What came of a run, in figures."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -10,6 +11,7 @@ from cosim.recording import Recording
 from twin.flight.stability import lost
 from twin.representation import short_repr
 
+from ..jobs import journal
 from ..simulation import summary
 
 Array = NDArray[np.float64]
@@ -126,3 +128,25 @@ def _saturated(recording: Recording) -> float:
     commands = recording.values[flying][:, motors]
     at_limit = (commands < AT_LIMIT) | (commands > 1 - AT_LIMIT)
     return float(np.mean(at_limit.any(axis=1))) if len(commands) else float("nan")
+
+
+JOURNAL = "sweep.jsonl"
+
+
+class Journal(journal.Journal[int]):
+    """Of the runs of a sweep, by their numbers."""
+
+    kind = "sweep"
+    differs = "other scenario, design, seed, files or version"
+
+    def named(self, content: journal.Content) -> int:
+        """Number of the run."""
+        return Outcome(**content).run
+
+    def add(self, outcome: Outcome) -> None:
+        """Write a run down."""
+        self.write(outcome.json())
+
+    def outcomes(self) -> Iterator[Outcome]:
+        """All that is written, in the order in which it was."""
+        return (Outcome(**content) for _, content in self.contents())

@@ -16,8 +16,7 @@ from twin.effects import EFFECTS
 from ..output import output_file
 from ..shown import Shown, TextTable, counted
 from ..simulation import Scenario
-from .design import Design
-from .distributions import Value
+from .design import Design, Value
 from .outcome import FIGURES, Outcome
 from .sensitivity import Influence, influences
 

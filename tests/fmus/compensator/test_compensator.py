@@ -50,7 +50,7 @@ from twin.errors import FmuError, TwinError
 from twin.flight.assembly import Assembly, connected_by_name, flying_twin
 from twin.vehicle.file import load_vehicle, vehicle_text
 from uavtwin.cli.export import Choice, default_vehicle, export_components
-from uavtwin.exports.products import WrittenFile
+from uavtwin.exports.write import WrittenFile
 
 VEHICLE, H = "crazyflie", 0.01
 TOLERANCE = 1e-5

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from uavtwin.fleets.dataset import write_dataset
-from uavtwin.fleets.looking import Found
+from uavtwin.fleets.dataset import JobRows, write_dataset
 
 AIRCRAFT, FLIGHTS = 8, 12
 HEAVY, WORN = "A04", "A02"
@@ -24,7 +23,7 @@ def lines(seed: int = 0, planted: bool = True) -> Iterator[dict[str, Any]]:
     drag = {a: 0.35 + 0.03 * rng.standard_normal() for a in range(1, AIRCRAFT + 1)}
     for k in range(AIRCRAFT * FLIGHTS):
         number, day = k % AIRCRAFT + 1, 56 * k / (AIRCRAFT * FLIGHTS)
-        aircraft, log, found = f"A{number:02d}", f"{k:04d}.parquet", Found(k)
+        aircraft, log, found = f"A{number:02d}", f"{k:04d}.parquet", JobRows(k)
         heavy = 0.08 * (planted and aircraft == HEAVY)
         worn = 1e-2 * day / 30 * (planted and aircraft == WORN)
         found.add(
@@ -68,7 +67,7 @@ def lines(seed: int = 0, planted: bool = True) -> Iterator[dict[str, Any]]:
             own = {"number": "mass_kg", "value": 0.1 + 0.01 * rng.standard_normal()}
             found.add("effects", **told, effect="mass_offset", **own, sd=0.01, unit="kg")
         yield found.json()
-    broken = Found(-1)
+    broken = JobRows(-1)
     broken.add("flights", log="broken.ulg", bytes=7, status="unreadable", error="cut off")
     yield broken.json()
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from uavtwin.simulation import Scenario
 from uavtwin.sweeps.design import read_design
-from uavtwin.sweeps.factors import scenario_of
+from uavtwin.sweeps.plan import scenario_of
 
 from .checked import read_checked
 from .engine import Seen, Step

@@ -26,9 +26,8 @@ from twin.explain.inference.selection import days_of
 from twin.explain.model.model import Model, candidates
 from twin.explain.model.numbers import columns_of
 from twin.logs import Flight
-from uavtwin.report.drawing.budget import Budget
-from uavtwin.report.drawing.degenerate import degenerate
-from uavtwin.report.evidence.plots import steady_evidence
+from uavtwin.report.drawing import Budget, degenerate
+from uavtwin.report.evidence import steady_evidence
 
 Array = NDArray[np.float64]
 TRIED = 3

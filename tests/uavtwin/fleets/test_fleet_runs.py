@@ -17,7 +17,7 @@ from benchmarks.fleet.flights import aircraft_of, flown
 from twin.errors import TwinError
 from twin.logs import write_flight
 from uavtwin.fleets.dataset import JOURNAL
-from uavtwin.fleets.logs import found_logs
+from uavtwin.fleets.fleet import found_logs
 
 pytestmark = pytest.mark.slow
 FLIGHTS = 12

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from uavtwin.fleets.statistics.differences import differing
-from uavtwin.fleets.statistics.discovery import adjusted
-from uavtwin.fleets.statistics.hierarchy import common_of
-from uavtwin.fleets.statistics.trends import DAYS, YEAR_D, trend_of
+from uavtwin.fleets.statistics import DAYS, YEAR_D, adjusted, common_of, differing, trend_of
 
 
 @pytest.mark.slow

@@ -15,8 +15,7 @@ from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 import uavtwin as ut
 from twin.errors import TwinError
-from uavtwin.fleets.columns import TABLES
-from uavtwin.fleets.dataset import write_dataset
+from uavtwin.fleets.dataset import TABLES, write_dataset
 from uavtwin.fleets.overview import HEADER, of_logs
 from uavtwin.fleets.query import query
 from uavtwin.fleets.result import FleetResult, result_of

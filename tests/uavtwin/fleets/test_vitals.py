@@ -10,8 +10,13 @@ from scipy.spatial.transform import Rotation
 from benchmarks.fleet.flights import BATTERY, GYROSCOPE, OHM, OHM_PER_30_D, aircraft_of, flown
 from twin.logs import Flight
 from twin.logs.columns import GYRO, QUAT
-from uavtwin.fleets.aircraft import aircraft_name, date_of, file_stem
-from uavtwin.fleets.vitals import battery_resistance, gyro_bias
+from uavtwin.fleets.log_analysis import (
+    aircraft_name,
+    battery_resistance,
+    date_of,
+    file_stem,
+    gyro_bias,
+)
 
 
 def made(**columns: np.ndarray) -> Flight:

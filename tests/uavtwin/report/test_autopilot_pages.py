@@ -15,10 +15,18 @@ from twin.logs import Flight, open_flight, read_flight, write_flight
 from twin.logs.autopilot import Autopilot, Filter, Message, Mode, Parameter, Setpoint, Stretch
 from twin.logs.columns import ACC, GYRO, QUAT
 from twin.residuals.gap import FlightGap
-from uavtwin.report.autopilot import MOST_MESSAGES, MOST_PARAMETERS, told_content, told_of
-from uavtwin.report.drawing.budget import Budget
-from uavtwin.report.drawing.spectrogram import COLUMNS, ROWS, spectrogram
-from uavtwin.report.drawing.strip import PLACES, strip
+from uavtwin.report.autopilot import (
+    COLUMNS,
+    MOST_MESSAGES,
+    MOST_PARAMETERS,
+    PLACES,
+    ROWS,
+    spectrogram,
+    strip,
+    told_content,
+    told_of,
+)
+from uavtwin.report.drawing import Budget
 from uavtwin.report.gap import write_gap_report
 from uavtwin.report.overview import overview
 

@@ -15,10 +15,18 @@ from page_rigs.figures import figures_of
 from places import DATA, needs
 
 import uavtwin as ut
-from uavtwin.report.drawing.budget import COARSEST, FINEST, MOST_PARTS, PAGE_BYTES, Budget, fitted
-from uavtwin.report.drawing.degenerate import degenerate
-from uavtwin.report.drawing.series import packed, unpacked
-from uavtwin.report.drawing.spectrogram import spectrogram
+from uavtwin.report.autopilot import spectrogram
+from uavtwin.report.drawing import (
+    COARSEST,
+    FINEST,
+    MOST_PARTS,
+    PAGE_BYTES,
+    Budget,
+    degenerate,
+    fitted,
+    packed,
+    unpacked,
+)
 from uavtwin.report.gap import write_gap_report
 from uavtwin.report.overview import overview
 from uavtwin.report.page import Plot

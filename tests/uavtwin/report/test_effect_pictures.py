@@ -12,11 +12,8 @@ from twin.logs import Flight
 from twin.logs.autopilot import Autopilot, Mode, Stretch
 from twin.residuals.channels import ChannelData
 from twin.vehicle.file import load_vehicle
-from uavtwin.report.drawing.budget import Budget
-from uavtwin.report.drawing.degenerate import degenerate
-from uavtwin.report.drawing.panels import Panels
-from uavtwin.report.evidence.plots import unsteady_evidence, unsteady_strip
-from uavtwin.report.evidence.steady import varies
+from uavtwin.report.drawing import Budget, Panels, degenerate
+from uavtwin.report.evidence import unsteady_evidence, unsteady_strip, varies
 from uavtwin.report.page import plot
 
 

@@ -11,7 +11,7 @@ from page_rigs.circle import gap_of, recorded
 
 from cosim.recording import Recording
 from twin.logs.columns import POS, QUAT
-from uavtwin.report.drawing.budget import PAGE_BYTES
+from uavtwin.report.drawing import PAGE_BYTES
 from uavtwin.report.gap import write_gap_report
 from uavtwin.report.overview import overview
 from uavtwin.report.simulation import write_simulation_report

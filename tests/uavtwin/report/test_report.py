@@ -10,8 +10,7 @@ import plotly.graph_objects as go
 import pytest
 
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
-from uavtwin.report.drawing.budget import Budget
-from uavtwin.report.drawing.series import unpacked
+from uavtwin.report.drawing import Budget, unpacked
 from uavtwin.report.figures import channel_figures
 from uavtwin.report.gap import claim, write_gap_report
 from uavtwin.report.headline import leading

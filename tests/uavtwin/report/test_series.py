@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from uavtwin.report.drawing.series import drawn, thinned
+from uavtwin.report.drawing import drawn, thinned
 from uavtwin.report.page import HERE
 
 

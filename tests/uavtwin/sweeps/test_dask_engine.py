@@ -12,7 +12,7 @@ from job_rigs.clusters import local_cluster
 
 import uavtwin as ut
 from twin.errors import TwinError
-from uavtwin.sweeps.journal import JOURNAL
+from uavtwin.sweeps.outcome import JOURNAL
 
 pytestmark = pytest.mark.slow
 VARY = {"airframe.mass": {"low": 1.2, "high": 1.7}, "gusts": [True, False]}

@@ -18,7 +18,7 @@ import uavtwin as ut
 from cosim.ssp import write_ssp
 from cosim.system import System
 from twin.errors import TwinError
-from uavtwin.sweeps.journal import JOURNAL, Journal
+from uavtwin.sweeps.outcome import JOURNAL, Journal
 
 pytestmark = pytest.mark.slow
 VARY = {

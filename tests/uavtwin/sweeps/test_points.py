@@ -14,9 +14,18 @@ from scipy.stats import kstest, norm
 from twin.effects import EFFECTS
 from twin.errors import TwinError
 from uavtwin.simulation import Scenario
-from uavtwin.sweeps.design import METHODS, Design, factor_of, read_design
-from uavtwin.sweeps.distributions import Choice, Normal, Uniform, Value, distribution_of
-from uavtwin.sweeps.factors import period_of, scenario_of
+from uavtwin.sweeps.design import (
+    METHODS,
+    Choice,
+    Design,
+    Normal,
+    Uniform,
+    Value,
+    distribution_of,
+    factor_of,
+    read_design,
+)
+from uavtwin.sweeps.plan import period_of, scenario_of
 from uavtwin.sweeps.sensitivity import influences
 
 UNIT = {"a": Uniform(0.0, 1.0), "b": Uniform(0.0, 1.0), "c": Uniform(0.0, 1.0)}

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from twin.frames import AXES
 from twin.logs.columns import ACC, GYRO, POS, VEL, motor_columns
 
-from ...report.drawing.panels import Panels
+from ...report.drawing import Panels
 from ...report.page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot, render
 from ...report.page import HERE as REPORT
 from .feed import ANGLES

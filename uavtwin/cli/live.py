@@ -11,15 +11,15 @@ import typer
 
 from twin.errors import TwinError, install_command
 
-from ..options import VEHICLE_VARIABLE, Exit, Horizon, Json, seconds
-from ..printing import STDERR, STDOUT, print_json
+from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, seconds
+from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
-    from ...live.page.opened import OpenPage
-    from ...live.session import LiveOptions, LiveSession
-    from ...live.status import LiveStatus, ModelStatus
-    from ...sensors.running import RunningCompensator
-    from ...vehicles import Vehicle as OwnVehicle
+    from ..live.page.opened import OpenPage
+    from ..live.session import LiveOptions, LiveSession
+    from ..live.status import LiveStatus, ModelStatus
+    from ..sensors.running import RunningCompensator
+    from ..vehicles import Vehicle as OwnVehicle
 
 _DEMO_VEHICLE, _DEMO_PAGE, _DEMO_SILENT_S = "copter_default", "127.0.0.1:8080", 5.0
 
@@ -120,8 +120,8 @@ def live(
     Ends with Ctrl-C, after --duration, or --until-silent. Nothing is sent to the aircraft but
     questions for its time (TIMESYNC), unless --request-rates is given.
     """
-    from ...live.address import address
-    from ...live.session import LiveOptions
+    from ..live.address import address
+    from ..live.session import LiveOptions
 
     if vehicle is None and not demo:
         raise TwinError("--vehicle: which aircraft is it? Give its vehicle file, or --demo.")
@@ -153,7 +153,7 @@ def live(
 
 def _demo_page() -> str | None:
     """Where the page of a demonstration is served; None, with a word, where it cannot be."""
-    from ...live.page.opened import lacking
+    from ..live.page.opened import lacking
 
     if lacking():
         STDERR.print(f"no page: it needs {install_command('live')}", style="yellow")
@@ -174,7 +174,7 @@ def _print_model(model: "ModelStatus", units: Mapping[str, str]) -> None:
 
 def _print_truth(status: "LiveStatus") -> None:
     """What was wrong with the aircraft of a demonstration, once it has been."""
-    from ...demo.in_flight import BEGINS_S, ending
+    from ..demo.in_flight import BEGINS_S, ending
 
     if status.flight_s > BEGINS_S:
         STDERR.print(ending())
@@ -192,10 +192,10 @@ def _fly(
     """Open the page where one is wanted, and listen."""
     from twin.explain.running.evidence import RunningEvidence
 
-    from ...demo.in_flight import damaged_flight, sent_meanwhile
-    from ...live.page.opened import open_page
-    from ...live.session import LiveSession
-    from ...vehicles import load_vehicle
+    from ..demo.in_flight import damaged_flight, sent_meanwhile
+    from ..live.page.opened import open_page
+    from ..live.session import LiveSession
+    from ..vehicles import load_vehicle
 
     twin = load_vehicle(name)
     with ExitStack() as opened:
@@ -224,9 +224,9 @@ def _compensator(folder: Path, vehicle: "OwnVehicle") -> "Iterator[RunningCompen
     """The compensator of a folder, held against the vehicle and built."""
     from learning.force.model import is_force
 
-    from ...exports.parts import check_compensator
-    from ...sensors.compiled import compiled_compensator
-    from ...sensors.running import RunningCompensator
+    from ..exports.parts import check_compensator
+    from ..sensors.compiled import compiled_compensator
+    from ..sensors.running import RunningCompensator
 
     if is_force(folder):
         raise TwinError(
@@ -278,7 +278,7 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
 
 def _print(status: "LiveStatus", out: Path | None) -> None:
     """What is known at the end."""
-    from ...live.parts import ERRORS
+    from ..live.parts import ERRORS
 
     STDOUT.print(status.line())
     for name, value in status.rms.items():

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from ..options import Force
-from ..printing import STDOUT
+from .options import Force
+from .printing import STDOUT
 
 
 def generate(
@@ -26,9 +26,9 @@ def generate(
     """
     from twin.logs import write_flight
 
-    from ...learned import check_extra_learn
-    from ...learned import generate as generate_flight
-    from ...output import check_file, check_record, record_of, recorded_file
+    from ..learned import check_extra_learn
+    from ..learned import generate as generate_flight
+    from ..output import check_file, check_record, record_of, recorded_file
 
     check_extra_learn()
     check_file(out, force)

@@ -7,8 +7,8 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Json, Rebuild, of_unit, seconds
-from ..printing import STDOUT, print_json, progress
+from .options import Json, Rebuild, of_unit, seconds
+from .printing import STDOUT, print_json, progress
 
 
 def replay(
@@ -35,9 +35,9 @@ def replay(
     """Play a log as a MAVLink aircraft, with faults of a radio link where they are asked for."""
     from twin.logs import read_flight
 
-    from ...live.address import address
-    from ...live.faults import Faults
-    from ...live.replay import MAX_SPEED, Replay
+    from ..live.address import address
+    from ..live.faults import Faults
+    from ..live.replay import MAX_SPEED, Replay
 
     where = address(to, "udpout", "--to")
     faults = Faults(loss, jitter, drift, seed)

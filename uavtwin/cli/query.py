@@ -9,8 +9,8 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Json, seconds
-from ..printing import print_json, print_table
+from .options import Json, seconds
+from .printing import print_json, print_table
 
 
 def query(
@@ -23,8 +23,8 @@ def query(
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
 ) -> None:
     """Ask the tables of a fleet, in the SQL of DuckDB; nothing else is read, nothing is written."""
-    from ...fleets.query import query as asked
-    from ...shown import TextTable
+    from ..fleets.query import query as asked
+    from ..shown import TextTable
 
     if as_json and as_csv:
         raise TwinError("query: --json and --csv are both given. Choose one.")

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..options import (
+from .options import (
     VEHICLE_VARIABLE,
     Engine,
     Exit,
@@ -20,12 +20,12 @@ from ..options import (
     seconds,
     vehicle_named,
 )
-from ..printing import STDERR, STDOUT, print_json, progress
+from .printing import STDERR, STDOUT, print_json, progress
 
 if TYPE_CHECKING:
-    from ...fleets.fleet import Asked
-    from ...fleets.looking import Found
-    from ...fleets.result import FleetResult
+    from ..fleets.dataset import JobRows
+    from ..fleets.fleet import FleetRequest
+    from ..fleets.result import FleetResult
 
 
 def fleet(
@@ -66,19 +66,19 @@ def fleet(
     One that was interrupted goes on where it was when the same command is given again. Ask the
     tables that it leaves with `uavtwin query`.
     """
-    from ...fleets.fleet import Asked, Work, run_fleet
-    from ...jobs.process import Allowed
+    from ..fleets.fleet import FleetRequest, Work, run_fleet
+    from ..jobs.process import Allowed
 
     named = None if per_aircraft else vehicle_named(vehicle, "") or None
     listed: Any = tuple(v.strip() for v in verbs.split(",") if v.strip())
     both = vehicle if per_aircraft else named
-    asked = Asked(both, per_aircraft, listed, each == "flight", indoor, trust_vehicle)
+    request = FleetRequest(both, per_aircraft, listed, each == "flight", indoor, trust_vehicle)
     work = Work(engine, workers, scheduler, Allowed(time_limit, memory_limit))
     with progress("looking") as done:
         result = run_fleet(
-            *(list(logs), asked, out, work, force, done),
+            *(list(logs), request, out, work, force, done),
             lambda r: print_json(r.json()) if as_json else STDOUT.print(str(r)),
-            lambda r, folder: _note(r, folder, asked),
+            lambda r, folder: _note(r, folder, request),
             _found,
         )
     if not as_json:
@@ -90,9 +90,9 @@ def fleet(
         raise typer.Exit(Exit.FINDINGS)
 
 
-def _found(found: "Found") -> None:
+def _found(found: "JobRows") -> None:
     """One line of what is found in a log, or of an aircraft, as it comes."""
-    from ...fleets.overview import of_log
+    from ..fleets.overview import of_log
 
     for row in found.rows.get("flights", ()):
         error = f": {row['error']}" if row.get("error") else ""
@@ -103,19 +103,19 @@ def _found(found: "Found") -> None:
         STDERR.print("\n".join(named))
 
 
-def _note(result: "FleetResult", folder: Path, asked: "Asked") -> None:
+def _note(result: "FleetResult", folder: Path, request: "FleetRequest") -> None:
     """Write `run.json`; logs are told from others by their fingerprints in `flights`."""
-    from ...output import write_run
+    from ..output import write_run
 
     options = {
         "vehicle": result.vehicle or None,
-        "per_aircraft": None if asked.per_aircraft is None else asked.per_aircraft.name,
-        "verbs": list(asked.verbs),
-        "each": "flight" if asked.alone else "aircraft",
-        "indoor": asked.indoors,
-        "trust_vehicle": asked.trust_vehicle,
+        "per_aircraft": None if request.per_aircraft is None else request.per_aircraft.name,
+        "verbs": list(request.verbs),
+        "each": "flight" if request.alone else "aircraft",
+        "indoor": request.indoors,
+        "trust_vehicle": request.trust_vehicle,
         "logs": result.logs,
     }
-    own = asked.per_aircraft
-    given = [Path(asked.vehicle or "")] if own is None else sorted(own.glob("*.toml"))
+    own = request.per_aircraft
+    given = [Path(request.vehicle or "")] if own is None else sorted(own.glob("*.toml"))
     write_run(folder, "fleet", options, [p for p in given if p.is_file()])

@@ -12,16 +12,16 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Effects, Exit, Gusts, Json, Starts, VehicleName, Wind, seconds, start_values
-from ..printing import STDERR, STDOUT, print_json
-from ..simulate import three_numbers
+from .options import Effects, Exit, Gusts, Json, Starts, VehicleName, Wind, seconds, start_values
+from .printing import STDERR, STDOUT, print_json
+from .simulate import three_numbers
 
 if TYPE_CHECKING:
-    from ...hil.flying import FlyingTwin
-    from ...hil.session import HilOptions
-    from ...hil.status import HilStatus
-    from ...simulation import Scenario
-    from ...vehicles import Vehicle
+    from ..hil.flying import FlyingTwin
+    from ..hil.session import HilOptions
+    from ..hil.status import HilStatus
+    from ..simulation import Scenario
+    from ..vehicles import Vehicle
 
 Listen = Annotated[str, typer.Option(help="Where the autopilot connects to: tcpin:HOST:PORT.")]
 Model = Annotated[
@@ -66,10 +66,10 @@ def hil(
 
     Waits for the autopilot, and ends with its connection, with Ctrl-C, or after --duration.
     """
-    from ...hil.session import PLACE, HilOptions
-    from ...live.address import address
-    from ...simulation import Scenario
-    from ...vehicles import load_vehicle
+    from ..hil.session import PLACE, HilOptions
+    from ..live.address import address
+    from ..simulation import Scenario
+    from ..vehicles import load_vehicle
 
     aircraft = load_vehicle(vehicle)
     where = PLACE if place is None else _place(place)
@@ -114,8 +114,8 @@ def _twin(
     """The twin, with what was trained where something is given."""
     from learning.force.model import is_force
 
-    from ...exports.parts import compensator, learned_force
-    from ...hil.flying import flying_twin_of
+    from ..exports.parts import compensator, learned_force
+    from ..hil.flying import flying_twin_of
 
     network = force = None
     if model is not None and is_force(model):
@@ -131,7 +131,7 @@ def _warn(text: str) -> None:
 
 def _fly(vehicle: "Vehicle", twin: "FlyingTwin", options: "HilOptions") -> "HilStatus":
     """Fly until it ends; a line each second."""
-    from ...hil.session import HilSession
+    from ..hil.session import HilSession
 
     ended = False
 

@@ -7,8 +7,8 @@ import typer
 
 from twin.errors import TwinError
 
-from ..options import Exit, Force, Rebuild
-from ..printing import STDERR, STDOUT, print_damage
+from .options import Exit, Force, Rebuild
+from .printing import STDERR, STDOUT, print_damage
 
 _WRITTEN = (".parquet", ".csv", ".mcap")
 
@@ -28,9 +28,9 @@ def convert(
     """
     from twin.logs import read_flight, write_flight
 
-    from ...output import check_file, check_record, record_of, recorded_file
-    from ...series.flight_mcap import write_flight_mcap
-    from ...series.mcap_file import check_mcap
+    from ..output import check_file, check_record, record_of, recorded_file
+    from ..series.flight_mcap import write_flight_mcap
+    from ..series.mcap_file import check_mcap
 
     if out.suffix not in _WRITTEN:
         raise TwinError(f"{out.name}: a flight is written as {', '.join(_WRITTEN)}.")

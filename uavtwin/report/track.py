@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from twin.frames import to_ned
 
-from ..page import Figure, Plot, plot
-from .budget import Budget
-from .panels import Panels
-from .series import packed
+from .drawing import Budget, Panels, packed
+from .page import Figure, Plot, plot
 
 Array = NDArray[np.float64]
 BODIES = 14

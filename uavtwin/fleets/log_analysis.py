@@ -1,0 +1,431 @@
+"""The analysis of one log, or of all logs of one aircraft, as a job of a worker process."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from twin.draft import Hover, hover_of
+from twin.errors import TwinError
+from twin.explain import explanation as inner
+from twin.explain.estimates import estimates_of, listed_effects, nothing_probability, probability_of
+from twin.explain.explanation import Explanation
+from twin.explain.inference.fit import INTERVAL
+from twin.logs import AnyFlight
+from twin.logs.airframe import Told
+from twin.logs.columns import GYRO, QUAT
+from twin.residuals.hover import HoverDiagnosis
+from twin.vehicle.file import parse_vehicle
+
+from ..file_check import check_flight
+from ..flights import aircraft_told, open_alike
+from ..gaps import gap
+from ..jobs.process import Allowed, ProcessWorker
+from ..vehicles import Vehicle
+from .dataset import MOTORS, JobRows, Row
+
+Verb = Literal["check", "gap", "explain"]
+VERBS: tuple[Verb, ...] = ("check", "gap", "explain")
+
+
+@dataclass(frozen=True, slots=True)
+class LogJob:
+    """A job: one log, or all logs of one aircraft.
+
+    Attributes:
+        job: Its number.
+        paths: Of the logs.
+        names: Of the logs.
+        bytes: Of the logs together.
+        aircraft: Whose logs they are; "": it is one log, whatever it is of.
+    """
+
+    job: int
+    paths: tuple[str, ...]
+    names: tuple[str, ...]
+    bytes: int
+    aircraft: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class LogAnalysis:
+    """What is done with each log: the task of `uavtwin.jobs`, with its cache key.
+
+    Attributes:
+        key: Hash of everything that the rows depend on.
+        vehicle: Text of the vehicle file of all; "": each aircraft has its own.
+        own: Texts by the stem of the name of the file of an aircraft.
+        file: Name of the file or folder, for messages.
+        verbs: What is done.
+        alone: Whether each flight is explained by itself.
+        indoors: Whether all flew within walls; None: as each log says.
+        allowed: What a job may use.
+        trust_vehicle: As of `uavtwin.flights.read_flights`.
+    """
+
+    key: str
+    vehicle: str
+    own: Mapping[str, str]
+    file: str
+    verbs: tuple[Verb, ...] = VERBS
+    alone: bool = True
+    indoors: bool | None = None
+    allowed: Allowed = field(default_factory=Allowed)
+    trust_vehicle: bool = False
+
+    def name(self, job: LogJob) -> str:
+        """Number of the job."""
+        return str(job.job)
+
+    def worker(self) -> ProcessWorker[LogJob, JobRows]:
+        """One more that looks at logs."""
+        return ProcessWorker(self, JobRows.read, self.lost, self.allowed)
+
+    def packed(self) -> "LogAnalysis":
+        """It travels as it is: logs stay where they are."""
+        return self
+
+    def unpacked(self, folder: Path) -> "LogAnalysis":
+        """The same; it has no files of its own."""
+        return self
+
+    def lost(self, job: LogJob, why: str) -> JobRows:
+        """Of a job that ended its process."""
+        found = JobRows(job.job)
+        if job.aircraft:
+            _say(found, "", job.aircraft, "explain", "problem", why)
+        else:
+            found.add("flights", log=job.names[0], bytes=job.bytes, status="failed", error=why)
+        return found
+
+    def do(self, job: LogJob) -> dict[str, Any]:
+        """What is found, as a line of the journal."""
+        return self.analyse(job).json()
+
+    def analyse(self, job: LogJob) -> JobRows:
+        """All that is asked for; an error is a part of it."""
+        if job.aircraft:
+            return self._aircraft(job)
+        found = JobRows(job.job)
+        about = found.add("flights", log=job.names[0], bytes=job.bytes, status="fine")
+        try:
+            (flight,) = open_alike([Path(job.paths[0])], trust_vehicle=self.trust_vehicle)
+        except TwinError as error:
+            about |= {"status": "unreadable", "error": str(error)}
+            return found
+        except Exception as error:  # one that cannot be read hides none of the others
+            about |= {"status": "failed", "error": _mistake(error)}
+            return found
+        try:
+            self._flight(flight, about, found)
+        except Exception as error:
+            about |= {"status": "failed", "error": _mistake(error)}
+        return found
+
+    def _flight(self, flight: AnyFlight, about: Row, found: JobRows) -> None:
+        """Rows of a flight."""
+        aircraft, time_s = aircraft_name(flight), flight.time_s
+        about |= {
+            "format": flight.facts.get("format"),
+            "aircraft": aircraft,
+            "airframe": flight.facts.get("airframe"),
+            "hardware": flight.facts.get("hardware"),
+            "date_year": date_of(flight),
+            "duration_s": float(time_s[-1] - time_s[0]),
+            "rows": len(time_s),
+            "fingerprint": flight.fingerprint,
+        }
+        refused: list[str] = []
+        try:
+            vehicle: Vehicle | None = self._vehicle(aircraft)
+            assert vehicle is not None
+            about["vehicle"] = vehicle.name
+        except TwinError as error:
+            vehicle = None
+            refused.append(str(error))
+        hover = None
+        for verb in self.verbs:
+            try:
+                if verb == "check":
+                    _check(flight, about, found)
+                elif vehicle is None:
+                    continue
+                elif verb == "gap":
+                    hover = _gap(flight, vehicle, about, found)
+                elif self.alone:
+                    about |= _explain([flight], vehicle, self.indoors, about["log"], found)
+            except TwinError as error:
+                refused.append(f"{verb}: {error}")
+                _say(found, about["log"], aircraft, verb, "problem", str(error))
+        about |= vitals_of(flight, hover_of(flight), hover)
+        if text := misfit(about.get("carried"), about.get("vehicle") or ""):
+            _say(found, about["log"], aircraft, "gap", "warning", text)
+        if refused:
+            about |= {"status": "refused", "error": "; ".join(refused)}
+        elif about["problems"]:
+            about["status"] = "findings"
+
+    def _aircraft(self, job: LogJob) -> JobRows:
+        """Rows of an aircraft with all of its flights."""
+        found = JobRows(job.job)
+        try:
+            flights = open_alike([Path(p) for p in job.paths], trust_vehicle=self.trust_vehicle)
+            _explain(flights, self._vehicle(job.aircraft), self.indoors, "", found, job.aircraft)
+        except TwinError as error:
+            _say(found, "", job.aircraft, "explain", "problem", str(error))
+        except Exception as error:  # a mistake with one aircraft hides none of the others
+            _say(found, "", job.aircraft, "explain", "problem", _mistake(error))
+        return found
+
+    def _vehicle(self, aircraft: str) -> Vehicle:
+        """The vehicle that an aircraft is compared with.
+
+        Raises:
+            TwinError: There is none for it.
+        """
+        if self.vehicle:
+            return Vehicle.of(parse_vehicle(self.vehicle, self.file), self.vehicle)
+        if not aircraft:
+            raise TwinError("the log does not name its aircraft: which vehicle file is not known")
+        stem = file_stem(aircraft)
+        if stem not in self.own:
+            raise TwinError(f"{self.file} has no {stem}.toml for aircraft {aircraft}")
+        return Vehicle.of(parse_vehicle(self.own[stem], f"{stem}.toml"), self.own[stem])
+
+
+def _check(flight: AnyFlight, about: Row, found: JobRows) -> None:
+    report = check_flight(flight, about["log"])
+    for severity, texts in (
+        ("problem", report.problems),
+        ("warning", report.warnings),
+        ("note", report.notes),
+    ):
+        for text in texts:
+            _say(found, about["log"], about["aircraft"], "check", severity, text)
+    about |= {"problems": len(report.problems), "warnings": len(report.warnings)}
+
+
+def _gap(flight: AnyFlight, vehicle: Vehicle, about: Row, found: JobRows) -> Any:
+    """Rows of channels; what the hover says of the twin."""
+    result = gap(flight, vehicle)
+    for warning in result.flights[0].warnings:
+        _say(found, about["log"], about["aircraft"], "gap", "warning", warning)
+    for record in result.frame().to_dict("records"):
+        values = {str(k): v for k, v in record.items()}
+        found.add("channels", log=about["log"], aircraft=about["aircraft"], **values)
+    return result.flights[0].hover
+
+
+def _explain(
+    flights: Sequence[AnyFlight],
+    vehicle: Vehicle,
+    indoors: bool | None,
+    log: str,
+    found: JobRows,
+    aircraft: str | None = None,
+) -> Row:
+    """Rows of effects; the verdict. Nothing is flown in closed loop, no manoeuvre is looked for."""
+    told = inner.explain(flights, [], vehicle, missions=(), indoors=indoors, suggest=False)
+    aircraft = aircraft_name(flights[0]) if aircraft is None else aircraft
+    for text in told.reasons:
+        _say(found, log, aircraft, "explain", "problem", text)
+    for text in told.warnings:
+        _say(found, log, aircraft, "explain", "warning", text)
+    listed = listed_effects(told)
+    for effect in listed:
+        _effect(told, effect, log, aircraft, found)
+    if not any(estimates_of(told, e) for e in listed):
+        found.add("effects", log=log, aircraft=aircraft, verdict=told.verdict)
+    nothing = None if told.naming is None else nothing_probability(told.naming)
+    return {
+        "verdict": told.verdict,
+        "nothing_probability": nothing,
+        "named": ", ".join(listed),
+    }
+
+
+def _effect(told: Explanation, effect: str, log: str, aircraft: str, found: JobRows) -> None:
+    for e in estimates_of(told, effect):
+        low, high = e.ci95 or (None, None)
+        found.add(
+            "effects",
+            log=log,
+            aircraft=aircraft,
+            verdict=told.verdict,
+            effect=effect,
+            probability=probability_of(told, effect),
+            number=e.number.name,
+            value=e.value,
+            sd=None if low is None or high is None else (high - low) / 2 / INTERVAL,
+            low=low,
+            high=high,
+            unit=e.number.about.unit,
+            prior_share=e.prior_share,
+        )
+
+
+def _say(found: JobRows, log: str, aircraft: str, verb: str, severity: str, text: str) -> None:
+    found.add("findings", log=log, aircraft=aircraft, verb=verb, severity=severity, text=text)
+
+
+def _mistake(error: Exception) -> str:
+    """What a mistake of ours says, or a limit that was met."""
+    if isinstance(error, MemoryError):
+        return "needs more memory than its process may use (--memory-limit)"
+    said = " ".join(str(error).split())[:300]
+    return f"{type(error).__name__}: {said} This is a mistake of uavtwin; please report it."
+
+
+def aircraft_name(flight: AnyFlight) -> str:
+    """Name of the aircraft: the identifier of its autopilot and its airframe, as two flights of one
+    call are held to be of one aircraft; "" where the log holds no identifier.
+    """
+    aircraft, airframe, hardware = aircraft_told(flight)
+    own = aircraft or hardware
+    return ", ".join(t for t in (own.removeprefix("autopilot "), airframe) if t) if own else ""
+
+
+def file_stem(aircraft: str) -> str:
+    """Of the file of an aircraft: letters, digits, `_`, `-` and `.` alone, no `.` in front."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", aircraft).strip("._") or "aircraft"
+
+
+def date_of(flight: AnyFlight) -> float | None:
+    """Decimal year of a flight; None: its log has no date."""
+    place = None if flight.airframe is None else flight.airframe.place
+    return place.value.year if isinstance(place, Told) else None
+
+
+Array = NDArray[np.float64]
+LEAST_S = 5.0
+"""Flight of which a battery or a gyroscope is told."""
+LEAST_A = 0.02
+"""Share of its mean by which a current has to vary."""
+LEAST_V = 1.0
+"""Below it no battery is connected."""
+WINDOW_S = 0.5
+"""Over which the attitude turns, for the bias of the gyroscope: noise of an attitude of 1 mrad is
+3 mrad/s in one window, and little in the median of all."""
+
+
+def vitals_of(
+    flight: AnyFlight, hover: Hover | None, diagnosis: HoverDiagnosis | None
+) -> dict[str, float | None]:
+    """All that are told, by the names of their columns.
+
+    Args:
+        flight: As read.
+        hover: Its hover; None: it has none.
+        diagnosis: Of the twin in it; None: none.
+    """
+    told: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}
+    bias = gyro_bias(flight)
+    if bias is not None:
+        told |= {f"gyro_bias_{a}_rad_s": float(b) for a, b in zip("xyz", bias, strict=True)}
+    if diagnosis is not None:
+        back, right = diagnosis.back_m, diagnosis.right_m
+        told |= {
+            "carried": diagnosis.carried.value,
+            "back_m": None if back is None else back.value,
+            "right_m": None if right is None else right.value,
+        }
+    return told | ({} if hover is None else _of_hover(hover))
+
+
+def _of_hover(hover: Hover) -> dict[str, float | None]:
+    told: dict[str, float | None] = {}
+    if hover.cmd is not None:
+        told["hover_command"] = hover.level
+    if hover.rotor_rad_s is not None:
+        told["hover_speed_rad_s"] = float(np.median(hover.rotor_rad_s.mean(axis=1)))
+    if hover.voltage_v is not None:
+        told["hover_voltage_v"] = float(np.median(hover.voltage_v))
+    return told | {f"motor_{i}": s for i, s in enumerate(hover.split[:MOTORS], start=1)}
+
+
+def battery_resistance(flight: AnyFlight) -> float | None:
+    """Resistance of a battery, ohm: least squares of V = a + b t - R I over a flight.
+
+    What a fall of the voltage within seconds of a change of the current adds to the resistance of
+    the first instant is in it; what the charge takes, which is slow, is in b.
+
+    Returns:
+        None: voltage or current are not logged, or the current does not vary.
+
+    Valid for: one flight on one battery.
+    """
+    if not flight.has("vbat_v", "ibat_a"):
+        return None
+    t_v, volts = (x.ravel() for x in flight.signal(("vbat_v",)))
+    t_i, amps = (x.ravel() for x in flight.signal(("ibat_a",)))
+    inside = (t_v >= t_i[0]) & (t_v <= t_i[-1]) & (volts > LEAST_V)
+    t, v = t_v[inside], volts[inside]
+    if len(t) < 20 or t[-1] - t[0] < LEAST_S:
+        return None
+    i = np.interp(t, t_i, amps)
+    flying = i > 0.3 * np.percentile(i, 90)
+    t, v, i = t[flying], v[flying], i[flying]
+    if len(t) < 20 or np.std(i) < LEAST_A * abs(np.mean(i)):
+        return None
+    a = np.column_stack([np.ones_like(t), t - t.mean(), -i])
+    return float(np.linalg.lstsq(a, v, rcond=None)[0][2])
+
+
+def gyro_bias(flight: AnyFlight) -> Array | None:
+    """Bias of a gyroscope, rad/s, body FRD, shape (3,): its mean over windows of half a second
+    minus the rate at which the attitude turns over each, the median of all.
+
+    Turns about an axis that moves itself are counted to second order: the angle of a window is
+    a + 1/2 int (a(t) x da), a the integral of the rates from its begin on.
+
+    Source: Bortz, IEEE Trans. Aerosp. Electron. Syst. 7 (1971) 61-66.
+
+    Returns:
+        None: no attitude, no gyroscope, or too short.
+    """
+    if not flight.has(*GYRO, *QUAT):
+        return None
+    t_w, omega = flight.signal(GYRO)
+    t_q, q = flight.signal(QUAT)
+    edges = np.arange(max(t_q[0], t_w[0]), min(t_q[-1], t_w[-1]), WINDOW_S)
+    if len(edges) * WINDOW_S < LEAST_S:
+        return None
+    at = np.unique(np.clip(np.searchsorted(t_q, edges), 0, len(t_q) - 1))
+    t = t_q[at]
+    turned = Rotation.from_quat(q[at], scalar_first=True)
+    rate = (turned[:-1].inv() * turned[1:]).as_rotvec() / np.diff(t)[:, None]
+    steps = np.diff(t_w)[:, None]
+    angle = np.vstack([np.zeros(3), np.cumsum(0.5 * (omega[1:] + omega[:-1]) * steps, axis=0)])
+    twist = np.cross(0.5 * (angle[1:] + angle[:-1]), np.diff(angle, axis=0))
+    twist = np.vstack([np.zeros(3), np.cumsum(twist, axis=0)])
+    a, c = (np.column_stack([np.interp(t, t_w, x[:, k]) for k in range(3)]) for x in (angle, twist))
+    da = np.diff(a, axis=0)
+    mean = (da + 0.5 * (np.diff(c, axis=0) - np.cross(a[:-1], da))) / np.diff(t)[:, None]
+    whole = np.diff(t) < 2 * WINDOW_S
+    return np.asarray(np.median((mean - rate)[whole], axis=0)) if whole.sum() >= 10 else None
+
+
+MISFIT = 0.15
+"""Deviation from 1 of the share of its weight that the twin carries, from which on the vehicle file
+does not fit the aircraft."""
+
+
+def misfit(carried: float | None, vehicle: str) -> str:
+    """Why a vehicle file does not fit the hover of a flight; "" where it does, or is unknown.
+
+    Args:
+        carried: Thrust of the twin over the weight, in hover.
+        vehicle: Name of the file.
+    """
+    if carried is None or not abs(carried - 1) > MISFIT:
+        return ""
+    return (
+        f"in hover the thrust of {vehicle} is {100 * carried:.0f} % of the weight that it gives: "
+        f"mass, thrust constant or battery voltage of the file are not those of this aircraft. "
+        f"Correct them, or draft a file: uavtwin vehicle draft."
+    )

@@ -1,0 +1,213 @@
+"""Which aircraft differs from the others in a number.
+
+Source: Rosner, Technometrics 25 (1983) 165-172, the generalised extreme Studentised deviate: the
+one farthest from the rest is taken out, and again; an aircraft differs where its deviate, or that
+of one taken out after it, is more than the most extreme of so many would have. His critical values
+are for 25 and more; of fewer, one of several steps is beyond them more often than he says, so that
+here probabilities are multiplied by the number of steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import false_discovery_control, kendalltau, theilslopes
+from scipy.stats import t as student
+
+Array = NDArray[np.float64]
+FEWEST_AIRCRAFT = 4
+"""Aircraft among which one can differ."""
+MOST_SHARE = 1 / 3
+"""Of the aircraft, that may differ; of more, nobody knows which are the usual ones."""
+
+
+def differing(value: Sequence[float] | Array, variance: Sequence[float] | Array) -> Array:
+    """Probability that one as far from the others would be among so many that are alike.
+
+    Args:
+        value: Of each aircraft, shape (n,).
+        variance: Of each value, by what is known of it; those above the mean of the others widen
+            what is allowed. Shape (n,).
+
+    Returns:
+        Shape (n,); 1 for those that are not among the farthest third.
+    """
+    y, own = np.asarray(value, dtype=np.float64), np.asarray(variance, dtype=np.float64)
+    p = np.ones(len(y))
+    left = np.arange(len(y))
+    taken: list[int] = []
+    steps = int(MOST_SHARE * len(y)) if len(y) >= FEWEST_AIRCRAFT else 0
+    for _ in range(steps):
+        each = np.abs(_deviates(y[left], own[left]))
+        far = int(np.argmax(each))
+        beyond = 2 * float(student.sf(each[far], len(left) - 2))
+        p[left[far]] = min(1.0, steps * len(left) * beyond)
+        taken.append(int(left[far]))
+        left = np.delete(left, far)
+    for first, later in zip(reversed(taken[:-1]), reversed(taken[1:]), strict=True):
+        p[first] = min(p[first], p[later])
+    return p
+
+
+def _deviates(y: Array, own: Array) -> Array:
+    """Distance of each from the mean of the others, over what it would be if it were one of them.
+
+    Args:
+        y: Shape (n,).
+        own: Variances, shape (n,).
+
+    Returns:
+        Shape (n,); infinite for one that is apart from others that are all the same.
+    """
+    n = len(y)
+    centred = y - np.median(y)
+    mean = (centred.sum() - centred) / (n - 1)
+    squares = (centred @ centred - centred**2) - (n - 1) * mean**2
+    spread = np.maximum(squares, 0.0) / (n - 2) * (1 + 1 / (n - 1))
+    wider = np.maximum(0.0, own - (own.sum() - own) / (n - 1))
+    away, size = centred - mean, np.sqrt(spread + wider)
+    least = 1e-12 * float(np.abs(y).max(initial=0.0))
+    flat = np.where(np.abs(away) <= least, 0.0, np.inf)
+    return np.asarray(np.where(size > least, away / np.maximum(size, 1e-300), flat))
+
+
+FALSE_SHARE = 0.05
+"""Of what is told to differ or to drift, the share that is expected to be false."""
+
+
+def adjusted(p: Sequence[float]) -> Array:
+    """Smallest share of false discoveries at which each test counts, shape (n,).
+
+    Args:
+        p: Probability of each under its hypothesis that there is nothing.
+    """
+    return np.asarray(false_discovery_control(p)) if len(p) else np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What several estimates say together.
+
+    Attributes:
+        mean: Of the values behind the estimates.
+        sd: Standard deviation of the mean.
+        between: Standard deviation of the values about it.
+        low: Lower end of the 95 % interval of the mean.
+        high: Upper end; infinite for a single estimate whose spread nobody knows.
+        own: Value of each, drawn to the mean as far as its estimate is unsure, shape (n,).
+        own_sd: Standard deviation of each, shape (n,).
+    """
+
+    mean: float
+    sd: float
+    between: float
+    low: float
+    high: float
+    own: Array
+    own_sd: Array
+
+
+def common_of(value: Sequence[float] | Array, sd: Sequence[float] | Array) -> Common:
+    """Random-effects estimate.
+
+    Args:
+        value: Estimates, shape (n,), n at least 1.
+        sd: Of each, positive, shape (n,).
+    """
+    y, s = np.asarray(value, dtype=np.float64), np.asarray(sd, dtype=np.float64)
+    if len(y) == 1:
+        return Common(float(y[0]), float(s[0]), 0.0, -np.inf, np.inf, y, s)
+    tau2 = _between(y, s)
+    w = 1 / (s**2 + tau2)
+    mean = float(w @ y / w.sum())
+    q = float(w @ (y - mean) ** 2) / (len(y) - 1)
+    sd_mean = float(np.sqrt(max(q, 1.0) / w.sum()))
+    half = float(student.ppf(0.975, len(y) - 1)) * sd_mean
+    kept = tau2 / (tau2 + s**2)
+    own = mean + kept * (y - mean)
+    own_sd = np.sqrt(kept * s**2 + (1 - kept) ** 2 * sd_mean**2)
+    return Common(mean, sd_mean, float(np.sqrt(tau2)), mean - half, mean + half, own, own_sd)
+
+
+def _between(y: Array, s: Array) -> float:
+    """Variance between the values at which the weighted squares are what they should be."""
+
+    def excess(tau2: float) -> float:
+        w = 1 / (s**2 + tau2)
+        return float(w @ (y - w @ y / w.sum()) ** 2) - (len(y) - 1)
+
+    if excess(0.0) <= 0:
+        return 0.0
+    top = float(np.ptp(y)) ** 2 + float(s.max()) ** 2
+    while excess(top) > 0:
+        top *= 4
+    return float(brentq(excess, 0.0, top, xtol=1e-15 * top, rtol=1e-12))
+
+
+FEWEST_FLIGHTS = 6
+"""Dated flights from which on a trend is looked for: of five, no order has a probability below
+1 %."""
+MOST_POINTS = 1000
+"""Points of a trend: of more flights, medians of so many groups of them in order of date, since the
+slopes are between all pairs."""
+DAYS = 30.0
+"""Over which a slope is told."""
+YEAR_D = 365.25
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """A slope over time.
+
+    Attributes:
+        slope: Median of the slopes between all pairs of flights, per 30 days.
+        low: Lower end of its 95 % interval.
+        high: Upper end.
+        p: Probability of an order as strict, of flights that only differ by chance.
+        flights: How many.
+        days: From the first to the last.
+    """
+
+    slope: float
+    low: float
+    high: float
+    p: float
+    flights: int
+    days: float
+
+
+def trend_of(date_year: Sequence[float] | Array, value: Sequence[float] | Array) -> Trend | None:
+    """Robust slope of a number against the date: 29 % of the flights may be anything.
+
+    Args:
+        date_year: Decimal years, shape (n,).
+        value: Shape (n,).
+
+    Returns:
+        None: too few flights, or all on one day.
+    """
+    t, y = np.asarray(date_year, dtype=np.float64), np.asarray(value, dtype=np.float64)
+    known = np.isfinite(t) & np.isfinite(y)
+    t, y = t[known] * YEAR_D / DAYS, y[known]
+    if len(t) < FEWEST_FLIGHTS or np.ptp(t) == 0:
+        return None
+    flights, days = len(t), float(np.ptp(t)) * DAYS
+    if np.ptp(y) == 0:
+        return Trend(0.0, 0.0, 0.0, 1.0, flights, days)
+    t, y = _grouped(t, y)
+    found = theilslopes(y, t, alpha=0.95)
+    p = float(kendalltau(t, y).pvalue)
+    slope, low, high = (float(v) for v in (found.slope, found.low_slope, found.high_slope))
+    return Trend(slope, low, high, p, flights, days)
+
+
+def _grouped(t: Array, y: Array) -> tuple[Array, Array]:
+    """Medians of groups where there are many."""
+    if len(t) <= MOST_POINTS:
+        return t, y
+    order = np.argsort(t, kind="stable")
+    parts = np.array_split(order, MOST_POINTS)
+    middle = [(np.median(t[p]), np.median(y[p])) for p in parts]
+    return np.array([m[0] for m in middle]), np.array([m[1] for m in middle])

@@ -1,1 +1,0 @@
-"""Aircraft against each other, numbers against dates, many tests at once."""

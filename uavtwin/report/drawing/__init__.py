@@ -1,1 +1,0 @@
-"""What figures of pages are made of: thinned series, panels, tracks in space."""

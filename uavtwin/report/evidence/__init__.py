@@ -1,1 +1,0 @@
-"""The figures that convince of an effect."""
