@@ -39,7 +39,7 @@ from .report.words import (
     shrink_words,
     title,
 )
-from .series.table import EXPLAINED, TWIN, Column, Series, compared
+from .series.files import EXPLAINED, TWIN, Column, Series, compared
 from .shown import Shown, TextTable, counted
 
 if TYPE_CHECKING:

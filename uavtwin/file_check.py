@@ -14,7 +14,7 @@ from twin.errors import LogError, ModelError, TwinError
 from twin.explain.observable import observable_effects
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL
-from twin.logs.containers import is_archive_of
+from twin.logs.read import is_archive_of
 from twin.logs.table import header
 from twin.logs.validate import NO_TABLE, is_recording
 from twin.physics.airframe import airframe

@@ -16,7 +16,7 @@ from .report.gap import claim, write_gap_report
 from .report.headline import Headline
 from .report.hover import hover_sentence
 from .report.overview import Overview, overview
-from .series.table import TWIN, Column, Series, compared
+from .series.files import TWIN, Column, Series, compared
 from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 

@@ -19,9 +19,7 @@ from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
 from .output import output_file, sha256
-from .series.files import write_frame
-from .series.series_mcap import write_series_mcap
-from .series.table import Column, Series
+from .series.files import Column, Series, write_frame, write_series_mcap
 from .shown import Shown, TextTable, counted
 from .simulation import Scenario, run_scenario, scenario_system, summary
 from .vehicles import checked_vehicle

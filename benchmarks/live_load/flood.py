@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from twin.logs.mavlink.dialect import AUTOPILOT, parser
 from twin.logs.mavlink.encode import messages_of
+from twin.logs.mavlink.frames import AUTOPILOT, parser
 from uavtwin.live.address import Address
 
 FLOODS = ("garbage", "valid", "damaged")

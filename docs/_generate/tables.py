@@ -44,9 +44,8 @@ from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.plausibility import BANDS
 from uavtwin.cli.main import app
 from uavtwin.fleets.dataset import TABLES
-from uavtwin.series.flight_mcap import TOPICS
-from uavtwin.series.foxglove import FOXGLOVE, MEANINGS
-from uavtwin.series.table import SIDES
+from uavtwin.series.files import SIDES
+from uavtwin.series.mcap import FOXGLOVE, MEANINGS, TOPICS
 
 DOCS = Path(__file__).parents[1]
 BEGIN = "<!-- table: do not edit, run docs/_generate/tables.py -->"

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.errors import LogError
-from twin.logs.table.parquet import damage_told, opened
+from twin.logs.stored import damage_told, opened
 
 from .channels import CHANNELS, PHASE_CODES
 from .flights import ResidualFlight

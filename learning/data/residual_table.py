@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.errors import LogError, ModelError
-from twin.logs.table.parquet import opened
+from twin.logs.stored import opened
 
 from .channels import channels_named
 from .flights import ResidualFlight

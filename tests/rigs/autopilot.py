@@ -17,9 +17,8 @@ from twin.component.component import Run
 from twin.flight.closed_loop import SETPOINTS, STEP_S
 from twin.flight.control.lqr_cascade import controller
 from twin.frames import AXES
-from twin.logs.mavlink.dialect import Message, dialect, parser
-from twin.logs.mavlink.encode import heartbeat
-from twin.logs.mavlink.simulator import Controls, hil_controls
+from twin.logs.mavlink.encode import Controls, heartbeat, hil_controls
+from twin.logs.mavlink.frames import Message, dialect, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.geodesy import A_M, F
 from uavtwin.demo.flights import Waypoints, setpoints_along

@@ -16,9 +16,8 @@ from log_rigs.dataflash_rig import dataflash
 from numpy.typing import ArrayLike, NDArray
 
 from twin.frames import from_euler, multiply, to_body
-from twin.logs.mavlink.dialect import AUTOPILOT, parser
 from twin.logs.mavlink.encode import messages_of
-from twin.logs.mavlink.tlog import stamped
+from twin.logs.mavlink.frames import AUTOPILOT, parser, stamped
 
 # -- ULog -----------------------------------------------------------------------------------
 

@@ -10,7 +10,7 @@ from log_rigs.dataflash_rig import dataflash
 from sample_logs import FLOWN_PARAMS, SAMPLES, flown_messages
 
 from twin.logs import read_flight
-from twin.logs.table.notes import Notes
+from twin.logs.table import Notes
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 
 from .flight import Finding, Flight, Site
 from .read import open_flight, read_flight
+from .stored import AnyFlight, StoredFlight
 from .table import write_flight
-from .table.stored import AnyFlight, StoredFlight
 
 __all__ = [
     "AnyFlight",

@@ -1,17 +1,361 @@
-"""Signals with their own clocks put together into one flight table."""
+"""Signals with their own clocks put together into one flight table: stamps in order, attitude of
+unit norm, rows.
+"""
 
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from ..errors import LogError
-from .clock import longest_stretch
-from .columns import MOTION, in_order
-from .flight import Array, Noted
-from .limits import beyond, told
+from ..frames import from_euler, rotation_vector
+from .columns import EULER, MOTION, QUAT, Columns, beyond, in_order, told
+from .flight import Array, Finding, Noted
+
+# -- time stamps --------------------------------------------------------------------------------
+#
+# Time stamps put in order: which samples of a series can stay.
+
+_JUMP_US = 60_000_000
+_FEW = 0.02
+_PAUSE_S = 0.2
+_PAUSE_INTERVALS = 2.2
+_LATEST = 0.5
+
+
+def filter_delay_us(cutoff_hz: float) -> int:
+    """Delay of a second-order Butterworth low-pass for what is slow, sqrt(2) / (2 pi f), us."""
+    return round(1e6 * math.sqrt(2.0) / (2.0 * math.pi * cutoff_hz))
+
+
+class Timed:
+    """Samples with times.
+
+    Attributes:
+        t_us: Time of each, us, shape (n,).
+    """
+
+    __slots__ = ()
+    t_us: NDArray[np.int64]
+
+    @property
+    def t_s(self) -> NDArray[np.float64]:
+        """Times, s, shape (n,)."""
+        return np.asarray(self.t_us * 1e-6, dtype=np.float64)
+
+    @property
+    def rate_hz(self) -> float:
+        """Mean rate between the first and the last, 0 for fewer than two."""
+        if len(self.t_us) < 2:
+            return 0.0
+        return float((len(self.t_us) - 1) / ((self.t_us[-1] - self.t_us[0]) * 1e-6))
+
+
+@dataclass(frozen=True, slots=True)
+class Pauses:
+    """Intervals in which samples are missing.
+
+    Attributes:
+        count: How many.
+        longest_s: The longest of them.
+        at_s: When that begins.
+    """
+
+    count: int
+    longest_s: float
+    at_s: float
+
+    @property
+    def told(self) -> str:
+        """The text of a finding."""
+        return f"gaps, the longest of {self.longest_s:.3g} s after {self.at_s:.2f} s"
+
+
+def pauses(t_us: NDArray[np.int64]) -> Pauses | None:
+    """Where a signal of a steady rate pauses: 0.2 s and 2.2 of its median intervals; None: nowhere.
+
+    Args:
+        t_us: Increasing times, us, shape (n,).
+    """
+    steps_s = np.diff(t_us) * 1e-6
+    if len(steps_s) == 0:
+        return None
+    long = steps_s > _longest_s(steps_s)
+    if not long.any():
+        return None
+    worst = int(np.argmax(steps_s))
+    return Pauses(int(long.sum()), float(steps_s[worst]), float(t_us[worst]) * 1e-6)
+
+
+def missing_ends(t_us: NDArray[np.int64], begin_us: int, end_us: int) -> list[str]:
+    """Texts of findings where a signal of a steady rate is not there at the ends of a record.
+
+    It may stop before the end for as long as in `pauses`: of six recorded PX4 logs all topics end
+    within 1.5 intervals. It may begin in the first half: their estimates take up to 22 % of it.
+
+    Args:
+        t_us: Increasing times, us, shape (n,).
+        begin_us: When the record begins, us.
+        end_us: When it ends.
+
+    Returns:
+        None of one sample or none.
+    """
+    if len(t_us) < 2:
+        return []
+    late_s, left_s = (int(t_us[0]) - begin_us) * 1e-6, (end_us - int(t_us[-1])) * 1e-6
+    found = []
+    if late_s > _LATEST * (end_us - begin_us) * 1e-6:
+        found.append(f"begins at {t_us[0] * 1e-6:.2f} s, {late_s:.3g} s after the record does")
+    if left_s > _longest_s(np.diff(t_us) * 1e-6):
+        found.append(f"ends at {t_us[-1] * 1e-6:.2f} s, {left_s:.3g} s before the record does")
+    return found
+
+
+def _longest_s(steps_s: NDArray[np.float64]) -> float:
+    """Beyond which an interval of a steady signal is a pause, s."""
+    return max(_PAUSE_S, _PAUSE_INTERVALS * float(np.median(steps_s)))
+
+
+def advancing(t: NDArray[np.int64]) -> tuple[NDArray[np.bool_], int, int, int]:
+    """Choose samples so that time strictly increases, dropping as few as possible.
+
+    Args:
+        t: Time stamps, us, shape (n,), in the order of the file.
+
+    Returns:
+        Mask of the samples to keep, shape (n,), then how many are dropped because time runs
+        backward, because it repeats, and because they lie over a minute from the rest.
+    """
+    keep = np.ones(len(t), dtype=np.bool_)
+    far = far_off(t)
+    keep[far] = False
+    left = np.flatnonzero(keep)
+    steps = np.diff(t[left])
+    if np.all(steps > 0):
+        return keep, 0, 0, int(far.sum())
+    rising = left[_longest_rise(t[left])]
+    keep[:] = False
+    keep[rising] = True
+    repeated = int(np.count_nonzero(np.isin(t[left], t[rising]) & ~keep[left]))
+    dropped = len(left) - len(rising)
+    return keep, dropped - repeated, repeated, int(far.sum())
+
+
+def far_off(t: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Samples of a small group (under 2 %) that is over a minute from every other sample."""
+    order = np.argsort(t, kind="stable")
+    group = np.concatenate([[0], np.cumsum(np.diff(t[order]) > _JUMP_US)])
+    if group[-1] == 0:
+        return np.zeros(len(t), dtype=np.bool_)
+    sizes = np.bincount(group)
+    small = (sizes < _FEW * len(t)) & (sizes < sizes.max())
+    far = np.zeros(len(t), dtype=np.bool_)
+    far[order] = small[group]
+    return far
+
+
+def longest_stretch(t: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Times of the largest group that has no pause of over a minute.
+
+    Args:
+        t: Increasing times, us, shape (n,).
+    """
+    group = np.concatenate([[0], np.cumsum(np.diff(t) > _JUMP_US)])
+    return np.asarray(group == np.argmax(np.bincount(group)))
+
+
+def _longest_rise(t: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Indices of a longest strictly increasing subsequence (patience sorting, O(n log n))."""
+    tails: list[int] = []
+    tail_at: list[int] = []
+    before = np.full(len(t), -1, dtype=np.int64)
+    for i, value in enumerate(t.tolist()):
+        k = bisect_left(tails, value)
+        if k == len(tails):
+            tails.append(value)
+            tail_at.append(i)
+        else:
+            tails[k] = value
+            tail_at[k] = i
+        before[i] = tail_at[k - 1] if k else -1
+    chain = []
+    i = tail_at[-1] if tail_at else -1
+    while i >= 0:
+        chain.append(i)
+        i = int(before[i])
+    return np.array(chain[::-1], dtype=np.int64)
+
+
+def told_dropped(what: str, backward: int, repeated: int, jumped: int) -> Iterator[tuple[str, int]]:
+    """Messages and counts of what `advancing` leaves out, of samples that are called so."""
+    for count, why in (
+        (backward, "whose time runs backward"),
+        (repeated, "whose time repeats"),
+        (jumped, "that lie more than a minute from the rest"),
+    ):
+        if count:
+            yield f"{what} dropped {why}", count
+
+
+# -- stamps and the order in the file -----------------------------------------------------------
+#
+# Time stamps of a ULog held against the order of its messages in the file.
+#
+# The logger writes what it receives as it comes, so that the stamps of neighbours are of about the
+# same moment whatever their topic.
+
+_NEIGHBOURS = 101
+_MANY = 0.2
+
+
+def out_of_place(
+    places: Sequence[NDArray[np.int64]], stamps_us: Iterable[NDArray[np.int64]]
+) -> list[NDArray[np.int64]]:
+    """How far each stamp is from the median of its neighbours in the file, us.
+
+    Args:
+        places: Per topic, where its samples stand in the file, each of shape (n,).
+        stamps_us: Their stamps, each of the same shape.
+
+    Returns:
+        Per topic, shape (n,); positive: stamped later than what was written beside it.
+    """
+    if not places:
+        return []
+    stamps = list(stamps_us)
+    place, stamp = np.concatenate(places), np.concatenate(stamps)
+    owner = np.repeat(np.arange(len(places)), [len(p) for p in places])
+    order = np.argsort(place, kind="stable")
+    place, stamp, owner = place[order], stamp[order], owner[order]
+    every = _clock(stamp)
+    out = []
+    for k, (own_place, own_stamp) in enumerate(zip(places, stamps, strict=True)):
+        others = owner != k
+        if len(own_place) > _MANY * len(place) and others.any():  # it would outvote the others
+            clock = np.interp(own_place, place[others], _clock(stamp[others]))
+        else:
+            clock = np.interp(own_place, place, every)
+        out.append(own_stamp - np.round(clock).astype(np.int64))
+    return out
+
+
+def _clock(stamp_us: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Median of each stamp and its neighbours, us."""
+    return np.asarray(median_filter(stamp_us, _NEIGHBOURS, mode="nearest"), dtype=np.float64)
+
+
+# -- attitude -----------------------------------------------------------------------------------
+#
+# Attitude as logs have it: quaternions of unit norm, Euler angles turned into them.
+
+NORM_DOUBT = 1e-3
+"""Distance of a norm from 1 beyond which that a quaternion was normalised is said."""
+_LEAST_NORM, _MOST_NORM = 0.5, 2.0
+_FARTHEST_RAD = 2 * np.pi
+_APART_RAD = 0.02  # made up: over the rounding of any log, under any mistake of axes
+
+
+def unit_quaternions(log: Noted, q: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Logged quaternions normalised, those left out whose norm is far from 1; both are told.
+
+    Args:
+        log: Which has them; gets the findings.
+        q: Shape (n, 4).
+
+    Returns:
+        Which are used, shape (n,), and these, shape (m, 4).
+    """
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged logs hold any number
+        norm = np.linalg.norm(q, axis=1)
+    usable = np.isfinite(norm) & (norm > _LEAST_NORM) & (norm < _MOST_NORM)
+    off = usable & (np.abs(norm - 1.0) > NORM_DOUBT)
+    if not usable.all():
+        count = int(np.count_nonzero(~usable))
+        log.note("error", "q", "samples left out, the quaternion is far from unit norm", count)
+    if off.any():
+        message = f"quaternions off unit norm by over {NORM_DOUBT:g}, normalised"
+        log.note("warning", "q", message, int(off.sum()))
+    return usable, q[usable] / norm[usable, None]
+
+
+def with_quaternion(name: str, table: Columns) -> tuple[dict[str, Array], list[Finding]]:
+    """The q_* that stand in for roll, pitch and yaw.
+
+    Args:
+        name: File name, for messages.
+        table: By column, one for each of what the file gives.
+
+    Returns:
+        Columns q_*, none where the file gives no Euler angles, not all of them, or a quaternion as
+        well, which then counts; and findings.
+
+    Raises:
+        LogError: Angles that cannot be radians, or another attitude than that of the quaternion.
+    """
+    given = [c for c in EULER if c in table]
+    if not given:
+        return {}, []
+    missing = [c for c in EULER if c not in table]
+    if missing:
+        return {}, [
+            Finding("warning", "attitude", f"not used, the Euler angles lack {', '.join(missing)}")
+        ]
+    angles = np.stack([table[c] for c in EULER], axis=1)
+    _check_radians(name, angles)
+    there = np.isfinite(angles)
+    whole = there.all(axis=1)
+    findings = []
+    partial = int(np.count_nonzero(there.any(axis=1) & ~whole))
+    if partial:
+        message = "rows with NaN in a part of the Euler angles; they are left out there"
+        findings.append(Finding("error", "attitude", message, partial))
+    told = np.full((len(angles), 4), np.nan)
+    told[whole] = from_euler(*angles[whole].T).T
+    if all(c in table for c in QUAT):
+        q_nb = np.stack([table[c] for c in QUAT], axis=1)
+        if (~np.isnan(q_nb)).all(axis=1).any():
+            _check_same(name, q_nb, told)
+            return {}, findings
+    return {c: np.ascontiguousarray(told[:, k]) for k, c in enumerate(QUAT)}, findings
+
+
+def _check_radians(name: str, angles: Array) -> None:
+    """No angle beyond a whole turn."""
+    rows, columns = np.nonzero(np.abs(angles) > _FARTHEST_RAD)
+    if len(rows):
+        value, column = angles[rows[0], columns[0]], EULER[columns[0]]
+        raise LogError(
+            f"{name}: {column} in data row {rows[0] + 1} is {value:.6g}, beyond a whole turn "
+            f"({len(rows)} such values). Is it in degrees? 1 degree = 0.0174533 rad."
+        )
+
+
+def _check_same(name: str, q_nb: Array, told: Array) -> None:
+    """Both attitudes are the same wherever both are there."""
+    size = np.linalg.norm(q_nb, axis=1)
+    both = np.flatnonzero(np.isfinite(size) & (size > 0.5) & np.isfinite(told[:, 0]))
+    unit = q_nb[both] / size[both, None]
+    apart = np.linalg.norm(rotation_vector(unit, told[both]), axis=1)
+    off = np.flatnonzero(apart > _APART_RAD)
+    if len(off):
+        k = off[0]
+        raise LogError(
+            f"{name}: in data row {both[k] + 1} the quaternion and roll, pitch, yaw are "
+            f"{apart[k]:.3g} rad apart ({len(off)} such rows). Both turn the body into NED, yaw "
+            f"first, then pitch, then roll; give one of them."
+        )
+
+
+# -- rows ---------------------------------------------------------------------------------------
+#
+# Signals with their own clocks put together into one flight table.
 
 
 @dataclass(slots=True)

@@ -1,26 +1,289 @@
-"""Open a flight, whatever its format."""
+"""Open a flight, whatever its format and whatever it is packed in."""
 
-from dataclasses import replace
+import bz2
+import gzip
+import io
+import zipfile
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from ..errors import LogError
-from .containers import (
-    CERTAIN,
-    before_the_head,
-    erased,
-    found_behind,
-    is_named,
-    looks_like,
-    unpacked,
-)
 from .doubts import doubts
 from .flight import Finding, Flight
-from .formats import HEAD, LogFormat, Magic, ReadOptions, known_formats, nearly, recognise
+from .formats import (
+    FORMATS,
+    HEAD,
+    FirstWord,
+    LogFormat,
+    Magic,
+    ReadOptions,
+    Signature,
+    known_formats,
+    nearly,
+    recognise,
+)
 from .motor_checks import is_misnumbered
 from .rotor_lag import with_speeds_in_step
+from .stored import AnyFlight
 from .table import open_parquet
-from .table.stored import AnyFlight
+
+# -- containers ---------------------------------------------------------------------------------
+#
+# Files around a log: archives, compression, bytes of another program before its head; and files
+# that are no log, by name. What counts is the log inside, not what it is wrapped in.
+
+_MOST_RATIO = 100
+"""Of the size unpacked over that of the archive: text logs compress by up to 20."""
+_ALWAYS = 16_000_000
+"""Bytes that may be unpacked whatever the ratio."""
+_SHOWN = 6
+_FEWEST = 16
+"""Bytes alike from which on a file counts as erased."""
+_ZIP = (Magic(b"PK\x03\x04"), Magic(b"PK\x05\x06"))
+_STREAMS = (
+    (Magic(b"\x1f\x8b"), "gzip-compressed", gzip.open),
+    (Magic(b"BZh"), "bzip2-compressed", bz2.open),
+)
+_NO_MEMBERS = ("__MACOSX/", ".DS_Store")
+_OF_SYSTEMS = {
+    "modelDescription.xml": "an FMU, no flight. uavtwin check and simulate read it.",
+    "SystemStructure.ssd": "a system of FMUs (SSP), no flight. uavtwin simulate runs it.",
+    "xl/workbook.xml": "an Excel workbook. Save the sheet as CSV, with a column 'time'.",
+}
+"""Archives that are no container of logs, by a member."""
+
+_Named = tuple[tuple[Signature, str], ...]
+
+CERTAIN: _Named = (
+    (
+        Magic(b"ULogEnc"),
+        "an encrypted PX4 log (.ulge): decrypt it with your key (PX4: Tools/decrypt_ulog.py), and "
+        "give the .ulg.",
+    ),
+    (Magic(b"version https://git-lfs"), "a Git LFS pointer, not the file: run `git lfs pull`."),
+    *(
+        (FirstWord(word), "an HTML page, mostly the error or login page of a download.")
+        for word in (b"<!doctype html", b"<html")
+    ),
+    (FirstWord(b"<?xml"), "XML, no flight log."),
+    *(
+        (Magic(magic), f"{name}. Unpack it first.")
+        for magic, name in (
+            (b"\xfd7zXZ\x00", "xz-compressed"),
+            (b"\x28\xb5\x2f\xfd", "zstd-compressed"),
+            (b"\x04\x22\x4d\x18", "LZ4-compressed"),
+            (b"7z\xbc\xaf\x27\x1c", "a 7z archive"),
+            (b"Rar!\x1a\x07", "a RAR archive"),
+        )
+    ),
+    (Magic(b"ustar", at=257), "a tar archive. Unpack it first."),
+    *(
+        (Magic(magic), f"{name}. Convert it to a flight table (CSV or Parquet).")
+        for magic, name in (
+            (b"#ROSBAG V", "a ROS 1 bag"),
+            (b"\x89MCAP0\r\n", "an MCAP recording"),
+            (b"SQLite format 3\x00", "an SQLite database, such as a ROS 2 bag"),
+            (b"\x89HDF\r\n\x1a\n", "an HDF5 file"),
+            (b"MATLAB 5.0 MAT-file", "a MATLAB file"),
+        )
+    ),
+    *((Magic(magic), "a picture, no flight log.") for magic in (b"\x89PNG\r\n", b"\xff\xd8\xff")),
+    (Magic(b"%PDF-"), "a PDF document, no flight log."),
+)
+"""Files that are no log, by what they begin with, and what to do then."""
+PERHAPS: _Named = (
+    (FirstWord(b"{"), "JSON, no flight log: the answer of a server, or results of a program?"),
+    *(
+        (Magic(mark), "text in UTF-16, as PowerShell writes it. Save it as UTF-8.")
+        for mark in (b"\xff\xfe", b"\xfe\xff")
+    ),
+    *(
+        (
+            Magic(marker),
+            "perhaps MAVLink as it was sent, without times. A telemetry log (.tlog) has them.",
+        )
+        for marker in (b"\xfd", b"\xfe")
+    ),
+)
+"""The same by so few bytes that a log may yet stand behind them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """A log taken out of what is around it.
+
+    Attributes:
+        blob: Its content.
+        findings: What it was taken out of.
+    """
+
+    blob: bytes
+    findings: tuple[Finding, ...] = ()
+
+
+def is_archive_of(path: Path, member: str) -> bool:
+    """Whether a file is a ZIP archive with a member of that name."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return member in archive.namelist()
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return False
+
+
+_DEEPEST = 3
+"""Archives and compressed files within each other."""
+
+
+def unpacked(blob: bytes, deepest: int = _DEEPEST) -> Unpacked:
+    """The log in an archive or a compressed file; the content itself where it is neither.
+
+    Args:
+        blob: Content of a file.
+        deepest: Archives and compressed files within each other that are opened.
+
+    Raises:
+        LogError: It is damaged, holds no log, or several.
+    """
+    if not deepest:
+        return Unpacked(blob)
+    if any(s.matches(blob) for s in _ZIP):
+        return _from_archive(blob)
+    for signature, what, opened in _STREAMS:
+        if not signature.matches(blob):
+            continue
+        most = _most(len(blob))
+        try:
+            with opened(io.BytesIO(blob)) as file:
+                inner = bytes(file.read(most + 1))
+        except (OSError, EOFError, zlib.error) as error:
+            raise LogError(f"{what}, cut short or damaged ({error}). Copy it again.") from None
+        if len(inner) > most:
+            raise LogError(f"{what}; it unpacks to over {most} bytes, {_TOO_LARGE}")
+        found = Finding("info", "file", f"{what}, {len(inner)} bytes unpacked")
+        within = unpacked(inner, deepest - 1)
+        return Unpacked(within.blob, (found, *within.findings))
+    return Unpacked(blob)
+
+
+_TOO_LARGE = (
+    f"over {_MOST_RATIO} times its size, as no flight log does. Unpack it first if it is one."
+)
+
+
+def _most(size: int) -> int:
+    """Bytes that an archive of some size may unpack to."""
+    return max(_ALWAYS, _MOST_RATIO * size)
+
+
+def _from_archive(blob: bytes) -> Unpacked:
+    """The one log in a ZIP archive."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(blob)) as archive:
+            names = set(archive.namelist())
+            for member, what in _OF_SYSTEMS.items():
+                if member in names:
+                    raise LogError(what)
+            files = [
+                m
+                for m in archive.infolist()
+                if not m.is_dir() and not any(n in m.filename for n in _NO_MEMBERS)
+            ]
+            if any(m.flag_bits & 1 for m in files):
+                raise LogError("a ZIP archive with a password. Unpack it first.")
+            logs = [m for m in files if _is_log(archive, m)]
+            if len(logs) != 1:
+                raise LogError(_which(files, logs))
+            (log,) = logs
+            if log.file_size > (most := _most(len(blob))):
+                raise LogError(f"a ZIP archive: {log.filename} has over {most} bytes, {_TOO_LARGE}")
+            content = archive.read(log)
+    except (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error) as error:
+        raise LogError(
+            f"a ZIP archive, cut short or damaged ({error}). Copy or download it again."
+        ) from None
+    except NotImplementedError as error:
+        raise LogError(f"a ZIP archive of an unknown kind ({error}). Unpack it first.") from None
+    others = f"; files in it that are no logs: {len(files) - 1}" if len(files) > 1 else ""
+    message = f"{log.filename[:80]}, out of a ZIP archive{others}"
+    return Unpacked(content, (Finding("info", "file", message),))
+
+
+def _is_log(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bool:
+    """Whether a file in an archive is of a known format, by its head or by its first bytes."""
+    with archive.open(member) as file:
+        head = file.read(HEAD)
+    return any(f.signature.matches(head) for f in FORMATS) or found_behind(head) is not None
+
+
+def _which(files: Sequence[zipfile.ZipInfo], logs: Sequence[zipfile.ZipInfo]) -> str:
+    """What an archive holds that does not hold one log."""
+    shown = logs or files
+    named = ", ".join(f"{m.filename[:60]} ({m.file_size} bytes)" for m in shown[:_SHOWN])
+    more = f" and {len(shown) - _SHOWN} more" if len(shown) > _SHOWN else ""
+    if logs:
+        return f"a ZIP archive of {len(logs)} logs: {named}{more}. Extract the one that is meant."
+    if not files:
+        return "a ZIP archive without a file."
+    return f"a ZIP archive without a flight log; it holds {named}{more}."
+
+
+def found_behind(blob: bytes) -> tuple[int, LogFormat] | None:
+    """Where a log begins behind bytes of another program, a serial logger's or a console's, and its
+    format; None where nothing does."""
+    starts = [
+        (match.start(), k)
+        for k, f in enumerate(FORMATS)
+        if f.sought is not None and (match := f.sought.search(blob))
+    ]
+    if not starts:
+        return None
+    at, k = min(starts)
+    return at, FORMATS[k]
+
+
+def before_the_head(blob: bytes, at: int) -> Finding:
+    """The finding on bytes before a log's head."""
+    lead = blob[: min(at, 60)]
+    text = lead.decode("ascii", "replace").strip()
+    shown = f" ('{' '.join(text.split())[:40]}')" if text.isprintable() or text.isascii() else ""
+    return Finding(
+        "warning",
+        "file",
+        f"{at} bytes before the head of the log{shown}, of another program: read from there on",
+        at,
+    )
+
+
+def erased(blob: bytes) -> str:
+    """What is said of a file in which all bytes are the same, "" of any other."""
+    if len(blob) < _FEWEST or blob.strip(blob[:1]):
+        return ""
+    return (
+        f"{len(blob)} bytes, all of them {blob[0]:02x}: the copy failed, or the memory was "
+        "erased. Copy the log again."
+    )
+
+
+def is_named(blob: bytes, named: _Named) -> str:
+    """What a file is by its first bytes, "" where they say nothing."""
+    return next((text for signature, text in named if signature.matches(blob[:HEAD])), "")
+
+
+def looks_like(blob: bytes) -> str:
+    """One sentence on what a file of no known format seems to be."""
+    if said := is_named(blob, (*CERTAIN, *PERHAPS)):
+        return said
+    head = blob[:64]
+    if all(32 <= b < 127 or b in b"\t\r\n" for b in head):
+        line = head.splitlines()[0].decode("ascii")[:40] if head.strip() else ""
+        return f"text that begins with '{line}', not with a column 'time'."
+    return f"no known flight log (it begins with {blob[:4].hex(' ')})."
+
+
+# -- reading ------------------------------------------------------------------------------------
 
 _F = TypeVar("_F", bound=AnyFlight)
 

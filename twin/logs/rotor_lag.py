@@ -25,7 +25,7 @@ from scipy.signal import butter, lfilter, sosfiltfilt
 
 from .columns import ACC, GYRO, MAX_MOTORS, motor_columns
 from .flight import Array, Finding
-from .table.stored import AnyFlight, StoredFlight
+from .stored import AnyFlight, StoredFlight
 
 _F = TypeVar("_F", bound=AnyFlight)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..errors import LogError
 from .agreement import signals
-from .attitude import NORM_DOUBT
+from .assemble import NORM_DOUBT
 from .columns import (
     ACC,
     ACC_NED,
@@ -22,16 +22,18 @@ from .columns import (
     PHASES,
     POS,
     QUAT,
+    SIGNALS,
     VEL,
     Columns,
+    beyond,
     is_known,
     motor_columns,
     motor_number,
     over,
+    told,
 )
 from .doubts import gaps
 from .flight import Array, Finding
-from .limits import SIGNALS, beyond, told
 
 _MOST_UNKNOWN = 100
 _SHOWN = 40

@@ -29,8 +29,7 @@ def convert(
     from twin.logs import read_flight, write_flight
 
     from ..output import check_file, check_record, record_of, recorded_file
-    from ..series.flight_mcap import write_flight_mcap
-    from ..series.mcap_file import check_mcap
+    from ..series.mcap import check_mcap, write_flight_mcap
 
     if out.suffix not in _WRITTEN:
         raise TwinError(f"{out.name}: a flight is written as {', '.join(_WRITTEN)}.")

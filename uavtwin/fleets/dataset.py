@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from twin.errors import TwinError
-from twin.logs.table.parquet import damage_told, opened
+from twin.logs.stored import damage_told, opened
 
 from ..jobs import journal
 from ..output import output_file

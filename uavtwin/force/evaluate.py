@@ -24,8 +24,8 @@ from ..output import output_file
 from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import horizons_figure
 from ..report.page import plot, render
-from ..series.table import CORRECTED, TWIN, Column, Series, residual_of
-from ..series.table import EXPLAINED as EXPLAINED_SIDE
+from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
+from ..series.files import EXPLAINED as EXPLAINED_SIDE
 from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
 from .fold import in_force

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from twin.errors import TwinError
-from twin.logs.mavlink.dialect import BAD, MARKERS, Message, dialect, parser
+from twin.logs.mavlink.frames import BAD, MARKERS, Message, dialect, parser
 
 from ..live.address import Address
 

@@ -20,19 +20,19 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from twin.errors import TwinError
-from twin.logs.mavlink.dialect import Message, dialect
-from twin.logs.mavlink.encode import heartbeat
-from twin.logs.mavlink.simulator import (
-    BARO,
-    IMU,
-    MAG,
+from twin.logs.mavlink.encode import (
+    BARO_BITS,
+    IMU_BITS,
+    MAG_BITS,
     Controls,
     Sensed,
     controls_of,
+    heartbeat,
     hil_gps,
     hil_sensor,
     hil_state,
 )
+from twin.logs.mavlink.frames import Message, dialect
 from twin.physics.atmosphere import LAPSE_K_M
 from twin.physics.sensors.position import PRESETS
 from twin.vehicle import Vehicle
@@ -216,7 +216,7 @@ class HilSession:
             state["baro"][0],
             self._vehicle.sensors.temperature_k + LAPSE_K_M * state["pos"][2],
         )
-        updated = IMU | (MAG | BARO if self._is_due(count, SLOW_S) else 0)
+        updated = IMU_BITS | (MAG_BITS | BARO_BITS if self._is_due(count, SLOW_S) else 0)
         found.append(hil_sensor(t_us, sensed, updated))
         return found
 

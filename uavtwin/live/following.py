@@ -18,7 +18,7 @@ from twin.component.along import Along, EachRow
 from twin.component.building import BUILDING
 from twin.frames import AXES
 from twin.logs.columns import POS, QUAT, VEL, motor_columns
-from twin.logs.mavlink.samples import GROUPS, Sample
+from twin.logs.mavlink.decoder import GROUPS, Sample
 from twin.residuals.running.equations import Equations
 from twin.residuals.teacher_forced import GRID_S
 

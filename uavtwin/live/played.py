@@ -7,8 +7,8 @@ import numpy as np
 from twin.errors import LogError
 from twin.logs import Flight
 from twin.logs.columns import MAX_MOTORS, POS, QUAT, VEL
-from twin.logs.mavlink.dialect import Message
 from twin.logs.mavlink.encode import attitude, heartbeat, landed, local_position, messages_of
+from twin.logs.mavlink.frames import Message
 
 BOOT_US = 10_000_000
 """Time on the aircraft's clock at time 0 of the flight, us."""

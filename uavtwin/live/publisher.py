@@ -10,8 +10,8 @@ import numpy as np
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.columns import ACC, GYRO
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 
 from .address import Address, sending
 from .alarms import sentence

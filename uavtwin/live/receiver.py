@@ -4,10 +4,17 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from twin.logs.mavlink.dialect import BAD, GCS, Message, dialect, parser
-from twin.logs.mavlink.link import Link, Sequence
-from twin.logs.mavlink.tlog import checksum_of
-from twin.logs.mavlink.unpacked import unpacked
+from twin.logs.mavlink.frames import (
+    BAD,
+    GCS,
+    Link,
+    Message,
+    Sequence,
+    checksum_of,
+    dialect,
+    parser,
+    unpacked,
+)
 
 Sender = tuple[str, int]
 _MOST_OTHERS = 32

@@ -18,9 +18,8 @@ import pyarrow as pa
 from twin.errors import TwinError
 from twin.logs import Flight
 from twin.logs.flight import Finding, Settled
-from twin.logs.mavlink.tlog import stamped
-from twin.logs.table.notes import Notes
-from twin.logs.table.stream import TableStream, flight_schema, fold
+from twin.logs.mavlink.frames import stamped
+from twin.logs.table import Notes, TableStream, flight_schema, fold
 from twin.residuals.gap import Channel
 from twin.residuals.running.residuals import ResidualBlock
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from twin.errors import TwinError
 from twin.logs import Flight
-from twin.logs.mavlink.dialect import AUTOPILOT, BAD, Message, dialect, parser
+from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, parser
 
 from .address import Address, sending
 from .faults import Faults, Link

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.logs.columns import in_order, motor_columns
-from twin.logs.mavlink.dialect import dialect
-from twin.logs.mavlink.samples import GROUPS, LANDED, Sample, best_source
+from twin.logs.mavlink.decoder import GROUPS, LANDED, Sample, best_source
+from twin.logs.mavlink.frames import dialect
 
 HOLD_S = 0.15
 """So long rows wait for messages that were overtaken."""

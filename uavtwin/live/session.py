@@ -13,10 +13,8 @@ from twin.component.building import BUILDING
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
-from twin.logs.mavlink.decoder import MavlinkDecoder
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
-from twin.logs.mavlink.samples import Sample
-from twin.logs.mavlink.stamps import Stamp
+from twin.logs.mavlink.decoder import MavlinkDecoder, Sample, Stamp
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 

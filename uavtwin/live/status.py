@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from twin.logs.mavlink.dialect import dialect
+from twin.logs.mavlink.frames import dialect
 
 from .clock import ClockEstimate
 

@@ -31,8 +31,8 @@ from ..report.learning_figures import (
     correction_figure,
 )
 from ..report.page import Plot, plot, render
-from ..series.table import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
-from ..series.table import MODEL as OF_MODEL
+from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
+from ..series.files import MODEL as OF_MODEL
 from ..shown import Shown, TextTable, counted
 from .compiled import compiled_compensator
 from .generated import GeneratedEvaluation, evaluate_drawn

@@ -32,8 +32,8 @@ from ..report.drawing import Budget, fitted
 from ..report.figures import number, pretty_unit
 from ..report.learning_figures import spectra_figure
 from ..report.page import Plot, plot, render
-from ..series.table import DRAWN as DRAWN_SIDE
-from ..series.table import TWIN, Column, Series, compared
+from ..series.files import DRAWN as DRAWN_SIDE
+from ..series.files import TWIN, Column, Series, compared
 from ..shown import Shown, TextTable, counted
 from .training import RESIDUALS, VEHICLE_FILE
 

@@ -1,18 +1,223 @@
-"""Series as files of a folder of results."""
+"""Series of a result: columns over time of one flight, what they are called and what they mean.
+
+A column is SIDE.CHANNEL: `measured.acc_x`, `twin.acc_x`, `residual.acc_x`. Columns may be sampled
+at times of their own; the table has a row for every time of any of them, NaN where a column has no
+sample there. Times are the same if they are the same in nanoseconds.
+"""
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from .mcap_file import check_mcap
-from .series_mcap import write_series_mcap
-from .table import NS, Series
+from twin.logs.airframe import Place
+from twin.logs.columns import POS
+from twin.representation import short_repr
+
+from .mcap import (
+    LOCATION,
+    NS,
+    LocationTopics,
+    PlotTopics,
+    PoseTopics,
+    check_mcap,
+    check_times,
+    mcap_file,
+    nanoseconds,
+)
+
+Array = NDArray[np.float64]
+"""Nanoseconds in a second."""
+BLOCK_ROWS = 1 << 16
+"""Rows that are put together at a time."""
+MEASURED, TWIN, EXPLAINED, CORRECTED, DRAWN = (
+    *("measured", "twin", "explained", "corrected"),
+    "drawn",
+)
+SPREAD, MODEL = "spread", "model"
+SIDES: Mapping[str, tuple[str, str]] = {
+    MEASURED: ("gap, explain, evaluate", "of the flight, filtered as the twin's"),
+    TWIN: ("gap, explain, evaluate", "of the vehicle that was given, on the flight's commands"),
+    EXPLAINED: ("explain, evaluate", "of the vehicle with the named effects"),
+    CORRECTED: ("evaluate", "of the twin with the compensator, or with the learned force"),
+    DRAWN: ("evaluate", "of the twin with one draw of a model of the protocol `generate`"),
+    "residual": ("gap, explain, evaluate", "`measured` minus `twin`"),
+    "residual_SIDE": (
+        "explain, evaluate",
+        "`measured` minus that side: `residual_explained.acc_x`",
+    ),
+    SPREAD: ("evaluate", "standard deviation that the compensator expects of `residual_corrected`"),
+    MODEL: ("evaluate", "`anomaly`: above 1 rarely; `inside` the envelope of the training: 0 or 1"),
+}
+"""What stands before the point in the name of a column: verbs that write it, and its meaning."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One quantity over time.
+
+    Attributes:
+        name: SIDE.CHANNEL.
+        unit: SI unit, as printed; "1" or "" where there is none.
+        t_s: From the start of the record, s, increasing, shape (n,).
+        values: In the unit, shape (n,).
+        about: What a reader has to know besides.
+    """
+
+    name: str
+    unit: str
+    t_s: Array
+    values: Array
+    about: str = ""
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Columns over time of one flight.
+
+    Attributes:
+        name: Of the flight.
+        columns: Each name once; those sampled together share the array of their times.
+        facts: What they were made of, as text.
+        origin: From where positions are counted; None: not known.
+    """
+
+    name: str
+    columns: tuple[Column, ...]
+    facts: Mapping[str, str] = field(default_factory=dict)
+    origin: Place | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the columns."""
+        return tuple(c.name for c in self.columns)
+
+    def blocks(self, rows: int = BLOCK_ROWS) -> Iterator[tuple[NDArray[np.int64], list[Array]]]:
+        """The table, some rows at a time, so that a long flight is never there as a whole.
+
+        Args:
+            rows: At most so many.
+
+        Yields:
+            Times in ns, increasing, shape (n,), and the values of each column there, (n,) each.
+        """
+        grids = {id(c.t_s): nanoseconds(c.t_s) for c in self.columns}
+        every = np.unique(np.concatenate([*grids.values(), np.zeros(0, dtype=np.int64)]))
+        for first in range(0, len(every), rows):
+            t_ns = every[first : first + rows]
+            places = {}
+            for key, grid in grids.items():
+                a, b = np.searchsorted(grid, [t_ns[0], t_ns[-1] + 1])
+                places[key] = slice(a, b), np.searchsorted(t_ns, grid[a:b])
+            found = []
+            for column in self.columns:
+                there, place = places[id(column.t_s)]
+                values = np.full(len(t_ns), np.nan)
+                values[place] = column.values[there]
+                found.append(values)
+            yield t_ns, found
+
+
+def residual_of(side: str) -> str:
+    """What the residual of a side is called."""
+    return "residual" if side == TWIN else f"residual_{side}"
+
+
+def compared(
+    channel: str,
+    unit: str,
+    t_s: Array,
+    measured: Array,
+    sides: Mapping[str, Array],
+    about: str = "",
+) -> Iterator[Column]:
+    """Columns of one channel: measured, what each side says of it, and the residuals.
+
+    Args:
+        channel: Its name.
+        unit: Of all of them.
+        t_s: Shape (n,).
+        measured: Shape (n,).
+        sides: By name, shape (n,) each.
+        about: As of `Column`.
+    """
+    yield Column(f"{MEASURED}.{channel}", unit, t_s, measured, about)
+    for side, values in sides.items():
+        yield Column(f"{side}.{channel}", unit, t_s, values, about)
+    for side, values in sides.items():
+        yield Column(f"{residual_of(side)}.{channel}", unit, t_s, measured - values, about)
+
+
+# -- MCAP ---------------------------------------------------------------------------------------
+#
+# Series as MCAP: a topic per side, a field per channel.
+
+_BLOCK_ROWS = 1 << 12
+PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED, DRAWN)
+"""Sides that are somewhere; the others are differences and spreads."""
+
+
+def write_series_mcap(series: Series, path: Path, pose: Sequence[str] = ()) -> None:
+    """Write series; what stands before the last point of a column's name is its topic.
+
+    Args:
+        series: To write.
+        path: An existing one is replaced.
+        pose: Columns of a position, NED, and of an attitude, body to NED, w first, to be shown as a
+            body in space; none: no pose.
+
+    Raises:
+        TwinError: The package `mcap` is not installed, or a time is negative.
+    """
+    topics: dict[str, dict[str, tuple[str, str]]] = {}
+    for column in series.columns:
+        side, _, name = column.name.rpartition(".")
+        topics.setdefault("/" + side.replace(".", "/"), {})[column.name] = name, column.unit
+    begun = False
+    with mcap_file(path) as file:
+        plots, body = PlotTopics(file, topics), PoseTopics(file) if pose else None
+        places = LocationTopics(file, series.origin, _positions(series.names))
+        file.note("uavtwin", {"name": series.name, **series.facts})
+        file.note("units", {c.name: c.unit for c in series.columns})
+        for t_ns, values in series.blocks(_BLOCK_ROWS):
+            if not begun:
+                check_times(series.name, int(t_ns[0]))
+                if body is not None:
+                    body.begin(int(t_ns[0]))
+            begun = True
+            block = dict(zip(series.names, values, strict=True))
+            poses = np.column_stack([block[c] for c in pose]).tolist() if pose else ()
+            of_rows = places.rows(block, len(t_ns))
+            for k, (t, messages) in enumerate(zip(t_ns.tolist(), plots.rows(block), strict=True)):
+                places.write(t, of_rows[k])
+                if body is not None and np.isfinite(poses[k]).all():
+                    body.write(t, poses[k][:3], poses[k][3:])
+                for topic, message in messages:
+                    file.write(topic, t, message)
+
+
+def _positions(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Columns of a position by topic, of every side that has one and is no difference."""
+    sides = dict.fromkeys(name.rpartition(".")[0] for name in names)
+    found = {side: tuple(f"{side}.{c}" for c in POS) for side in sides if side in PLACED}
+    return {f"/{s}{LOCATION}": columns for s, columns in found.items() if {*columns} <= {*names}}
+
+
+# -- files --------------------------------------------------------------------------------------
+#
+# Series as files of a folder of results.
 
 Form = Literal["parquet", "csv", "mcap"]
 FOLDER = "series"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from sample_logs import flown_table
 
 from twin.logs import Flight, read_flight
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
-from twin.logs.mavlink.tlog import Frame, frames, stamped
+from twin.logs.mavlink.frames import AUTOPILOT, Frame, Message, dialect, frames, parser, stamped
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address

@@ -14,7 +14,7 @@ from twin.draft.consistency import check_airframe, consistency
 from twin.errors import ModelError
 from twin.logs import Flight, read_flight
 from twin.logs.airframe import Airframe, Cells, Told
-from twin.logs.ardupilot.geometry import CLASSES, TYPES, geometry
+from twin.logs.ardupilot.airframe import CLASSES, TYPES, geometry
 from twin.residuals.teacher_forced import choose_drive, drive_warnings
 from twin.vehicle import Battery, Vehicle
 from twin.vehicle.file import load_vehicle

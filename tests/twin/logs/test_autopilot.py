@@ -238,7 +238,7 @@ def test_a_flight_table_left_in_its_file_keeps_it(
     )
     path = tmp_path / "kept.parquet"
     write_flight(Flight("kept", flight_table(), autopilot=said), path)
-    monkeypatch.setattr("twin.logs.table.read.HELD_CELLS", 10)
+    monkeypatch.setattr("twin.logs.table.HELD_CELLS", 10)
     stored = open_flight(path)
     assert not isinstance(stored, Flight)
     for flight in (stored, stored.between(0.0, 1.0), read_flight(path)):

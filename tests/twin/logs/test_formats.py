@@ -17,7 +17,6 @@ from sample_logs import SAMPLES
 import twin.logs
 from twin.errors import LogError
 from twin.logs import read_flight
-from twin.logs.containers import CERTAIN, PERHAPS
 from twin.logs.formats import (
     FORMATS,
     HEAD,
@@ -28,6 +27,7 @@ from twin.logs.formats import (
     known_formats,
     recognise,
 )
+from twin.logs.read import CERTAIN, PERHAPS
 
 LOGS = Path(twin.logs.__file__).parent
 NAMES = [f.name for f in FORMATS]

@@ -9,7 +9,7 @@ import pytest
 from sample_logs import flown_table
 
 from twin.logs.columns import Columns
-from twin.logs.incidents import incidents, lower_voltage
+from twin.logs.doubts import incidents, lower_voltage
 
 T = np.arange(0.0, 40.0, 0.02)
 

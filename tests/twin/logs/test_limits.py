@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from twin.logs.columns import READINGS, other_unit, told
 from twin.logs.doubts import doubts
-from twin.logs.limits import READINGS, other_unit, told
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def test_motors_are_told_by_number_and_not_by_place(
     names = list(table)[1:]
     orders = [names, names[::-1], sorted(names, key=lambda c: (c != "cmd_3", c))]
     if form == "left in its file":
-        monkeypatch.setattr("twin.logs.table.read.HELD_CELLS", 0)
+        monkeypatch.setattr("twin.logs.table.HELD_CELLS", 0)
 
     def findings_of(columns: Columns, order: list[str]) -> list[tuple[str, str]]:
         frame_of = pd.DataFrame(columns)[["time", *order]]

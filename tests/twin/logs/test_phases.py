@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twin.logs.phases import ground_spans, label_phases, motion_spans
+from twin.logs.autopilot import ground_spans, label_phases, motion_spans
 
 T_S = np.arange(0.0, 20.0, 0.1)
 

@@ -14,11 +14,12 @@ from twin.logs.px4.control import (
     integrals,
     low_pass,
     mix,
+    mixer_names,
+    mixer_scale,
     notch,
     raw_times,
     resample,
 )
-from twin.logs.px4.mixers import mixer_names, mixer_scale
 
 RATE_HZ = 2000.0
 

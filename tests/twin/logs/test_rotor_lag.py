@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from twin.logs import Flight, StoredFlight, open_flight, read_flight
 from twin.logs.columns import motor_columns
 from twin.logs.rotor_lag import LEAST_R2, LONGEST_DEAD_TIME_S, speed_lag, with_speeds_in_step
-from twin.logs.table.write import write_flight
+from twin.logs.table import write_flight
 from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle.file import load_vehicle
 
@@ -208,7 +208,7 @@ def test_without_commands_or_speeds_nothing_is_said(column: str) -> None:
 def test_a_table_left_in_its_file_is_set_earlier_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twin.logs.table.read.HELD_CELLS", 0)
+    monkeypatch.setattr("twin.logs.table.HELD_CELLS", 0)
     path = tmp_path / "made.parquet"
     write_flight(made(0.1, speed_hz=100.0), path)
     read = open_flight(path)

@@ -14,9 +14,9 @@ from sample_logs import foreign, ulog
 
 from twin.errors import LogError, TwinError
 from twin.logs import Flight, read_flight
-from twin.logs.clock import advancing
+from twin.logs.airframe import MotorOutput
+from twin.logs.assemble import advancing
 from twin.logs.columns import motor_columns
-from twin.logs.outputs import MotorOutput
 from twin.logs.px4.log import Topic
 from twin.logs.px4.outputs import Outputs
 from twin.logs.px4.rebuild import Match, compare

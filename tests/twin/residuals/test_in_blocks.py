@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twin.logs import Flight, StoredFlight, open_flight, read_flight, write_flight
-from twin.logs.table import read as table_module
+from twin.logs import table as table_module
 from twin.residuals.aligned import Alignment, align_flight
 from twin.residuals.channels import GRID_HZ
 from twin.residuals.flight_gap import flight_gap

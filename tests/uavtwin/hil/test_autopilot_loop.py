@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from twin.errors import TwinError
 from twin.frames import AXES
-from twin.logs.mavlink.dialect import Message, parser
-from twin.logs.mavlink.simulator import Controls, controls_of, hil_controls
+from twin.logs.mavlink.encode import Controls, controls_of, hil_controls
+from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from twin.vehicle.geodesy import geodetic_of_ned

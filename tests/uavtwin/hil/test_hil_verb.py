@@ -15,9 +15,8 @@ import pytest
 from autopilot import HOP, Pilot, StandIn
 from cli_rig import run
 
-from twin.logs.mavlink.dialect import parser
-from twin.logs.mavlink.encode import heartbeat
-from twin.logs.mavlink.simulator import Controls
+from twin.logs.mavlink.encode import Controls, heartbeat
+from twin.logs.mavlink.frames import parser
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of

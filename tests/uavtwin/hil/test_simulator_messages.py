@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from twin.logs.mavlink.dialect import Message, parser
-from twin.logs.mavlink.simulator import (
-    BARO,
-    IMU,
-    MAG,
+from twin.logs.mavlink.encode import (
+    BARO_BITS,
+    IMU_BITS,
+    MAG_BITS,
     Controls,
     Sensed,
     controls_of,
@@ -18,6 +17,7 @@ from twin.logs.mavlink.simulator import (
     hil_state,
     pressure_altitude_m,
 )
+from twin.logs.mavlink.frames import Message, parser
 
 PLACE = (math.radians(48.0), math.radians(-11.5), 500.25)
 
@@ -30,7 +30,7 @@ def wired(message: Message) -> Message:
 
 def test_sensors_are_in_gauss_and_hectopascal() -> None:
     sensed = Sensed((0.1, -0.2, -9.8), (0.01, 0.02, 0.03), (2e-5, 0.0, 4e-5), 95000.0, 288.15)
-    m = wired(hil_sensor(1_234_000, sensed, IMU | MAG | BARO))
+    m = wired(hil_sensor(1_234_000, sensed, IMU_BITS | MAG_BITS | BARO_BITS))
     assert m.time_usec == 1_234_000 and m.id == 0
     assert (m.xacc, m.yacc, m.zacc) == pytest.approx((0.1, -0.2, -9.8), rel=1e-7)
     assert (m.xmag, m.ymag, m.zmag) == pytest.approx((0.2, 0.0, 0.4), rel=1e-6)
@@ -41,7 +41,7 @@ def test_sensors_are_in_gauss_and_hectopascal() -> None:
 
 def test_what_is_new_is_what_px4_asks_for() -> None:
     """PX4's masks of accelerometer, gyroscope, magnetometer and barometer."""
-    assert (IMU, MAG, BARO) == (0b111 | 0b111000, 0b111000000, 0b1101000000000)
+    assert (IMU_BITS, MAG_BITS, BARO_BITS) == (0b111 | 0b111000, 0b111000000, 0b1101000000000)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from sample_logs import flown_table
 from learning.data.flights import residual_flight, restart_before_s
 from learning.preset import Protocol
 from twin.logs import Flight, read_flight
-from twin.logs.mavlink.dialect import Message, parser
+from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.publisher import Publisher

@@ -17,8 +17,7 @@ from places import needs_package
 from sample_logs import flown_table
 
 from twin.logs import Flight
-from twin.logs.mavlink.dialect import Message, dialect, parser
-from twin.logs.mavlink.tlog import Frame, frames
+from twin.logs.mavlink.frames import Frame, Message, dialect, frames, parser
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.replay import Replay

@@ -20,8 +20,8 @@ from sample_logs import flown_table
 from twin.errors import TwinError
 from twin.logs import Flight, read_flight
 from twin.logs.columns import POS
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.encode import messages_of
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.residuals.flight_gap import flight_gap
 from twin.residuals.measured import signal_of
 from twin.vehicle import Vehicle

@@ -13,8 +13,8 @@ from twin.errors import LogError
 from twin.explain.running.alarms import Verdict
 from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
-from twin.logs.mavlink.dialect import AUTOPILOT, dialect, parser
 from twin.logs.mavlink.encode import heartbeat
+from twin.logs.mavlink.frames import AUTOPILOT, dialect, parser
 from twin.residuals.running.residuals import RunningResiduals
 from twin.residuals.running.table import Rows
 from twin.vehicle import Vehicle

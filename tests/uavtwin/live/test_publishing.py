@@ -11,8 +11,8 @@ import pytest
 from sample_logs import flown_table
 
 from twin.explain.running.alarms import Alarm, EstimatedChange, Verdict
-from twin.logs.mavlink.dialect import Message, parser
-from twin.logs.mavlink.samples import Sample
+from twin.logs.mavlink.decoder import Sample
+from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.running.equations import Equations
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle

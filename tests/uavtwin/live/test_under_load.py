@@ -13,8 +13,8 @@ from sample_logs import flown_table
 
 from benchmarks.live_load.flood import FLOODS, flooding
 from twin.logs import Flight, read_flight
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address
 from uavtwin.live.receiver import Receiver

@@ -17,8 +17,7 @@ from twin.errors import TwinError
 from twin.frames import to_ned
 from twin.logs import Finding, Flight, read_flight
 from twin.logs.columns import COLUMNS
-from uavtwin.series.flight_mcap import TOPICS, write_flight_mcap
-from uavtwin.series.foxglove import FOXGLOVE, LOG, POSE, TF, TF_STATIC
+from uavtwin.series.mcap import FOXGLOVE, LOG, POSE, TF, TF_STATIC, TOPICS, write_flight_mcap
 
 Array = np.ndarray
 FIELDS = {"/pose", "/tf", "/tf_static", "/location", "/log"}

@@ -19,7 +19,7 @@ from twin.residuals.gap import Channel, FlightGap
 from twin.vehicle.geodesy import geodetic_of_ned
 from uavtwin.gaps import GapResult
 from uavtwin.series.files import write_series
-from uavtwin.series.flight_mcap import write_flight_mcap
+from uavtwin.series.mcap import write_flight_mcap
 
 ORIGIN = Place(math.radians(48.1), math.radians(-11.5), 512.0, None)
 QUIVER = DATA / "quiver_pt1" / "pt1_00000092.BIN"

@@ -16,10 +16,9 @@ from cosim.master import Recording
 from twin.residuals.gap import Channel, FlightGap, gap_json
 from uavtwin.gaps import GapResult
 from uavtwin.run import Run
-from uavtwin.series import table as series_table
-from uavtwin.series.files import write_all_series, write_series
-from uavtwin.series.foxglove import POSE, TF, TF_STATIC
-from uavtwin.series.table import Column, Series, compared
+from uavtwin.series import files as series_table
+from uavtwin.series.files import Column, Series, compared, write_all_series, write_series
+from uavtwin.series.mcap import POSE, TF, TF_STATIC
 
 Array = np.ndarray
 FORMS = ("parquet", "csv", "mcap")

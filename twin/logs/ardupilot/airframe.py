@@ -1,18 +1,451 @@
-"""Facts of an aircraft from the parameters and the head of an ArduPilot log."""
+"""The aircraft and the site of an ArduPilot log: frame, motor outputs, yaw trim, parameters."""
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime, timedelta
+from typing import Literal
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
 from ...vehicle.layouts import CCW, CW, Layout
-from ..airframe import Airframe, Cells, Place, ThrustCurve, Told
-from .geometry import NO_MULTIROTOR, geometry
-from .identity import OTHERS, Frame, firmware, frame_of
-from .log import ArduPilotLog
-from .outputs import channels_of, has_functions
-from .parameters import motor_value, pulse_range_us
-from .site import Fix, fix
+from ..airframe import (
+    Airframe,
+    Cells,
+    MotorOutput,
+    Place,
+    ThrustCurve,
+    Told,
+    commands_of,
+    described,
+)
+from ..columns import MAX_MOTORS, MIN_MOTORS
+from ..flight import Array, Site
+from .log import (
+    OTHERS,
+    TRICOPTER,
+    ArduPilotLog,
+    Frame,
+    Topic,
+    firmware,
+    frame_of,
+    motor_channels,
+    motor_value,
+    pulse_range_us,
+)
+
+# -- geometry -----------------------------------------------------------------------------------
+#
+# Where ArduPilot's motors sit and how they turn, by FRAME_CLASS and FRAME_TYPE.
+#
+# The order of the motors is that of the frame: motor i is `cmd_i` and `rotor_i` of the flight
+# table. Source: ArduPilot, libraries/AP_Motors/AP_MotorsMatrix.cpp and the documentation of
+# connecting motors, https://ardupilot.org/copter/docs/connect-escs-and-motors.html.
+
+Sense = Literal["ccw", "cw"]
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """Rotors of a frame, motor 1 first.
+
+    Attributes:
+        frame: FRAME_CLASS and FRAME_TYPE by name, such as `quad x`.
+        direction: Forward and right of the centre, the farthest rotor at 1, shape (n, 2).
+        sense: Of each rotor, seen from above.
+        below: Whether a rotor sits below another one, coaxially.
+    """
+
+    frame: str
+    direction: Array
+    sense: tuple[Sense, ...]
+    below: tuple[bool, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of rotors."""
+        return len(self.sense)
+
+    @property
+    def turn(self) -> Array:
+        """+1 for a rotor that turns counter-clockwise, -1 for the others, shape (n,)."""
+        return np.array([1.0 if s == "ccw" else -1.0 for s in self.sense])
+
+
+CLASSES = {
+    1: "quad",
+    2: "hexa",
+    3: "octa",
+    4: "octaquad",
+    5: "y6",
+    7: "tri",
+    12: "dodecahexa",
+    14: "deca",
+}
+NO_MULTIROTOR = {6: "helicopter", 8: "singlecopter", 9: "coaxcopter", 11: "dual helicopter"} | {
+    13: "quad helicopter"
+}
+"""FRAME_CLASS whose motors, as SERVOn_FUNCTION calls them, are swash plates and flaps."""
+TYPES = {
+    0: "plus",
+    1: "x",
+    2: "v",
+    3: "h",
+    4: "vtail",
+    5: "atail",
+    6: "plusrev",
+    10: "y6b",
+    11: "y6f",
+    12: "bf_x",
+    13: "dji_x",
+    14: "cw_x",
+    15: "i",
+    16: "nyt_plus",
+    17: "nyt_x",
+    18: "bf_x_rev",
+}
+
+# clockwise from the front, degrees, and the sense: + counter-clockwise, - clockwise
+_CIRCLES: dict[tuple[str, str], str] = {
+    ("quad", "plus"): "90+ -90+ 0- 180-",
+    ("quad", "x"): "45+ -135+ -45- 135-",
+    ("quad", "v"): "45+ -135+ -45- 135-",
+    ("quad", "h"): "45- -135- -45+ 135+",
+    ("quad", "plusrev"): "90- -90- 0+ 180+",
+    ("quad", "bf_x"): "135- 45+ -135+ -45-",
+    ("quad", "bf_x_rev"): "135+ 45- -135- -45+",
+    ("quad", "dji_x"): "45+ -45- -135+ 135-",
+    ("quad", "cw_x"): "45+ 135- -135+ -45-",
+    ("hexa", "plus"): "0- 180+ -120- 60+ -60+ 120-",
+    ("hexa", "x"): "90- -90+ -30- 150+ 30+ -150-",
+    ("hexa", "dji_x"): "30+ -30- -90+ -150- 150+ 90-",
+    ("hexa", "cw_x"): "30+ 90- 150+ -150- -90+ -30-",
+    ("octa", "plus"): "0- 180- 45+ 135+ -45+ -135+ -90- 90-",
+    ("octa", "x"): "22.5- -157.5- 67.5+ 157.5+ -22.5+ -112.5+ -67.5- 112.5-",
+    ("octa", "dji_x"): "22.5+ -22.5- -67.5+ -112.5- -157.5+ 157.5- 112.5+ 67.5-",
+    ("octa", "cw_x"): "22.5+ 67.5- 112.5+ 157.5- -157.5+ -112.5- -67.5+ -22.5-",
+    ("octaquad", "plus"): "0+ -90- 180+ 90- -90+ 0- 90+ 180-",
+    ("octaquad", "x"): "45+ -45- -135+ 135- -45+ 45- 135+ -135-",
+    ("octaquad", "v"): "45+ -45- -135+ 135- -45+ 45- 135+ -135-",
+    ("octaquad", "h"): "45- -45+ -135- 135+ -45- 45+ 135- -135+",
+    ("dodecahexa", "plus"): "0+ 0- 60- 60+ 120+ 120- 180- 180+ -120+ -120- -60- -60+",
+    ("dodecahexa", "x"): "30+ 30- 90- 90+ 150+ 150- -150- -150+ -90+ -90- -30- -30+",
+}
+# forward and right instead, in the units of the mixer, and the sense
+_PLACES: dict[tuple[str, str], str] = {
+    ("hexa", "h"): "0,1- 0,-1+ 1,-1- -1,1+ 1,1+ -1,-1-",
+    ("octa", "v"): ".34,-.83- -.32,.67- -.32,-.67+ -1,.5+ 1,-1+ .34,.83+ 1,1- -1,-.5-",
+    ("octa", "h"): "1,1- -1,-1- .333,1+ -1,1+ 1,-1+ -.333,-1+ .333,-1- -.333,1-",
+    ("octa", "i"): "-1,-.333- 1,.333- -1,-1+ 1,-.333+ -1,.333+ 1,1+ -1,1- 1,-1-",
+    ("y6", "y6b"): ".5,1- .5,1+ -1,0- -1,0+ .5,-1- .5,-1+",
+    ("y6", "y6f"): "-1,0+ .5,1+ .5,-1+ -1,0- .5,1- .5,-1-",
+    ("y6", ""): ".666,1+ .666,-1- .666,-1+ -1.333,0- .666,1- -1.333,0+",
+}
+
+
+def geometry(frame_class: int, frame_type: int) -> Geometry | None:
+    """Rotors of a frame; None where it is not known here, or has no fixed places or senses."""
+    kind, form = CLASSES.get(frame_class, ""), TYPES.get(frame_type, "")
+    if kind == "y6" and (kind, form) not in _PLACES:
+        form = ""
+    if told := _CIRCLES.get((kind, form)):
+        angles = np.radians([float(t[:-1]) for t in told.split()])
+        places = np.column_stack([np.cos(angles), np.sin(angles)])
+    elif told := _PLACES.get((kind, form)):
+        places = np.array([[float(v) for v in t[:-1].split(",")] for t in told.split()])
+        places = places / np.linalg.norm(places, axis=1).max()
+    else:
+        return None
+    sense: tuple[Sense, ...] = tuple("ccw" if t.endswith("+") else "cw" for t in told.split())
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    below = tuple(bool((apart[k, :k] < 1e-6).any()) for k in range(len(places)))
+    return Geometry(f"{kind} {form}".strip(), np.round(places, 6), sense, below)
+
+
+def frame_name(frame_class: int, frame_type: int) -> str:
+    """FRAME_CLASS and FRAME_TYPE by name as far as they are known, else by number."""
+    kind = CLASSES.get(frame_class, f"FRAME_CLASS {frame_class}")
+    return f"{kind} {TYPES.get(frame_type, f'FRAME_TYPE {frame_type}')}"
+
+
+# -- site ---------------------------------------------------------------------------------------
+#
+# Where and when a DataFlash log was flown, by its satellites.
+
+_FIX_3D = 3
+_GPS_EPOCH = datetime(1980, 1, 6, tzinfo=UTC)
+_LEAP_S = 18  # since 2017
+_MOST_WEEKS = 4000
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """Where and when.
+
+    Attributes:
+        latitude_deg: North.
+        longitude_deg: East.
+        altitude_m: Above the sea.
+        day: Date, UTC.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    day: date
+
+    def __str__(self) -> str:
+        north = f"{abs(self.latitude_deg):.4f} {'N' if self.latitude_deg >= 0.0 else 'S'}"
+        east = f"{abs(self.longitude_deg):.4f} {'E' if self.longitude_deg >= 0.0 else 'W'}"
+        return f"{north}, {east}, {self.altitude_m:.0f} m, {self.day.isoformat()}"
+
+
+def _fixes(log: ArduPilotLog) -> tuple[Topic, "np.ndarray[tuple[int], np.dtype[np.bool_]]"] | None:
+    there = log.instances("GPS")
+    topic = log.topic("GPS", there[0], "Status") if there else None
+    return None if topic is None else (topic, topic.raw("Status") >= _FIX_3D)
+
+
+def from_ardupilot_site(log: ArduPilotLog) -> Site | None:
+    """A fix by satellites for at least half of the samples: outdoors; else not known."""
+    found = _fixes(log)
+    if found is None or found[1].mean() < 0.5:
+        return None
+    return Site(False, "GPS has a fix")
+
+
+def fix(log: ArduPilotLog) -> Fix | None:
+    """Median of the fixes, None without any."""
+    found = _fixes(log)
+    if found is None or not found[1].any():
+        return None
+    topic, fixed = found
+    date = ("GWk", "GMS") if topic.has("GWk") else ("Week", "TimeMS")  # the latter up to 3.2
+    if not topic.has("Lat", "Lng", "Alt", *date):
+        return None
+    where = [float(np.median(topic.raw(c)[fixed])) for c in ("Lat", "Lng", "Alt")]
+    week, ms = (float(np.median(topic.raw(c)[fixed])) for c in date)
+    if not np.isfinite((*where, week, ms)).all() or not 0.0 < week < _MOST_WEEKS:
+        return None
+    if abs(where[0]) > 90.0 or abs(where[1]) > 180.0 or not 0.0 <= ms < 7 * 86_400_000:
+        return None
+    then = _GPS_EPOCH + timedelta(weeks=week, milliseconds=ms, seconds=-_LEAP_S)
+    return Fix(where[0], where[1], where[2], then.date())
+
+
+# -- motor outputs ------------------------------------------------------------------------------
+#
+# Motor commands of a DataFlash log: the pulse widths of RCOU, of the outputs that drive motors.
+
+_ENOUGH_HZ = 50.0
+_ABSURD = 2.0
+"""A command farther than that from 0..1 is damaged; a pulse width of 0, of none, is -1 or -2."""
+_OUTPUT = re.compile(r"(?:C|Ch|Chan)([1-9][0-9]?)")
+_IDLE = 0.01
+_ONESHOT125, _SHORT_US = 2.0, 300.0
+"""MOT_PWM_TYPE, and what its pulses of 125 to 250 us stay below."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCommands:
+    """Commands 0..1 of all motors.
+
+    Attributes:
+        t_us: Times, us, shape (n,).
+        cmd: Shape (n, motors), not clipped.
+        channels: Output of each motor, from 1.
+        facts: What to print about them.
+    """
+
+    t_us: NDArray[np.int64]
+    cmd: Array
+    channels: tuple[int, ...]
+    facts: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """Whether any motor gets more than a hundredth, shape (n,)."""
+        return np.asarray((self.cmd > _IDLE).any(axis=1))
+
+    def mean_at(self, t_us: NDArray[np.int64]) -> Array:
+        """Mean command of the motors at any time, linear between samples."""
+        mean = np.clip(self.cmd, 0.0, 1.0).mean(axis=1)
+        return np.asarray(np.interp(t_us, self.t_us, mean), dtype=np.float64)
+
+
+def logged_commands(log: ArduPilotLog, get: Callable[[str], Topic | None]) -> MotorCommands | None:
+    """Commands of all motors, None where the log has not got them all.
+
+    Args:
+        log: The log; what does not fit is noted by `from_ardupilot_commands` alone.
+        get: How a topic of the log is had.
+    """
+    channels = channels_of(log)
+    if not MIN_MOTORS <= len(channels) <= MAX_MOTORS:
+        return None
+    widths = _widths(get, channels)
+    if widths is None:
+        return None
+    topic, pwm_us = widths
+    outputs = motor_outputs(log, channels, pwm_us)
+    low, high = outputs[0].low, outputs[0].high
+    said = f"{topic.name}, {topic.rate_hz:.0f} Hz, outputs {', '.join(map(str, channels))}"
+    facts = {"commands": f"{said}, {low:.0f} to {high:.0f} us", "motors": described(outputs)}
+    return MotorCommands(topic.t_us, commands_of(outputs, pwm_us), tuple(channels), facts)
+
+
+def motor_outputs(log: ArduPilotLog, channels: list[int], widths_us: Array) -> list[MotorOutput]:
+    """Output, range and source of each motor.
+
+    Until Copter 3.5 pulses of OneShot125 were divided by 8 before they were logged.
+    Source: ArduPilot, AP_Motors::rc_write of that time.
+
+    Args:
+        log: The log.
+        channels: Output of each motor, from 1.
+        widths_us: Logged pulse widths, shape (n, motors).
+    """
+    low, high = pulse_range_us(log.params)
+    source = "MOT_PWM_MIN, MOT_PWM_MAX, MOT_PWM_TYPE"
+    longest = float(np.nanmax(widths_us, initial=0.0))
+    if motor_value(log.params, "MOT_PWM_TYPE", 0.0) == _ONESHOT125 and longest <= _SHORT_US:
+        low, high, source = low / 8.0, high / 8.0, f"{source} 2: OneShot125, an eighth"
+    named = {f"SERVO{c}_FUNCTION" for c in channels} <= log.params.keys()
+    said = "SERVOn_FUNCTION" if named else "order of the frame"
+    return [
+        MotorOutput(motor, f"output {channel}", "us", low, high, f"{said}, {source}")
+        for motor, channel in enumerate(channels, 1)
+    ]
+
+
+def channels_of(log: ArduPilotLog) -> list[int]:
+    """Outputs of the motors: by their functions, else the first ones, as many as the frame has; []
+    of what is no multirotor."""
+    frame = frame_of(log)
+    if frame.kind in NO_MULTIROTOR:
+        return []
+    if has_functions(log.params):
+        return motor_channels(log.params)
+    if CLASSES.get(frame.kind) == "tri":
+        return list(TRICOPTER)
+    rotors = geometry(frame.kind, frame.form)
+    return list(range(1, rotors.count + 1)) if rotors else []
+
+
+def has_functions(params: Mapping[str, float]) -> bool:
+    """Whether a log has SERVOn_FUNCTION, as since Copter 3.5."""
+    return any(name.startswith("SERVO") and name.endswith("_FUNCTION") for name in params)
+
+
+def _widths(get: Callable[[str], Topic | None], channels: list[int]) -> tuple[Topic, Array] | None:
+    """Pulse widths of the outputs, on the clock of the message that has the first of them."""
+    where: dict[int, tuple[Topic, str]] = {}
+    for name in ("RCOU", "RCO2", "RCO3"):
+        topic = get(name)
+        for column in topic.source.data if topic is not None else ():
+            if topic is not None and (match := _OUTPUT.fullmatch(column)) and topic.has(column):
+                where.setdefault(int(match.group(1)), (topic, column))
+    if any(c not in where for c in channels):
+        return None
+    base = where[channels[0]][0]
+    columns = []
+    for channel in channels:
+        topic, column = where[channel]
+        held = np.searchsorted(topic.t_us, base.t_us, side="right") - 1
+        columns.append(topic.raw(column)[np.maximum(held, 0)])
+    return base, np.column_stack(columns)
+
+
+def from_ardupilot_commands(log: ArduPilotLog) -> MotorCommands | None:
+    """Commands of a flight, clipped; what is missing or clipped is noted."""
+    commands = logged_commands(log, log.topic)
+    if commands is None:
+        channels = channels_of(log)
+        outputs = [n for n in ("RCOU", "RCO2", "RCO3") if n in log.content.messages]
+        why = f"{', '.join(outputs) or 'no RCOU'} and {len(channels)} motors by SERVOn_FUNCTION"
+        if not has_functions(log.params):
+            why = f"{', '.join(outputs) or 'no RCOU'} and names no frame of known motors"
+        log.note("warning", "cmd", f"no motor commands: the log has {why}. Set LOG_BITMASK bit 10")
+        return None
+    rate_hz = (len(commands.t_us) - 1) / max(1e-6 * float(np.ptp(commands.t_us)), 1e-9)
+    if rate_hz < _ENOUGH_HZ:
+        log.note(
+            "warning",
+            "cmd",
+            f"motor commands at only {rate_hz:.0f} Hz; each is held until the next",
+        )
+    cmd = commands.cmd
+    absurd = int(np.count_nonzero(np.abs(cmd - 0.5) > 0.5 + _ABSURD))
+    if absurd:
+        log.note("error", "cmd", f"values of RCOU beyond {_ABSURD:g} set to 0 or 1", absurd)
+    outside = int(np.count_nonzero((cmd < -1e-6) | (cmd > 1.0 + 1e-6))) - absurd
+    if outside:
+        message = "values of RCOU outside the range of the pulse widths set to its end"
+        log.note("info", "cmd", message, outside)
+    if not commands.running.any():
+        log.note("warning", "cmd", "the motors never run")
+    clipped = np.asarray(np.clip(cmd, 0.0, 1.0))
+    return MotorCommands(commands.t_us, clipped, commands.channels, commands.facts)
+
+
+# -- yaw trim -----------------------------------------------------------------------------------
+#
+# The yaw trim of a flight: what rotors of one sense get beyond those of the other.
+
+_FLYING = ("hover", "forward", "tour")
+_FEWEST = 20
+
+
+@dataclass(frozen=True, slots=True)
+class YawTrim:
+    """What a flight gives to rotors of one sense beyond those of the other, to hold its heading.
+
+    Attributes:
+        command: Mean command of the clockwise rotors less that of the others.
+        share: The same as a share of the mean command of all.
+        n: Samples.
+    """
+
+    command: float
+    share: float
+    n: int
+
+    def __str__(self) -> str:
+        more = "more" if self.command >= 0.0 else "less"
+        return (
+            f"clockwise rotors get {abs(self.command):.3f} {more} than the others, "
+            f"{abs(self.share):.1%} of the mean command"
+        )
+
+
+def yaw_trim(table: pd.DataFrame, rotors: Geometry) -> YawTrim | None:
+    """Yaw trim of a flight, from its commands in hover and forward flight.
+
+    Args:
+        table: Flight table, its commands in the order of the rotors.
+        rotors: Senses of the rotors.
+
+    Returns:
+        None where it has too few commands in the air.
+    """
+    names = [f"cmd_{k + 1}" for k in range(rotors.count)]
+    if any(c not in table for c in names) or f"cmd_{rotors.count + 1}" in table:
+        return None
+    phase = table["phase"].replace("", np.nan).ffill()
+    rows = table.loc[phase.isin(_FLYING), names].dropna().to_numpy(dtype=np.float64)
+    if len(rows) < _FEWEST or len(set(rotors.sense)) < 2:
+        return None
+    clockwise = rotors.turn < 0.0
+    apart = float(rows[:, clockwise].mean() - rows[:, ~clockwise].mean())
+    return YawTrim(apart, apart / float(rows.mean()), len(rows))
+
+
+# -- airframe -----------------------------------------------------------------------------------
+#
+# Facts of an aircraft from the parameters and the head of an ArduPilot log.
 
 _FRAME_SD = 0.05
 """How far a real frame is from the circle of its name, over the arm; by judgement, as of PX4."""

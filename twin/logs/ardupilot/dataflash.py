@@ -1,28 +1,471 @@
-"""ArduPilot DataFlash -> Flight."""
+"""ArduPilot DataFlash -> Flight.
 
+ArduPilot's axes are those of the table, FRD and NED; its quaternion turns the body into NED,
+Hamilton, scalar first.
+"""
+
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from ..assemble import Rows, lay_out
-from ..columns import motor_columns
-from ..flight import Flight
+from ...frames import from_euler
+from ..airframe import local_ned
+from ..assemble import Rows, add_signal, filter_delay_us, lay_out, unit_quaternions
+from ..autopilot import label_phases
+from ..columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
+from ..doubts import lower_voltage
+from ..flight import Array, Flight
 from ..formats import ReadOptions
-from ..phases import label_phases
-from .airframe import from_ardupilot_airframe
-from .arming import use_the_flight
-from .autopilot import from_ardupilot_autopilot
-from .estimator import primary
-from .geometry import NO_MULTIROTOR, frame_name, geometry
-from .identity import OTHERS, board, firmware, frame_of
-from .log import ArduPilotLog, open_ardupilot
-from .motion import add_motion
-from .outputs import from_ardupilot_commands
-from .phases import from_ardupilot_phases, modes, note_failures
-from .rotors import add_rotors
-from .signals import add, add_barometer, add_battery, add_compass, add_imu
-from .site import fix, from_ardupilot_site
-from .trim import yaw_trim
+from .airframe import (
+    NO_MULTIROTOR,
+    MotorCommands,
+    fix,
+    frame_name,
+    from_ardupilot_airframe,
+    from_ardupilot_commands,
+    from_ardupilot_site,
+    geometry,
+    yaw_trim,
+)
+from .autopilot import (
+    Primary,
+    from_ardupilot_autopilot,
+    from_ardupilot_phases,
+    modes,
+    note_failures,
+    primary,
+    use_the_flight,
+)
+from .log import OTHERS, ArduPilotLog, Topic, board, firmware, frame_of, motor_value, open_ardupilot
+
+# -- sensors ------------------------------------------------------------------------------------
+#
+# In SI: inertial sensors, compass, barometer, battery.
+
+_ACC = ("AccX", "AccY", "AccZ")
+_GYRO = ("GyrX", "GyrY", "GyrZ")
+_RATES = ("R", "P", "Y")
+_MAG = ("MagX", "MagY", "MagZ")
+_FILTERS = {"gyro": "INS_GYRO_FILTER", "acc": "INS_ACCEL_FILTER"}
+_IN_SENSOR = "INS_MPU6K_FILTER"
+"""Low-pass of the sensor up to Copter 3.2; the firmware had none of its own."""
+_LEAST_HZ = 1.0
+_LEAST_V = 1.0
+_IDLE, _WORKING = 0.05, 0.2
+
+
+add = partial(add_signal, begin="the motors ran")
+"""As `assemble.add_signal`."""
+
+
+def si(
+    log: ArduPilotLog,
+    topic: Topic,
+    where: str,
+    fields: tuple[str, ...],
+) -> Array:
+    """Fields of a topic in SI; a unit that contradicts the documented one is a finding."""
+    if wrong := topic.contradicted(fields):
+        label, unit = topic.source.units.labels[wrong[0]], topic.documented(wrong[0])[0]
+        message = f"the log says that {topic.name}.{wrong[0]} is in {label}; taken as {unit}"
+        log.note("error", where, message, len(wrong))
+    return topic.si(fields)
+
+
+def add_imu(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
+    """Accelerometer and gyroscope that the estimator uses.
+
+    Returns:
+        Facts on rates and filters.
+    """
+    facts: dict[str, str] = {}
+    for where, fields, names in (("gyro", _GYRO, GYRO), ("acc", _ACC, ACC)):
+        there = log.instances("IMU")
+        if not there:
+            log.note("warning", where, "no IMU in the log. Set LOG_BITMASK bit 7 or 18")
+            facts |= _rates(log, rows) if where == "gyro" else {}
+            continue
+        instance = used.imu if used.imu in there else there[0]
+        topic = log.topic("IMU", instance, *fields)
+        if topic is None:
+            continue
+        delay_us = _filter_delay_us(log, where)
+        values = si(log, topic, where, fields)
+        add(log, rows, where, names, topic.t_us - delay_us, values)
+        raw = topic.raw("GHz") if topic.has("GHz") else np.zeros(1)
+        sampled = f", {np.median(raw):.0f} Hz sampled" if np.median(raw) > 0.0 else ""
+        facts[f"{where} from"] = (
+            f"IMU {instance} of {len(there)}, {topic.rate_hz:.0f} Hz in the log{sampled}"
+        )
+    return facts
+
+
+def _rates(log: ArduPilotLog, rows: Rows) -> dict[str, str]:
+    """Body rates as the rate controller has them, for logs without IMU."""
+    topic = log.topic("RATE", None, *_RATES)
+    if topic is None:
+        return {}
+    delay_us = _filter_delay_us(log, "gyro")
+    rates = si(log, topic, "gyro", _RATES)
+    add(log, rows, "gyro", GYRO, topic.t_us - delay_us, rates)
+    return {"gyro from": f"RATE, {topic.rate_hz:.0f} Hz"}
+
+
+def _filter_delay_us(log: ArduPilotLog, where: str) -> int:
+    """Delay of the low-pass that a sensor went through before it was logged, us.
+
+    Source: ArduPilot, LowPassFilter2p, as AP_InertialSensor applies it.
+    """
+    name = _FILTERS[where]
+    cutoff_hz = log.params.get(name, 0.0)
+    if cutoff_hz < _LEAST_HZ:
+        if name not in log.params and _IN_SENSOR in log.params:
+            hz = log.params[_IN_SENSOR]
+            told = f"{hz:g} Hz" if hz > 0.0 else "the default of the firmware"
+            message = f"low-passed within the sensor at {told} ({_IN_SENSOR}), delay not taken off"
+            log.note("info", where, message)
+        return 0
+    delay_us = filter_delay_us(cutoff_hz)
+    log.note(
+        "info",
+        where,
+        f"calibrated and low-passed at {cutoff_hz:.0f} Hz ({name}) before it was logged; its time "
+        f"is {delay_us / 1e3:.1f} ms before the time stamp of the log, the delay of that filter",
+    )
+    return delay_us
+
+
+def add_compass(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+    """Compass that the estimator uses."""
+    there = log.instances("MAG")
+    if not there:
+        return
+    instance = used.compass if used.compass in there else there[0]
+    topic = log.topic("MAG", instance, *_MAG)
+    if topic is None:
+        return
+    if len(there) > 1:
+        message = f"{len(there)} compasses in the log, the estimator uses number {instance}"
+        log.note("info", "mag", message)
+    add(log, rows, "mag", MAG, topic.t_us, si(log, topic, "mag", _MAG))
+
+
+def add_barometer(log: ArduPilotLog, rows: Rows, used: Primary) -> None:
+    """Static pressure of the barometer that the estimator uses."""
+    there = log.instances("BARO")
+    if not there:
+        return
+    topic = log.topic("BARO", used.barometer if used.barometer in there else there[0], "Press")
+    if topic is not None:
+        pressure = si(log, topic, "baro", ("Press",))
+        add(log, rows, "baro", ("baro_pa",), topic.t_us, pressure)
+
+
+def add_battery(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> None:
+    """Voltage of the first battery that has one, and its current where it is worth anything."""
+    for topic in _batteries(log):
+        volts = si(log, topic, "vbat_v", ("Volt",))
+        if np.nanmax(volts, initial=0.0) < _LEAST_V:
+            continue
+        add(log, rows, "vbat_v", ("vbat_v",), topic.t_us, volts)
+        if topic.has("Curr"):
+            _add_current(log, rows, topic, commands)
+        return
+    log.note("warning", "vbat_v", f"no battery in the log exceeds {_LEAST_V:g} V")
+
+
+def _batteries(log: ArduPilotLog) -> list[Topic]:
+    """Batteries by instance, else CURR of ArduPilot before 3.6: first the one by which thrust is
+    scaled (MOT_BAT_IDX), last those whose monitor is switched off (BATTn_MONITOR 0)."""
+    index = motor_value(log.params, "MOT_BAT_IDX", -1.0)
+
+    def rank(instance: int) -> tuple[bool, bool, int]:
+        name = f"BATT{instance + 1 if instance else ''}_MONITOR"
+        return log.params.get(name, 1.0) == 0.0, float(instance) != index, instance
+
+    found = [
+        log.topic(n, k, "Volt") for n in ("BAT", "CURR") for k in sorted(log.instances(n), key=rank)
+    ]
+    return [t for t in found if t is not None]
+
+
+def _add_current(
+    log: ArduPilotLog, rows: Rows, topic: Topic, commands: MotorCommands | None
+) -> None:
+    amps = si(log, topic, "ibat_a", ("Curr",))
+    unknown = np.isnan(amps[:, 0])
+    if (doubt := _current_doubt(topic.t_us[~unknown], amps[~unknown, 0], commands)) is not None:
+        log.note("warning", "ibat_a", f"left out: {doubt}", len(amps))
+        return
+    if unknown.any():
+        log.note("warning", "ibat_a", "samples hold no current", int(unknown.sum()))
+    add(log, rows, "ibat_a", ("ibat_a",), topic.t_us[~unknown], amps[~unknown])
+
+
+def _current_doubt(
+    t_us: NDArray[np.int64], amps: Array, commands: MotorCommands | None
+) -> str | None:
+    """Why the logged current cannot be that of the motors."""
+    if len(amps) == 0:
+        return "BAT has no current"
+    with np.errstate(invalid="ignore", over="ignore"):
+        if amps.max() <= 0.0:
+            return f"the current is never positive ({amps.min():.2f} A): no current sensor"
+        if np.ptp(amps) < 1e-4:
+            return f"the current is {amps[0]:.2f} A throughout: no current sensor"
+    if commands is None:
+        return None
+    mean = commands.mean_at(t_us)
+    idle, working = amps[mean < _IDLE], amps[mean > _WORKING]
+    if len(idle) and len(working) and np.median(working) < 1.5 * np.median(idle):
+        return (
+            f"{np.median(working):.2f} A in flight and {np.median(idle):.2f} A with the motors "
+            "idle: this is not the current of the motors"
+        )
+    return None
+
+
+# -- motion -------------------------------------------------------------------------------------
+#
+# Attitude, velocity and position of a DataFlash log, as the estimator had them.
+
+_Q = ("Q1", "Q2", "Q3", "Q4")
+_ANGLES = ("Roll", "Pitch", "Yaw")
+_CONTROLLERS = (
+    (("PSCN", "PN", "VN", 1.0), ("PSCE", "PE", "VE", 1.0), ("PSCD", "PD", "VD", 1.0)),
+    (("PSC", "PX", "VX", 1.0), ("PSC", "PY", "VY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
+    (("NTUN", "PosX", "VelX", 1.0), ("NTUN", "PosY", "VelY", 1.0), ("CTUN", "Alt", "CRt", -1.0)),
+)
+"""Message, place, rate and sign per axis of NED: since ArduPilot 4.1, Copter 3.6 to 4.0, up to 3.5;
+CTUN counts upwards."""
+_FASTER = 2.0
+_RESETS = {60: "height", 62: "yaw"}
+"""EV of a reset of the estimator."""
+
+
+def add_motion(log: ArduPilotLog, rows: Rows, used: Primary) -> dict[str, str]:
+    """Attitude, velocity and position.
+
+    Returns:
+        Facts on where they come from.
+    """
+    facts = {}
+    if source := _add_attitude(log, rows, used):
+        facts["attitude from"] = source
+    if source := _add_course(log, rows, used):
+        facts["position from"] = source
+    _resets(log)
+    return facts
+
+
+def _add_attitude(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
+    """Quaternions of the core in charge, or ATT where that is logged much faster."""
+    topic = log.topic(f"{used.family}Q", used.core, *_Q) if used.family else None
+    angles = log.topic("ATT", None, *_ANGLES)
+    if angles is None and used.family:
+        angles = log.topic(f"{used.family}F1", used.core, *_ANGLES)
+    if topic is not None and (angles is None or angles.rate_hz < _FASTER * topic.rate_hz):
+        usable, unit = unit_quaternions(log, si(log, topic, "q", _Q))
+        add(log, rows, "q", QUAT, topic.t_us[usable], unit)
+        return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
+    if angles is None:
+        log.note("warning", "q", "no attitude in the log. Set LOG_BITMASK bit 0 or 1")
+        return ""
+    euler = si(log, angles, "q", _ANGLES)
+    possible = np.isfinite(euler).all(axis=1) & (np.abs(euler) <= 2.0 * np.pi + 0.01).all(axis=1)
+    if not possible.all():
+        message = f"samples of {angles.name} left out, an angle is none"
+        log.note("error", "q", message, int(np.count_nonzero(~possible)))
+    q = np.asarray(from_euler(*euler[possible].T), dtype=np.float64).T
+    add(log, rows, "q", QUAT, angles.t_us[possible], q)
+    return f"{angles.name}, {angles.rate_hz:.0f} Hz"
+
+
+def _add_course(log: ArduPilotLog, rows: Rows, used: Primary) -> str:
+    """Position and velocity of the core in charge, else of the position controller, else of POS."""
+    topic = log.topic(f"{used.family}F1", used.core) if used.family else None
+    pos, vel = ("PN", "PE", "PD"), ("VN", "VE", "VD")
+    if topic is not None and topic.has(*pos, *vel):
+        add(log, rows, "pos", POS, topic.t_us, si(log, topic, "pos", pos))
+        add(log, rows, "vel", VEL, topic.t_us, si(log, topic, "vel", vel))
+        log.note(
+            "info",
+            "pos",
+            "position and velocity are the estimator's, not a reference. Where the delays that it "
+            "assumes differ from the true ones, they lead or lag the truth",
+        )
+        return f"{topic.name}, core {used.core}, {topic.rate_hz:.0f} Hz"
+    return _controller_course(log, rows) or _global_course(log, rows)
+
+
+def _controller_course(log: ArduPilotLog, rows: Rows) -> str:
+    """What the controllers of position and height are given, where all three axes are there."""
+    for axes in _CONTROLLERS:
+        if any(message not in log.content.messages for message, *_ in axes):
+            continue
+        topics = [log.topic(message, None, place, rate) for message, place, rate, _ in axes]
+        found = [t for t in topics if t is not None]
+        if len(found) < len(axes):
+            continue
+        shortest = min(found, key=lambda t: len(t.t_us))
+        for k, (where, names) in enumerate((("pos", POS), ("vel", VEL)), start=1):
+            columns = []
+            for (_, place, rate, sign), topic in zip(axes, found, strict=True):
+                values = si(log, topic, where, ((place, rate)[k - 1],))[:, 0]
+                columns.append(sign * np.interp(shortest.t_us, topic.t_us, values))
+            add(log, rows, where, names, shortest.t_us, np.column_stack(columns))
+        log.note(
+            "info", "pos", "no XKF1: position and velocity as the position controller has them"
+        )
+        named = ", ".join(dict.fromkeys(t.name for t in found))
+        return f"{named}, {shortest.rate_hz:.0f} Hz"
+    return ""
+
+
+def _global_course(log: ArduPilotLog, rows: Rows) -> str:
+    """Position alone, from latitude, longitude and height over home."""
+    topic = log.topic("POS", None, "Lat", "Lng", "Alt")
+    if topic is None:
+        log.note("warning", "pos", "no XKF1, PSCN or POS in the log: no position, no velocity")
+        return ""
+    places = local_ned(topic.raw("Lat"), topic.raw("Lng"), topic.raw("Alt"))
+    add(log, rows, "pos", POS, topic.t_us, places)
+    log.note("warning", "pos", "from latitude and longitude of POS; there is no velocity")
+    return f"POS, {topic.rate_hz:.0f} Hz"
+
+
+def _resets(log: ArduPilotLog) -> None:
+    """Steps that the estimator put into its own output."""
+    events = log.topic("EV", None, "Id")
+    if events is None:
+        return
+    kinds = events.raw("Id")
+    for number, name in _RESETS.items():
+        if len(times := events.t_s[kinds == number]):
+            at = ", ".join(f"{t:.2f}" for t in times[:8])
+            where = "q" if name == "yaw" else "pos"
+            message = f"the estimator reset its {name} at {at} s: expect steps there"
+            log.note("warning", where, message, len(times))
+
+
+# -- rotor speeds -------------------------------------------------------------------------------
+#
+# Rotor speeds that the speed controllers report (ESC), put on one clock where they are good.
+
+_TURNING = 0.1
+_LONGEST_S = 0.25
+_LEAST_GOOD = 0.8
+_FEWEST = 20
+
+
+def add_rotors(log: ArduPilotLog, rows: Rows, commands: MotorCommands | None) -> dict[str, str]:
+    """Rotor speeds of all motors, from the instances of ESC that belong to their outputs.
+
+    Speeds come from each controller in its own time. They are put on the times of the one that
+    reports least, linear between two reports at most 0.25 s apart.
+
+    Returns:
+        Facts on them.
+    """
+    there = log.instances("ESC")
+    if not there or commands is None:
+        return {}
+    wanted = instances_of(commands.channels, there)
+    if not wanted:
+        log.note(
+            "warning",
+            "rotor",
+            f"left out: ESC has instances {', '.join(map(str, there))}, the motors are outputs "
+            f"{', '.join(map(str, commands.channels))}",
+        )
+        return {}
+    topics = [log.topic("ESC", k, "RPM") for k in wanted]
+    found = [t for t in topics if t is not None and len(t.t_us) >= _FEWEST]
+    if len(found) < len(wanted):
+        message = f"left out: ESC reports speeds of {len(found)} of {len(wanted)} motors"
+        log.note("warning", "rotor", message)
+        return {}
+    speeds = [np.abs(si(log, t, "rotor", ("RPM",))[:, 0]) for t in found]
+    log.findings += lower_voltage(
+        {
+            m: si(log, t, "vbat_v", ("Volt",))[s > 0.0, 0]
+            for m, (t, s) in enumerate(zip(found, speeds, strict=True), start=1)
+            if t.has("Volt")
+        }
+    )
+    if why := _doubt(found, speeds, commands):
+        log.note("warning", "rotor", f"left out: {why}", sum(map(len, speeds)))
+        return {}
+    least = min(range(len(found)), key=lambda k: len(found[k].t_us))
+    slowest = found[least]
+    columns = [_at(slowest.t_us, t.t_us, s) for t, s in zip(found, speeds, strict=True)]
+    together = np.column_stack(columns)
+    bridged = np.isfinite(together).all(axis=1)
+    if not bridged.all():
+        message = f"samples left out: a motor reports nothing for over {_LONGEST_S:g} s"
+        log.note("warning", "rotor", message, int(np.count_nonzero(~bridged)))
+    n = len(found)
+    add(log, rows, "rotor", motor_columns("rotor", n), slowest.t_us[bridged], together[bridged])
+    log.note(
+        "info",
+        "rotor",
+        "the speed controllers report at different times; all are interpolated to those of number "
+        f"{wanted[least]}",
+    )
+    rates = ", ".join(f"{t.rate_hz:.0f}" for t in found)
+    poles = log.params.get("SERVO_BLH_POLES", 0.0)
+    counted = f"; SERVO_BLH_POLES {poles:.0f}, which scales what DShot reports" if poles else ""
+    return {"rotor speeds": f"ESC {', '.join(map(str, wanted))} at {rates} Hz{counted}"}
+
+
+def instances_of(channels: tuple[int, ...], there: list[int]) -> list[int]:
+    """Instances of ESC of the motors, [] where they cannot be told.
+
+    An instance is an output counted from 0, or, where the controllers are counted from the first
+    one that is a motor, its place among the outputs of motors.
+    """
+    by_output = [c - 1 for c in channels]
+    if set(by_output) <= set(there):
+        return by_output
+    if len(there) == len(channels):
+        places = sorted(channels)
+        return [there[places.index(c)] for c in channels]
+    return []
+
+
+def _at(t_us: NDArray[np.int64], own_us: NDArray[np.int64], values: Array) -> Array:
+    """A controller's speeds at other times, NaN where its reports are too far apart."""
+    after = np.clip(np.searchsorted(own_us, t_us), 1, len(own_us) - 1)
+    near = (own_us[after] - own_us[after - 1]) <= _LONGEST_S * 1e6
+    near |= np.isin(t_us, own_us)
+    inside = (t_us >= own_us[0]) & (t_us <= own_us[-1])
+    return np.where(near & inside, np.interp(t_us, own_us, values), np.nan)
+
+
+def _doubt(topics: list[Topic], speeds: list[Array], commands: MotorCommands) -> str:
+    """Why the speeds are not those of the motors, "" where they may be."""
+    cmd = commands.cmd
+    for motor, (topic, speed) in enumerate(zip(topics, speeds, strict=True)):
+        own = np.interp(topic.t_us, commands.t_us, cmd[:, motor])
+        working = own > _TURNING
+        if working.sum() < _FEWEST:
+            return f"motor {motor + 1} works in {int(working.sum())} reports"
+        steps_s = np.diff(topic.t_us[working]) * 1e-6
+        covered = float(steps_s[steps_s <= _LONGEST_S].sum() / steps_s.sum())
+        if covered < _LEAST_GOOD:
+            return f"motor {motor + 1} is reported in {covered:.0%} of the time that it works"
+        turning = np.isfinite(speed) & (speed > 0.0)
+        if turning[working].mean() < _LEAST_GOOD:
+            return f"motor {motor + 1} has a speed in {turning[working].mean():.0%} of the reports"
+        if np.ptp(speed[working & turning]) == 0.0:
+            return f"motor {motor + 1} never changes its speed"
+    return ""
+
+
+# -- the flight ---------------------------------------------------------------------------------
 
 
 def read_dataflash(path: Path, blob: bytes, options: ReadOptions) -> Flight:

@@ -1,5 +1,6 @@
 """DataFlash files opened with care: what can be read is read, what cannot is counted."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -8,14 +9,109 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LogError
-from ..clock import Timed, advancing, pauses, told_dropped
+from ..assemble import Timed, advancing, out_of_place, pauses, told_dropped
 from ..flight import Array, Finding, Noted
-from ..px4.order import out_of_place
-from .file.binary import MARK, read_binary
-from .file.definitions import in_si, instance_column
-from .file.history import clock_of, documented_unit
-from .file.messages import Content, Damage, Messages
-from .file.plain import read_plain
+from .file import MARK, Content, Damage, Messages, in_si, instance_column, read_binary, read_plain
+
+# -- units and clocks of old releases -----------------------------------------------------------
+#
+# Units and clocks of DataFlash messages where the log has none (before FMTU, ArduPilot 3.6).
+#
+# One table for all releases: message and field, and where the releases differ the letter of the
+# field's format. Source: ArduPilot, LogStructure.h of DataFlash and AP_Logger and Log.cpp of
+# ArduCopter, 3.1 to 4.6, and what the functions that write the messages multiply by.
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """What fields of a message hold.
+
+    Attributes:
+        messages: Names, of instance 0.
+        fields: Names.
+        unit: ArduPilot's name of it, a key of `definitions.SI`.
+        multiplier: Times which a number is in that unit, after the divisor of its format.
+        by_letter: The same for single letters of the format.
+    """
+
+    messages: str
+    fields: str
+    unit: str
+    multiplier: float = 1.0
+    by_letter: Mapping[str, float] = field(default_factory=dict)
+
+
+_HUNDREDTHS = {"h": 1e-2}
+QUANTITIES = (
+    Quantity("IMU", "GyrX GyrY GyrZ", "rad/s"),
+    Quantity("IMU", "AccX AccY AccZ", "m/s/s"),
+    Quantity("RATE", "R P Y RDes PDes YDes", "deg/s"),
+    Quantity("MAG", "MagX MagY MagZ", "Gauss", 1e-3),
+    Quantity("BARO", "Press", "Pa"),
+    Quantity("ATT EKF1 NKF1 XKF1", "Roll Pitch Yaw DesRoll DesPitch DesYaw", "deg"),
+    Quantity("NKQ XKQ", "Q1 Q2 Q3 Q4", "1"),
+    Quantity("EKF1 NKF1 XKF1", "VN VE VD", "m/s"),
+    Quantity("EKF1 NKF1 XKF1", "PN PE PD", "m"),
+    Quantity("PSCN PSCE PSCD", "PN PE PD TPN TPE TPD", "m"),
+    Quantity("PSCN PSCE PSCD", "VN VE VD TVN TVE TVD", "m/s"),
+    Quantity("PSC", "PX PY", "m"),
+    Quantity("PSC", "VX VY", "m/s"),
+    Quantity("NTUN", "PosX PosY", "m", 1e-2),
+    Quantity("NTUN", "VelX VelY", "m/s", 1e-2),
+    Quantity("CTUN", "Alt", "m"),
+    Quantity("CTUN", "CRt", "m/s", 1e-2),
+    Quantity("BAT", "Volt", "V"),
+    Quantity("BAT", "Curr", "A"),
+    Quantity("CURR", "Volt", "V", by_letter=_HUNDREDTHS),
+    Quantity("CURR", "Curr", "A", by_letter=_HUNDREDTHS),
+    # `e` is rpm (4.0); `c`, up to 3.6, is a tenth of the rpm, divided by the 100 of its letter
+    Quantity("ESC", "RPM", "rpm", by_letter={"c": 1e3}),
+    Quantity("ESC", "Volt", "V"),
+)
+"""Frames are those of the flight table in every release, FRD and NED; what counts upwards (Alt and
+CRt) changes its sign where it is read."""
+_BY_FIELD = {(m, f): q for q in QUANTITIES for m in q.messages.split() for f in q.fields.split()}
+
+
+def documented_unit(message: str, column: str, letter: str) -> tuple[str, float]:
+    """Unit of a field by ArduPilot's history, and times which its number is in that unit.
+
+    Args:
+        message: Name, of instance 0.
+        column: Field.
+        letter: Of its format.
+    """
+    found = _BY_FIELD[message, column]
+    return found.unit, found.by_letter.get(letter, found.multiplier)
+
+
+def clock_of(columns: Mapping[str, object]) -> tuple[str, int] | None:
+    """The column with the time since boot, and us in its unit; None where a message has none.
+
+    GPS of Copter up to 3.2 has the time of the week as TimeMS, and that since boot as T. PARM, MSG,
+    EV, ERR and MODE have no time up to 3.2.
+    """
+    if "TimeUS" in columns:
+        return "TimeUS", 1
+    if "TimeMS" in columns:
+        return ("T" if "T" in columns else "TimeMS"), 1000
+    return None
+
+
+NAMES = {
+    "MOT_SPIN_MAX": "MOT_THST_MAX",
+    "MOT_BAT_VOLT_MAX": "MOT_THST_BAT_MAX",
+    "MOT_BAT_VOLT_MIN": "MOT_THST_BAT_MIN",
+}
+"""Parameters that had another name up to Copter 3.4."""
+FRAMES = {
+    **{"QUAD": 1, "HEXA": 2, "OCTA": 3, "OCTA_QUAD": 4, "Y6": 5},
+    **{"HELI": 6, "TRI": 7, "SINGLE": 8, "COAX": 9},
+}
+"""FRAME_CLASS by the message `Frame: QUAD`: up to Copter 3.4 each frame had its own firmware."""
+
+
+# -- the log ------------------------------------------------------------------------------------
 
 STEADY = (
     *("ATT", "EKF1", "NKF1", "NKF6", "NKQ", "NKQ1", "NKQ2", "XKF1", "XKQ"),
@@ -375,3 +471,115 @@ def _parameters(log: ArduPilotLog) -> None:
             changed.add(name)
         log.params[name] = value
     log.changed = frozenset(changed)
+
+
+# -- firmware, board, frame ---------------------------------------------------------------------
+#
+# Which firmware wrote a log, on which board, of which frame.
+
+OTHERS = re.compile(r"(?:Ardu|APM:)(Plane|Rover|Sub)|AntennaTracker|Blimp")
+"""Firmware that flies no multirotor, but for quadplanes."""
+_FIRMWARE = re.compile(r"Ardu|APM:|AntennaTracker|Blimp")
+_FRAME = re.compile(r"Frame: (\w+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The frame that a log names.
+
+    Attributes:
+        kind: FRAME_CLASS, 0 where the log has none.
+        form: FRAME_TYPE.
+        source: Where it is named.
+    """
+
+    kind: int
+    form: int
+    source: str
+
+
+def frame_of(log: ArduPilotLog) -> Frame:
+    """FRAME_CLASS and FRAME_TYPE, of quadplanes with `Q_`; up to Copter 3.4 the frame of which the
+    firmware is (message `Frame: QUAD`) and FRAME."""
+    for stem in ("", "Q_"):
+        if f"{stem}FRAME_CLASS" in log.params:
+            kind, form = (log.params.get(f"{stem}FRAME_{k}", 1.0) for k in ("CLASS", "TYPE"))
+            return Frame(int(kind), int(form), f"{stem}FRAME_CLASS and {stem}FRAME_TYPE of the log")
+    form = int(log.params.get("FRAME_TYPE", log.params.get("FRAME", 1.0)))
+    for text in log.texts("MSG", "Message"):
+        if (found := _FRAME.match(text)) and found[1] in FRAMES:
+            return Frame(
+                FRAMES[found[1]], form, f"FRAME {form} and the message '{text}' of the log"
+            )
+    return Frame(0, form, "")
+
+
+def firmware(log: ArduPilotLog) -> str:
+    """What the log says of its firmware, "" where it says nothing."""
+    texts = log.texts("VER", "FWS") + log.texts("MSG", "Message")
+    return next((t for t in texts if _FIRMWARE.match(t) and re.search(r"[Vv]\d|solo-", t)), "")
+
+
+def board(log: ArduPilotLog) -> str:
+    """The message of a board and its serial number: a name, three words of eight hex digits."""
+    for told in log.texts("MSG", "Message"):
+        words = told.split()
+        if len(words) == 4 and all(len(w) == 8 and _is_hex(w) for w in words[1:]):
+            return told
+    return ""
+
+
+def _is_hex(word: str) -> bool:
+    return all(c in "0123456789ABCDEFabcdef" for c in word)
+
+
+# -- parameters ---------------------------------------------------------------------------------
+#
+# What parameters of ArduPilot say of motors, filters and limits, by the names of Copter or, with
+# `Q_` before them, of Plane's quadplanes.
+
+MOTOR_FUNCTIONS = {**{33 + k: k + 1 for k in range(8)}, **{82 + k: k + 9 for k in range(4)}}
+"""SERVOn_FUNCTION of an output that drives a motor: the number of the motor."""
+_OUTPUTS = 32
+TRICOPTER = (1, 2, 4)
+"""Its motors by number."""
+_DIGITAL = range(4, 9)
+"""MOT_PWM_TYPE of DShot, whose outputs are logged as 1000 to 2000."""
+_DIGITAL_US = (1000.0, 2000.0)
+
+
+def motor_value(params: Mapping[str, float], name: str, default: float) -> float:
+    """A parameter of the motors, such as `MOT_SPIN_MIN`, or its default."""
+    quadplane = f"Q_{name.replace('MOT_', 'M_', 1)}"
+    there = [n for n in (name, quadplane, NAMES.get(name, "")) if n in params]
+    return params[there[0]] if there else default
+
+
+def motor_channels(params: Mapping[str, float]) -> list[int]:
+    """Output, from 1, of motor 1, 2, ... as SERVOn_FUNCTION tells; [] where that leaves a hole.
+
+    A tricopter has motors 1, 2 and 4.
+    """
+    outputs = {}
+    for n in range(_OUTPUTS, 0, -1):  # of two outputs for one motor the first counts
+        function = int(params.get(f"SERVO{n}_FUNCTION", 0.0))
+        if function in MOTOR_FUNCTIONS:
+            outputs[MOTOR_FUNCTIONS[function]] = n
+    motors = sorted(outputs)
+    if motors[:3] == list(TRICOPTER) and 3 not in motors:
+        motors = list(TRICOPTER)  # the seventh tilts the tail
+    elif motors != list(range(1, len(motors) + 1)):
+        return []
+    return [outputs[m] for m in motors]
+
+
+def pulse_range_us(params: Mapping[str, float]) -> tuple[float, float]:
+    """Pulse widths of command 0 and 1, us: of MOT_PWM_MIN and _MAX, else of the throttle stick."""
+    if int(motor_value(params, "MOT_PWM_TYPE", 0.0)) in _DIGITAL:
+        return _DIGITAL_US
+    low, high = (motor_value(params, f"MOT_PWM_{k}", 0.0) for k in ("MIN", "MAX"))
+    if 0.0 < low < high:
+        return low, high
+    stick = int(params.get("RCMAP_THROTTLE", 3.0))
+    low, high = (params.get(f"RC{stick}_{k}", 0.0) for k in ("MIN", "MAX"))
+    return (low, high) if 0.0 < low < high else _DIGITAL_US

@@ -1,19 +1,557 @@
-"""Betaflight Blackbox log -> Flight."""
+"""Betaflight Blackbox log -> Flight.
 
+Axes of Betaflight: body x forward, y left, z up (roll right, nose down and nose left are positive);
+world x north, y west, z up. Half a turn about x makes them FRD and NED. The accelerometer at rest
+reads +1 g along z. Source: Betaflight's mixer.c, rc.c, imu.c and sitl.c: the mixer raises the rear
+motors for a positive pitch, the left ones for a positive roll; stick forward and stick right are
+positive there, and yaw is taken negative of the stick.
+"""
+
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pandas as pd
+import numpy as np
+from numpy.typing import NDArray
 
-from ..airframe import Airframe, Place, Told
-from ..assemble import Rows, lay_out
-from ..columns import MIN_MOTORS
-from ..flight import Flight
+from ...vehicle import GRAVITY_M_S2
+from ...vehicle.layouts import Layout, frame
+from ..airframe import Airframe, Place, Told, local_ned
+from ..assemble import (
+    Rows,
+    add_signal,
+    advancing,
+    filter_delay_us,
+    lay_out,
+    told_dropped,
+    unit_quaternions,
+)
+from ..autopilot import (
+    MOST_MESSAGES,
+    Autopilot,
+    Filter,
+    Message,
+    Mode,
+    Setpoint,
+    Stretch,
+    modes_of,
+    setpoint_of,
+    stretches_of,
+)
+from ..columns import ACC, GYRO, MAX_MOTORS, MIN_MOTORS, POS, QUAT, VEL, motor_columns
+from ..flight import Array, Flight, Site
 from ..formats import ReadOptions
-from .log import BlackboxLog, open_blackbox
-from .motors import Motors, add_motors, layout_of
-from .satellites import add_satellites, site_of
-from .signals import accel_cutoff_hz, add_signals, gyro_field
-from .told import filters_of, from_betaflight
+from .frames import DISARM, MODES, SYNC_BEEP, BlackboxLog, open_blackbox
+
+# -- signals ------------------------------------------------------------------------------------
+#
+# Fields of main frames -> columns of the flight table.
+
+Times = NDArray[np.int64]
+TURNED = np.array((1.0, -1.0, -1.0))
+"""From Betaflight's axes to FRD or NED."""
+_FULL_16_BITS = 32767.0
+_SEA_LEVEL_PA, _SCALE_M, _EXPONENT = 101_325.0, 44_330.0, 0.190295
+"""Betaflight's own height by pressure, barometer.c."""
+_HIGH_RESOLUTION = 10.0
+_FRESH_US = 100_000
+_HUNDREDTHS_SINCE = (4, 0)
+
+
+def three(stem: str) -> tuple[str, ...]:
+    """Fields of three axes."""
+    return tuple(f"{stem}[{k}]" for k in range(3))
+
+
+def rate_scale(log: BlackboxLog) -> float:
+    """From logged rates to rad/s: `gyro_scale` is degrees per second, a tenth of it with
+    blackbox_high_resolution. NaN: the head does not tell."""
+    scale = log.header.bits("gyro_scale")
+    fine = log.header.number("blackbox_high_resolution", 0.0) > 0.0
+    if scale is None or not np.isfinite(scale) or scale <= 0.0:
+        return float("nan")
+    return float(np.deg2rad(scale / (_HIGH_RESOLUTION if fine else 1.0)))
+
+
+def gyro_field(log: BlackboxLog) -> str:
+    """The rates that are read: before the filters on board where they are logged."""
+    main = log.recording.main
+    return next((f for f in ("gyroUnfilt", "gyroADC") if main.has(*three(f))), "")
+
+
+def accel_cutoff_hz(log: BlackboxLog) -> float:
+    """Low-pass before the logged acceleration, Hz; 0: none. The head has 100 times as much."""
+    return max(log.header.number("acc_lpf_hz", 0.0), 0.0) / 100.0
+
+
+def add(
+    log: BlackboxLog, rows: Rows, where: str, names: tuple[str, ...], t_us: Times, values: Array
+) -> None:
+    """Add a signal whose times are those of the firmware."""
+    t_us = t_us - log.start_us
+    keep, *lost = advancing(t_us)
+    for message, count in told_dropped("frames", *lost):
+        log.note("error", where, message, count)
+    add_signal(log, rows, where, names, t_us[keep], values[keep])
+
+
+def add_signals(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+    """Everything but motors and satellites; facts."""
+    facts = _add_gyro(log, rows)
+    _add_acceleration(log, rows)
+    facts |= _add_attitude(log, rows)
+    _add_barometer(log, rows)
+    _add_battery(log, rows)
+    return facts
+
+
+def _add_gyro(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+    name, scale = gyro_field(log), rate_scale(log)
+    if not name:
+        log.note("warning", "gyro", "no gyroADC in the log: enable the field GYRO of Blackbox")
+        return {}
+    if np.isnan(scale):
+        told = log.header.settings.get("gyro_scale", "")[:20]
+        log.note("error", "gyro", f"left out, the head says gyro_scale {told!r}, no number")
+        return {}
+    main = log.recording.main
+    add(log, rows, "gyro", GYRO, main.t_us, main.columns(three(name)) * TURNED * scale)
+    return {"gyro from": f"{name}, {'before' if name == 'gyroUnfilt' else 'after'} the filters"}
+
+
+def _add_acceleration(log: BlackboxLog, rows: Rows) -> None:
+    main = log.recording.main
+    if not main.has(*three("accSmooth")):
+        log.note("warning", "acc", "no accSmooth in the log: enable the accelerometer")
+        return
+    one_g = log.header.number("acc_1G", 0.0)
+    if not one_g > 0.0:
+        told = log.header.settings.get("acc_1G", "")[:20]
+        log.note("error", "acc", f"left out, the head says acc_1G {told!r}")
+        return
+    delay_us, cutoff_hz = 0, accel_cutoff_hz(log)
+    if cutoff_hz >= 1.0:
+        delay_us = filter_delay_us(cutoff_hz)
+        log.note(
+            "info",
+            "acc",
+            f"low-passed at {cutoff_hz:.0f} Hz (acc_lpf_hz) before it was logged; its time is "
+            f"{delay_us / 1e3:.1f} ms before the stamp of the log, the delay of that filter",
+        )
+    values = main.columns(three("accSmooth")) * TURNED * (GRAVITY_M_S2 / one_g)
+    add(log, rows, "acc", ACC, main.t_us - delay_us, values)
+
+
+def _add_attitude(log: BlackboxLog, rows: Rows) -> dict[str, str]:
+    """The vector part of the quaternion; its scalar part is never negative."""
+    main = log.recording.main
+    if not main.has(*three("imuQuaternion")):
+        return {}
+    vector = main.columns(three("imuQuaternion")) / _FULL_16_BITS
+    scalar = np.sqrt(np.maximum(1.0 - np.sum(vector**2, axis=1), 0.0))
+    usable, q = unit_quaternions(log, np.column_stack([scalar, vector * TURNED]))
+    add(log, rows, "q", QUAT, main.t_us[usable], q)
+    return {"attitude from": "imuQuaternion; without a compass, north is where it took off"}
+
+
+def _add_barometer(log: BlackboxLog, rows: Rows) -> None:
+    """Height over the place of arming, as the pressure that Betaflight's formula has there."""
+    main = log.recording.main
+    if not main.has("baroAlt"):
+        return
+    height_m = main.columns(("baroAlt",)) / 100.0
+    kept = _fresh(main.t_us, height_m)
+    share = np.maximum(1.0 - height_m[kept] / _SCALE_M, 0.0)
+    add(log, rows, "baro", ("baro_pa",), main.t_us[kept], _SEA_LEVEL_PA * share ** (1 / _EXPONENT))
+    log.note(
+        "info",
+        "baro",
+        "the log has height over the place of arming, not pressure: written as that of the "
+        "standard atmosphere from sea level. The pressure of the day is not known",
+    )
+
+
+def _add_battery(log: BlackboxLog, rows: Rows) -> None:
+    main = log.recording.main
+    if main.has("vbatLatest"):
+        volts = main.columns(("vbatLatest",)) * (0.01 if log.version >= _HUNDREDTHS_SINCE else 0.1)
+        kept = _fresh(main.t_us, volts)
+        add(log, rows, "vbat_v", ("vbat_v",), main.t_us[kept], volts[kept])
+    if main.has("amperageLatest"):
+        amperes = main.columns(("amperageLatest",)) * 0.01
+        kept = _fresh(main.t_us, amperes)
+        add(log, rows, "ibat_a", ("ibat_a",), main.t_us[kept], amperes[kept])
+
+
+def _fresh(t_us: Times, values: Array) -> NDArray[np.int64]:
+    """Of a signal that is measured seldom and logged often: where it changes, or has not been kept
+    for 0.1 s."""
+    changed = np.append(True, np.any(np.diff(values, axis=0) != 0.0, axis=1)).tolist()
+    kept, last = [], -_FRESH_US
+    for k, (t, new) in enumerate(zip((t_us - t_us[0]).tolist(), changed, strict=True)):
+        if new or t - last >= _FRESH_US:
+            kept.append(k)
+            last = t
+    return np.array(kept, dtype=np.int64)
+
+
+# -- satellites ---------------------------------------------------------------------------------
+#
+# Satellite fixes of a Blackbox log: place, velocity, time of day.
+
+_DEGREES = 1e-7
+_FEWEST_SATELLITES = 4
+_DECIMETRES_SINCE = (4, 0)
+_COORDINATES = ("GPS_coord[0]", "GPS_coord[1]")
+_DATE = re.compile(r"(20\d\d)-(\d\d)-(\d\d)T")
+"""0000-01-01 where the firmware does not know the time."""
+
+
+def add_satellites(log: BlackboxLog, rows: Rows) -> Told[Place] | None:
+    """Positions and velocities of the fixes into the table; where they are counted from."""
+    gps = log.recording.gps
+    if not gps.has(*_COORDINATES, "GPS_numSat", "GPS_altitude"):
+        return None
+    degrees = gps.columns(_COORDINATES) * _DEGREES
+    up_m = gps.columns(("GPS_altitude",))[:, 0]
+    if log.version >= _DECIMETRES_SINCE:
+        up_m = 0.1 * up_m
+    enough = gps.columns(("GPS_numSat",))[:, 0] >= _FEWEST_SATELLITES
+    somewhere = (np.abs(degrees) <= (90.0, 180.0)).all(axis=1) & degrees.any(axis=1)
+    good = enough & somewhere
+    if not good.all():
+        message = f"fixes left out, of fewer than {_FEWEST_SATELLITES} satellites or nowhere"
+        log.note("warning", "pos", message, int(np.count_nonzero(~good)))
+    if not good.any():
+        return None
+    t_us = gps.t_us[good]
+    add(log, rows, "pos", POS, t_us, local_ned(degrees[good, 0], degrees[good, 1], up_m[good]))
+    if gps.has(*three("GPS_velned")):
+        add(log, rows, "vel", VEL, t_us, 0.01 * gps.columns(three("GPS_velned"))[good])
+    else:
+        log.note("info", "vel", "Betaflight before 4.6 does not log the velocity north, east, down")
+    log.note("info", "pos", "fixes of the satellites as they came, no estimate of the autopilot")
+    return Told(_place(log, degrees[good][0], float(up_m[good][0])), "GPS of the log")
+
+
+def _place(log: BlackboxLog, degrees: Array, height_m: float) -> Place:
+    north, east = np.radians(degrees).tolist()
+    return Place(north, east, height_m, _year(log))
+
+
+def _year(log: BlackboxLog) -> float | None:
+    """Decimal year by the clock of the flight controller, None where it has none."""
+    found = _DATE.match(log.header.settings.get("Log start datetime", ""))
+    if found is None:
+        return None
+    year, month, day = (int(part) for part in found.groups())
+    if not 1 <= month <= 12 or not 1 <= day <= 31:
+        return None
+    return year + (month - 1) / 12.0 + (day - 1) / 365.25
+
+
+def site_of(origin: Told[Place] | None) -> Site | None:
+    """Outdoors where there were fixes; else not known."""
+    return None if origin is None else Site(False, "GPS has a fix")
+
+
+# -- motors -------------------------------------------------------------------------------------
+#
+# Motor outputs and rotor speeds of a Blackbox log, and what they tell of the mixer.
+#
+# Motors of Betaflight's QUADX: 1 rear right, 2 front right, 3 rear left, 4 front left; 1 and 4 turn
+# clockwise unless yaw_motors_reversed. Source: mixer.c and motor.h of Betaflight, and its manual.
+
+_DIGITAL = (5, 6, 7, 8)
+"""DSHOT150, 300, 600 and PROSHOT1000 in motor_pwm_protocol."""
+_DSHOT_STOP, _DSHOT_FULL = 48.0, 2047.0
+_PULSE_STOP, _PULSE_FULL = 1000.0, 2000.0
+_FEATURE_3D = 1 << 12
+_PER_ERPM = 100.0 * 2.0 * np.pi / 60.0
+_TURNING = 0.05
+_MOST_SILENT = 0.2
+_SURE = 0.5
+_QUAD = {
+    "roll": np.array((-1.0, -1.0, 1.0, 1.0)),
+    "pitch": np.array((1.0, -1.0, 1.0, -1.0)),
+    "yaw": np.array((1.0, -1.0, -1.0, 1.0)),
+}
+"""What QUADX adds to each motor for a positive output of a controller."""
+_SEEN = "QUADX, as the motors follow the controllers"
+_DOUBT = "four motors, taken for QUADX"
+
+
+@dataclass(frozen=True, slots=True)
+class Motors:
+    """The outputs.
+
+    Attributes:
+        count: Number of them.
+        commands: 0..1, shape (n, count); None: left out.
+        pulse_us: Pulse widths that stand for 0 and 1; None: digital.
+    """
+
+    count: int
+    commands: Array | None
+    pulse_us: tuple[float, float] | None
+
+
+def add_motors(log: BlackboxLog, rows: Rows) -> Motors:
+    """Commands and rotor speeds into the table."""
+    main = log.recording.main
+    count = next((k for k in range(MAX_MOTORS) if f"motor[{k}]" not in main.names), MAX_MOTORS)
+    if count < MIN_MOTORS:
+        message = f"{count} motor outputs in the log, a multirotor has {MIN_MOTORS} at least"
+        log.note("warning", "cmd", f"{message}; enable the field MOTOR of Blackbox")
+        return Motors(count, None, None)
+    raw = main.columns([f"motor[{k}]" for k in range(count)])
+    if log.header.whole("features", 0) & _FEATURE_3D:
+        log.note("error", "cmd", "left out: motors that turn both ways (feature 3D) are not known")
+        return Motors(count, None, None)
+    low, high, digital = _range(log)
+    if not high > low:
+        log.note("error", "cmd", f"left out, the head has motors from {low:g} to {high:g}")
+        return Motors(count, None, None)
+    commands = np.clip((raw - low) / (high - low), 0.0, None)
+    add(log, rows, "cmd", motor_columns("cmd", count), main.t_us, commands)
+    _add_speeds(log, rows, commands)
+    return Motors(count, commands, None if digital else (low, high))
+
+
+def _range(log: BlackboxLog) -> tuple[float, float, bool]:
+    """Outputs for a motor that stands and for full power, and whether they are digital."""
+    header = log.header
+    outputs = header.numbers("motorOutput")
+    protocol = header.whole("motor_pwm_protocol", -1)
+    digital = protocol in _DIGITAL if protocol >= 0 else len(outputs) > 1 and outputs[0] < 1000.0
+    if digital:
+        return _DSHOT_STOP, _DSHOT_FULL, True
+    low = header.number("mincommand", _PULSE_STOP)
+    return low, header.number("maxthrottle", _PULSE_FULL), False
+
+
+def _add_speeds(log: BlackboxLog, rows: Rows, commands: Array) -> None:
+    """Rotor speeds of bidirectional DSHOT: hundreds of electrical revolutions per minute."""
+    main, count = log.recording.main, commands.shape[1]
+    fields = next(
+        (
+            f
+            for stem in ("eRPM", "eRPM(/100)")
+            if main.has(*(f := tuple(f"{stem}[{k}]" for k in range(count))))
+        ),
+        (),
+    )
+    if not fields:
+        return
+    poles = log.header.number("motor_poles", 0.0)
+    if not poles >= 2.0:
+        told = log.header.settings.get("motor_poles", "")[:20]
+        log.note("error", "rotor", f"left out, the head says motor_poles {told!r}")
+        return
+    raw = main.columns(fields)
+    silent = ((raw <= 0.0) & (commands > _TURNING)).any(axis=1)
+    if silent.mean() > _MOST_SILENT:
+        share = 100.0 * silent.mean()
+        message = f"left out, a motor that is told to turn reports no speed in {share:.0f} %"
+        log.note("warning", "rotor", f"{message} of the frames")
+        return
+    if silent.any():
+        message = "frames left out, a motor that is told to turn reports no speed"
+        log.note("warning", "rotor", message, int(silent.sum()))
+    speeds = raw[~silent] * (_PER_ERPM / (poles / 2.0))
+    add(log, rows, "rotor", motor_columns("rotor", count), main.t_us[~silent], speeds)
+
+
+def mixed(log: BlackboxLog, motors: Motors) -> dict[str, float]:
+    """Correlation of what each controller puts out with what QUADX makes of it, by axis; {} where
+    the log has not got both."""
+    main = log.recording.main
+    if motors.count != 4 or motors.commands is None:
+        return {}
+    found = {}
+    for k, (axis, pattern) in enumerate(_QUAD.items()):
+        parts = [f"axis{p}[{k}]" for p in "PIDFS" if f"axis{p}[{k}]" in main.names]
+        if not parts:
+            continue
+        asked = main.columns(parts).sum(axis=1)
+        given = motors.commands @ pattern
+        if asked.std() > 0.0 and given.std() > 0.0:
+            found[axis] = float(np.corrcoef(asked, given)[0, 1])
+    return found
+
+
+def layout_of(log: BlackboxLog, motors: Motors) -> tuple[Layout | None, dict[str, str]]:
+    """Where the motors are and how they turn, and facts; None where that is not known."""
+    if motors.count != 4:
+        return None, {}
+    seen = mixed(log, motors)
+    facts = {}
+    if seen:
+        told = ", ".join(f"{axis} {r:+.2f}" for axis, r in seen.items())
+        facts["mixer"] = f"QUADX; controllers against motors by axis: {told}"
+    wrong = [axis for axis in ("roll", "pitch") if seen.get(axis, 1.0) < -_SURE]
+    if wrong:
+        message = f"motors do not follow the controllers as in QUADX ({', '.join(wrong)})"
+        log.note("warning", "cmd", f"{message}: another mixer, or motors remapped")
+        return None, facts
+    sure = min(seen.get(axis, 0.0) for axis in ("roll", "pitch")) > _SURE
+    layout = frame("betaflight x", _SEEN if sure else _DOUBT)
+    if not sure:
+        log.note("info", "cmd", f"the log does not tell the mixer: {_DOUBT}")
+        layout = replace(layout, places_known=False)
+    yaw = seen.get("yaw", 0.0)
+    if abs(yaw) < _SURE:
+        message = "the log does not tell yaw_motors_reversed: motors 1 and 4 taken for clockwise"
+        log.note("info", "cmd", message)
+        return replace(layout, senses_known=False), facts
+    if yaw < 0.0:
+        facts["propellers"] = "reversed, as the motors follow the yaw controller"
+        turned: NDArray[np.float64] = -layout.direction
+        source = layout.source.replace("not reversed", "reversed")
+        return replace(layout, direction=turned, source=source), facts
+    facts["propellers"] = "not reversed, as the motors follow the yaw controller"
+    return layout, facts
+
+
+# -- the autopilot ------------------------------------------------------------------------------
+#
+# What Betaflight itself says of a flight and of its filters.
+
+_ARMED, _ANGLE, _HORIZON = 1, 2, 4
+"""Bits of the flight modes; those above mean other things in other versions."""
+_REASONS = {
+    0: "arming disabled",
+    1: "failsafe",
+    2: "throttle timeout",
+    3: "sticks",
+    4: "switch",
+    5: "crash protection",
+    6: "runaway take-off",
+    7: "GPS rescue",
+    8: "serial command",
+    9: "landing",
+    10: "crash flip",
+    255: "system",
+}
+_ALARMING = (1, 5, 6)
+_FAILSAFES = {1: "signal of the receiver lost", 2: "failsafe landing", 3: "failsafe landed"}
+_LEAST_HZ = 1.0
+
+
+def from_betaflight(log: BlackboxLog, end_s: float) -> Autopilot:
+    """Modes, arming, failsafes, events, setpoint of the rates and filters.
+
+    Args:
+        log: The log.
+        end_s: End of the record, s.
+    """
+    t_s, flags = _flags(log)
+    setpoint = _rates(log)
+    return Autopilot(
+        modes=_modes(t_s, flags, end_s),
+        armed=stretches_of(t_s, (flags & _ARMED) > 0, "armed", end_s) if len(t_s) else (),
+        failsafes=_failsafes(log, end_s),
+        messages=_messages(log, end_s),
+        setpoints=(setpoint,) if setpoint is not None else (),
+        filters=filters_of(log),
+    )
+
+
+def _seconds(log: BlackboxLog, t_us: Times) -> Array:
+    return np.asarray((t_us - log.start_us) * 1e-6, dtype=np.float64)
+
+
+def _flags(log: BlackboxLog) -> tuple[Array, NDArray[np.int64]]:
+    """Flags of the modes and when they were told, s: by S frames and by events."""
+    slow = log.recording.slow
+    told: list[tuple[int, int]] = []
+    if slow.has("flightModeFlags"):
+        at = slow.names.index("flightModeFlags")
+        told += zip(slow.t_us.tolist(), slow.values[:, at].tolist(), strict=True)
+    told += [(e.t_us, e.values[0]) for e in log.recording.events if e.kind == MODES]
+    told.sort(key=lambda each: each[0])
+    t_us = np.array([t for t, _ in told], dtype=np.int64)
+    return _seconds(log, t_us), np.array([f for _, f in told], dtype=np.int64)
+
+
+def _modes(t_s: Array, flags: NDArray[np.int64], end_s: float) -> tuple[Mode, ...]:
+    names = [
+        "ANGLE" if bits & _ANGLE else "HORIZON" if bits & _HORIZON else "ACRO"
+        for bits in flags.tolist()
+    ]
+    return modes_of(t_s, names, end_s)
+
+
+def _failsafes(log: BlackboxLog, end_s: float) -> tuple[Stretch, ...]:
+    slow = log.recording.slow
+    if not slow.has("failsafePhase"):
+        return ()
+    phase = slow.columns(("failsafePhase",))[:, 0]
+    t_s = _seconds(log, slow.t_us)
+    found: list[Stretch] = []
+    for number, name in _FAILSAFES.items():
+        found += stretches_of(t_s, phase == number, name, end_s)
+    return tuple(sorted(found, key=lambda s: s.start_s))
+
+
+def _messages(log: BlackboxLog, end_s: float) -> tuple[Message, ...]:
+    """Why it was disarmed, and when the beeper told that it was armed."""
+    found = []
+    for event in log.recording.events:
+        t_s = min(max((event.t_us - log.start_us) * 1e-6, 0.0), end_s)
+        if event.kind == DISARM:
+            reason = event.values[0]
+            text = f"disarmed: {_REASONS.get(reason, f'reason {reason}')}"
+            found.append(Message(t_s, "warning" if reason in _ALARMING else "info", text))
+        elif event.kind == SYNC_BEEP:
+            found.append(Message(t_s, "info", "beep of arming"))
+    return tuple(sorted(found, key=lambda m: m.t_s)[:MOST_MESSAGES])
+
+
+def _rates(log: BlackboxLog) -> Setpoint | None:
+    """Rates that the pilot or the angle controller asks for, in the same unit as the gyro."""
+    main, scale = log.recording.main, rate_scale(log)
+    if not main.has(*three("setpoint")) or np.isnan(scale):
+        return None
+    order = np.argsort(main.t_us, kind="stable")
+    t_us, first = np.unique(main.t_us[order], return_index=True)
+    values = main.columns(three("setpoint"))[order][first] * TURNED * scale
+    return setpoint_of(GYRO, _seconds(log, t_us), values)
+
+
+def filters_of(log: BlackboxLog) -> tuple[Filter, ...]:
+    """Low-passes and notches that are switched on, by frequency.
+
+    A dynamic low-pass follows the throttle from the first of two frequencies up; the notches of
+    the rotors have harmonics at whole multiples.
+    """
+    header = log.header
+    found = []
+    for name in (
+        "gyro_lpf1_static_hz",
+        "gyro_lpf2_static_hz",
+        "gyro_lowpass_hz",
+        "gyro_lowpass2_hz",
+        "gyro_lpf1_dyn_hz",
+        "gyro_lowpass_dyn_hz",
+    ):
+        hz = header.number(name, 0.0)
+        if _LEAST_HZ <= hz < np.inf:
+            found.append(Filter("gyro", "low-pass", hz, name))
+    found += [
+        Filter("gyro", "notch", hz, "gyro_notch_hz")
+        for hz in header.numbers("gyro_notch_hz")
+        if _LEAST_HZ <= hz < np.inf
+    ]
+    lowest = header.number("rpm_filter_min_hz", 0.0)
+    if header.number("rpm_filter_harmonics", 0.0) >= 1.0 and _LEAST_HZ <= lowest < np.inf:
+        found.append(Filter("gyro", "tracking notch", lowest, "rpm_filter_min_hz"))
+    if _LEAST_HZ <= accel_cutoff_hz(log) < np.inf:
+        found.append(Filter("acc", "low-pass", accel_cutoff_hz(log), "acc_lpf_hz"))
+    return tuple(sorted(found, key=lambda f: f.frequency_hz))
+
+
+# -- the flight ---------------------------------------------------------------------------------
 
 _ADVICE = "Enable the fields GYRO, ACC and MOTOR of Blackbox (blackbox_disable_*) and fly again."
 _SHOWN = 60
@@ -39,7 +577,7 @@ def read_blackbox(path: Path, blob: bytes, options: ReadOptions) -> Flight:
     motors = add_motors(log, rows)
     origin = add_satellites(log, rows)
     table, t_us = lay_out(log, path, rows, _ADVICE)
-    table["phase"] = pd.Series("", index=table.index, dtype=object)
+    table["phase"] = np.full(len(table), "", dtype=object)
     airframe, more = _airframe(log, motors, origin)
     facts |= more | rows.coverage(t_us)
     autopilot = from_betaflight(log, float(table["time"].iloc[-1]))

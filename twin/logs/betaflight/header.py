@@ -6,7 +6,7 @@ internals", and blackbox.c.
 
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -198,3 +198,198 @@ def flights(blob: bytes) -> list[tuple[int, int]]:
     """Begin and end of each flight in a file, bytes."""
     starts = [m.start() for m in re.finditer(re.escape(MAGIC), blob)]
     return list(pairwise([*starts, len(blob)]))
+
+
+# -- encodings ----------------------------------------------------------------------------------
+#
+# How Blackbox packs integers: by bytes of 7 bits, or several in a group behind a tag.
+#
+# Each function takes bytes and a place and gives what stands there and the place behind it; it
+# raises IndexError at the end of the bytes and ValueError where no such thing can stand. Source:
+# Betaflight's documentation, "Blackbox logging internals", and encoding.c.
+
+_LONGEST_SHIFT = 28
+
+
+def unsigned_vb(data: bytes, at: int) -> tuple[int, int]:
+    """An integer of up to 32 bits, the lowest 7 first; all bytes but its last have the top bit."""
+    byte = data[at]
+    if byte < 128:
+        return byte, at + 1
+    value, shift = byte & 127, 7
+    while True:
+        at += 1
+        byte = data[at]
+        value |= (byte & 127) << shift
+        if byte < 128:
+            return value & 0xFFFFFFFF, at + 1
+        shift += 7
+        if shift > _LONGEST_SHIFT:
+            raise ValueError("an integer of more than 5 bytes")
+
+
+def signed_vb(data: bytes, at: int) -> tuple[int, int]:
+    """The same with sign: 0, -1, 1, -2, 2 are stored as 0, 1, 2, 3, 4."""
+    byte = data[at]
+    if byte < 128:
+        return (byte >> 1) ^ -(byte & 1), at + 1
+    value, at = unsigned_vb(data, at)
+    return (value >> 1) ^ -(value & 1), at
+
+
+def neg_14bit(data: bytes, at: int) -> tuple[int, int]:
+    """An integer of 14 bits with its sign turned."""
+    value, at = unsigned_vb(data, at)
+    return -sign_extended(value, 14), at
+
+
+def sign_extended(value: int, bits: int) -> int:
+    """The lowest bits of a number as one with sign."""
+    half = 1 << (bits - 1)
+    return ((value & (2 * half - 1)) ^ half) - half
+
+
+def tag8_8svb(data: bytes, at: int, count: int) -> tuple[list[int], int]:
+    """One to eight numbers; bit i of the tag says whether number i is there, else it is 0."""
+    if count == 1:
+        value, at = signed_vb(data, at)
+        return [value], at
+    tag = data[at]
+    at += 1
+    values = [0] * count
+    for i in range(count):
+        if tag >> i & 1:
+            values[i], at = signed_vb(data, at)
+    return values, at
+
+
+def tag2_3s32(data: bytes, at: int) -> tuple[list[int], int]:
+    """Three numbers, all of 2, 4 or 6 bits, or each of 1 to 4 bytes."""
+    tag = data[at]
+    size = tag >> 6
+    if size == 0:
+        return [sign_extended(tag >> shift, 2) for shift in (4, 2, 0)], at + 1
+    if size == 1:
+        rest = data[at + 1]
+        return [
+            sign_extended(tag, 4),
+            sign_extended(rest >> 4, 4),
+            sign_extended(rest, 4),
+        ], at + 2
+    if size == 2:
+        return [
+            sign_extended(tag, 6),
+            sign_extended(data[at + 1], 6),
+            sign_extended(data[at + 2], 6),
+        ], at + 3
+    values, at = [], at + 1
+    for _ in range(3):
+        width = (tag & 3) + 1
+        values.append(_bytes(data, at, width))
+        at, tag = at + width, tag >> 2
+    return values, at
+
+
+def _bytes(data: bytes, at: int, width: int) -> int:
+    """A number with sign of some bytes, the lowest first."""
+    if at + width > len(data):
+        raise IndexError("the end")
+    return int.from_bytes(data[at : at + width], "little", signed=True)
+
+
+def tag8_4s16(data: bytes, at: int) -> tuple[list[int], int]:
+    """Four numbers of 0, 4, 8 or 16 bits as two bits each of the tag say, the highest half-byte
+    first; a half-byte that is left over is not used. Data version 2."""
+    tag = data[at]
+    at += 1
+    if not tag:
+        return [0, 0, 0, 0], at
+    widths = [(0, 1, 2, 4)[tag >> shift & 3] for shift in (0, 2, 4, 6)]
+    size = (sum(widths) + 1) // 2
+    if at + size > len(data):
+        raise IndexError("the end")
+    bits, left = int.from_bytes(data[at : at + size], "big"), 8 * size
+    values = []
+    for width in widths:
+        left -= 4 * width
+        values.append(sign_extended(bits >> left, 4 * width) if width else 0)
+    return values, at + size
+
+
+def tag8_4s16_v1(data: bytes, at: int) -> tuple[list[int], int]:
+    """The same in data version 1: two of 4 bits share a byte, the first the lower half, and then
+    take the place of two numbers; one of 16 bits has its lowest byte first."""
+    tag = data[at]
+    at += 1
+    values: list[int] = []
+    while len(values) < 4:
+        kind, tag = tag & 3, tag >> 2
+        if kind == 0:
+            values.append(0)
+        elif kind == 1:
+            byte, at, tag = data[at], at + 1, tag >> 2
+            values += [sign_extended(byte, 4), sign_extended(byte >> 4, 4)]
+        else:
+            width = kind - 1
+            values.append(_bytes(data, at, width))
+            at += width
+    return values[:4], at
+
+
+# -- fields of a frame --------------------------------------------------------------------------
+#
+# Reading what the definition of a frame of a Blackbox log lists, field after field.
+
+_GROUPS = {TAG2_3S32: 3, TAG8_4S16: 4}
+
+Read = Callable[[bytes, int], tuple[list[int], int]]
+"""Values of a frame whose fields begin at a place in the data, and where they end. IndexError or
+ValueError: the data end, or are none of these."""
+
+
+def reader(fields: Fields, version: int) -> Read:
+    """How to read what a frame lists, before anything predicted is added.
+
+    Args:
+        fields: Definition of the frame.
+        version: Of the data, 1 or 2.
+
+    Raises:
+        ValueError: A group of fields is not whole.
+    """
+    four = tag8_4s16 if version > 1 else tag8_4s16_v1
+    single = {SIGNED_VB: signed_vb, UNSIGNED_VB: unsigned_vb, NEG_14BIT: neg_14bit}
+    steps: list[tuple[int, int]] = []
+    at = 0
+    while at < len(fields.names):
+        kind = NULL if fields.predictors[at] == INCREMENT else fields.encodings[at]
+        count = _GROUPS.get(kind, 1)
+        if kind == TAG8_8SVB:
+            while count < 8 and fields.encodings[at + count : at + count + 1] == (kind,):
+                count += 1
+        if fields.encodings[at : at + count] != (kind,) * count and kind != NULL:
+            raise ValueError(f"fewer than {count} fields in a group from {fields.names[at]}")
+        steps.append((kind, count))
+        at += count
+
+    def read(data: bytes, at: int) -> tuple[list[int], int]:
+        """See `Read`."""
+        values: list[int] = []
+        for kind, count in steps:
+            if kind in single:
+                value, at = single[kind](data, at)
+                values.append(value)
+            elif kind == TAG8_8SVB:
+                several, at = tag8_8svb(data, at, count)
+                values += several
+            elif kind == TAG2_3S32:
+                several, at = tag2_3s32(data, at)
+                values += several
+            elif kind == TAG8_4S16:
+                several, at = four(data, at)
+                values += several
+            else:
+                values.append(0)
+        return values, at
+
+    return read

@@ -14,25 +14,167 @@
 | vbat_v, ibat_a | BATTERY_STATUS, SYS_STATUS | mV, cA, without a time |
 | phase | EXTENDED_SYS_STATE | landed or not, without a time |
 
-Every stamp passes `stamps.StampGate` and every number `MavlinkDecoder._sound` before a message
+Every stamp passes `StampGate` and every number `MavlinkDecoder._sound` before a message
 becomes a sample. A message without a time gets the newest time of the aircraft's clock.
 """
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 
 from ...frames import from_euler, to_ned
 from ...vehicle import GRAVITY_M_S2
-from ..ardupilot.parameters import motor_channels
-from ..columns import MAX_MOTORS
-from ..limits import LIMITS
+from ..ardupilot.log import motor_channels
+from ..columns import ACC, GYRO, LIMITS, MAG, MAX_MOTORS, POS, QUAT, VEL
 from ..px4.outputs import motor_functions
-from .dialect import AUTOPILOTS, GCS, MOTORS, Message, dialect
-from .samples import LANDED, Sample
-from .stamps import Stamp, StampGate
+from .frames import AUTOPILOTS, GCS, MOTORS, Message, dialect
+
+# -- samples ------------------------------------------------------------------------------------
+#
+# Samples of a flight table that MAVLink messages carry, and which of several messages counts.
+
+GROUPS: dict[str, tuple[str, ...]] = {
+    "acc": ACC,
+    "gyro": GYRO,
+    "mag": MAG,
+    "baro": ("baro_pa",),
+    "pos": POS,
+    "vel": VEL,
+    "q": QUAT,
+    "vbat_v": ("vbat_v",),
+    "ibat_a": ("ibat_a",),
+}
+"""Columns that are sampled together; those of `cmd` and `rotor` depend on the number of motors."""
+LANDED = "landed"
+"""Group of what the land detector says: a member of MAV_LANDED_STATE."""
+RANKS: tuple[str, ...] = (
+    "HIGHRES_IMU",
+    "ODOMETRY",
+    "ATTITUDE_QUATERNION",
+    "LOCAL_POSITION_NED",
+    "ACTUATOR_OUTPUT_STATUS",
+    "DEBUG_FLOAT_ARRAY",
+    "BATTERY_STATUS",
+    "SCALED_IMU",
+    "RAW_IMU",
+    "SCALED_IMU2",
+    "SCALED_IMU3",
+    "ATTITUDE",
+    "VICON_POSITION_ESTIMATE",
+    "SERVO_OUTPUT_RAW",
+    "ESC_TELEMETRY",
+    "SCALED_PRESSURE",
+    "SYS_STATUS",
+    "EXTENDED_SYS_STATE",
+)
+"""Sources of samples, those that lose less on the wire before the others."""
+_OFTEN = 1.5
+"""A source that comes so many times as often counts more than one of a better rank."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """One reading of one signal.
+
+    Attributes:
+        group: A key of `GROUPS`, `cmd`, `rotor` or `LANDED`.
+        source: Kind of message, a member of `RANKS`.
+        t_us: When it was taken, on the aircraft's clock, us.
+        values: In the units of the flight table, in the order of its columns.
+    """
+
+    group: str
+    source: str
+    t_us: int
+    values: tuple[float, ...]
+
+
+def best_source(counts: Mapping[str, int]) -> str:
+    """Which of several sources of one group counts.
+
+    Args:
+        counts: Samples of each over the same time.
+    """
+    most = max(counts.values())
+    often = [s for s, n in counts.items() if n * _OFTEN >= most]
+    return min(often, key=RANKS.index)
+
+
+# -- time stamps --------------------------------------------------------------------------------
+#
+# Which time stamps belong to the clock of the aircraft.
+#
+# A stamp is held against the newest one: from 1 s before it to 60 s after it belongs to the same
+# clock. Others are strays: damaged, or of another clock. Strays that agree with each other and
+# outnumber the rest are the clock after a restart.
+
+LATEST_US = 2**53
+"""Year 2255 in us since 1970: no clock of an aircraft, since boot or since 1970, is beyond it."""
+_BACK_US, _AHEAD_US = 1_000_000, 60_000_000
+_RESTART = 20
+"""Lead of strays that agree with each other over stamps of the clock that is a restart."""
+_CONFIRMED = 5
+"""Stamps of one clock after which it is taken for that of the aircraft."""
+_CONTRADICTED = 3
+"""The same lead while the clock is not confirmed: the first stamps were strays."""
+
+
+class Stamp(Enum):
+    """What a stamp is."""
+
+    FINE = "of the clock"
+    STRAY = "far from the clock"
+    RESTART = "of a clock that began anew"
+    MISLED = "of the clock; those before were strays"
+    IMPOSSIBLE = "no time"
+
+
+class StampGate:
+    """Sorts stamps of one aircraft, in the order in which they came.
+
+    Attributes:
+        newest_us: The newest time of the clock, us; None: no stamp came.
+        lead: By how many the strays that agree with each other outnumber stamps of the clock.
+    """
+
+    def __init__(self) -> None:
+        self.newest_us: int | None = None
+        self.lead = 0
+        self._candidate_us = 0
+        self._count = 0
+
+    def near(self, t_us: int) -> bool:
+        """Whether a time, us, is of the clock; nothing is while no stamp has come."""
+        return self.newest_us is not None and _follows(t_us, self.newest_us)
+
+    def add(self, t_us: int) -> Stamp:
+        """Take a stamp, us."""
+        if not 0 <= t_us < LATEST_US:
+            return Stamp.IMPOSSIBLE
+        if self.newest_us is None or self.near(t_us):
+            self.newest_us = t_us if self.newest_us is None else max(t_us, self.newest_us)
+            self.lead = max(self.lead - 1, 0)
+            self._count += 1
+            return Stamp.FINE
+        agrees = self.lead > 0 and _follows(t_us, self._candidate_us)
+        self._candidate_us = max(t_us, self._candidate_us) if agrees else t_us
+        self.lead = self.lead + 1 if agrees else 1
+        misled = self._count < _CONFIRMED
+        if self.lead < (_CONTRADICTED if misled else _RESTART):
+            return Stamp.STRAY
+        self.newest_us, self._count, self.lead = self._candidate_us, self.lead, 0
+        return Stamp.MISLED if misled else Stamp.RESTART
+
+
+def _follows(t_us: int, newest_us: int) -> bool:
+    return -_BACK_US <= t_us - newest_us <= _AHEAD_US
+
+
+# -- messages -----------------------------------------------------------------------------------
 
 ROTOR_ARRAY = "rotor_rads"
 """Name of the DEBUG_FLOAT_ARRAY that holds rotor speeds, rad/s."""

@@ -12,19 +12,14 @@ from numpy.typing import NDArray
 
 from ...errors import LogError
 from ..airframe import NO_MULTIROTOR, Airframe, Told
-from ..assemble import Rows, add_signal, lay_out
-from ..clock import advancing, told_dropped
+from ..assemble import Rows, add_signal, advancing, lay_out, told_dropped
+from ..autopilot import Span, ground_spans, label_phases, motion_spans
 from ..columns import VEL, motor_columns
 from ..flight import Array, Finding, Flight, Noted
 from ..formats import ReadOptions
-from ..phases import Span, ground_spans, label_phases, motion_spans
 from ..validate import validate
-from .decoder import USED, MavlinkDecoder
-from .dialect import BAD, dialect, parser
-from .link import Link
-from .samples import GROUPS, LANDED, Sample, best_source
-from .stamps import Stamp
-from .tlog import Frame, frames
+from .decoder import GROUPS, LANDED, USED, MavlinkDecoder, Sample, Stamp, best_source
+from .frames import BAD, Frame, Link, dialect, frames, parser
 
 _ON_GROUND = dialect.MAV_LANDED_STATE_ON_GROUND
 _NAMED = {

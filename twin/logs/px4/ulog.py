@@ -1,25 +1,238 @@
-"""PX4 ULog -> Flight. All conversions from PX4's units and names stand in this file."""
+"""PX4 ULog -> Flight. All conversions from PX4's units and names stand in this package."""
 
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from ..assemble import Rows, add_signal, lay_out
-from ..attitude import unit_quaternions
-from ..columns import POS, QUAT, VEL, motor_columns
+from ..assemble import Rows, add_signal, lay_out, unit_quaternions
+from ..autopilot import (
+    Autopilot,
+    Filter,
+    FilterKind,
+    Sensor,
+    Setpoint,
+    Span,
+    Stretch,
+    differing,
+    ground_spans,
+    label_phases,
+    modes_of,
+    motion_spans,
+    setpoint_of,
+    stretches_of,
+)
+from ..columns import GYRO, POS, QUAT, VEL, motor_columns
 from ..flight import Array, Finding, Flight
 from ..formats import ReadOptions
-from ..phases import label_phases
-from .airframe import from_px4_airframe
-from .autopilot import from_px4_autopilot
-from .commands import from_px4_commands
+from .airframe import FILTERS, from_px4_airframe, from_px4_site
 from .imu import add_barometer, add_imu, add_magnetometer, from_px4_gauss
 from .log import Px4Log, Topic, open_px4
-from .outputs import MotorCommands
-from .phases import from_px4_phases
-from .rotors import add_rotors, from_px4_rpm
-from .site import from_px4_site
+from .outputs import MotorCommands, add_rotors, from_px4_rpm
+from .rebuild import from_px4_commands
+
+# -- phases -------------------------------------------------------------------------------------
+#
+# Phases of a PX4 log: the markers of the test script, else how the vehicle moves.
+
+_MARKER = 183
+_BEGIN, _END = 666, 777
+_MODES = {(2, 3): "takeoff", (2, 6): "hover", (2, 7): "land"}
+_NOT_A_PHASE = {(2, 1)}  # prepares the offboard mode before takeoff
+_SEAM_S = 0.1
+
+
+def from_px4_phases(log: Px4Log) -> list[Span]:
+    """Phases of a PX4 log: markers of the test script, else landed state, speed and climb rate."""
+    ground = _ground(log)
+    marked = _marked(log)
+    if marked:
+        log.note("info", "phase", "from the markers (vehicle_command 183) of the test script")
+        start, end = marked[0][1], marked[-1][2]
+        before = [(n, a, min(b, start)) for n, a, b in ground if a < start]
+        after = [(n, max(a, end), b) for n, a, b in ground if b > end]
+        return [*before, *marked, *after]
+    moved = _from_motion(log, ground)
+    if moved:
+        log.note("info", "phase", "from landed state, speed and climb rate; no markers in the log")
+    return moved
+
+
+def _marked(log: Px4Log) -> list[Span]:
+    """Spans between the begin and end markers of the RflySim test scripts."""
+    topic = log.topic("vehicle_command", 0, "command", "param1", "param2", "param7")
+    if topic is None:
+        return []
+    spans: list[Span] = []
+    begun: dict[tuple[int, int], float] = {}
+    for t, command, p1, p2, p7 in zip(
+        topic.t_s,
+        topic.data["command"],
+        *(topic.data[f"param{k}"].tolist() for k in (1, 2, 7)),
+        strict=True,
+    ):
+        if command != _MARKER or p7 not in (_BEGIN, _END):
+            continue
+        if not np.isfinite((p1, p2)).all():
+            log.note("warning", "phase", f"marker at {t:.2f} s whose mode is {p1:g}, {p2:g}")
+            continue
+        mode = (int(p1), int(p2))
+        if mode in _NOT_A_PHASE:
+            continue
+        if mode not in _MODES:
+            log.note("warning", "phase", f"marker of an unknown mode {mode} at {t:.2f} s")
+        elif p7 == _BEGIN:
+            begun[mode] = float(t)
+        elif mode in begun:
+            spans.append((_MODES[mode], begun.pop(mode), float(t)))
+    for mode, t in begun.items():
+        log.note("warning", "phase", f"{_MODES[mode]} begins at {t:.2f} s and has no end marker")
+        spans.append((_MODES[mode], t, np.inf))
+    spans.sort(key=lambda s: s[1])
+    for k, (name, start, end) in enumerate(spans[:-1]):
+        follows = spans[k + 1][1]
+        if 0.0 < follows - end < _SEAM_S:
+            spans[k] = (name, start, follows)
+    return spans
+
+
+def _ground(log: Px4Log) -> list[Span]:
+    """Spans on the ground, from the land detector."""
+    topic = log.topic("vehicle_land_detected", 0, "landed")
+    return [] if topic is None else ground_spans(topic.t_s, topic.data["landed"].astype(bool))
+
+
+def _from_motion(log: Px4Log, ground: list[Span]) -> list[Span]:
+    """Spans from how the estimator says that the vehicle moves."""
+    topic = log.topic("vehicle_local_position", 0, "vx", "vy", "vz")
+    if topic is None:
+        return ground
+    return motion_spans(topic.t_s, topic.columns(("vx", "vy", "vz")), ground)
+
+
+# -- autopilot ----------------------------------------------------------------------------------
+#
+# What PX4 says of its flight: modes, arming, failsafes, setpoints, filters.
+
+MODES = {
+    **{0: "Manual", 1: "Altitude", 2: "Position", 3: "Mission", 4: "Hold", 5: "Return"},
+    **{6: "Position Slow", 10: "Acro", 12: "Descend", 13: "Termination", 14: "Offboard"},
+    **{15: "Stabilized", 16: "Rattitude", 17: "Takeoff", 18: "Land", 19: "Follow Me"},
+    **{20: "Precision Land", 21: "Orbit", 22: "VTOL Takeoff"},
+    **{k: f"External {k - 22}" for k in range(23, 31)},
+}
+"""Flight modes by vehicle_status.nav_state, named as in QGroundControl.
+
+Source: PX4, msg/vehicle_status.msg of 1.10 to 1.16.
+"""
+_ARMED = 2
+"""vehicle_status.arming_state, in every release."""
+_UNIT_NORM = 0.01
+_OF: dict[str, tuple[Sensor, FilterKind]] = {
+    "gyroscope": ("gyro", "low-pass"),
+    "accelerometer": ("acc", "low-pass"),
+    "notch": ("gyro", "notch"),
+}
+"""What a filter of `FILTERS` does."""
+
+
+def from_px4_autopilot(log: Px4Log, end_s: float) -> Autopilot:
+    """What a PX4 log says of its flight; nothing of it is a finding.
+
+    Args:
+        log: The log.
+        end_s: End of the record, s.
+    """
+    status = log.aside("vehicle_status", "nav_state")
+    names = [] if status is None else [mode_name(int(k)) for k in status.data["nav_state"]]
+    return Autopilot(
+        modes_of(np.zeros(0) if status is None else status.t_s, names, end_s),
+        _armed(log, end_s),
+        _failsafes(log, end_s),
+        log.messages,
+        tuple(
+            s
+            for s in (
+                _position_setpoint(log),
+                _velocity_setpoint(log),
+                _attitude_setpoint(log),
+                _rates_setpoint(log),
+            )
+            if s
+        ),
+        differing(log.params, log.defaults),
+        bool(log.defaults),
+        _filters(log.params),
+    )
+
+
+def mode_name(nav_state: int) -> str:
+    """Name of a flight mode."""
+    return MODES.get(nav_state, f"nav_state {nav_state}")
+
+
+def _armed(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
+    status = log.aside("vehicle_status", "arming_state")
+    if status is not None:
+        return stretches_of(status.t_s, status.data["arming_state"] == _ARMED, "armed", end_s)
+    told = log.aside("actuator_armed", "armed")
+    if told is None:
+        return ()
+    return stretches_of(told.t_s, told.data["armed"].astype(np.bool_), "armed", end_s)
+
+
+def _failsafes(log: Px4Log, end_s: float) -> tuple[Stretch, ...]:
+    status = log.aside("vehicle_status", "failsafe")
+    if status is None:
+        return ()
+    return stretches_of(status.t_s, status.data["failsafe"].astype(np.bool_), "failsafe", end_s)
+
+
+def _position_setpoint(log: Px4Log) -> Setpoint | None:
+    return _kept(log, "vehicle_local_position_setpoint", POS, ("x", "y", "z"))
+
+
+def _velocity_setpoint(log: Px4Log) -> Setpoint | None:
+    return _kept(log, "vehicle_local_position_setpoint", VEL, ("vx", "vy", "vz"))
+
+
+def _rates_setpoint(log: Px4Log) -> Setpoint | None:
+    return _kept(log, "vehicle_rates_setpoint", GYRO, ("roll", "pitch", "yaw"))
+
+
+def _kept(
+    log: Px4Log, name: str, columns: tuple[str, ...], fields: tuple[str, ...]
+) -> Setpoint | None:
+    """A setpoint in NED or FRD, SI, as PX4 has them all."""
+    topic = log.aside(name, *fields)
+    return None if topic is None else setpoint_of(columns, topic.t_s, topic.columns(fields))
+
+
+def _attitude_setpoint(log: Px4Log) -> Setpoint | None:
+    """Quaternion FRD to NED, Hamilton, scalar first; without it (before 1.6) none."""
+    fields = tuple(f"q_d[{k}]" for k in range(4))
+    topic = log.aside("vehicle_attitude_setpoint", *fields)
+    return None if topic is None else setpoint_of(QUAT, topic.t_s, _unit(topic.columns(fields)))
+
+
+def _unit(q: Array) -> Array:
+    """Quaternions as they are; NaN where they are none."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = ~(np.abs(np.linalg.norm(q, axis=1) - 1.0) < _UNIT_NORM)
+    return np.where(off[:, None], np.nan, q)
+
+
+def _filters(params: dict[str, float]) -> tuple[Filter, ...]:
+    """Low-passes and notches of gyroscope and accelerometer whose frequency is set."""
+    found = [
+        Filter(*_OF[what], params[name], name)
+        for name, what in FILTERS.items()
+        if params.get(name, 0.0) > 0.0 and what in _OF
+    ]
+    return tuple(sorted(found, key=lambda f: f.frequency_hz))
+
+
+# -- the flight ---------------------------------------------------------------------------------
 
 _LEAST_V = 1.0
 _CELL_V = (2.5, 4.6)  # discharged, and the highest voltage of any lithium cell

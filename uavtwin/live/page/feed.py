@@ -10,7 +10,7 @@ import numpy as np
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES, to_euler
 from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
-from twin.logs.mavlink.samples import Sample
+from twin.logs.mavlink.decoder import Sample
 from twin.residuals.running.residuals import ResidualBlock
 
 from ..alarms import alarm_json

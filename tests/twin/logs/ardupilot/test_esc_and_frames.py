@@ -10,8 +10,8 @@ from sample_logs import FLOWN_PARAMS, flown_messages, flown_table
 
 from twin.logs import Flight, read_flight
 from twin.logs.airframe import Cells
-from twin.logs.ardupilot.geometry import _CIRCLES, _PLACES, CLASSES, TYPES, geometry
-from twin.logs.ardupilot.rotors import instances_of
+from twin.logs.ardupilot.airframe import _CIRCLES, _PLACES, CLASSES, TYPES, geometry
+from twin.logs.ardupilot.dataflash import instances_of
 from twin.vehicle.layouts import frame
 
 RPM = 30.0 / np.pi

@@ -14,10 +14,15 @@ from numpy.typing import ArrayLike
 from places import needs_package
 from sample_logs import FLOWN_PARAMS, flown_messages
 
-from twin.logs.ardupilot.file.binary import read_binary
-from twin.logs.ardupilot.file.definitions import define, in_si, units_of
-from twin.logs.ardupilot.file.messages import Content, Messages
-from twin.logs.ardupilot.file.plain import read_plain
+from twin.logs.ardupilot.file import (
+    Content,
+    Messages,
+    define,
+    in_si,
+    read_binary,
+    read_plain,
+    units_of,
+)
 
 
 def _first(messages: Any) -> dict[str, ArrayLike]:

@@ -12,9 +12,8 @@ from places import DATA, needs
 import uavtwin as ut
 from twin.logs import Flight, read_flight
 from twin.logs.agreement import turns
-from twin.logs.ardupilot.geometry import geometry
+from twin.logs.ardupilot.airframe import geometry, yaw_trim
 from twin.logs.ardupilot.log import open_ardupilot
-from twin.logs.ardupilot.trim import yaw_trim
 from twin.vehicle.file import parse_vehicle
 
 FOLDER = DATA / "quiver_pt1"

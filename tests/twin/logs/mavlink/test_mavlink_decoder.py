@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from twin.frames import from_euler, to_body
 from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
-from twin.logs.mavlink.decoder import MavlinkDecoder
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
+from twin.logs.mavlink.decoder import GROUPS, LANDED, MavlinkDecoder, Sample, best_source
 from twin.logs.mavlink.encode import (
     attitude,
     heartbeat,
@@ -20,7 +19,7 @@ from twin.logs.mavlink.encode import (
     local_position,
     messages_of,
 )
-from twin.logs.mavlink.samples import GROUPS, LANDED, Sample, best_source
+from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 
 FLOAT32 = 2.0**-24
 T_US = st.integers(0, 2**52)

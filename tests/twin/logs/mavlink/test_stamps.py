@@ -12,12 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twin.logs import read_flight
-from twin.logs.mavlink.decoder import MavlinkDecoder
-from twin.logs.mavlink.dialect import AUTOPILOT, Message, dialect, parser
+from twin.logs.mavlink.decoder import MavlinkDecoder, Stamp, StampGate
 from twin.logs.mavlink.encode import battery, heartbeat, imu
-from twin.logs.mavlink.link import Link
-from twin.logs.mavlink.stamps import Stamp, StampGate
-from twin.logs.mavlink.tlog import frames, stamped
+from twin.logs.mavlink.frames import AUTOPILOT, Link, Message, dialect, frames, parser, stamped
 
 EPOCH_US = 1_700_000_000_000_000
 STRAYS = (2**40, 2**52, 2**53, 2**62, 2**63, 2**64 - 1)

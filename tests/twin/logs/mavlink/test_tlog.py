@@ -9,10 +9,18 @@ from sample_logs import SAMPLES, flown_table
 from twin.errors import LogError
 from twin.logs import read_flight
 from twin.logs.airframe import NO_MULTIROTOR
-from twin.logs.mavlink.dialect import AUTOPILOT, MOTORS, dialect, parser
 from twin.logs.mavlink.encode import heartbeat, landed, messages_of
-from twin.logs.mavlink.link import Link, Sequence
-from twin.logs.mavlink.tlog import Frame, frames, stamped
+from twin.logs.mavlink.frames import (
+    AUTOPILOT,
+    MOTORS,
+    Frame,
+    Link,
+    Sequence,
+    dialect,
+    frames,
+    parser,
+    stamped,
+)
 from uavtwin.file_check import check_file
 
 EPOCH_US = 1_700_000_000_000_000

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from twin.logs.mavlink.decoder import USED, MavlinkDecoder
-from twin.logs.mavlink.dialect import AUTOPILOT, BAD, Message, dialect, parser
 from twin.logs.mavlink.encode import heartbeat, messages_of
-from twin.logs.mavlink.unpacked import unpacked
+from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, parser, unpacked
 
 NUMBERS = sorted(k for k, v in dialect.mavlink_map.items() if "s" not in v.unpacker.format)
 

@@ -15,8 +15,8 @@ from sample_logs import flown_table
 
 from twin.errors import LogError
 from twin.logs import Flight, StoredFlight, open_flight, read_flight
+from twin.logs import table as table_module
 from twin.logs.columns import ACC, GYRO, POS, QUAT, motor_columns
-from twin.logs.table import read as table_module
 from twin.residuals.measured import measured_motion
 
 

@@ -10,8 +10,7 @@ from sample_logs import flown_table
 from twin.errors import LogError
 from twin.logs import Flight, open_flight, read_flight
 from twin.logs.flight import Settled
-from twin.logs.table.notes import Notes
-from twin.logs.table.stream import CUT, TableStream, flight_schema, fold
+from twin.logs.table import CUT, Notes, TableStream, flight_schema, fold
 
 SETTLED = Settled({"acc_x": 190.25}, -0.1)
 

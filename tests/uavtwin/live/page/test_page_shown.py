@@ -24,8 +24,8 @@ from sample_logs import flown_table
 
 from twin.explain.running.alarms import Alarm, EstimatedChange
 from twin.logs import Flight
-from twin.logs.mavlink.dialect import dialect
-from twin.logs.mavlink.samples import Sample
+from twin.logs.mavlink.decoder import Sample
+from twin.logs.mavlink.frames import dialect
 from twin.residuals.gap import Channel
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.address import Address

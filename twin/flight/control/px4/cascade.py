@@ -19,7 +19,7 @@ from ....component import Component, ComponentBuilder
 from ....component.portable import cosine, sine
 from ....errors import ModelError
 from ....frames import AXES
-from ....logs.px4.mixers import geometry_scale
+from ....logs.px4.control import geometry_scale
 from ....vehicle import GRAVITY_M_S2, Vehicle
 from ..geometry import attitude_error, clamp, desired_axes, length, shorten
 from ..hover import thrust_inverse

@@ -1,26 +1,157 @@
-"""Read a flight table, in memory or as one that stays in its file."""
+"""The flight table as a file: Parquet, or CSV with the same header; a stream while it grows.
+
+`twin.logs.columns.COLUMNS` is the definition of the table; `validate.validate` what is checked.
+"""
 
 import io
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as csv
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ...errors import LogError
-from ..attitude import with_quaternion
-from ..columns import EULER, in_order, is_known, over
-from ..flight import Array, Finding, Flight
-from ..formats import ReadOptions
-from ..validate import check_columns, validate
-from .notes import Notes, read_notes
-from .parquet import damage_told, opened
-from .stored import ParquetColumns, StoredFlight
+from ..errors import LogError
+from .airframe import Airframe
+from .assemble import with_quaternion
+from .autopilot import Autopilot, check_autopilot
+from .columns import COLUMNS, EULER, MAX_MOTORS, in_order, is_known, motor_columns, over
+from .flight import Array, Finding, Flight, Settled, Site
+from .formats import ReadOptions
+from .stored import ParquetColumns, StoredFlight, damage_told, opened
+from .validate import check_columns, validate
+
+# -- metadata -----------------------------------------------------------------------------------
+#
+# What a flight table in Parquet says besides its columns, as JSON in the metadata of the file.
+
+_KEY = b"uavtwin"
+_MOST_ROTORS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Notes:
+    """What a writer noted, with the meaning of the fields of `Flight`."""
+
+    facts: dict[str, str] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    site: Site | None = None
+    airframe: Airframe | None = None
+    autopilot: Autopilot | None = None
+    settled: Settled | None = None
+
+    @classmethod
+    def of(cls, flight: Flight) -> "Notes":
+        """Those of a flight."""
+        return cls(
+            flight.facts,
+            flight.findings,
+            flight.site,
+            flight.airframe,
+            flight.autopilot,
+            flight.settled,
+        )
+
+    def metadata(self) -> dict[bytes, bytes]:
+        """As metadata of a Parquet file."""
+        return {_KEY: msgspec.json.encode(self, enc_hook=_listed)}
+
+
+def read_notes(metadata: Mapping[bytes, bytes] | None) -> Notes:
+    """The notes in the metadata of a Parquet file, all of them or none.
+
+    Returns:
+        Of a file without notes: none; of one whose notes cannot be read: a finding that says so.
+    """
+    noted = (metadata or {}).get(_KEY)
+    if noted is None:
+        return Notes()
+    try:
+        found = msgspec.json.decode(noted, type=Notes, dec_hook=_array)
+        _check(found)
+    except (ValueError, TypeError, RecursionError) as error:
+        reason = f" ({error})" if isinstance(error, msgspec.ValidationError) else ""
+        text = f"what the writer noted cannot be read{reason}"
+        return Notes(findings=(Finding("warning", "file", text),))
+    return found
+
+
+def _check(notes: Notes) -> None:
+    """Refuse what has the right types and no meaning.
+
+    Raises:
+        ValueError: It is such.
+    """
+    if notes.autopilot is not None:
+        check_autopilot(notes.autopilot)
+    settled = notes.settled
+    if settled is not None and not all(0.0 < r < 1e6 for r in settled.rates_hz.values()):
+        raise ValueError("a rate that is none")
+    layout = None if notes.airframe is None else notes.airframe.layout
+    if any(f.count < 1 for f in notes.findings):
+        raise ValueError("a finding is counted less than once")
+    if layout is not None:
+        if layout.direction.ndim != 1 or not 0 < layout.count <= _MOST_ROTORS:
+            raise ValueError("a layout without rotors, or with too many")
+        if layout.position.shape != (layout.count, 3):
+            raise ValueError("a layout whose rotors have not three coordinates each")
+        if not (np.abs(layout.direction) == 1).all() or not layout.arm > 0:
+            raise ValueError("a layout whose rotors do not turn, or lie in one place")
+
+
+def _listed(value: Any) -> Any:
+    """What JSON has no word for."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} cannot be noted")
+
+
+def _array(kind: type, value: Any) -> Any:
+    """An array of numbers."""
+    return np.asarray(value, dtype=np.float64)
+
+
+# -- writing ------------------------------------------------------------------------------------
+
+
+def check_suffix(path: Path) -> None:
+    """Refuse a name by which no flight table can be written.
+
+    Raises:
+        LogError: It ends neither in `.parquet` nor in `.csv`.
+    """
+    if path.suffix not in (".parquet", ".csv"):
+        raise LogError(f"{path.name}: a flight table is written as .parquet or .csv.")
+
+
+def write_flight(flight: Flight, path: str | Path) -> None:
+    """Write the table of a flight; an existing file is replaced.
+
+    Args:
+        flight: Flight; its notes go along in Parquet, CSV has no room for them.
+        path: File ending in `.parquet` or `.csv`.
+    """
+    path = Path(path)
+    check_suffix(path)
+    try:
+        if path.suffix == ".parquet":
+            arrow = pa.Table.from_pandas(flight.table, preserve_index=False, nthreads=1)
+            arrow = arrow.replace_schema_metadata(Notes.of(flight).metadata())
+            pq.write_table(arrow, path)
+        else:
+            flight.table.to_csv(path, index=False, lineterminator="\n")
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written: {error}.") from None
+
+
+# -- reading ------------------------------------------------------------------------------------
 
 _LONGEST_LINE = 1_000_000
 _MOST_ROWS = 10_000_000  # an hour at 2.8 kHz
@@ -283,3 +414,155 @@ def _phase(raw: pa.Table) -> NDArray[np.object_]:
     code, kinds = pd.factorize(column)  # missing: code -1, the last
     texts = np.array([*map(str, kinds), ""], dtype=object)
     return np.asarray(texts[code], dtype=object)
+
+
+# -- a table that grows -------------------------------------------------------------------------
+#
+# Tables that are written while they grow, as an Arrow stream: each second a batch of rows.
+#
+# Cut off at any byte, such a file is whole up to the last batch before it. At its end it is folded
+# into Parquet, batch by batch.
+
+_GROUP_ROWS = 1 << 16
+_UNUSED = ("roll_rad", "pitch_rad", "yaw_rad", "acc_ned_x", "acc_ned_y", "acc_ned_z")
+_END = b"\xff\xff\xff\xff\x00\x00\x00\x00"
+"""Of a stream that was ended."""
+CUT = "cut off while it was written; what came in the last second before that is missing"
+
+
+def flight_schema(motors: int) -> pa.Schema:
+    """Columns of a flight table that grows, of which any may stay empty.
+
+    Args:
+        motors: How many, up to `MAX_MOTORS`.
+    """
+    names = [c.name for c in COLUMNS if not c.per_motor and c.name not in _UNUSED]
+    for stem in ("cmd", "rotor"):
+        names += motor_columns(stem, min(motors, MAX_MOTORS))
+    kinds = {"phase": pa.string()}
+    return pa.schema([(name, kinds.get(name, pa.float64())) for name in in_order(names)])
+
+
+class TableStream:
+    """A table that grows in a file."""
+
+    def __init__(self, path: Path, schema: pa.Schema) -> None:
+        """Begin a file.
+
+        Raises:
+            LogError: It cannot be written.
+        """
+        self.path, self.schema = path, schema
+        try:
+            self._file: BinaryIO = path.open("xb")
+        except OSError as error:
+            raise LogError(f"{path}: cannot be written: {error.strerror}.") from None
+        self._writer = pa.ipc.new_stream(self._file, schema)
+        self._file.flush()
+
+    def append(
+        self, columns: Mapping[str, Any], metadata: Mapping[bytes, bytes] | None = None
+    ) -> None:
+        """Write rows at once, those that are killed afterwards leave them.
+
+        Args:
+            columns: By name, shape (n,) each; what is not there is empty.
+            metadata: Of the table, as it is known now.
+        """
+        n = len(next(iter(columns.values())))
+        arrays = [
+            pa.array(columns[f.name], type=f.type, from_pandas=True)
+            if f.name in columns
+            else pa.nulls(n, f.type)
+            for f in self.schema
+        ]
+        batch = pa.RecordBatch.from_arrays(arrays, schema=self.schema)
+        self._writer.write_batch(batch, custom_metadata=dict(metadata or {}))
+        self._file.flush()
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.close()
+        self._file.close()
+
+
+def batches(source: BinaryIO) -> Iterator[tuple[pa.RecordBatch, dict[bytes, bytes]] | None]:
+    """Whole batches with their metadata; None at the end, where the stream was cut off."""
+    try:
+        reader = pa.ipc.open_stream(source)
+        while True:
+            batch, metadata = reader.read_next_batch_with_custom_metadata()
+            batch.validate()
+            yield batch, dict(metadata or {})
+    except StopIteration:
+        return
+    except (pa.ArrowException, OSError, ValueError, TypeError):
+        yield None
+
+
+def fold(stream: Path, parquet: Path) -> int:
+    """Write a stream as Parquet and take it away; empty columns are left out.
+
+    Args:
+        stream: Written by `TableStream`.
+        parquet: Takes its place when it is whole.
+
+    Returns:
+        How many rows it has; without any, no file is written.
+    """
+    filled: set[str] = set()
+    metadata: dict[bytes, bytes] = {}
+    rows = 0
+    for batch, about in _whole(stream):
+        filled |= {n for n in batch.schema.names if batch.column(n).null_count < batch.num_rows}
+        metadata |= about
+        rows += batch.num_rows
+    if rows:
+        partial = parquet.with_suffix(".partial")
+        names = None
+        writer, group, held = None, [], 0
+        for batch, _ in _whole(stream):
+            names = names or [n for n in batch.schema.names if n in filled]
+            group.append(batch.select(names))
+            held += batch.num_rows
+            if writer is None:
+                writer = pq.ParquetWriter(partial, group[0].schema.with_metadata(metadata))
+            if held >= _GROUP_ROWS:
+                writer.write_table(pa.Table.from_batches(group).replace_schema_metadata(metadata))
+                group, held = [], 0
+        assert writer is not None
+        if group:
+            writer.write_table(pa.Table.from_batches(group).replace_schema_metadata(metadata))
+        writer.close()
+        partial.replace(parquet)
+    stream.unlink()
+    return rows
+
+
+def _whole(stream: Path) -> Iterator[tuple[pa.RecordBatch, dict[bytes, bytes]]]:
+    with stream.open("rb") as file:
+        yield from (found for found in batches(file) if found is not None)
+
+
+def read_stream(path: Path, blob: bytes, options: ReadOptions) -> Flight:
+    """Read a flight table that was being written; arguments and errors as in `read_parquet`."""
+    found: list[pa.RecordBatch] = []
+    metadata: dict[bytes, bytes] = {}
+    for each in batches(io.BytesIO(blob)):
+        if each is None:
+            break
+        found.append(each[0])
+        metadata |= each[1]
+    if not found:
+        raise LogError(f"{path.name}: no whole batch of rows in {len(blob)} bytes.")
+    try:
+        table = pa.Table.from_batches(found)
+        empty = [n for n in table.column_names if table.column(n).null_count == table.num_rows]
+        content = io.BytesIO()
+        table = table.drop_columns(empty).replace_schema_metadata(metadata)
+        pq.write_table(table, content)
+    except (pa.ArrowException, ValueError, TypeError, KeyError) as error:
+        raise LogError(f"{path.name}: damaged Arrow stream ({error}). Copy it again.") from None
+    flight = read_parquet(path, content.getvalue(), options)
+    findings = () if blob.endswith(_END) else (Finding("warning", "file", CUT),)
+    return replace(flight, findings=(*flight.findings, *findings))

@@ -1,0 +1,572 @@
+"""DataFlash files: definitions, and the messages that they describe, binary or text."""
+
+import struct
+from array import array
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# -- definitions --------------------------------------------------------------------------------
+#
+# What the messages of a DataFlash log are made of: FMT, and FMTU, UNIT and MULT for the units.
+#
+# Source: ArduPilot, libraries/AP_Logger/README.md and LogStructure.h, for what they mean.
+
+HEADER = 3
+"""Bytes before the content of a message: two that mark it, and its type."""
+FMT_NUMBER = 0x80
+
+_TYPES: dict[str, tuple[str, float]] = {
+    **{k: (v, 1.0) for k, v in {"b": "i1", "B": "u1", "M": "u1", "h": "<i2", "H": "<u2"}.items()},
+    **{k: (v, 1.0) for k, v in {"i": "<i4", "I": "<u4", "q": "<i8", "Q": "<u8"}.items()},
+    **{k: (v, 1.0) for k, v in {"g": "<f2", "f": "<f4", "d": "<f8"}.items()},
+    **{k: (v, 1.0) for k, v in {"n": "S4", "N": "S16", "Z": "S64", "a": "S64"}.items()},
+    **{"c": ("<i2", 1e2), "C": ("<u2", 1e2), "e": ("<i4", 1e2), "E": ("<u4", 1e2)},
+    "L": ("<i4", 1e7),
+}
+"""Of each letter of a format: the type in the file, and what a number is divided by."""
+_MOST_COLUMNS = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Definition:
+    """One kind of message.
+
+    Attributes:
+        number: By which its messages are marked.
+        name: Of up to four letters.
+        letters: A letter per column, the format.
+        columns: Names of the columns.
+    """
+
+    number: int
+    name: str
+    letters: str
+    columns: tuple[str, ...]
+
+    @property
+    def dtype(self) -> "np.dtype[np.void]":
+        """A message behind its header, column by column."""
+        return np.dtype(
+            [(c, _TYPES[k][0]) for c, k in zip(self.columns, self.letters, strict=True)]
+        )
+
+    @property
+    def size(self) -> int:
+        """Bytes of a message with its header."""
+        return HEADER + self.dtype.itemsize
+
+    def divisor(self, column: str) -> float:
+        """What the number in the file is divided by; 1 for most formats."""
+        return _TYPES[self.letters[self.columns.index(column)]][1]
+
+    def is_text(self, column: str) -> bool:
+        """Whether a column holds text."""
+        return _TYPES[self.letters[self.columns.index(column)]][0].startswith("S")
+
+
+FMT = Definition(FMT_NUMBER, "FMT", "BBnNZ", ("Type", "Length", "Name", "Format", "Columns"))
+
+
+def define(number: int, length: int | None, name: str, letters: str, columns: str) -> Definition:
+    """A definition as FMT gives it.
+
+    Args:
+        number: Type, 0 to 255.
+        length: Bytes of a message with its header; None: not checked, as in a text log.
+        name: Of the message.
+        letters: Format.
+        columns: Names, with commas between.
+
+    Raises:
+        ValueError: It makes no sense; the text says why.
+    """
+    names = tuple(c.strip() for c in columns.split(",")) if columns else ()
+    if not name.isalnum():
+        raise ValueError("its name is none")
+    if unknown := set(letters) - set(_TYPES):
+        raise ValueError(f"it has a format letter {min(unknown)!r}")
+    if not names or len(names) != len(letters) or len(names) > _MOST_COLUMNS:
+        raise ValueError(f"it has {len(names)} names for {len(letters)} columns")
+    if len(set(names)) < len(names) or not all(names):
+        raise ValueError("two of its columns have one name, or one has none")
+    made = Definition(number, name, letters, names)
+    if length is not None and made.size != length:
+        raise ValueError(f"its columns take {made.size} bytes, not {length}")
+    return made
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Units of the columns of one kind of message, as FMTU, UNIT and MULT say.
+
+    Attributes:
+        labels: By column: ArduPilot's name of the unit, such as `deg/s`.
+        multipliers: By column: times which a number in the file is in that unit.
+        instance: The column that tells instances apart, "" where none does.
+    """
+
+    labels: Mapping[str, str] = field(default_factory=dict)
+    multipliers: Mapping[str, float] = field(default_factory=dict)
+    instance: str = ""
+
+
+def units_of(
+    definition: Definition,
+    unit_ids: str,
+    multiplier_ids: str,
+    units: Mapping[str, str],
+    multipliers: Mapping[str, float],
+) -> Units:
+    """Units of one kind of message.
+
+    Args:
+        definition: Of the message.
+        unit_ids: UnitIds of its FMTU, a letter per column.
+        multiplier_ids: MultIds of it.
+        units: Labels by letter, from UNIT.
+        multipliers: Numbers by letter, from MULT.
+    """
+    labels = {
+        c: units[k]
+        for c, k in zip(definition.columns, unit_ids, strict=False)
+        if k not in "#?-" and k in units
+    }
+    factors = {
+        c: multipliers[k]
+        for c, k in zip(definition.columns, multiplier_ids, strict=False)
+        if k in multipliers and multipliers[k] > 0.0 and definition.divisor(c) == 1.0
+    }
+    marked = unit_ids.find("#")
+    instance = definition.columns[marked] if 0 <= marked < len(definition.columns) else ""
+    return Units(labels, factors, instance)
+
+
+_INSTANCE = ("I", "C", "Instance", "Inst")
+
+
+def instance_column(definition: Definition, units: Units) -> str:
+    """The column that tells instances apart, also in logs older than FMTU; "" where none does."""
+    usual = [c for c in _INSTANCE if c in definition.columns and not definition.is_text(c)]
+    found = units.instance or (usual[0] if usual else "")
+    return found if found and not definition.is_text(found) else ""
+
+
+def text(raw: bytes | str) -> str:
+    """Text up to its end mark, whatever bytes there are."""
+    told = raw.decode("utf-8", "replace") if isinstance(raw, bytes) else raw
+    return told.partition("\0")[0]
+
+
+_RAD = np.pi / 180.0
+SI: dict[str, tuple[str, float]] = {
+    **{k: ("angle", _RAD) for k in ("deg", "degheading", "deglatitude", "deglongitude")},
+    "rad": ("angle", 1.0),
+    "deg/s": ("rate", _RAD),
+    "rad/s": ("rate", 1.0),
+    "rpm": ("rate", 2.0 * np.pi / 60.0),
+    "m": ("length", 1.0),
+    "m/s": ("velocity", 1.0),
+    "m/s/s": ("acceleration", 1.0),
+    "Gauss": ("flux density", 1e-4),
+    "Pa": ("pressure", 1.0),
+    "V": ("voltage", 1.0),
+    "A": ("current", 1.0),
+    "s": ("time", 1.0),
+    "us": ("pulse width", 1.0),
+    "PWM": ("pulse width", 1.0),
+    "1": ("number", 1.0),
+}
+"""ArduPilot's units: of what they are, and times which they are SI (pulse widths: us)."""
+
+
+def in_si(label: str, assumed: str) -> tuple[float, bool]:
+    """What takes a column to SI, and whether its unit contradicts what it should be.
+
+    Args:
+        label: Unit that the log gives, "" or an unknown one where it gives none.
+        assumed: Unit by ArduPilot's documentation.
+    """
+    kind, factor = SI[assumed]
+    if label not in SI:
+        return factor, False
+    told, told_factor = SI[label]
+    return (told_factor, False) if told == kind else (factor, True)
+
+
+# -- messages -----------------------------------------------------------------------------------
+#
+# The messages of a DataFlash log, binary or text, by name; what of the file makes no sense is
+# counted.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Messages:
+    """All messages of one name, in the order of the file.
+
+    Attributes:
+        definition: Of what they are made.
+        places: Place of each among all messages of the file, shape (n,).
+        data: By column, shape (n,): numbers after the divisor of their format, or text.
+        units: Of the columns.
+    """
+
+    definition: Definition
+    places: NDArray[np.int64]
+    data: Mapping[str, NDArray[Any]]
+    units: Units = field(default_factory=Units)
+
+    def texts(self, column: str) -> list[str]:
+        """A column of texts."""
+        return [text(v) for v in self.data[column].tolist()]
+
+
+@dataclass(slots=True)
+class Damage:
+    """What of a file could not be read.
+
+    Attributes:
+        lost: Bytes between messages that make no sense (lines of a text log).
+        stretches: In how many pieces they lie.
+        tail: Bytes of a message that is cut off at the end.
+        redefined: Kinds of message that are defined twice, and differently.
+        undefined: Definitions that make no sense, and why.
+    """
+
+    lost: int = 0
+    stretches: int = 0
+    tail: int = 0
+    redefined: list[str] = field(default_factory=list)
+    undefined: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """What a file holds.
+
+    Attributes:
+        messages: By name, those that were asked for.
+        counts: Number of messages by name, of all.
+        damage: What could not be read.
+    """
+
+    messages: dict[str, Messages]
+    counts: dict[str, int]
+    damage: Damage
+
+
+UNIT_MESSAGES = ("FMTU", "UNIT", "MULT")
+
+
+def with_units(found: Mapping[str, Messages], wanted: Collection[str]) -> dict[str, Messages]:
+    """Messages with the units that FMTU, UNIT and MULT give them.
+
+    Args:
+        found: By name, those three among them where the log has them.
+        wanted: Names to keep.
+    """
+    labels = _by_letter(found.get("UNIT"), "Label")
+    factors = _by_letter(found.get("MULT"), "Mult")
+    told: dict[int, tuple[str, str]] = {}
+    if (given := found.get("FMTU")) and {"FmtType", "UnitIds", "MultIds"} <= set(given.data):
+        numbers = given.data["FmtType"].tolist()
+        pairs = zip(given.texts("UnitIds"), given.texts("MultIds"), strict=True)
+        told = dict(zip(map(int, numbers), pairs, strict=True))
+    multipliers = {k: float(f"{v:.7g}") for k, v in factors.items()}  # written as float
+    names = {k: str(v) for k, v in labels.items()}
+    kept = {}
+    for name, each in found.items():
+        if name in wanted:
+            ids = told.get(each.definition.number, ("", ""))
+            units = units_of(each.definition, *ids, names, multipliers)
+            kept[name] = Messages(each.definition, each.places, each.data, units)
+    return kept
+
+
+def _by_letter(given: Messages | None, column: str) -> dict[str, str | float]:
+    """UNIT or MULT: a letter and what it stands for."""
+    if given is None or not {"Id", column} <= set(given.data):
+        return {}
+    values: list[Any] = (
+        given.texts(column) if given.definition.is_text(column) else given.data[column].tolist()
+    )
+    letters = given.data["Id"].tolist()
+    return {
+        chr(int(k)): v
+        for k, v in zip(letters, values, strict=True)
+        if isinstance(k, int | float) and 0 < k < 128
+    }
+
+
+# -- binary files -------------------------------------------------------------------------------
+#
+# Binary DataFlash logs: messages found by their marks and the lengths that FMT gives.
+#
+# A message counts where the next one begins right behind it. Where that is not so, or its type is
+# not defined, the bytes up to the next such message are lost and counted, nothing more.
+
+MARK = b"\xa3\x95"
+_SHOWN = 8
+_Places = tuple["array[int]", "array[int]"]
+
+
+@dataclass(slots=True)
+class _Walk:
+    """A way through a file.
+
+    Attributes:
+        defined: Definition by type, as far as the file has been read.
+        starts: Begin of the content of each message, and its place among all, by definition.
+        damage: What made no sense on the way.
+    """
+
+    defined: dict[int, Definition] = field(default_factory=lambda: {FMT_NUMBER: FMT})
+    starts: dict[Definition, _Places] = field(default_factory=dict)
+    damage: Damage = field(default_factory=Damage)
+
+
+def read_binary(blob: bytes, wanted: Collection[str]) -> Content:
+    """Messages of a binary log.
+
+    Args:
+        blob: Content of the file.
+        wanted: Names of the messages to read; the others are counted.
+    """
+    walk = _walked(blob)
+    counts: dict[str, int] = {}
+    most: dict[str, Definition] = {}
+    for definition, (starts, _) in walk.starts.items():
+        name = definition.name
+        counts[name] = counts.get(name, 0) + len(starts)
+        if name not in most or len(starts) > len(walk.starts[most[name]][0]):
+            most[name] = definition
+    raw = np.frombuffer(blob, np.uint8)
+    needed = {*wanted, *UNIT_MESSAGES}
+    found = {
+        name: _decoded(raw, definition, *walk.starts[definition])
+        for name, definition in most.items()
+        if name in needed and definition.columns
+    }
+    return Content(with_units(found, wanted), counts, walk.damage)
+
+
+def _walked(blob: bytes) -> _Walk:
+    """All messages of the file."""
+    walk = _Walk()
+    sizes = {FMT_NUMBER: FMT.size}
+    solid = min(len(blob.rstrip(b"\0")), len(blob.rstrip(b"\xff")))
+    at, end, place = 0, len(blob), 0
+    lists: dict[int, _Places] = {}
+    while at < end:
+        if not (size := _whole(blob, at, sizes, solid)):
+            at = _lost(blob, at, sizes, solid, walk.damage)
+            continue
+        number = blob[at + 2]
+        if number not in lists:
+            new = (array("q"), array("q"))
+            lists[number] = walk.starts.setdefault(walk.defined[number], new)
+        starts, places = lists[number]
+        starts.append(at + HEADER)
+        places.append(place)
+        place += 1
+        if number == FMT_NUMBER:
+            _define_message(blob, at + HEADER, walk, sizes, lists)
+        at += size
+        if at >= solid:
+            break  # the rest is padding
+    return walk
+
+
+def _whole(blob: bytes, at: int, sizes: dict[int, int], solid: int) -> int:
+    """Bytes of the message that begins there, 0 where none does or it is not whole.
+
+    Behind it there is the next one, or the end of what is not padding, or half a mark.
+    """
+    if not blob.startswith(MARK, at) or at + HEADER > len(blob):
+        return 0
+    size = sizes.get(blob[at + 2], 0)
+    after = at + size
+    if not size or after > len(blob):
+        return 0
+    half = after + 1 == len(blob) and blob.endswith(MARK[:1])
+    return size if blob.startswith(MARK, after) or after >= solid or half else 0
+
+
+def _lost(blob: bytes, first: int, sizes: dict[int, int], solid: int, damage: Damage) -> int:
+    """Skip what makes no sense; where the next message begins, or the end of the file."""
+    at = blob.find(MARK, first + 1)
+    while at >= 0:
+        if _whole(blob, at, sizes, solid):
+            damage.lost += at - first
+            damage.stretches += 1
+            return at
+        at = blob.find(MARK, at + 1)
+    left = len(blob) - first
+    known = sizes.get(blob[first + 2], 0) if left > 2 and blob.startswith(MARK, first) else 0
+    if left < known or MARK.startswith(blob[first:]):
+        damage.tail = left
+    else:
+        damage.lost += left
+        damage.stretches += 1
+    return len(blob)
+
+
+def _define_message(
+    blob: bytes,
+    at: int,
+    walk: _Walk,
+    sizes: dict[int, int],
+    lists: dict[int, _Places],
+) -> None:
+    """Take a FMT message in."""
+    number, length, *texts = struct.unpack_from("<BB4s16s64s", blob, at)
+    if number == FMT_NUMBER:
+        return  # it never changes
+    name, letters, columns = map(text, texts)
+    shown = "".join(c for c in name if c.isprintable())[:_SHOWN] or f"of type {number}"
+    try:
+        made = define(number, length, name, letters, columns)
+    except ValueError as why:
+        walk.damage.undefined.append(f"{shown}: {why}")
+        made = Definition(number, shown, "", ())  # its messages are stepped over
+    before = walk.defined.get(number)
+    if before == made:
+        return
+    if before is not None and made.columns:
+        walk.damage.redefined.append(shown)
+    walk.defined[number] = made
+    sizes[number] = length
+    lists.pop(number, None)
+
+
+def _decoded(
+    raw: NDArray[np.uint8], definition: Definition, starts: "array[int]", places: "array[int]"
+) -> Messages:
+    """Columns of the messages that begin there."""
+    dtype = definition.dtype
+    windows = np.lib.stride_tricks.sliding_window_view(raw, dtype.itemsize)
+    rows = windows[np.array(starts, dtype=np.int64)].view(dtype)[:, 0]
+    data = {}
+    for column in definition.columns:
+        values = rows[column]
+        divisor = definition.divisor(column)
+        data[column] = values if divisor == 1.0 else values.astype(np.float64) / divisor
+    return Messages(definition, np.array(places, dtype=np.int64), data)
+
+
+# -- text files ---------------------------------------------------------------------------------
+#
+# DataFlash logs as text, a message per line: `ATT, 1234, 0.1, ...`, numbers as they are meant.
+
+_LONGEST_LINE = 10_000
+
+
+def read_plain(blob: bytes, wanted: Collection[str]) -> Content:
+    """Messages of a text log; arguments as in `read_binary`.
+
+    FILE holds parts of files with their line ends, so that lines behind it may be of anything.
+    """
+    lines = blob.decode("utf-8", "replace").split("\n")
+    damage = Damage()
+    if lines[-1].strip():  # the last line has no end
+        damage.tail = len(lines[-1].encode())
+    needed = {*wanted, *UNIT_MESSAGES}
+    defined: dict[str, Definition] = {"FMT": FMT}
+    rows: dict[str, list[list[str]]] = {}
+    places: dict[str, list[int]] = {}
+    counts: dict[str, int] = {}
+    lost = within_file = False
+    for place, line in enumerate(lines[:-1]):
+        if not line.strip():
+            continue
+        name, _, rest = line.partition(",")
+        definition = defined.get(name)
+        fields = _fields(definition, rest) if definition and len(line) < _LONGEST_LINE else []
+        if not definition and within_file:
+            continue
+        within_file = name == "FILE"
+        if not definition or not fields:
+            damage.lost += len(line) + 1
+            damage.stretches += not lost
+            lost = True
+            continue
+        lost = False
+        counts[name] = counts.get(name, 0) + 1
+        if name == "FMT":
+            _define_line(fields, defined, damage)
+        elif name in needed:
+            rows.setdefault(name, []).append(fields)
+            places.setdefault(name, []).append(place)
+    found = {
+        name: _columns(defined[name], each, np.array(places[name], dtype=np.int64), damage)
+        for name, each in rows.items()
+    }
+    return Content(with_units(found, wanted), counts, damage)
+
+
+def _fields(definition: Definition, rest: str) -> list[str]:
+    """As many fields as there are columns, the last with its commas; [] where there are fewer."""
+    n = len(definition.columns)
+    fields = [f.strip() for f in rest.split(",", n - 1)]
+    whole = len(fields) == n and (
+        definition.is_text(definition.columns[-1]) or "," not in fields[-1]
+    )
+    return fields if whole else []
+
+
+def _define_line(fields: list[str], defined: dict[str, Definition], damage: Damage) -> None:
+    """Take a line of FMT in."""
+    number, _, name, letters, columns = fields
+    if name == "FMT":
+        return  # it never changes, and old logs leave a name out
+    shown = "".join(c for c in name if c.isprintable())[:_SHOWN]
+    try:
+        made = define(int(number), None, name, letters, columns)
+    except ValueError as why:
+        damage.undefined.append(f"{shown}: {why}")
+        return
+    before = defined.get(name)
+    if before is None:
+        defined[name] = made
+    elif before != made:
+        damage.redefined.append(shown)
+
+
+def _columns(
+    definition: Definition, rows: list[list[str]], places: NDArray[np.int64], damage: Damage
+) -> Messages:
+    """Columns of the lines of one name; lines in which a number is none are lost."""
+    texts = dict(zip(definition.columns, zip(*rows, strict=True), strict=True))
+    data: dict[str, NDArray[Any]] = {}
+    good = np.ones(len(rows), dtype=np.bool_)
+    for column, letter in zip(definition.columns, definition.letters, strict=True):
+        if definition.is_text(column) or letter == "M":  # a mode may have its name there
+            data[column] = np.array(texts[column], dtype=object)
+            continue
+        numbers, readable = _numbers(texts[column])
+        data[column] = numbers
+        good &= readable
+    if not good.all():
+        damage.lost += sum(len(", ".join(rows[k])) for k in np.flatnonzero(~good))
+        damage.stretches += int(np.count_nonzero(~good))
+    return Messages(definition, places[good], {c: v[good] for c, v in data.items()})
+
+
+def _numbers(texts: tuple[str, ...]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Numbers, and which of the texts are some."""
+    try:
+        return np.array(texts, dtype=np.float64), np.ones(len(texts), dtype=np.bool_)
+    except ValueError:
+        values = [_number(t) for t in texts]
+        readable = np.array([v is not None for v in values])
+        return np.array([np.nan if v is None else v for v in values]), readable
+
+
+def _number(told: str) -> float | None:
+    try:
+        return float(told)
+    except ValueError:
+        return None

@@ -1,1 +1,0 @@
-"""DataFlash files: definitions, and the messages that they describe, binary or text."""

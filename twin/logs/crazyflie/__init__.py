@@ -1,1 +1,0 @@
-"""Crazyflie uSD-card logs -> Flight; Bitcraze's units, axes and names stand here alone."""

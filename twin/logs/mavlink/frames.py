@@ -1,0 +1,357 @@
+"""MAVLink frames: the dialect, telemetry logs, datagrams, and what a link loses.
+
+The dialect is pymavlink's `ardupilotmega`: `common` and what ArduPilot adds, rotor speeds of its
+speed controllers among it. ESC_STATUS of `common` is in no dialect of pymavlink 2.4.50.
+"""
+
+import re
+import struct
+from array import array
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from operator import itemgetter
+from typing import Any
+
+from pymavlink.dialects.v20 import ardupilotmega
+
+dialect: Any = ardupilotmega
+Message = Any
+"""A message of pymavlink: its fields are attributes, its kind is `get_type()`."""
+MARKERS = (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2)
+"""First bytes of a frame of MAVLink 1 and 2."""
+GCS = dialect.MAV_TYPE_GCS
+AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
+BAD = "BAD_DATA"
+"""Kind of what is no message, as pymavlink calls it."""
+MOTORS = {
+    dialect.MAV_TYPE_TRICOPTER: 3,
+    dialect.MAV_TYPE_QUADROTOR: 4,
+    dialect.MAV_TYPE_HEXAROTOR: 6,
+    dialect.MAV_TYPE_OCTOROTOR: 8,
+    dialect.MAV_TYPE_DECAROTOR: 10,
+    dialect.MAV_TYPE_DODECAROTOR: 12,
+}
+"""Motors of an aircraft by the type in its heartbeat."""
+TYPES = {count: kind for kind, count in MOTORS.items()}
+AUTOPILOTS = {
+    dialect.MAV_AUTOPILOT_PX4: "PX4",
+    dialect.MAV_AUTOPILOT_ARDUPILOTMEGA: "ArduPilot",
+    dialect.MAV_AUTOPILOT_GENERIC: "generic autopilot",
+}
+
+
+def parser(system: int = 0, component: int = 0) -> Any:
+    """A parser and packer of frames that goes on after what is no message.
+
+    Args:
+        system: Own system id, of messages that are packed.
+        component: Own component id.
+    """
+    made = dialect.MAVLink(None, system, component)
+    made.robust_parsing = True
+    return made
+
+
+# -- telemetry logs -----------------------------------------------------------------------------
+#
+# Telemetry logs (.tlog) of ground stations: before each MAVLink frame, when it came.
+#
+# The time is in us since 1970, 8 bytes, the most significant first.
+
+_STAMP = struct.Struct(">Q")
+_HEAD = _STAMP.size
+_YEAR_2000_US, _YEAR_2100_US = 946_684_800_000_000, 4_102_444_800_000_000
+_DAY_US = 86_400_000_000
+_V1, _V2 = MARKERS
+_SIGNATURE = 13
+_BEGIN = re.compile(rb"(?s)(?=\x00[\x03-\x0e].{6}[\xfd\xfe])")
+"""A stamp of the years 2000 to 2100 by its first two bytes, and the first byte of a frame."""
+
+
+def checksum_of(frame: bytes) -> int:
+    """The last bytes of a frame: of its checksum, or of its signature."""
+    return int.from_bytes(frame[-2:], "little")
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame.
+
+    Attributes:
+        arrival_us: When it came, us since 1970.
+        content: Its bytes.
+        system: Who sent it.
+        component: Which part of it.
+        number: In its sequence.
+        kind: Number of its kind of message.
+    """
+
+    arrival_us: int
+    content: bytes
+    system: int
+    component: int
+    number: int
+    kind: int
+
+    @property
+    def checksum(self) -> int:
+        """As of `checksum_of`."""
+        return checksum_of(self.content)
+
+
+def stamped(arrival_us: int, frame: bytes) -> bytes:
+    """A frame as it stands in a telemetry log."""
+    return _STAMP.pack(arrival_us) + frame
+
+
+def frames(blob: bytes) -> Iterator[Frame | int]:
+    """Frames of a telemetry log, and numbers of bytes between them that are none."""
+    at, before, lost = 0, None, 0
+    while at < len(blob):
+        length = _length(blob, at + _HEAD) if _begins(blob, at, before) else 0
+        end = at + _HEAD + length
+        if not length or end > len(blob) or not (end == len(blob) or _follows(blob, end)):
+            found = _BEGIN.search(blob, at + 1)
+            begin = len(blob) if found is None else found.start()
+            at, lost = begin, lost + begin - at
+            continue
+        if lost:
+            yield lost
+            lost = 0
+        (before,) = _STAMP.unpack_from(blob, at)
+        yield _frame(before, blob[at + _HEAD : end])
+        at = end
+    if lost:
+        yield lost
+
+
+def _frame(arrival_us: int, content: bytes) -> Frame:
+    if content[0] == _V1:
+        number, system, component, kind = content[2:6]
+    else:
+        number, system, component = content[4:7]
+        kind = int.from_bytes(content[7:10], "little")
+    return Frame(arrival_us, content, system, component, number, kind)
+
+
+def _begins(blob: bytes, at: int, before: int | None) -> bool:
+    """Whether a time and the first byte of a frame stand there, a time near the one before."""
+    if len(blob) < at + _HEAD + 1 or blob[at + _HEAD] not in MARKERS:
+        return False
+    (stamp,) = _STAMP.unpack_from(blob, at)
+    if not _YEAR_2000_US < stamp < _YEAR_2100_US:
+        return False
+    return before is None or abs(stamp - before) < _DAY_US
+
+
+def _follows(blob: bytes, at: int) -> bool:
+    """Whether another frame begins there, as far as the file goes."""
+    if len(blob) < at + _HEAD + 1:
+        return True
+    (stamp,) = _STAMP.unpack_from(blob, at)
+    return blob[at + _HEAD] in MARKERS and _YEAR_2000_US < stamp < _YEAR_2100_US
+
+
+def _length(blob: bytes, at: int) -> int:
+    """Bytes of the frame that begins there; 0 where its head is cut off."""
+    if len(blob) < at + 3:
+        return 0
+    payload = blob[at + 1]
+    if blob[at] == _V1:
+        return int(payload + dialect.HEADER_LEN_V1 + 2)
+    signed = blob[at + 2] & dialect.MAVLINK_IFLAG_SIGNED
+    return int(payload + dialect.HEADER_LEN_V2 + 2 + (_SIGNATURE if signed else 0))
+
+
+# -- datagrams ----------------------------------------------------------------------------------
+#
+# Datagrams of MAVLink 2 taken apart, a frame at a time in one unpacking.
+#
+# pymavlink goes through a datagram byte by byte and makes an object of every field of every
+# message, which is most of what listening costs. What comes in flight are whole frames of known
+# kinds made of numbers; all else is pymavlink's: text, signatures, MAVLink 1, damage.
+
+_HEADER = struct.Struct("<BBBBBBBHB")
+_CHECKSUM_SIZE = 2
+_KIND = struct.Struct("<HB")
+_MARKER = MARKERS[1]
+
+
+class Unpacked(tuple[Any, ...]):
+    """A message: header and payload, in the order of the wire; its fields are attributes.
+
+    It has what a message of pymavlink has and is asked for here.
+    """
+
+    __slots__ = ()
+    kind = ""
+
+    def get_type(self) -> str:
+        """Name of its kind."""
+        return self.kind
+
+    def get_seq(self) -> int:
+        """Number in the sequence of its sender."""
+        return int(self[4])
+
+    def get_srcSystem(self) -> int:  # noqa: N802
+        """Who sent it."""
+        return int(self[5])
+
+    def get_srcComponent(self) -> int:  # noqa: N802
+        """Which part of it."""
+        return int(self[6])
+
+
+def unpacked(datagram: bytes) -> list[tuple[Message, bytes]] | None:
+    """Messages of a datagram with their frames; None where one of them is not for here."""
+    found, at, end = [], 0, len(datagram)
+    while at < end:
+        if end - at < _HEADER.size or datagram[at] != _MARKER or datagram[at + 2]:
+            return None
+        last = at + _HEADER.size + datagram[at + 1] + _CHECKSUM_SIZE
+        low, high = _KIND.unpack_from(datagram, at + 7)
+        made = _made(low | high << 16)
+        if last > end or made is None:
+            return None
+        extra, whole, message = made
+        frame = datagram[at:last]
+        if dialect.x25crc(frame[1:-_CHECKSUM_SIZE] + extra).crc != checksum_of(frame):
+            return None
+        content = frame[:-_CHECKSUM_SIZE].ljust(whole.size, b"\0")  # zeros at the end are not sent
+        found.append((message(whole.unpack_from(content)), frame))
+        at = last
+    return found
+
+
+@cache
+def _made(kind: int) -> tuple[bytes, struct.Struct, type[Unpacked]] | None:
+    """Of a kind of message what its checksum begins with, its layout, and its class."""
+    about = dialect.mavlink_map.get(kind)
+    if about is None or "s" in about.unpacker.format:
+        return None
+    fields, at = {}, len(_HEADER.unpack(bytes(_HEADER.size)))
+    for name, length in zip(about.ordered_fieldnames, about.lengths, strict=True):
+        where = at if length == 1 else slice(at, at + length)
+        fields[name] = property(itemgetter(where))
+        at += length
+    layout = struct.Struct(_HEADER.format + about.unpacker.format.removeprefix("<"))
+    own = {"__slots__": (), "kind": about.msgname, **fields}
+    return bytes([about.crc_extra]), layout, type(about.msgname, (Unpacked,), own)
+
+
+# -- losses of a link ---------------------------------------------------------------------------
+#
+# What a MAVLink link loses, by the sequence numbers of its messages.
+
+_MODULUS = 256
+_REORDERED = 128
+"""A number that is so far behind the newest is an older message, not a loss of more."""
+_JUMP = 64
+"""More messages missing than this at once are a jump: a sender that began anew, or a long gap."""
+_MOST_SENDERS = 512
+"""Components whose sequence is followed at once; of more, those heard from last."""
+
+
+@dataclass(slots=True)
+class Sequence:
+    """Messages of one component of one system.
+
+    Attributes:
+        received: How many came, duplicates left out.
+        lost: How many are missing between them.
+        duplicates: How many came twice.
+        reordered: How many came after a later one.
+        jumps: How often the number jumped; what is missing then is not known, and not counted.
+    """
+
+    received: int = 0
+    lost: int = 0
+    duplicates: int = 0
+    reordered: int = 0
+    jumps: int = 0
+    _newest: int = -1
+    _seen: "array[int]" = field(default_factory=lambda: array("q"))
+    """By number, how many messages had been sent when it was last seen."""
+    _checksums: "array[int]" = field(default_factory=lambda: array("H"))
+    """By number, the checksum of the message."""
+    _count: int = 0
+
+    def add(self, number: int, checksum: int) -> bool:
+        """Count a message; returns whether it came before: with this number, and the same."""
+        if self._newest < 0:
+            self._seen = array("q", [-_MODULUS]) * _MODULUS
+            self._checksums = array("H", [0]) * _MODULUS
+            return self._advance(number, 1, checksum)
+        ahead = (number - self._newest) % _MODULUS
+        if 0 < ahead < _REORDERED:
+            if ahead > _JUMP:
+                self.jumps += 1
+            else:
+                self.lost += ahead - 1
+            return self._advance(number, ahead, checksum)
+        back = self._count - (_MODULUS - ahead) % _MODULUS
+        if self._seen[number] == back and self._checksums[number] == checksum:
+            self.duplicates += 1
+            return True
+        self.received += 1
+        self.reordered += 1
+        self.lost = max(self.lost - 1, 0)
+        self._seen[number], self._checksums[number] = back, checksum
+        return False
+
+    def _advance(self, number: int, by: int, checksum: int) -> bool:
+        self._newest, self._count = number, self._count + by
+        self._seen[number], self._checksums[number] = self._count, checksum
+        self.received += 1
+        return False
+
+    def count(self, other: "Sequence") -> None:
+        """Add the counts of another sequence."""
+        self.received += other.received
+        self.lost += other.lost
+        self.duplicates += other.duplicates
+        self.reordered += other.reordered
+        self.jumps += other.jumps
+
+
+@dataclass(slots=True)
+class Link:
+    """All that came over one link, by system and component.
+
+    Attributes:
+        sequences: Those heard from last, at most 512: forged senders take a bounded memory.
+    """
+
+    sequences: OrderedDict[tuple[int, int], Sequence] = field(default_factory=OrderedDict)
+    _left: dict[int, Sequence] = field(default_factory=dict)
+
+    @property
+    def systems(self) -> set[int]:
+        """Ids of all systems that sent anything."""
+        return {system for system, _ in self.sequences} | set(self._left)
+
+    def add(self, system: int, component: int, number: int, checksum: int) -> bool:
+        """Count a message; returns whether it came before."""
+        key = system, component
+        one = self.sequences.get(key)
+        if one is None:
+            one = self.sequences[key] = Sequence()
+            if len(self.sequences) > _MOST_SENDERS:
+                (owner, _), old = self.sequences.popitem(last=False)
+                self._left.setdefault(owner, Sequence()).count(old)
+        else:
+            self.sequences.move_to_end(key)
+        return one.add(number, checksum)
+
+    def of(self, system: int) -> Sequence:
+        """Sums over the components of a system."""
+        total = Sequence()
+        if system in self._left:
+            total.count(self._left[system])
+        for (owner, _), one in self.sequences.items():
+            if owner == system:
+                total.count(one)
+        return total
