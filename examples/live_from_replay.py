@@ -15,7 +15,7 @@ from twin.logs import Flight, read_flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.in_flight import damaged_flight
-from uavtwin.live.address import Address
+from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 

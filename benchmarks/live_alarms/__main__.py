@@ -14,10 +14,9 @@ from itertools import repeat
 from multiprocessing import get_context
 from pathlib import Path
 
-from .flights import MAGNITUDES, SIZES, Case
+from .flights import MAGNITUDES, SIZES, Case, real_flights
 from .page import page
-from .real import real_flights
-from .scoring import evaluated, file_of, score_case, write_row
+from .run import evaluated, file_of, score_case, write_row
 
 QUIET_S = 240.0
 QUIET = 8

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from .ages import ages
-from .hours import growth
-from .many import aircraft_at_once
 from .page import page
+from .runs import aircraft_at_once, growth
 
 _SECONDS = 25.0
 

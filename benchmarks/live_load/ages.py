@@ -16,8 +16,7 @@ import psutil
 from twin.logs import write_flight
 from twin.vehicle.file import load_vehicle
 
-from .flights import long_flight
-from .ports import free_address
+from .runs import free_address, long_flight
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "rigs"))
 

@@ -3,9 +3,15 @@
 import numpy as np
 import pytest
 
-from benchmarks.live_alarms.flights import SIZES, Case, aircraft, numbers
+from benchmarks.live_alarms.flights import (
+    SIZES,
+    Case,
+    aircraft,
+    numbers,
+    numbers_without,
+    with_numbers,
+)
 from benchmarks.live_alarms.page import outcome, page
-from benchmarks.live_alarms.real import numbers_without, with_numbers
 from twin.effects import EFFECTS
 from twin.effects.priors import BEGINNINGS
 from twin.explain.running.hypotheses import MONITORED_EFFECTS

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from benchmarks.live_load.flights import long_flight
-from benchmarks.live_load.many import aircraft_at_once
 from benchmarks.live_load.page import page
+from benchmarks.live_load.runs import aircraft_at_once, long_flight
 from twin.vehicle.file import load_vehicle
 
 

@@ -23,7 +23,7 @@ from twin.vehicle import Vehicle
 from twin.vehicle.geodesy import A_M, F
 from uavtwin.demo.flights import Waypoints, setpoints_along
 from uavtwin.hil.session import PLACE
-from uavtwin.live.address import Address
+from uavtwin.live.datagrams import Address
 
 Array = NDArray[np.float64]
 PERIOD_US = 4000

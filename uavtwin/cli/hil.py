@@ -18,8 +18,7 @@ from .simulate import three_numbers
 
 if TYPE_CHECKING:
     from ..hil.flying import FlyingTwin
-    from ..hil.session import HilOptions
-    from ..hil.status import HilStatus
+    from ..hil.session import HilOptions, HilStatus
     from ..simulation import Scenario
     from ..vehicles import Vehicle
 
@@ -67,7 +66,7 @@ def hil(
     Waits for the autopilot, and ends with its connection, with Ctrl-C, or after --duration.
     """
     from ..hil.session import PLACE, HilOptions
-    from ..live.address import address
+    from ..live.datagrams import address
     from ..simulation import Scenario
     from ..vehicles import load_vehicle
 

@@ -15,7 +15,7 @@ from .options import VEHICLE_VARIABLE, Exit, Horizon, Json, seconds
 from .printing import STDERR, STDOUT, print_json
 
 if TYPE_CHECKING:
-    from ..live.page.opened import OpenPage
+    from ..live.page.feed import OpenPage
     from ..live.session import LiveOptions, LiveSession
     from ..live.status import LiveStatus, ModelStatus
     from ..sensors.running import RunningCompensator
@@ -120,7 +120,7 @@ def live(
     Ends with Ctrl-C, after --duration, or --until-silent. Nothing is sent to the aircraft but
     questions for its time (TIMESYNC), unless --request-rates is given.
     """
-    from ..live.address import address
+    from ..live.datagrams import address
     from ..live.session import LiveOptions
 
     if vehicle is None and not demo:
@@ -153,7 +153,7 @@ def live(
 
 def _demo_page() -> str | None:
     """Where the page of a demonstration is served; None, with a word, where it cannot be."""
-    from ..live.page.opened import lacking
+    from ..live.page.feed import lacking
 
     if lacking():
         STDERR.print(f"no page: it needs {install_command('live')}", style="yellow")
@@ -193,7 +193,7 @@ def _fly(
     from twin.explain.running.evidence import RunningEvidence
 
     from ..demo.in_flight import damaged_flight, sent_meanwhile
-    from ..live.page.opened import open_page
+    from ..live.page.feed import open_page
     from ..live.session import LiveSession
     from ..vehicles import load_vehicle
 
@@ -278,7 +278,7 @@ def _run(session: "LiveSession", shown: "OpenPage | None") -> "LiveStatus":
 
 def _print(status: "LiveStatus", out: Path | None) -> None:
     """What is known at the end."""
-    from ..live.parts import ERRORS
+    from ..live.worker import ERRORS
 
     STDOUT.print(status.line())
     for name, value in status.rms.items():

@@ -14,7 +14,7 @@ from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 
-from ..live.address import Address
+from ..live.datagrams import Address
 from ..live.replay import Replay
 from .flights import (
     ACC_NOISE_M_S2,

@@ -1,18 +1,150 @@
-"""Play a flight as a MAVLink aircraft, in real time, faster, or in step with who listens."""
+"""A flight played as a MAVLink aircraft: in real time, faster, or in step with the listener.
+
+`Faults` are those of a radio link: some datagrams are lost, all are late, not all alike.
+"""
 
 import contextlib
+import heapq
 import select
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
-from twin.errors import TwinError
+import numpy as np
+
+from twin.errors import LogError, TwinError
 from twin.logs import Flight
+from twin.logs.columns import MAX_MOTORS, POS, QUAT, VEL
+from twin.logs.mavlink.encode import attitude, heartbeat, landed, local_position, messages_of
 from twin.logs.mavlink.frames import AUTOPILOT, BAD, Message, dialect, parser
 
-from .address import Address, sending
-from .faults import Faults, Link
-from .played import BOOT_US, played
+from .datagrams import Address, sending
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Faults of a link, drawn from a seed.
+
+    Attributes:
+        loss: Share of datagrams that are lost, 0..1.
+        jitter_s: Each is late by up to so much, all delays alike probable, s.
+        drift: By how much the aircraft's clock is faster than the listener's: 2e-5 is 20 ppm.
+        seed: Of what is drawn.
+    """
+
+    loss: float = 0.0
+    jitter_s: float = 0.0
+    drift: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.loss < 1.0:
+            raise TwinError(f"loss {self.loss:g}: a share of 0 to below 1, 0.05 for 5 %.")
+        if not 0.0 <= self.jitter_s <= 10.0:
+            raise TwinError(f"jitter {self.jitter_s:g} s: 0 to 10 s.")
+        if not abs(self.drift) <= 1e-2:
+            raise TwinError(f"drift {1e6 * self.drift:g} ppm: at most 10000 ppm.")
+
+
+@dataclass(slots=True)
+class Link:
+    """A link with faults: datagrams in, datagrams out when they are due.
+
+    Attributes:
+        faults: What it does.
+        lost: How many were lost.
+    """
+
+    faults: Faults
+    lost: int = 0
+    _rng: np.random.Generator = field(init=False)
+    _on_the_way: list[tuple[float, int, bytes]] = field(default_factory=list)
+    _count: int = 0
+
+    def __post_init__(self) -> None:
+        self._rng = np.random.default_rng(self.faults.seed)
+
+    def send(self, at_s: float, datagram: bytes) -> None:
+        """Take a datagram at a time, s."""
+        self._count += 1
+        if self.faults.loss and self._rng.random() < self.faults.loss:
+            self.lost += 1
+            return
+        late_s = self._rng.random() * self.faults.jitter_s if self.faults.jitter_s else 0.0
+        heapq.heappush(self._on_the_way, (at_s + late_s, self._count, datagram))
+
+    def due(self, now_s: float) -> list[bytes]:
+        """Datagrams that arrive by now, in the order in which they do."""
+        found = []
+        while self._on_the_way and self._on_the_way[0][0] <= now_s:
+            found.append(heapq.heappop(self._on_the_way)[2])
+        return found
+
+    @property
+    def next_s(self) -> float:
+        """When the next one arrives; infinite where none is on the way."""
+        return self._on_the_way[0][0] if self._on_the_way else np.inf
+
+
+BOOT_US = 10_000_000
+"""Time on the aircraft's clock at time 0 of the flight, us."""
+_SCREEN_US = 100_000
+"""Between two messages for the screens of ground stations."""
+_BEAT_US = 1_000_000
+
+
+def motors_of(flight: Flight) -> int:
+    """How many motors a flight tells of, 0: of none."""
+    stems = ("cmd", "rotor")
+    return max(
+        (i for i in range(1, MAX_MOTORS + 1) for s in stems if flight.has(f"{s}_{i}")), default=0
+    )
+
+
+def played(flight: Flight) -> Iterator[tuple[int, list[Message]]]:
+    """Messages in order of time, each batch with its time on the aircraft's clock, us.
+
+    Raises:
+        LogError: The flight begins before time 0.
+    """
+    table, motors = flight.table, motors_of(flight)
+    names = [str(c) for c in table if c not in ("time", "phase")]
+    t_us = BOOT_US + np.round(1e6 * flight.time_s).astype(np.int64)
+    if t_us[0] < 0:
+        raise LogError(f"{flight.name}: begins at {flight.time_s[0]:g} s; a boot is at -10 s.")
+    values = table[names].to_numpy(dtype=np.float64)
+    codes, phases = flight.phase_codes
+    known = np.isfinite(values)
+    beat_us = screen_us = landed_us = -_BEAT_US
+    sent_code = -1
+    pose: dict[str, float] = {}
+    for k, t in enumerate(t_us.tolist()):
+        row = {names[i]: float(values[k, i]) for i in np.flatnonzero(known[k])}
+        found: list[Message] = []
+        if t - beat_us >= _BEAT_US:
+            found.append(heartbeat(motors or None))
+            beat_us = t
+        found += messages_of(t, row, motors)
+        if any(phases) and (codes[k] != sent_code or t - landed_us >= _BEAT_US):
+            found.append(landed(str(phases[codes[k]])))
+            sent_code, landed_us = int(codes[k]), t
+        pose |= {c: row[c] for c in (*POS, *VEL, *QUAT) if c in row}
+        if t - screen_us >= _SCREEN_US and (screen := _screen(t, pose)):
+            found += screen
+            screen_us = t
+        if found:
+            yield t, found
+
+
+def _screen(t_us: int, pose: dict[str, float]) -> list[Message]:
+    """What a ground station shows: the last known pose."""
+    found = []
+    if set(QUAT) <= set(pose):
+        found.append(attitude(t_us, [pose[c] for c in QUAT], (0.0, 0.0, 0.0)))
+    if {*POS, *VEL} <= set(pose):
+        found.append(local_position(t_us, [pose[c] for c in POS], [pose[c] for c in VEL]))
+    return found
+
 
 MAX_SPEED = float("inf")
 """As fast as the listener takes it."""

@@ -18,19 +18,12 @@ from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.residuals.flight_gap import DEFAULT_HORIZON_S
 from twin.vehicle import Vehicle
 
-from .address import Address, listening
-from .alarms import Evidence, alarm_json
-from .arrivals import Arrivals, Datagram
-from .clock import ClockWatch
-from .following import Following, FollowingTwin
+from .datagrams import Address, Arrivals, ClockWatch, Datagram, Received, Receiver, listening
+from .following import DEFAULT_SYSTEM, Following, FollowingTwin, Publisher
 from .page.feed import PageFeed
-from .parts import Part, Parts
-from .publisher import DEFAULT_SYSTEM, Publisher
-from .receiver import Received, Receiver
-from .recording import Recording
-from .rows import HOLD_S, RowBuffer
-from .status import RATES_HZ, LinkStatus, LiveStatus, missing
-from .worker import Batch, Worker
+from .recording import HOLD_S, Recording, RowBuffer
+from .status import RATES_HZ, Evidence, LinkStatus, LiveStatus, alarm_json, missing
+from .worker import Batch, Part, Parts, Worker
 
 if TYPE_CHECKING:
     from ..sensors.running import RunningCompensator

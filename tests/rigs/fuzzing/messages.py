@@ -20,9 +20,8 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import AUTOPILOT, Frame, Message, dialect, frames, parser, stamped
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.arrivals import Datagram
-from uavtwin.live.played import played
+from uavtwin.live.datagrams import Address, Datagram
+from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
 
 from .engine import Seen, Step

@@ -20,7 +20,7 @@ from twin.vehicle.file import load_vehicle
 from twin.vehicle.geodesy import geodetic_of_ned
 from uavtwin.hil.flying import FlyingTwin, TwinState, flying_twin_of
 from uavtwin.hil.session import PLACE, HilOptions, HilSession
-from uavtwin.live.address import Address
+from uavtwin.live.datagrams import Address
 
 Array = NDArray[np.float64]
 ANY_PORT = Address("127.0.0.1", 0)

@@ -20,9 +20,8 @@ from twin.logs.mavlink.frames import parser
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.hil.flying import FlyingTwin, flying_twin_of
-from uavtwin.hil.session import HilOptions, HilSession
-from uavtwin.hil.status import HilStatus
-from uavtwin.live.address import Address
+from uavtwin.hil.session import HilOptions, HilSession, HilStatus
+from uavtwin.live.datagrams import Address
 
 PATIENCE_S = 0.5
 OPTIONS = HilOptions(

@@ -6,8 +6,7 @@ import time
 
 import pytest
 
-from uavtwin.live.address import Address, listening
-from uavtwin.live.arrivals import Arrivals
+from uavtwin.live.datagrams import Address, Arrivals, listening
 
 
 def opened() -> tuple[socket.socket, Arrivals]:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from uavtwin.live.clock import ClockWatch
+from uavtwin.live.datagrams import ClockWatch
 
 BOOT_S = 1234.5
 

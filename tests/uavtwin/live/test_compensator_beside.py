@@ -16,8 +16,8 @@ from learning.preset import Protocol
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.frames import Message, parser
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.publisher import Publisher
+from uavtwin.live.datagrams import Address
+from uavtwin.live.following import Publisher
 from uavtwin.live.recording import Recording
 from uavtwin.live.worker import Batch, Worker
 from uavtwin.sensors.compiled import compiled_compensator

@@ -17,7 +17,7 @@ from cli_rig import run
 from twin.logs import Flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.in_flight import BEGINS_S, LOSS, ROTOR, damaged_flight, sent_meanwhile, waypoints
-from uavtwin.live.address import Address
+from uavtwin.live.datagrams import Address
 
 NEWCOMER_S = 60.0
 """Within which an alarm is on the screen."""

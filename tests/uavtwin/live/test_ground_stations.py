@@ -19,7 +19,7 @@ from sample_logs import flown_table
 from twin.logs import Flight
 from twin.logs.mavlink.frames import Frame, Message, dialect, frames, parser
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
+from uavtwin.live.datagrams import Address
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 

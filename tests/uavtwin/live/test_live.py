@@ -26,9 +26,8 @@ from twin.residuals.flight_gap import flight_gap
 from twin.residuals.measured import signal_of
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.faults import Faults
-from uavtwin.live.replay import MAX_SPEED, Replay
+from uavtwin.live.datagrams import Address
+from uavtwin.live.replay import MAX_SPEED, Faults, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
 

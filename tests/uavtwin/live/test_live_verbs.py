@@ -9,8 +9,7 @@ from sample_logs import flown_table
 
 from twin.logs import Flight, write_flight
 from twin.logs.mavlink.decoder import MavlinkDecoder
-from uavtwin.live.faults import Faults, Link
-from uavtwin.live.played import played
+from uavtwin.live.replay import Faults, Link, played
 
 
 @pytest.fixture

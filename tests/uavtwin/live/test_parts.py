@@ -19,14 +19,11 @@ from twin.residuals.running.residuals import RunningResiduals
 from twin.residuals.running.table import Rows
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.arrivals import Datagram
-from uavtwin.live.parts import ERRORS, Part, Parts
-from uavtwin.live.played import played
-from uavtwin.live.receiver import MORE_OTHERS, Receiver
+from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
+from uavtwin.live.replay import played
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus
-from uavtwin.live.worker import Worker
+from uavtwin.live.worker import ERRORS, Part, Parts, Worker
 
 
 @pytest.fixture(scope="module")

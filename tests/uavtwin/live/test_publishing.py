@@ -16,11 +16,10 @@ from twin.logs.mavlink.frames import Message, parser
 from twin.residuals.running.equations import Equations
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.alarms import sentence
-from uavtwin.live.following import Following, FollowingTwin
-from uavtwin.live.publisher import Publisher
+from uavtwin.live.datagrams import Address
+from uavtwin.live.following import Following, FollowingTwin, Publisher
 from uavtwin.live.recording import Recording
+from uavtwin.live.status import sentence
 from uavtwin.live.worker import Batch, Worker
 
 

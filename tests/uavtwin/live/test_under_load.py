@@ -16,8 +16,7 @@ from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.receiver import Receiver
+from uavtwin.live.datagrams import Address, Receiver
 from uavtwin.live.replay import MAX_SPEED, Replay
 from uavtwin.live.session import LiveOptions, LiveSession
 from uavtwin.live.status import LiveStatus

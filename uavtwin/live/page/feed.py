@@ -1,23 +1,192 @@
-"""What a live session hands over -> messages for the page."""
+"""The messages of the live page: from the session to the queues of its viewers.
 
+Viewers get new messages at once, and the last minutes when they join. A sender never waits for a
+viewer: each has a queue of its own, and a slow one loses the oldest messages in it. Grey bands show
+where 95 % of the residuals of the first seconds were: what begins in flight is compared with the
+error of the twin before.
+"""
+
+import contextlib
 import math
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
+from twin.errors import TwinError, install_command
 from twin.explain.running.alarms import Alarm
 from twin.frames import AXES, to_euler
 from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
 from twin.logs.mavlink.decoder import Sample
+from twin.residuals.gap import Channel
 from twin.residuals.running.residuals import ResidualBlock
+from twin.vehicle import Vehicle
 
-from ..alarms import alarm_json
 from ..following import Following
-from ..status import LiveStatus
-from .band import ExpectedBands
-from .hub import Hub
+from ..status import LiveStatus, alarm_json
+
+if TYPE_CHECKING:
+    from .server import PageServer
+
+HISTORY_S = 300.0
+"""So much of the flight is there for a viewer that comes later."""
+_MOST_STORED = 20_000
+_MOST_KEYS = 500
+QUEUE = 64
+"""Messages that wait for one viewer, about three seconds."""
+MOST_VIEWERS = 32
+SILENT_S = 60.0
+"""The page asks for the time every 2 s, in the background once a minute: where there are too many
+viewers, one that has asked for nothing for longer gives its place to a new one."""
+
+
+class Viewer:
+    """One who looks on.
+
+    Attributes:
+        dropped: Messages that it lost, because it did not keep up.
+        heard_s: When it asked for anything last, on the clock of the hub.
+        ended: Whether it has to go.
+    """
+
+    def __init__(
+        self, wake: Callable[[], object], history: list[bytes], now_s: float = 0.0
+    ) -> None:
+        self._wake, self._history = wake, history
+        self._queue: deque[bytes] = deque()
+        self.dropped, self.heard_s, self.ended = 0, now_s, False
+
+    def end(self) -> None:
+        """Make it go; from any thread."""
+        self.ended = True
+        with contextlib.suppress(RuntimeError):
+            self._wake()
+
+    def put(self, message: bytes) -> None:
+        """A message for it; from any thread."""
+        if len(self._queue) >= QUEUE:
+            with contextlib.suppress(IndexError):  # it was taken in this moment
+                self._queue.popleft()
+                self.dropped += 1
+        self._queue.append(message)
+        with contextlib.suppress(RuntimeError):  # its loop has ended
+            self._wake()
+
+    def take(self) -> bytes:
+        """All that waits, as one JSON array; empty where nothing does."""
+        messages, self._history = self._history, []
+        with contextlib.suppress(IndexError):
+            while len(messages) < _MOST_STORED:
+                messages.append(self._queue.popleft())
+        return b"[" + b",".join(messages) + b"]" if messages else b""
+
+
+class Hub:
+    """Takes messages from any thread and gives them to all viewers."""
+
+    def __init__(
+        self, history_s: float = HISTORY_S, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._history_s, self._clock = history_s, clock
+        self._lock = threading.Lock()
+        self._past: deque[tuple[float, bytes]] = deque(maxlen=_MOST_STORED)
+        self._newest: dict[str, bytes] = {}
+        self._viewers: list[Viewer] = []
+
+    @property
+    def viewers(self) -> int:
+        """How many look on."""
+        return len(self._viewers)
+
+    def send(self, kind: str, content: Mapping[str, Any], key: str = "", keep: bool = True) -> None:
+        """A message to all.
+
+        Args:
+            kind: What it is.
+            content: What it says; what is no finite number becomes null.
+            key: Of those of one key only the newest is kept for later viewers.
+            keep: Whether it is kept for them.
+        """
+        message = msgspec.json.encode({"kind": kind, **content})
+        with self._lock:
+            now = self._clock()
+            if keep and key:
+                self._newest.pop(key, None)
+                self._newest[key] = message
+                if len(self._newest) > _MOST_KEYS:
+                    del self._newest[next(iter(self._newest))]
+            elif keep:
+                self._past.append((now, message))
+            while self._past and self._past[0][0] < now - self._history_s:
+                self._past.popleft()
+            for viewer in self._viewers:
+                viewer.put(message)
+
+    def join(self, wake: Callable[[], object]) -> Viewer | None:
+        """A new viewer; None: there are too many.
+
+        Args:
+            wake: Called from any thread when something waits for it.
+        """
+        with self._lock:
+            now = self._clock()
+            if len(self._viewers) >= MOST_VIEWERS:
+                quietest = min(self._viewers, key=lambda v: v.heard_s)
+                if now - quietest.heard_s <= SILENT_S:
+                    return None
+                self._viewers.remove(quietest)
+                quietest.end()
+            history = [*self._newest.values(), *(m for _, m in self._past)]
+            viewer = Viewer(wake, history, now)
+            self._viewers.append(viewer)
+            return viewer
+
+    def leave(self, viewer: Viewer) -> None:
+        """It looks on no more."""
+        with self._lock, contextlib.suppress(ValueError):
+            self._viewers.remove(viewer)
+
+
+LEARNT_S = 20.0
+"""Of samples in the air, from which the band is learnt; it stays then."""
+COVERED = 0.95
+_FEWEST = 20
+Key = tuple[str, float]
+
+
+@dataclass(slots=True)
+class ExpectedBands:
+    """Bands of the channels of one flight, by name and horizon."""
+
+    bands: dict[Key, tuple[float, float]] = field(default_factory=dict)
+    _parts: dict[Key, list[NDArray[np.float64]]] = field(default_factory=dict)
+    _first_s: dict[Key, float] = field(default_factory=dict)
+
+    def add(self, channels: Sequence[Channel]) -> None:
+        """Take new residuals, until enough is known."""
+        for channel in channels:
+            key = channel.name, channel.horizon_s
+            if key in self.bands or not len(channel.t_s):
+                continue
+            residual = channel.residual
+            parts = self._parts.setdefault(key, [])
+            parts.append(residual[np.isfinite(residual)])
+            began_s = self._first_s.setdefault(key, float(channel.t_s[0]))
+            if channel.t_s[-1] - began_s < LEARNT_S or sum(map(len, parts)) < _FEWEST:
+                continue
+            tail = 50 * (1 - COVERED)
+            low, high = np.percentile(np.concatenate(parts), [tail, 100 - tail])
+            if math.isfinite(low):
+                self.bands[key] = float(low), float(high)
+            del self._parts[key]
+
 
 EVERY_S = 0.05
 """Between two states of aircraft and twin."""
@@ -208,3 +377,58 @@ def _ms(at_s: float | None = None) -> float:
     """A time of the monotonic clock, or now, on the system's clock, ms."""
     ago_s = 0.0 if at_s is None else time.monotonic() - at_s
     return round(1e3 * (time.time() - ago_s), 1)
+
+
+NEEDED = ("starlette", "uvicorn", "websockets")
+
+
+@dataclass(frozen=True, slots=True)
+class OpenPage:
+    """A page that is served.
+
+    Attributes:
+        feed: Takes what it shows.
+        server: Serves it.
+    """
+
+    feed: PageFeed
+    server: "PageServer"
+
+    @property
+    def url(self) -> str:
+        """For a browser."""
+        return self.server.url
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.server.close()
+
+
+def lacking() -> list[str]:
+    """Packages that the page needs and that are not installed."""
+    return [n for n in NEEDED if find_spec(n) is None]
+
+
+def open_page(serve: str, token: str | None, vehicle: Vehicle, following: Following) -> OpenPage:
+    """Serve the page of a live flight.
+
+    Args:
+        serve: HOST:PORT.
+        token: What viewers must know; None: nothing.
+        vehicle: The twin.
+        following: How the twin is kept with the aircraft.
+
+    Raises:
+        TwinError: The address is none, is taken, or needs a token; or packages are missing.
+    """
+    if missing := lacking():
+        raise TwinError(f"--serve needs {', '.join(missing)}: {install_command('live')}.")
+    from .document import document
+    from .server import PageServer, page_address
+
+    where = page_address(serve, token)
+    hub = Hub()
+    feed = PageFeed(hub, vehicle.name, following)
+    return OpenPage(feed, PageServer(where, hub, document(vehicle.rotors.count), token))

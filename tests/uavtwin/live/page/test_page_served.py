@@ -15,12 +15,10 @@ from websockets.sync.client import ClientConnection, connect
 
 from twin.errors import TwinError
 from twin.residuals.gap import Channel
-from uavtwin.live.address import Address
-from uavtwin.live.page.band import LEARNT_S, ExpectedBands
+from uavtwin.live.datagrams import Address
 from uavtwin.live.page.document import document
-from uavtwin.live.page.doors import page_address
-from uavtwin.live.page.hub import MOST_VIEWERS, QUEUE, SILENT_S, Hub
-from uavtwin.live.page.server import PageServer
+from uavtwin.live.page.feed import LEARNT_S, MOST_VIEWERS, QUEUE, SILENT_S, ExpectedBands, Hub
+from uavtwin.live.page.server import PageServer, page_address
 
 TOKEN = "correct horse"
 ANY_PORT = Address("127.0.0.1", 0)

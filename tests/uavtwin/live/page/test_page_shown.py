@@ -28,16 +28,14 @@ from twin.logs.mavlink.decoder import Sample
 from twin.logs.mavlink.frames import dialect
 from twin.residuals.gap import Channel
 from twin.vehicle.file import load_vehicle
-from uavtwin.live.address import Address
-from uavtwin.live.alarms import sentence
+from uavtwin.live.datagrams import Address
 from uavtwin.live.following import Following
 from uavtwin.live.page.document import document
-from uavtwin.live.page.feed import PageFeed
-from uavtwin.live.page.hub import Hub
+from uavtwin.live.page.feed import Hub, PageFeed
 from uavtwin.live.page.server import PageServer
 from uavtwin.live.replay import Replay
 from uavtwin.live.session import LiveOptions, LiveSession
-from uavtwin.live.status import missing
+from uavtwin.live.status import missing, sentence
 
 pytestmark = [pytest.mark.slow, needs_browser]
 WIDE = View(1300, False)

@@ -1,0 +1,438 @@
+"""MAVLink over UDP: addresses, datagrams with their time of arrival, frames, the aircraft's clock.
+
+Datagrams carry the kernel's time stamp where it sets one, so they may be taken several at a time,
+which costs less, without a change of any time of arrival.
+
+The aircraft's clock: a message that says t left at t and came later, so our time less t is the
+offset and the delay. The lowest of many, a line beneath all of them, is the offset and the shortest
+delay. Where TIMESYNC is answered, our time of the request less t bounds the offset from below: the
+middle of both lines is the offset, as far as the shortest delays there and back are alike.
+"""
+
+import contextlib
+import math
+import re
+import select
+import socket
+import struct
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from twin.errors import TwinError
+from twin.logs.mavlink.frames import (
+    BAD,
+    GCS,
+    Link,
+    Message,
+    Sequence,
+    checksum_of,
+    dialect,
+    parser,
+    unpacked,
+)
+
+_FORM = re.compile(r"(udpin|udpout|tcpin):(\[[0-9A-Fa-f:.]+\]|[^:\s]+):([0-9]{1,5})")
+USUAL_PORTS = {"udpin": 14550, "udpout": 14550, "tcpin": 4560}
+"""Of ground stations, and of PX4's simulators."""
+_FORCED = getattr(socket, "SO_RCVBUFFORCE", 33)
+_BUFFER = 8 << 20
+"""Bytes that the kernel may keep until they are read: some seconds of a fast aircraft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """A host and a port."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        return f"{self.host}:{self.port}"
+
+    @property
+    def pair(self) -> tuple[str, int]:
+        """As sockets take it."""
+        return self.host, self.port
+
+
+def address(text: str, direction: str, option: str) -> Address:
+    """The address of an option.
+
+    Args:
+        text: As given.
+        direction: A member of `USUAL_PORTS`.
+        option: By which it was given.
+
+    Raises:
+        TwinError: It is not of that form.
+    """
+    match = _FORM.fullmatch(text)
+    if match is None or match.group(1) != direction or not 0 < int(match.group(3)) < 65536:
+        example = f"{direction}:127.0.0.1:{USUAL_PORTS[direction]}"
+        raise TwinError(f"{option} {text}: write {direction}:HOST:PORT, {example}.")
+    return Address(match.group(2).strip("[]"), int(match.group(3)))
+
+
+def listening(where: Address) -> socket.socket:
+    """A socket that gets what is sent to an address.
+
+    Raises:
+        TwinError: Another program listens there, or the address is none of this machine.
+    """
+    opened = _socket(where)
+    try:
+        opened.bind(where.pair)
+    except OSError as error:
+        opened.close()
+        raise TwinError(
+            f"{where}: cannot be listened at: {error.strerror}. Choose another port, or end the "
+            f"program that listens there."
+        ) from None
+    return opened
+
+
+def sending(where: Address) -> socket.socket:
+    """A socket that sends to an address and gets what is answered.
+
+    Raises:
+        TwinError: There is no such host.
+    """
+    opened = _socket(where)
+    try:
+        socket.getaddrinfo(where.host, where.port, opened.family, socket.SOCK_DGRAM)
+    except OSError as error:
+        opened.close()
+        raise TwinError(f"{where}: cannot be sent to: {error.strerror}.") from None
+    return opened
+
+
+def _socket(where: Address) -> socket.socket:
+    family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+    opened = socket.socket(family, socket.SOCK_DGRAM)
+    opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+    with contextlib.suppress(OSError):  # beyond what the system allows to everybody
+        opened.setsockopt(socket.SOL_SOCKET, _FORCED, _BUFFER)
+    opened.setblocking(False)
+    return opened
+
+
+_LONGEST = 65536
+_STAMPED = getattr(socket, "SO_TIMESTAMPNS", 35) if sys.platform == "linux" else None
+"""Option and kind of the stamp, which Python has no name for before 3.14."""
+_STAMP = struct.Struct("@ll")
+"""Seconds and ns since 1970."""
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_STAMP.size) if _STAMPED is not None else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """What came.
+
+    Attributes:
+        content: Its bytes.
+        sender: Host and port.
+        at_s: When, on the monotonic clock.
+        at_us: When, us since 1970.
+    """
+
+    content: bytes
+    sender: tuple[str, int]
+    at_s: float
+    at_us: int
+
+
+class Arrivals:
+    """Takes datagrams from a socket that does not wait."""
+
+    def __init__(self, listens: socket.socket) -> None:
+        """Ask the kernel for stamps."""
+        self._socket = listens
+        self._empty_s = time.monotonic()
+        if _STAMPED is not None:
+            listens.setsockopt(socket.SOL_SOCKET, _STAMPED, 1)
+
+    def wait(self, longest_s: float) -> bool:
+        """Wait for something; returns whether there is any."""
+        return bool(select.select([self._socket], [], [], longest_s)[0])
+
+    def take(self, most: int) -> Iterator[Datagram]:
+        """Those that are there, at most so many."""
+        for _ in range(most):
+            try:
+                content, ancillary, _, sender = self._receive()
+            except OSError:  # nothing more is there, or what was sent to nobody came back
+                self._empty_s = time.monotonic()
+                return
+            now_s, now_ns = _both_clocks()
+            ago_s = 1e-9 * (now_ns - _stamp_ns(ancillary, now_ns))
+            # it came after all before it had been taken, whatever was done to the system's clock
+            ago_s = min(max(ago_s, 0.0), now_s - self._empty_s)
+            at_us = round(1e-3 * now_ns - 1e6 * ago_s)
+            yield Datagram(content, (sender[0], sender[1]), now_s - ago_s, at_us)
+
+    def _receive(self) -> tuple[bytes, list[tuple[int, int, bytes]], int, tuple[str, int]]:
+        """As `recvmsg`, which not every system has."""
+        if _STAMPED is None:
+            content, sender = self._socket.recvfrom(_LONGEST)
+            return content, [], 0, sender
+        return self._socket.recvmsg(_LONGEST, _ANCILLARY_BYTES)
+
+
+def _both_clocks() -> tuple[float, int]:
+    """The monotonic clock, s, and the system's, ns, at one instant: of three readings that between
+    whose two least came."""
+    read = ((time.monotonic(), time.time_ns(), time.monotonic()) for _ in range(3))
+    _, now_s, now_ns = min((after - before, before, ns) for before, ns, after in read)
+    return now_s, now_ns
+
+
+def _stamp_ns(ancillary: list[tuple[int, int, bytes]], otherwise: int) -> int:
+    """The kernel's stamp, ns since 1970."""
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _STAMPED and len(data) == _STAMP.size:
+            seconds, ns = _STAMP.unpack(data)
+            return int(10**9 * seconds + ns)
+    return otherwise
+
+
+Sender = tuple[str, int]
+_MOST_OTHERS = 32
+"""Other senders that are listed by name; messages of more are counted together."""
+MORE_OTHERS = "further senders"
+_FEW = 10
+"""A sender of fewer messages that is silent gives its place to the next aircraft."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message of the aircraft.
+
+    Attributes:
+        message: The message.
+        frame: Its bytes.
+    """
+
+    message: Message
+    frame: bytes
+
+
+@dataclass(slots=True)
+class Receiver:
+    """Takes datagrams apart and keeps to one aircraft.
+
+    Attributes:
+        system: System id of the aircraft; None: the first one that is heard.
+        sender: Where its messages come from; None: nothing came yet.
+        datagrams: How many came.
+        octets: How many bytes.
+        garbage: Bytes that are no message.
+        wrong: Frames whose checksum or length is wrong.
+        version_1: Messages of MAVLink 1.
+        others: Messages of other systems, or of the same id from elsewhere, by who sent them: the
+            first 32, and `MORE_OTHERS`.
+        link: Sequence numbers.
+        silent: Whether the aircraft has not been heard for a while, and may send from another port.
+    """
+
+    system: int | None = None
+    sender: Sender | None = None
+    datagrams: int = 0
+    octets: int = 0
+    garbage: int = 0
+    wrong: int = 0
+    version_1: int = 0
+    others: Counter[str] = field(default_factory=Counter)
+    link: Link = field(default_factory=Link)
+    silent: bool = False
+    _wanted: int | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._wanted = self.system
+
+    @property
+    def sequence(self) -> Sequence:
+        """Counts of the aircraft's messages."""
+        return Sequence() if self.system is None else self.link.of(self.system)
+
+    def messages(self, datagram: bytes, sender: Sender) -> Iterator[Received]:
+        """Messages of the aircraft in a datagram, those that came before left out."""
+        self.datagrams += 1
+        self.octets += len(datagram)
+        for message, frame in self._taken_apart(datagram):
+            if message.get_type() == BAD:
+                self._count_bad(frame)
+            elif self._is_of_the_aircraft(message, sender) and not self.link.add(
+                message.get_srcSystem(),
+                message.get_srcComponent(),
+                message.get_seq(),
+                checksum_of(frame),
+            ):
+                self.version_1 += frame[0] == dialect.PROTOCOL_MARKER_V1
+                yield Received(message, frame)
+
+    def _taken_apart(self, datagram: bytes) -> list[tuple[Message, bytes]]:
+        """Messages of a datagram with their frames.
+
+        A frame does not go on in the next datagram: nothing is kept of a sender.
+        """
+        found = unpacked(datagram)
+        if found is None:
+            reader = parser()
+            found = [(m, bytes(m.get_msgbuf())) for m in reader.parse_buffer(datagram) or ()]
+            self.garbage += reader.buf_len()
+        return found
+
+    def _count_bad(self, content: bytes) -> None:
+        if content and content[0] in (dialect.PROTOCOL_MARKER_V1, dialect.PROTOCOL_MARKER_V2):
+            self.wrong += 1
+        else:
+            self.garbage += len(content)
+
+    def _is_of_the_aircraft(self, message: Message, sender: Sender) -> bool:
+        system = message.get_srcSystem()
+        if message.get_type() == "HEARTBEAT" and message.type == GCS:
+            return self._is_other(f"ground station, system {system}")
+        if self.silent and self.sender != sender and self.sequence.received < _FEW:
+            self.system, self.sender = self._wanted, None  # what was heard first was no aircraft
+        if self.sender is None and self.system in (None, system) and _is_vehicle(message):
+            self.system, self.sender = system, sender
+        if self.sender is None:
+            return False
+        if system != self.system:
+            return self._is_other(f"system {system} at {sender[0]}:{sender[1]}")
+        if sender != self.sender and not (self.silent and sender[0] == self.sender[0]):
+            return self._is_other(f"system {system} again, at {sender[0]}:{sender[1]}")
+        if sender != self.sender:
+            self.sender = sender  # of the same machine, after a silence
+        return True
+
+    def _is_other(self, who: str) -> bool:
+        """Count a message that is not of the aircraft."""
+        known = who in self.others or len(self.others) < _MOST_OTHERS
+        self.others[who if known else MORE_OTHERS] += 1
+        return False
+
+
+def _is_vehicle(message: Message) -> bool:
+    """Whether a message is one of an aircraft, not of what stands on the ground.
+
+    One of an unknown kind has no checksum that could be tested: random bytes look like it.
+    """
+    kind = message.get_type()
+    known = not kind.startswith("UNKNOWN")
+    return bool(message.get_srcSystem()) and known and kind != "TIMESYNC"
+
+
+Point = tuple[float, float]
+MEMORY_S = 60.0
+"""Older points are forgotten: clocks drift with temperature."""
+_BIN_S = 0.5
+"""Of so long the lowest point is kept."""
+_LONG_ENOUGH_S = 5.0
+"""A shorter time says nothing of the drift."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockEstimate:
+    """What is known of the aircraft's clock.
+
+    Attributes:
+        aircraft_s: Newest time of the aircraft, at which the offset holds, s.
+        offset_s: Our time less the aircraft's, s.
+        drift_ppm: By how much the aircraft's clock is faster; NaN: not known yet.
+        source: `TIMESYNC`, or `arrivals`: the offset holds the shortest delay of the link as well.
+        width_s: Between the bounds from above and below; infinite without TIMESYNC.
+    """
+
+    aircraft_s: float
+    offset_s: float
+    drift_ppm: float
+    source: str
+    width_s: float
+
+
+@dataclass(slots=True)
+class ClockWatch:
+    """Takes times in and tells what the clock is."""
+
+    _above: dict[int, Point] = field(default_factory=dict)
+    _below: dict[int, Point] = field(default_factory=dict)
+    _now_s: float = -math.inf
+
+    def came(self, aircraft_s: float, at_s: float) -> None:
+        """A message that says a time of the aircraft came at a time of ours, s."""
+        self._now_s = max(self._now_s, aircraft_s)
+        _keep_lowest(self._above, aircraft_s, at_s - aircraft_s)
+
+    def answered(self, request_s: float, aircraft_s: float, at_s: float) -> None:
+        """TIMESYNC: asked and answered at times of ours, what the aircraft's clock was between."""
+        self.came(aircraft_s, at_s)
+        _keep_lowest(self._below, aircraft_s, -(request_s - aircraft_s))
+
+    def estimate(self) -> ClockEstimate | None:
+        """What is known now; None: no message has come."""
+        self._forget()
+        above = _line(list(self._above.values()))
+        if above is None:
+            return None
+        now, slope = self._now_s, above[1]
+        high = _at(above, now)
+        if not self._below:
+            return ClockEstimate(now, high, _ppm(slope), "arrivals", math.inf)
+        # Answers are few: their line has the slope of the other one.
+        level = 0.0 if math.isnan(slope) else slope
+        least = max(-y + level * (now - x) for x, y in self._below.values())
+        return ClockEstimate(
+            now, (high + least) / 2, _ppm(slope), "TIMESYNC", max(high - least, 0.0)
+        )
+
+    def _forget(self) -> None:
+        oldest = math.floor((self._now_s - MEMORY_S) / _BIN_S) if math.isfinite(self._now_s) else 0
+        for points in (self._above, self._below):
+            for key in [k for k in points if k < oldest]:
+                del points[key]
+
+
+def _keep_lowest(points: dict[int, Point], x: float, y: float) -> None:
+    key = math.floor(x / _BIN_S)
+    if key not in points or y < points[key][1]:
+        points[key] = (x, y)
+
+
+def _at(line: tuple[float, float], x: float) -> float:
+    return line[0] + (0.0 if math.isnan(line[1]) else line[1] * x)
+
+
+def _ppm(slope: float) -> float:
+    """The offset falls by as much as the aircraft's clock is faster."""
+    return -1e6 * slope / (1.0 + slope)
+
+
+def _line(points: list[Point]) -> tuple[float, float] | None:
+    """The line beneath all points that is nearest to them: value at 0, and slope.
+
+    It is the edge of their lower convex hull over their middle. Over a short time it is level.
+    """
+    if not points:
+        return None
+    points = sorted(points)
+    if points[-1][0] - points[0][0] < _LONG_ENOUGH_S:
+        return min(y for _, y in points), math.nan
+    hull: list[Point] = []
+    for p in points:
+        while len(hull) > 1 and _turns_right(hull[-2], hull[-1], p):
+            hull.pop()
+        hull.append(p)
+    middle = sum(x for x, _ in points) / len(points)
+    k = next(i for i in range(1, len(hull)) if hull[i][0] >= middle)
+    (x0, y0), (x1, y1) = hull[k - 1], hull[k]
+    slope = (y1 - y0) / (x1 - x0)
+    return y0 - slope * x0, slope
+
+
+def _turns_right(a: Point, b: Point, c: Point) -> bool:
+    """Whether b lies on or above the line from a to c."""
+    return (b[1] - a[1]) * (c[0] - a[0]) >= (c[1] - a[1]) * (b[0] - a[0])
