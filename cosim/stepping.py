@@ -12,21 +12,294 @@ Algorithms:
                   newest outputs of those before it; a loop is solved as soon as all its slaves
                   have stepped.
 
-Source: FMI 3.0.1 specification, sec. 4 and 2.4.9; Gomes et al., Co-simulation: a survey, ACM
-Computing Surveys 51 (2018), sec. 4.
+An algebraic loop between slaves has the values v of its outputs on both sides: v = g(v), where g
+sets the connected inputs of all slaves in the loop and reads their outputs. It is solved by
+Newton's method: each iteration solves (1 - dg/dv) step = g(v) - v with the directional derivatives
+of the FMUs; a step that does not bring g(v) - v down is halved.
+
+Sources: FMI 3.0.1 specification, sec. 4 and 2.4.9; FMI 2.0.4, sec. 4.2.4; Gomes et al.,
+Co-simulation: a survey, ACM Computing Surveys 51 (2018), sec. 4; Deuflhard, Newton Methods for
+Nonlinear Problems, ch. 3.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass
 from functools import cache
+from math import isfinite
 from typing import Literal, get_args
 
-from fmus.order import Loop, slave_of, visits
+import numpy as np
+from numpy.typing import NDArray
+
+from fmus.order import Loop, Visit, slave_of, visits
 from twin.errors import FmuError
 
-from .bus import Bus
-from .loops import LoopSolver
-from .order import batches, stepping_order
-from .slave.slave import Slave
+from .interface import Port
+from .slave import Slave, jacobian
+from .system import System
+
+
+class Bus:
+    """All outputs in use in one array, all connected inputs in another.
+
+    Each slave's outputs and inputs are views of the two, so that one gather serves all slaves.
+
+    Attributes:
+        values: Outputs in use, shape (n,).
+        position: "slave.output" -> where it is in `values`.
+        source: "slave.input" -> the output that it takes.
+    """
+
+    def __init__(
+        self, system: System, slaves: Mapping[str, Slave], record: Sequence[str] | None
+    ) -> None:
+        self.system, self.slaves = system, slaves
+        self.source = {c.target: c.source for c in system.connections}
+        if record is None:
+            record = [f"{s.name}.{v}" for s in slaves.values() for v in s.interface.names("output")]
+        self.recorded = tuple(record)
+        wanted = dict.fromkeys([*record, *self.source.values()])
+        outputs = {name: [v for s, v in map(system.split, wanted) if s == name] for name in slaves}
+        inputs = {
+            name: [v for s, v in map(system.split, self.source) if s == name] for name in slaves
+        }
+        names = [f"{s}.{v}" for s, variables in outputs.items() for v in variables]
+        self.position = {name: i for i, name in enumerate(names)}
+        self.values = np.zeros(len(names))
+        fed = [f"{s}.{v}" for s, variables in inputs.items() for v in variables]
+        self._gather = self.positions([self.source[name] for name in fed])
+        self._inputs = np.zeros(len(fed))
+        self._zeros = np.zeros(len(names))
+        self._part: dict[str, NDArray[np.intp]] = {}
+        sent = received = 0
+        for name, s in slaves.items():
+            m, n = len(inputs[name]), len(outputs[name])
+            part = slice(sent, sent + m)
+            s.bind(
+                inputs[name],
+                outputs[name],
+                self._inputs[part],
+                self.values[received : received + n],
+            )
+            self._part[name] = self._gather[part]
+            sent, received = sent + m, received + n
+        self._receivers = [s for s in slaves.values() if len(s.inputs)]
+        self.columns = self.positions(record)
+
+    def port(self, name: str) -> Port:
+        """The variable "slave.variable"."""
+        slave, variable = self.system.split(name)
+        return self.slaves[slave].interface.port(variable)
+
+    def positions(self, names: Sequence[str]) -> NDArray[np.intp]:
+        """Where outputs are in `values`."""
+        return np.array([self.position[n] for n in names], dtype=np.intp)
+
+    def check(self, time_s: float) -> None:
+        """Refuse what is no finite number: times 0, that alone is not 0. Callers mute `invalid`.
+
+        Raises:
+            FmuError: An output is NaN or infinite.
+        """
+        if not isfinite(self.values.dot(self._zeros)):
+            at = int(np.argmin(np.isfinite(self.values)))
+            slave, variable = self.system.split([*self.position][at])
+            raise FmuError(
+                f"{slave} ({self.slaves[slave].path.name}): {variable} = {self.values[at]:g} at "
+                f"{time_s:g} s; outputs are finite numbers. Choose a shorter step, or ask who "
+                f"made the FMU."
+            )
+
+    def write_all(self) -> None:
+        """Send present values to the inputs of all slaves."""
+        self._write(self._receivers)
+
+    def write(self, slave: str) -> None:
+        """Send present values to the inputs of one slave."""
+        s = self.slaves[slave]
+        if len(s.inputs):
+            self.values.take(self._part[slave], None, s.inputs, "clip")
+            s.write_inputs()
+
+    def refresh(self, slaves: Sequence[Slave]) -> None:
+        """Send present values to slaves and read what their outputs make of them."""
+        self._write(slaves)
+        for s in slaves:
+            s.read_outputs()
+
+    def _write(self, slaves: Sequence[Slave]) -> None:
+        self.values.take(self._gather, None, self._inputs, "clip")
+        for s in slaves:
+            s.write_inputs()
+
+    def dependencies(
+        self, initial: bool = False, slaves: Set[str] | None = None
+    ) -> dict[str, set[str]]:
+        """Output -> the outputs that it directly depends on, through connected inputs.
+
+        Args:
+            initial: At the end of initialisation; else while stepping.
+            slaves: Whose outputs; None: of all.
+        """
+        return {
+            f"{s.name}.{output}": {
+                self.source[f"{s.name}.{u}"] for u in inputs if f"{s.name}.{u}" in self.source
+            }
+            for s in self.slaves.values()
+            if slaves is None or s.name in slaves
+            for output, inputs in s.interface.dependencies(initial).items()
+        }
+
+
+def batches(
+    order: Iterable[Visit], dependencies: Mapping[str, Set[str]]
+) -> list[tuple[str, ...] | Loop]:
+    """Successive slaves that do not depend on each other, in one batch."""
+    sources_of: dict[str, set[str]] = {}
+    for output, sources in dependencies.items():
+        sources_of.setdefault(slave_of(output), set()).update(map(slave_of, sources))
+    result: list[tuple[str, ...] | Loop] = []
+    for visit in order:
+        last = result[-1] if result else None
+        if isinstance(visit, Loop):
+            result.append(visit)
+        elif isinstance(last, tuple) and visit not in last and not sources_of[visit] & {*last}:
+            result[-1] = (*last, visit)
+        else:
+            result.append((visit,))
+    return result
+
+
+def stepping_order(order: Iterable[Visit], slaves: Iterable[str]) -> list[Visit]:
+    """Every slave once, by its last visit, and every loop as soon as its last member has stepped.
+
+    Slaves that are never visited, those without outputs, come last.
+    """
+    order = list(order)
+    last = {
+        s: i
+        for i, v in enumerate(order)
+        for s in ([v] if isinstance(v, str) else map(slave_of, v.outputs))
+    }
+    sequence = sorted(slaves, key=lambda s: last.get(s, len(order)))
+    result: list[Visit] = list(sequence)
+    for loop in (v for v in order if isinstance(v, Loop)):
+        end = 1 + max(result.index(slave_of(o)) for o in loop.outputs)
+        while end < len(result) and isinstance(result[end], Loop):
+            end += 1  # loops with the same last member stay in their order
+        result.insert(end, loop)
+    return result
+
+
+Array = NDArray[np.float64]
+TOLERANCE = 1e-12
+"""Residual that ends the iterations, relative to the values in the loop."""
+ROUNDING = 1e-9
+"""Residual that is accepted where no step brings it down any more."""
+SMALLEST = 1e-300
+MAX_ITERATIONS = 30
+MAX_HALVINGS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """Part of dg/dv that one slave gives.
+
+    Attributes:
+        rows: Positions of its outputs in the loop.
+        takes: Which value of the loop each of its inputs takes, shape (inputs, loop), 0 or 1.
+        slope: Outputs against inputs.
+    """
+
+    rows: list[int]
+    takes: Array
+    slope: Callable[[], Array]
+
+
+class LoopSolver:
+    """Solves one loop on the bus, starting from the values there."""
+
+    def __init__(self, bus: Bus, loop: Loop) -> None:
+        self._bus, self._loop = bus, loop
+        self._at = bus.positions(loop.outputs)
+        self._members = list(dict.fromkeys(map(slave_of, loop.outputs)))
+        self._blocks = [self._block(name) for name in self._members]
+        self._slope = np.zeros((len(self._at), len(self._at)))
+        self._regular = False
+
+    def _block(self, name: str) -> _Block:
+        loop, bus, s = self._loop.outputs, self._bus, self._bus.slaves[name]
+        rows = [i for i, o in enumerate(loop) if slave_of(o) == name]
+        inputs = [u for u in s.bound_inputs if bus.source[f"{name}.{u}"] in loop]
+        takes = np.array([[bus.source[f"{name}.{u}"] == o for o in loop] for u in inputs])
+        outputs = [bus.system.split(loop[i])[1] for i in rows]
+        return _Block(rows, takes.astype(np.float64), jacobian(s, outputs, inputs))
+
+    def solve(self, time_s: float) -> None:
+        """Leave the solution on the bus and in the slaves.
+
+        Raises:
+            FmuError: Newton's method found none.
+        """
+        v = self._bus.values[self._at]
+        residual, size = self._residual(v), np.abs(v)
+        for _ in range(MAX_ITERATIONS):
+            size = np.maximum(size, np.abs(v + residual))
+            scale = size + np.abs(self._slope) @ size + SMALLEST
+            if self._regular and np.all(np.abs(residual) <= TOLERANCE * scale):
+                return
+            step = self._newton_step(residual, time_s)
+            if not residual.any():
+                return
+            v, better = self._descend(v, residual, step, scale)
+            if better is None:
+                if np.all(np.abs(self._residual(v)) <= ROUNDING * scale):
+                    return
+                break
+            residual = better
+        raise self._error(time_s, residual, "Newton's method does not converge")
+
+    def _newton_step(self, residual: Array, time_s: float) -> Array:
+        """The full step from the present inputs."""
+        for block in self._blocks:
+            self._slope[block.rows] = block.slope() @ block.takes
+        try:
+            step = np.linalg.solve(np.eye(len(residual)) - self._slope, residual)
+        except np.linalg.LinAlgError:
+            raise self._error(time_s, residual, "it has no unique solution") from None
+        self._regular = True
+        return step.astype(np.float64, copy=False)
+
+    def _descend(
+        self, v: Array, residual: Array, step: Array, scale: Array
+    ) -> tuple[Array, Array | None]:
+        """The first of step, step / 2, step / 4, ... that brings the residual down; None: none."""
+        worst = np.max(np.abs(residual) / scale)
+        for _ in range(MAX_HALVINGS):
+            after = self._residual(v + step)
+            if np.max(np.abs(after) / scale) < worst:
+                return v + step, after
+            step = step / 2
+        return v, None
+
+    def _residual(self, v: Array) -> Array:
+        """g(v) - v; leaves v in the inputs and g(v) on the bus."""
+        bus = self._bus
+        bus.values[self._at] = v
+        for name in self._members:
+            bus.write(name)
+        for name in self._members:
+            bus.slaves[name].read_outputs()
+        return bus.values[self._at] - v
+
+    def _error(self, time_s: float, residual: Array, what: str) -> FmuError:
+        worst = int(np.argmax(np.abs(residual)))
+        return FmuError(
+            f"Algebraic loop {' -> '.join(self._loop.outputs)} at {time_s:g} s: {what}; residual "
+            f"{residual[worst]:.3g} at {self._loop.outputs[worst]}. Put a state or a delay "
+            f"between two of them, or start nearer to the solution."
+        )
+
 
 Algorithm = Literal["jacobi", "settled", "gauss_seidel"]
 Settle = Callable[[float], None]

@@ -8,7 +8,7 @@ from pathlib import Path
 from twin.errors import FmuError
 from twin.representation import short_repr
 
-from .slave.interface import Interface
+from .interface import Interface
 
 _TAKES = {
     "Real": ("Real", "Integer", "Boolean", "Enumeration"),

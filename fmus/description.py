@@ -6,10 +6,9 @@ from lxml import etree
 
 from twin.component import Enumeration, Variable
 
-from .arrays import Entry
-from .documentation.project import project
+from .documentation import project
 from .exchange import ExchangeState
-from .model import FmuModel, check_interface
+from .model import Entry, FmuModel, check_interface
 from .units import DISPLAY_UNITS, base_exponents, usual_size
 
 _TYPES = {

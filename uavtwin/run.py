@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cosim.interface import read_interface
 from cosim.limits import Limits
 from cosim.master import Algorithm, Interrupted, Recording, RunError
-from cosim.slave.interface import read_interface
 from cosim.system import System
 from twin.component import unknown_name
 from twin.errors import TwinError

@@ -23,9 +23,7 @@ from twin.errors import FmuError
 from twin.representation import short_repr
 
 from ..system import System
-from .names import tag
-from .read import read_structure, read_unpacked
-from .unpack import unpack_ssp
+from .read import read_structure, read_unpacked, tag, unpack_ssp
 
 MAX_LISTED = 100
 """Components, pairs of components, and problems that are listed; of more, how many."""

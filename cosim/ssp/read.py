@@ -1,13 +1,15 @@
 """Systems from `.ssp` files of any origin.
 
 The portable subset of SSP 1.0: one flat system of co-simulation FMUs with scalar connectors.
-What lies outside is refused with what to do about it, never left out in silence.
+What lies outside is refused with what to do about it, never left out in silence. Archives are
+unpacked by the rules for FMU archives.
 """
 
 import math
 import shutil
 import tempfile
 import weakref
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -16,13 +18,72 @@ from urllib.parse import unquote, urlsplit
 
 from lxml import etree
 
+from fmus.archive import MAX_DESCRIPTION_BYTES, archive_members, copy_members, member_problems
 from fmus.names import shown
 from twin.errors import FmuError
 
-from ..slave.interface import Interface, Port, read_interface
+from ..interface import Interface, Port, read_interface
 from ..system import Connection, System
-from .names import FMU_TYPE, OSP, SET_TYPE, SSD_FILE, tag
-from .unpack import parse_xml, unpack_ssp
+
+
+def unpack_ssp(path: Path, folder: Path) -> None:
+    """Unpack into an empty folder; nothing is written before every member has been judged.
+
+    Raises:
+        FmuError: Unsafe or damaged.
+    """
+    members = archive_members(path, "SSP")
+    if problems := member_problems(members):
+        raise FmuError(f"{path.name}: refused: {'; '.join(problems[:5])}.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            copy_members(archive, members, folder)
+    except Exception as error:  # zipfile, zlib and lzma raise many kinds on damaged files
+        raise FmuError(f"{path.name}: not a readable SSP archive: {error}.") from error
+
+
+def parse_xml(path: Path, member: str, content: bytes) -> etree._Element:
+    """Parse one XML member, without entities and network.
+
+    Raises:
+        FmuError: Not XML, with a DOCTYPE, or too large.
+    """
+    if len(content) > MAX_DESCRIPTION_BYTES:
+        raise FmuError(
+            f"{path.name}: {member} has {len(content)} bytes, more than {MAX_DESCRIPTION_BYTES}: "
+            f"refused."
+        )
+    parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+    try:
+        root = etree.fromstring(content, parser)
+    except etree.XMLSyntaxError as error:
+        raise FmuError(f"{path.name}: {member} is not valid XML: {error}.") from error
+    if root.getroottree().docinfo.doctype:
+        raise FmuError(f"{path.name}: {member} has a DOCTYPE, which SSP does not need: refused.")
+    return root
+
+
+SSD_FILE = "SystemStructure.ssd"
+NAMESPACES = {
+    "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
+    "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
+    "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+}
+"""The prefixes matter: libcosim and ecos look for them literally."""
+FMU_TYPE = "application/x-fmu-sharedlibrary"
+SET_TYPE = "application/x-ssp-parameter-set"
+PARAMETER_SET = "initialValues"
+"""Name of all parameter sets that we write; ecos applies a set by name."""
+OSP = "com.opensimulationplatform"
+"""Annotations with the base step and the step of single slaves, read by libcosim."""
+
+
+def tag(name: str) -> str:
+    """`ssd:System` as lxml spells it."""
+    prefix, _, local = name.partition(":")
+    return f"{{{NAMESPACES[prefix]}}}{local}"
+
 
 _KINDS = {
     "input": ("input",),

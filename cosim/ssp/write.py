@@ -10,9 +10,9 @@ from lxml import etree
 from twin.errors import FmuError
 from twin.scratch import scratch_file
 
-from ..slave.interface import Interface, Port, read_interface
+from ..interface import Interface, Port, read_interface
 from ..system import System
-from .names import FMU_TYPE, NAMESPACES, OSP, PARAMETER_SET, SET_TYPE, SSD_FILE, tag
+from .read import FMU_TYPE, NAMESPACES, OSP, PARAMETER_SET, SET_TYPE, SSD_FILE, tag
 
 _EXPONENTS = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 _TOOL = "uavtwin"

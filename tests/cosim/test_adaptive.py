@@ -9,9 +9,8 @@ import pytest
 from alter import NO_STATES, altered
 from numpy.typing import NDArray
 
-from cosim.adaptive import Control, Grid
-from cosim.master import Algorithm, Master
-from cosim.slave.slave import Slave
+from cosim.master import Algorithm, Control, Grid, Master
+from cosim.slave import Slave
 from cosim.system import Connection, System
 from fmus import build, component_model
 from twin.component import Component, ComponentBuilder

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from alter import altered
 
+from cosim.interface import read_interface
 from cosim.master import Master
-from cosim.slave.interface import read_interface
 from cosim.system import Connection, System
 from fmus import build, component_model
 from twin.component import ComponentBuilder

@@ -9,9 +9,8 @@ from alter import NO_DERIVATIVES, UNKNOWN_DEPENDENCIES, altered
 from numpy.typing import NDArray
 
 from cosim.master import Algorithm, Master
-from cosim.order import batches, stepping_order
-from cosim.slave.jacobian import jacobian
-from cosim.slave.slave import Slave
+from cosim.slave import Slave, jacobian
+from cosim.stepping import batches, stepping_order
 from cosim.system import Connection, System
 from fmus import build, component_model
 from fmus.order import Loop, visits

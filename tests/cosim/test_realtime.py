@@ -4,10 +4,9 @@ import time
 
 import pytest
 
-from cosim.master import Master
-from cosim.realtime import Pace
+from cosim.master import Master, Pace
 from cosim.recording import Interrupted
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from cosim.system import System
 from fmus import build, component_model
 from twin.component import ComponentBuilder

@@ -21,9 +21,9 @@ import pytest
 from alter import NO_DERIVATIVES, altered
 from bad_fmu import bad_fmu
 
+from cosim.calls import read_table, read_trace, shared_file, table_bytes
 from cosim.limits import Limits
 from cosim.master import Algorithm, Interrupted, Master, Recording, RunError
-from cosim.slave.trace import read_table, read_trace, shared_file, table_bytes
 from cosim.system import Connection, System
 from cosim.worker import WorkerMaster
 from fmus import build, component_model

@@ -17,8 +17,8 @@ from fmu_manipulation_toolbox.operations import FMU
 from importer_rig import STEP_S, STEPS, in_process_of
 from numpy.typing import NDArray
 
+from cosim.interface import read_interface
 from cosim.master import Master
-from cosim.slave.interface import read_interface
 from cosim.ssp import read_ssp, write_ssp
 from twin.errors import TwinError
 from twin.vehicle.file import load_vehicle

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from fmus.compensator import read_network
 from learning.force.candidates import LAWS
 from learning.force.model import NETWORK_FOLDER, Checked, ForceModel, Output

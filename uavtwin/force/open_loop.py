@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from twin.errors import LogError
 from twin.frames import AXES, multiply, rotation_vector
 from twin.logs import Flight

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from cosim.whole_twin import COMPENSATOR, PHASE, fused_model
 from fmus import build
 from fmus.compensator import NetworkFile, native_model

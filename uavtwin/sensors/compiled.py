@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from fmus import build
 from fmus.compensator import NetworkFile, native_model, read_network
 from learning.data.flights import ResidualFlight

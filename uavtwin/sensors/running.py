@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from fmus.compensator import NetworkFile
 from learning.data.flights import ResidualFlight, residual_flight, restart_before_s
 from twin.errors import LogError, TwinError

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cosim.slave.interface import read_interface
+from cosim.interface import read_interface
 from cosim.ssp import read_ssp
 from cosim.system import System
 from twin.component import unknown_name

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.slave.slave import Slave
+from cosim.slave import Slave
 from fmus import build, component_model
 from fmus.archive import unpack
 from fmus.inspect import inspect_fmu

@@ -16,7 +16,7 @@ from lxml import etree
 from cosim.master import Master
 from cosim.system import Connection, System
 from fmus import FmuModel, build
-from fmus.arrays import arrays
+from fmus.model import arrays
 from twin.component import Variable
 from twin.errors import FmuError, TwinError
 from uavtwin import component, export, twin, vehicle

@@ -10,7 +10,7 @@ import pytest
 from kinds import model
 
 from fmus import build
-from fmus.cache import cached, cached_or_made, store
+from fmus.builder import cached, cached_or_made, store
 from twin.errors import FmuError
 
 Damage = Callable[[bytes, bytes], bytes]
@@ -66,7 +66,7 @@ def test_what_is_kept_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 _MAKER = """
 import pathlib, sys, time
-from fmus.cache import cached_or_made
+from fmus.builder import cached_or_made
 
 def make():
     with open(sys.argv[1], "a") as calls:

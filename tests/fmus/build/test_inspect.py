@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmus import build, component_model
-from fmus.inspect import inspect_fmu
-from fmus.inspect.report import MAX_FACT, MAX_PROBLEMS, name_problems
+from fmus.inspect import MAX_FACT, MAX_PROBLEMS, inspect_fmu, name_problems
 from twin.errors import FmuError
 from twin.physics.sensors.imu import imu
 from twin.vehicle.file import load_vehicle

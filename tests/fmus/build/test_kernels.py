@@ -12,10 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from fmus.builder import CFLAGS
-from fmus.kernels.c_source import NUMBERS, TOGETHER, TRUTHS, kernel_source
-from fmus.kernels.functions import kernels
-from fmus.kernels.operations import operations
-from fmus.kernels.pairing import paired
+from fmus.kernels import NUMBERS, TOGETHER, TRUTHS, kernel_source, kernels, operations, paired
 from twin.errors import FmuError
 from twin.flight.control.lqr_cascade import controller
 from twin.vehicle.file import load_vehicle

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fmus.inspect.library_header import library_problem, library_suffix
+from fmus.inspect import library_problem, library_suffix
 from fmus.platforms import PLATFORMS
 
 FMPY = Path(fmpy.__file__).parent

@@ -15,9 +15,8 @@ from lxml import etree
 from fmus import replay_model
 from fmus.builder import write_archive
 from fmus.description import model_description
-from fmus.literals import c_list, c_number, c_string
 from fmus.names import check_name, check_text, shown
-from fmus.source import generated_sources
+from fmus.source import c_list, c_number, c_string, generated_sources
 from twin.errors import FmuError
 from twin.logs.columns import is_known, motor_number
 

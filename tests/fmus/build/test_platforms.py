@@ -204,7 +204,7 @@ def test_two_builds_are_the_same_bytes(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def _cache() -> Path:
-    from fmus.cache import cache_folder
+    from fmus.builder import cache_folder
 
     return cache_folder()
 

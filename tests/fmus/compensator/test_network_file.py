@@ -27,8 +27,8 @@ from fmus.compensator import (
     network_source,
     read_network,
 )
-from fmus.compensator.graph import MAX_NUMBERS, OUTPUTS, plain_copy, take_one_sample
 from fmus.description import model_description
+from fmus.network_file import MAX_NUMBERS, OUTPUTS, plain_copy, take_one_sample
 from fmus.source import generated_sources
 from learning.data.channels import CHANNELS, GROUPS, UNITS
 from learning.export.step import streaming_model

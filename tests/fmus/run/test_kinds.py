@@ -9,8 +9,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from instance import Instance, unzip
 
+from cosim.interface import read_interface
 from cosim.master import Master
-from cosim.slave.interface import read_interface
 from cosim.ssp import read_ssp, write_ssp
 from cosim.system import Connection, System
 from fmus import build, component_model, fuse

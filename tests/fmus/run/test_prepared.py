@@ -8,7 +8,7 @@ import pytest
 from instance import Instance, unzip
 
 from fmus import build, component_model
-from fmus.kernels.functions import kernels
+from fmus.kernels import kernels
 from twin.component import Component, ComponentBuilder, Run
 
 

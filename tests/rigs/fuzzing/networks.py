@@ -16,8 +16,7 @@ from google.protobuf.message import DecodeError  # type: ignore[import-untyped]
 from onnx import TensorProto, helper, numpy_helper
 
 from fmus.compensator import FILE, interface_model, native_model, read_network
-from fmus.compensator.graph import INPUTS, OUTPUTS, plain_copy
-from fmus.compensator.network_file import FORMAT
+from fmus.network_file import FORMAT, INPUTS, OUTPUTS, plain_copy
 from fmus.source import generated_sources
 
 from .engine import Seen, Step

@@ -1,4 +1,4 @@
-"""One FMU instance behind preallocated buffers.
+"""One FMU instance behind preallocated buffers, and the Jacobian of its outputs.
 
 The FMPy API loads and instantiates; the calls of the inner loop (set, step, get) go to the library
 directly, see `calls`.
@@ -11,24 +11,29 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-from fmpy.fmi2 import (
-    FMU2Slave,
-    defaultCallbacks,
-    fmi2CallbackFunctions,
-    fmi2CallbackLoggerTYPE,
-)
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from numpy.typing import NDArray
 
 from fmus.archive import unpack
 from twin.errors import FmuError
 
-from .calls import Library, Step, Transfer
+from .calls import (
+    FOLLOWING,
+    MORE,
+    ONE,
+    QUARTER,
+    TINY,
+    Library,
+    SharedTrace,
+    Step,
+    TracedCall,
+    Transfer,
+)
 from .interface import SCALARS, Port, read_interface
-from .trace import SharedTrace
 
 Array = NDArray[np.float64]
 _OK, _WARNING, _DISCARD, _FATAL, _PENDING = 0, 1, 2, 4, 5
@@ -339,3 +344,157 @@ class Slave:
 
     def _error(self, what: str, why: str) -> FmuError:
         return FmuError(f"{self._who}: {what}: {why}")
+
+
+class TracedSlave(Slave):
+    """A slave that writes its calls into a trace and checks after each how this process calculates.
+
+    The calls of the inner loop are written here, at half the cost of `TracedCall`.
+    """
+
+    def __init__(self, name: str, path: Path, trace: SharedTrace) -> None:
+        """Load and instantiate."""
+        self._slot = trace.call
+        super().__init__(name, path, trace)
+
+    def bind(
+        self, inputs: Sequence[str], outputs: Sequence[str], sent: Array, received: Array
+    ) -> None:
+        """See `Slave.bind`."""
+        super().bind(inputs, outputs, sent, received)
+        self._moves_in, self._moves_out = _bare(self._setters), _bare(self._getters)
+        doing = cast(TracedCall, self._step.call)
+        self._doing = doing.number, -doing.number, doing.bare
+
+    def write_inputs(self) -> None:
+        """See `Slave.write_inputs`.
+
+        Raises:
+            FmuError: The FMU failed, or changed how this process calculates.
+        """
+        slot, moves = self._slot, self._moves_in
+        for number, returned, set_, buffer, positions in moves:
+            if positions is not None:
+                buffer[:] = self.inputs[positions]
+            slot.value = number
+            if status := set_():
+                slot.value = returned
+                self.judge(status, "set inputs")
+        if moves:
+            slot.value = returned  # from the last of them
+            if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
+                raise cast(TracedCall, self._setters[-1][0]).spoilt()
+
+    def read_outputs(self) -> None:
+        """See `Slave.read_outputs`.
+
+        Raises:
+            FmuError: The FMU failed, or changed how this process calculates.
+        """
+        slot, moves = self._slot, self._moves_out
+        for number, returned, get, buffer, positions in moves:
+            slot.value = number
+            if status := get():
+                slot.value = returned
+                self.judge(status, "get outputs")
+            if positions is not None:
+                self.outputs[positions] = buffer
+        if moves:
+            slot.value = returned  # from the last of them
+            if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
+                raise cast(TracedCall, self._getters[-1][0]).spoilt()
+
+    def step(self, time_s: float, step_s: float) -> None:
+        """See `Slave.step`.
+
+        Raises:
+            FmuError: The FMU failed, or changed how this process calculates.
+        """
+        step, slot = self._step, self._slot
+        number, returned, call = self._doing
+        step.time_s.value = time_s
+        step.step_s.value = step_s
+        slot.value = number
+        status = call()
+        slot.value = returned
+        if ONE + QUARTER + MORE != FOLLOWING or not TINY + TINY:
+            raise cast(TracedCall, step.call).spoilt()
+        if status or step.flags.value:
+            self._judge_step(status)
+
+
+def _bare(moves: Sequence[Any]) -> list[tuple[int, int, Any, NDArray[Any], NDArray[Any] | None]]:
+    """What to write before and after, and the bare call, of what moves values."""
+    return [
+        (call.number, -call.number, call.bare, buffer, positions)
+        for call, buffer, positions in moves
+    ]
+
+
+_ROOT_EPS = float(np.sqrt(np.finfo(np.float64).eps))
+
+
+def jacobian(slave: Slave, outputs: Sequence[str], inputs: Sequence[str]) -> Callable[[], Array]:
+    """Derivatives of bound outputs against bound inputs, at the present inputs.
+
+    The FMU's directional derivatives, or forward differences by set and get where it has none.
+    What is no real number does not answer.
+
+    Returns:
+        A function without arguments that gives the matrix, shape (outputs, inputs).
+    """
+    rows = [i for i, n in enumerate(outputs) if slave.ports[n].kind == "Real"]
+    columns = [i for i, n in enumerate(inputs) if slave.ports[n].kind == "Real"]
+    made = _tangents if slave.interface.has_derivatives else _differences
+    inner = made(slave, [outputs[i] for i in rows], [inputs[i] for i in columns])
+    matrix = np.zeros((len(outputs), len(inputs)))
+    at = np.ix_(rows, columns)
+
+    def evaluate() -> Array:
+        """Fill the matrix."""
+        matrix[at] = inner()
+        return matrix
+
+    return evaluate
+
+
+def _tangents(slave: Slave, outputs: Sequence[str], inputs: Sequence[str]) -> Callable[[], Array]:
+    columns = np.zeros((len(inputs), len(outputs)))
+    ports = [slave.ports[n] for n in outputs]
+    calls = [
+        slave.library.tangent(ports, slave.ports[name], column)
+        for name, column in zip(inputs, columns, strict=True)
+    ]
+
+    def evaluate() -> Array:
+        """One call per input."""
+        for call in calls:
+            if status := call():
+                slave.judge(status, "directional derivative")
+        return columns.T
+
+    return evaluate
+
+
+def _differences(
+    slave: Slave, outputs: Sequence[str], inputs: Sequence[str]
+) -> Callable[[], Array]:
+    rows = [slave.bound_outputs.index(n) for n in outputs]
+    columns = [slave.bound_inputs.index(n) for n in inputs]
+    nominal = [slave.ports[n].nominal for n in inputs]
+
+    def evaluate() -> Array:
+        """One set and get per input; all is as before afterwards."""
+        u, y = slave.inputs.copy(), slave.outputs.copy()
+        matrix = np.zeros((len(rows), len(columns)))
+        for k, j in enumerate(columns):
+            slave.inputs[j] = u[j] + _ROOT_EPS * max(abs(u[j]), nominal[k])
+            slave.write_inputs()
+            slave.read_outputs()
+            matrix[:, k] = (slave.outputs[rows] - y[rows]) / (slave.inputs[j] - u[j])
+            slave.inputs[j] = u[j]
+        slave.write_inputs()
+        slave.outputs[:] = y
+        return matrix
+
+    return evaluate

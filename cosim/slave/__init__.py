@@ -1,1 +1,0 @@
-"""One FMU behind preallocated buffers."""
