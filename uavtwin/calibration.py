@@ -1,4 +1,4 @@
-"""The numbers of one aircraft, told by normal flights of it, as a result to print and to save."""
+"""The numbers of one aircraft, estimated from normal flights: a result to print and to save."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,14 +20,13 @@ from twin.residuals.teacher_forced import drive_warnings
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
+from .display import DisplayMixin, TextTable
 from .explanation import check_payloads
 from .flights import checked_flights
-from .report.figures import number
+from .formatting import counted, joined, number, number_cells, readable, title
 from .report.headline import Headline, calibrated_headline
-from .report.hover import hover_sentence
-from .report.spoken import joined, readable
-from .report.words import TOLD_BY_PRIOR, number_cells, title
-from .shown import Shown, TextTable, counted
+from .report.words import SET_BY_PRIOR
+from .wording import hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,13 +63,13 @@ _FLY: tuple[tuple[tuple[str, ...], str, str], ...] = (
         "turn through a full circle in hover, slowly, twice",
     ),
 )
-"""What to fly where numbers are not told: numbers by how they begin, in words, and how."""
+"""What to fly where numbers are not determined: numbers by how they begin, in words, and how."""
 
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, repr=False)
-class CalibrateResult(Shown):
+class CalibrateResult(DisplayMixin):
     """What normal flights say of the numbers of an aircraft.
 
     Attributes:
@@ -87,7 +86,7 @@ class CalibrateResult(Shown):
 
     @property
     def flights(self) -> tuple[str, ...]:
-        """Names of the flights that told."""
+        """Names of the flights that were fitted."""
         assert self.details.vehicle.calibration is not None
         return self.details.vehicle.calibration.flights
 
@@ -98,16 +97,16 @@ class CalibrateResult(Shown):
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Numbers that these flights do not tell, "effect.number"."""
+        """Numbers that these flights do not determine, "effect.number"."""
         return self.details.undetermined
 
     @cached_property
     def headline(self) -> Headline:
         """How many numbers these flights determine, and the effects that take most."""
-        told = [n for n in self._numbers() if n.full not in self.undetermined]
+        known = [n for n in self._numbers() if n.full not in self.undetermined]
         lead = (
             f"{counted(self.flights, 'flight')} of {self.draft.name} "
-            f"{'determines' if len(self.flights) == 1 else 'determine'} {len(told)} of its numbers"
+            f"{'determines' if len(self.flights) == 1 else 'determine'} {len(known)} of its numbers"
         )
         return calibrated_headline(self.details, lead)
 
@@ -122,7 +121,7 @@ class CalibrateResult(Shown):
 
     def _numbers(self) -> list[Number]:
         """Numbers in the order of what matters: the aircraft, its sensors, its records; of each
-        what differs most, in what is worth a name, what is not told last."""
+        what differs most, in what is worth a name, what is not determined last."""
         fit = self.details.fit
         own = [n for n in fit.numbers if not n.shape]
 
@@ -144,7 +143,7 @@ class CalibrateResult(Shown):
         return pd.DataFrame(self.json()["numbers"])
 
     def numbers_table(self) -> TextTable:
-        """The numbers of this aircraft, in words; what flights do not tell says so."""
+        """The numbers of this aircraft, in words; what flights do not determine says so."""
         rows = []
         for n in self._numbers():
             estimate = self._estimates[n.full]
@@ -152,7 +151,7 @@ class CalibrateResult(Shown):
                 (
                     n.full,
                     *number_cells(estimate.value, n.about.unit, estimate.ci95),
-                    TOLD_BY_PRIOR if n.full in self.undetermined else "",
+                    SET_BY_PRIOR if n.full in self.undetermined else "",
                     n.about.description,
                 )
             )
@@ -173,7 +172,7 @@ class CalibrateResult(Shown):
         return TextTable(header, tuple(rows))
 
     def fly_next(self) -> tuple[str, ...]:
-        """What to fly so that it is told what these flights do not tell."""
+        """Flights that would determine what these do not."""
         found = []
         for names, what, how in _FLY:
             if any(u.startswith(name) for u in self.undetermined for name in names):
@@ -182,8 +181,8 @@ class CalibrateResult(Shown):
             found.append(f"days: {DAYS} flights or more, on different days")
         return tuple(found)
 
-    def untold_words(self) -> str:
-        """What these flights do not tell, by effect."""
+    def undetermined_words(self) -> str:
+        """What these flights do not determine, by effect."""
         effects = dict.fromkeys(name.partition(".")[0] for name in self.undetermined)
         return joined([e.replace("_", " ") for e in effects])
 
@@ -224,27 +223,27 @@ class CalibrateResult(Shown):
         }
 
     def sections(self) -> Iterable[str | TextTable]:
-        """All that `told` says, and the warnings."""
-        yield from self.told()
+        """All that `findings` says, and the warnings."""
+        yield from self.findings()
         if self.warnings:
             yield "\n".join(self.warnings)
 
-    def told(self) -> Iterable[str | TextTable]:
-        """Sentence, hover, numbers, what is not told, days, what to fly next."""
+    def findings(self) -> Iterable[str | TextTable]:
+        """Sentence, hover, numbers, what is not determined, days, what to fly next."""
         yield self.sentence
         for h in self.hovers:
             yield f"{h.flight}: {hover_sentence(self.draft.name, h)}"
         yield self.numbers_table()
         if self.undetermined:
             yield (
-                f"These flights do not tell numbers of {self.untold_words()}: they stand as "
-                f"expected, or as the file has them."
+                f"These flights do not determine numbers of {self.undetermined_words()}: they "
+                f"stand as expected, or as the file has them."
             )
         days = self.days_table()
         if len(self.flights) < DAYS:
             yield (
                 f"{counted(self.flights, 'flight')}: how much days differ stands as is usual; "
-                f"{DAYS} flights or more tell it."
+                f"{DAYS} flights or more determine it."
             )
         elif days.rows:
             yield days
@@ -306,7 +305,7 @@ def calibrate(
         again = [n for n in draft.calibration.flights if n in {f.name for f in fit}]
         warnings.append(
             f"{draft.name} was calibrated before, on {', '.join(draft.calibration.flights)}: its "
-            f"numbers are believed as far as those flights told them"
+            f"numbers are believed as far as those flights determined them"
             + (f", so {', '.join(again)} count twice; calibrate the draft instead" if again else "")
         )
     found = fitted(fit, draft, progress, payloads, settings.inference)
@@ -321,8 +320,7 @@ def calibrate(
 def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.Vehicle:
     """The draft with the numbers of an aircraft, each with pedigree and sd.
 
-    An effect that the draft does not have, and that no flight tells, is left out: there is nothing
-    to say about it.
+    An effect that the draft does not have, and that no flight determines, is left out.
     """
     made, fit = vehicles.Vehicle.of(found.vehicle), found.fit
     flights = made.calibration.flights if made.calibration is not None else ()
@@ -340,7 +338,7 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
             known = half.get(full, 0.0) / INTERVAL
             sources[key] = f"uavtwin calibrate, {', '.join(flights)}"
             if found.prior_share.get(full, 1.0) > UNDETERMINED:
-                sources[key] += ", not told by them: as expected"
+                sources[key] += ", not determined by them: as expected"
             deviations.pop(key, None)
             value = float(f"{value:.9g}")
             effects[effect][name] = value
@@ -356,10 +354,10 @@ def calibrated_vehicle(found: Calibrated, draft: vehicles.Vehicle) -> vehicles.V
 
 
 def _says(n: Number, found: Calibrated) -> bool:
-    """Whether a number has anything to say: flights tell it, or it is not what no effect has."""
+    """Whether flights determine a number, or it differs from that of no effect."""
     away = abs(dict(found.fit.values)[n.full] - (n.about.neutral or 0.0))
-    told = found.prior_share.get(n.full, 1.0) <= UNDETERMINED
-    return not n.shape and (told or away > n.about.smallest)
+    determined = found.prior_share.get(n.full, 1.0) <= UNDETERMINED
+    return not n.shape and (determined or away > n.about.smallest)
 
 
 def _room(effect: str) -> int:

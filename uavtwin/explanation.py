@@ -22,25 +22,17 @@ from twin.residuals.channels import ChannelData
 from twin.vehicle import Deviation, Vehicle
 
 from . import vehicles
+from .display import DisplayMixin, TextTable
 from .exports.parts import component
 from .exports.write import export_parts
 from .flights import opened_flights
+from .formatting import certainty, counted, number_cells, title
 from .output import OptionalSteps, output_file, write_json
 from .report.explain import write_explain_report
 from .report.headline import Headline, got_worse, headline
-from .report.hover import hover_sentence
-from .report.words import (
-    by_prior,
-    calibrated_rows,
-    certainty,
-    day_rows,
-    instead,
-    number_cells,
-    shrink_words,
-    title,
-)
+from .report.words import by_prior, calibrated_rows, day_rows, instead, shrink_words
 from .series.files import EXPLAINED, TWIN, Column, Series, compared
-from .shown import Shown, TextTable, counted
+from .wording import hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,7 +41,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, repr=False)
-class ExplainResult(Shown):
+class ExplainResult(DisplayMixin):
     """What flights say about a model.
 
     Attributes:
@@ -86,7 +78,7 @@ class ExplainResult(Shown):
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Effects that are told about, the most probable first; none where nothing is named."""
+        """Effects that are listed, the most probable first; none where nothing is named."""
         return tuple(listed_effects(self.details))
 
     @property
@@ -112,7 +104,7 @@ class ExplainResult(Shown):
         return vehicles.Vehicle.of(self.details.vehicle)
 
     def candidates(self) -> "pd.DataFrame":
-        """A row per number of each effect that is told about, with its 95 % interval."""
+        """A row per number of each listed effect, with its 95 % interval."""
         import pandas as pd
 
         rows = [
@@ -139,8 +131,7 @@ class ExplainResult(Shown):
             rival = (
                 "" if first is None else f"{title(first['name'])} {certainty(first['probability'])}"
             )
-            told = estimates_of(self.details, effect)
-            for i, e in enumerate(told):
+            for i, e in enumerate(estimates_of(self.details, effect)):
                 head = (title(effect), certainty(probability_of(self.details, effect)))
                 value, unit, ends = number_cells(e.value, e.number.about.unit, e.ci95)
                 rows.append(
@@ -167,7 +158,7 @@ class ExplainResult(Shown):
         header = ("of the day", "number", "difference", "unit", "standard deviation")
         return TextTable(header, tuple(day_rows(self.details)))
 
-    def beside(self) -> Iterable[TextTable]:
+    def further_tables(self) -> Iterable[TextTable]:
         """What comes last: numbers that were in doubt, and those of days."""
         tables = (self.calibrated_table(), self.days_table())
         return [table for table in tables if table.rows]
@@ -207,8 +198,8 @@ class ExplainResult(Shown):
         )
 
     def series(self) -> tuple[Series, ...]:
-        """Of each held-out flight measured, twin and residual over time, with the named effects
-        beside; none where nothing could be held out."""
+        """Of each held-out flight measured, twin and residual over time, with and without the named
+        effects; none where nothing could be held out."""
         compared_with = self.details.comparison
         if compared_with is None:
             return ()
@@ -239,7 +230,7 @@ class ExplainResult(Shown):
             yield f"Fly next: {self.details.next_manoeuvre.description}"
         if self.details.comparison is not None:
             yield self.gap_table()
-        yield from self.beside()
+        yield from self.further_tables()
         if self.warnings:
             yield "\n".join(self.warnings)
 

@@ -27,13 +27,14 @@ from twin.vehicle.file.fields import FIELDS
 from twin.vehicle.layouts import Layout
 from twin.vehicle.plausibility import Question, questions
 
-from .report.hover import hover_sentence
-from .shown import Shown, TextTable, counted
+from .display import DisplayMixin, TextTable
+from .formatting import counted
 from .vehicle_draft import hover_drive
+from .wording import hover_sentence
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class CheckReport(Shown):
+class CheckReport(DisplayMixin):
     """What `check` says of one file.
 
     Attributes:
@@ -106,7 +107,7 @@ def check_file(path: str | Path, vehicle: Vehicle | None = None) -> CheckReport:
 
     Args:
         path: The file.
-        vehicle: Whose hover is put beside that of a flight.
+        vehicle: Whose hover is compared with that of a flight.
 
     Raises:
         TwinError: It cannot be read as anything known, or the flight cannot be compared with the
@@ -159,18 +160,20 @@ def _check_vehicle(path: Path) -> CheckReport:
     facts = {"format": "vehicle file", "name": vehicle.name, "driven by": vehicle.drive}
     given = {k: s for k, s in vehicle.sources.items() if not s.startswith(DEFAULT)}
     facts["numbers"] = f"{len(given)} of {len(FIELDS)} keys given"
-    notes, asked = tuple(_defaults(vehicle.sources)), questions(vehicle)
+    notes, open_questions = tuple(_defaults(vehicle.sources)), questions(vehicle)
     facts["rotors"] = f"{vehicle.rotors.count}, arm {vehicle.arm_m:.4g} m"
     try:
         body = airframe(vehicle)
     except ModelError as error:
-        return CheckReport(path.name, facts, (*vehicle.doubts, str(error)), (), notes, (), asked)
+        return CheckReport(
+            path.name, facts, (*vehicle.doubts, str(error)), (), notes, (), open_questions
+        )
     trim = [f"{v.start:.4g}" for v in body.inputs if v.name.startswith(("cmd_", "rotor_"))]
     facts["hovers at"] = f"{vehicle.drive} {', '.join(trim)}" + (
         " rad/s" if vehicle.drive == "rotor_speed" else ""
     )
     uses = "gap, explain, train, demo, simulate, export"
-    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,), asked)
+    return CheckReport(path.name, facts, vehicle.doubts, (), notes, (uses,), open_questions)
 
 
 def _defaults(sources: Mapping[str, str]) -> Iterator[str]:
@@ -201,21 +204,21 @@ def check_flight(flight: AnyFlight, file: str, vehicle: Vehicle | None = None) -
     Args:
         flight: As `open_flight` gives it.
         file: Name of its file.
-        vehicle: Whose hover is put beside that of the flight.
+        vehicle: Whose hover is compared with that of the flight.
 
     Raises:
         LogError: The flight cannot be compared with the vehicle.
     """
     hover = hover_of(flight)
-    beside: dict[str, str] = {}
+    comparison: dict[str, str] = {}
     diagnosis, contradicts = None, ""
     if vehicle is not None:
         contradicts = consistency(flight, vehicle).error
         if not contradicts:
-            beside, diagnosis = hover_beside(flight, hover, vehicle)
+            comparison, diagnosis = compare_hover(flight, hover, vehicle)
     facts = {
         **aircraft_facts(flight, hover),
-        **beside,
+        **comparison,
         "holds": ", ".join(c for c in flight.columns if c != "time" and flight.has(c)),
         "rows": f"{len(flight.time_s)}",
         "site": str(flight.site or "not known: taken for outdoors unless explain is given another"),
@@ -287,7 +290,7 @@ _LEAST_SPLIT = 1.5
 
 
 def aircraft_facts(flight: AnyFlight, hover: Hover | None) -> dict[str, str]:
-    """Kind of aircraft, command in hover, split between the motors, voltage; what is told.
+    """Kind of aircraft, command in hover, split between the motors, voltage.
 
     Args:
         flight: The flight.
@@ -319,10 +322,10 @@ def hover_json(hover: Hover, diagnosis: HoverDiagnosis | None) -> dict[str, Any]
     }
 
 
-def hover_beside(
+def compare_hover(
     flight: AnyFlight, hover: Hover | None, vehicle: Vehicle
 ) -> tuple[dict[str, str], HoverDiagnosis | None]:
-    """The hover of a flight beside that of a vehicle, and the diagnosis of its twin.
+    """The hover of a flight compared with that of a vehicle, and the diagnosis of its twin.
 
     Raises:
         LogError: The flight cannot be compared with the vehicle.
@@ -336,9 +339,9 @@ def hover_beside(
     facts = {}
     driven = "command" if hover.cmd is not None else "rotor_speed"
     if vehicle.drive == driven:
-        own, told = hover_drive(vehicle), hover.level
+        own, level = hover_drive(vehicle), hover.level
         facts[f"hover of {vehicle.name}"] = (
-            f"{own:.3g} for its {vehicle.mass_kg:.4g} kg; the flight {told:.3g}"
+            f"{own:.3g} for its {vehicle.mass_kg:.4g} kg; the flight {level:.3g}"
         )
     diagnosis = diagnosis_of(flight, vehicle, hover)
     if diagnosis is not None:
@@ -348,15 +351,15 @@ def hover_beside(
 
 def _kind(flight: AnyFlight) -> str:
     """What flew, and what says so."""
-    told, motors = flight.airframe, len(drives(flight))
-    if told is not None and told.no_multirotor:
-        return f"this is no multirotor: {told.no_multirotor}"
-    if told is None:
+    reported, motors = flight.airframe, len(drives(flight))
+    if reported is not None and reported.no_multirotor:
+        return f"this is no multirotor: {reported.no_multirotor}"
+    if reported is None:
         return f"{motors} rotors, by the columns" if motors else "not known"
-    if told.rotors is None:
+    if reported.rotors is None:
         return f"{motors} rotors, by the outputs" if motors else "not known"
-    kind = f"multirotor with {told.rotors.value} rotors ({told.rotors.source})"
-    return kind if told.layout is None else f"{kind}; {told.layout.source}"
+    kind = f"multirotor with {reported.rotors.value} rotors ({reported.rotors.source})"
+    return kind if reported.layout is None else f"{kind}; {reported.layout.source}"
 
 
 def _level(hover: Hover) -> str:

@@ -84,10 +84,10 @@ def _alike(
     names = _distinct_names(paths, several)
     if trust_vehicle:
         several = [_without_rotors(f) for f in several]
-    told = [(n, aircraft_told(f)) for n, f in zip(names, several, strict=True)]
+    reported = [(n, reported_aircraft(f)) for n, f in zip(names, several, strict=True)]
     return [
-        replace(f, name=n, findings=(*f.findings, *_strangers(own, told)))
-        for f, (n, own) in zip(several, told, strict=True)
+        replace(f, name=n, findings=(*f.findings, *_strangers(own, reported)))
+        for f, (n, own) in zip(several, reported, strict=True)
     ]
 
 
@@ -103,26 +103,26 @@ def _commands_alike(paths: Sequence[Path], flights: Sequence[_F]) -> Sequence[_F
     refused = [f for f in flights if "commands_not_rebuilt" in f.facts]
     found = list(flights)
     for k, flight in enumerate(flights):
-        others = [f.name for f in refused if aircraft_told(f) == aircraft_told(flight)]
+        others = [f.name for f in refused if reported_aircraft(f) == reported_aircraft(flight)]
         if others and "commands_match" in flight.facts:
             logged = read_flight(paths[k], rebuild_commands=False)
             assert isinstance(logged, type(flight))  # a log of an autopilot is read whole
-            told = AS_LOGGED.format(", ".join(others))
-            finding = Finding("info", "cmd", told)
+            reported = AS_LOGGED.format(", ".join(others))
+            finding = Finding("info", "cmd", reported)
             found[k] = replace(logged, findings=(*logged.findings, finding))
     return found
 
 
-def aircraft_told(flight: AnyFlight) -> tuple[str, ...]:
-    """What its log tells of the aircraft."""
+def reported_aircraft(flight: AnyFlight) -> tuple[str, ...]:
+    """Aircraft, airframe and hardware that its log reports."""
     return tuple(flight.facts.get(fact, "") for fact in ("aircraft", "airframe", "hardware"))
 
 
 def _strangers(
-    own: tuple[str, ...], told: Sequence[tuple[str, tuple[str, ...]]]
+    own: tuple[str, ...], reported: Sequence[tuple[str, tuple[str, ...]]]
 ) -> Iterator[Finding]:
     """A finding where a flight is of another aircraft than the first whose log says which."""
-    known = [(name, aircraft) for name, aircraft in told if any(aircraft)]
+    known = [(name, aircraft) for name, aircraft in reported if any(aircraft)]
     if not any(own) or own == known[0][1]:
         return
     text, first = (", ".join(x for x in aircraft if x) for aircraft in (own, known[0][1]))

@@ -10,15 +10,16 @@ from twin.residuals.flight_gap import DEFAULT_HORIZON_S, flight_gap
 from twin.residuals.gap import FlightGap, gap_json, rank, summaries
 from twin.vehicle import Vehicle
 
+from .display import DisplayMixin, TextTable
 from .flights import opened_flights
+from .formatting import counted
 from .output import output_file
 from .report.gap import claim, write_gap_report
 from .report.headline import Headline
-from .report.hover import hover_sentence
 from .report.overview import Overview, overview
 from .series.files import TWIN, Column, Series, compared
-from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
+from .wording import hover_sentence
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,7 +30,7 @@ WHOLE = "whole flight"
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class GapResult(Shown):
+class GapResult(DisplayMixin):
     """How far a vehicle's twin is from flights.
 
     Attributes:

@@ -12,10 +12,11 @@ from twin.errors import TwinError, install_command
 from twin.logs import Flight
 from twin.vehicle import Vehicle
 
+from .display import DisplayMixin, TextTable
 from .flights import checked_flights
+from .formatting import counted
 from .model_card.license import UNSAID, check_license
 from .output import check_folder, results_folder
-from .shown import Shown, TextTable, counted
 from .vehicles import checked_vehicle
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ _R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class TrainResult(Shown):
+class TrainResult(DisplayMixin):
     """A trained compensator.
 
     Attributes:

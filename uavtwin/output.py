@@ -35,14 +35,14 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _PACKAGES = ("casadi", "fmpy", "numpy", "pandas", "pyulog", "scipy", "uavtwin")
 
 
-def check_folder(out: Path, force: bool, journal: str = "", beside: Sequence[str] = ()) -> None:
+def check_folder(out: Path, force: bool, journal: str = "", alongside: Sequence[str] = ()) -> None:
     """Refuse an output folder before the work is done; nothing is made yet.
 
     Args:
         out: Folder.
         force: Whether files in it may be replaced.
         journal: Name of a file in it that marks an unfinished run, which may be resumed.
-        beside: Names of what else an unfinished run has there.
+        alongside: Names of what else an unfinished run has there.
 
     Raises:
         TwinError: It is a file, it cannot be written, or it holds files and `force` is not given.
@@ -58,7 +58,7 @@ def check_folder(out: Path, force: bool, journal: str = "", beside: Sequence[str
     if not out.is_dir() or force:
         return
     unfinished = bool(journal) and (out / journal).is_file()
-    own = {journal, *beside} if unfinished else set()
+    own = {journal, *alongside} if unfinished else set()
     own |= _take_back_all(out, own)
     others = sorted(entry.name for entry in out.iterdir() if entry.name not in own)
     for name in others:
@@ -95,7 +95,7 @@ def check_record(path: Path, force: bool) -> None:
 
 @contextmanager
 def results_folder(
-    out: Path, force: bool, journal: str = "", beside: Sequence[str] = ()
+    out: Path, force: bool, journal: str = "", alongside: Sequence[str] = ()
 ) -> Iterator[Path]:
     """A temporary folder whose content is moved to `out` at the end; nothing is, if that fails.
 
@@ -103,12 +103,12 @@ def results_folder(
     results are in their place.
 
     Args:
-        out, force, journal, beside: As of `check_folder`.
+        out, force, journal, alongside: As of `check_folder`.
 
     Raises:
         TwinError: As `check_folder`, or a result cannot be written or moved to its place.
     """
-    check_folder(out, force, journal, beside)
+    check_folder(out, force, journal, alongside)
     with _explained(out), scratch_folder(_nearest(out)) as folder:
         results = folder / "results"
         results.mkdir()
@@ -121,7 +121,7 @@ def results_folder(
             _merge(results, out)
             _finish(out, journal)
         else:
-            _move_listed(results, out, folder, journal, beside)
+            _move_listed(results, out, folder, journal, alongside)
 
 
 @contextmanager
@@ -234,8 +234,8 @@ class OptionalSteps:
                 _merge(made, folder)
                 return result
         except (TwinError, OSError) as error:
-            told = error if isinstance(error, TwinError) else error.strerror or error
-            self.failed.append(f"{what}: {' '.join(str(told).split())}")
+            reason = error if isinstance(error, TwinError) else error.strerror or error
+            self.failed.append(f"{what}: {' '.join(str(reason).split())}")
         except (Exception, KeyboardInterrupt) as error:
             interrupted = isinstance(error, KeyboardInterrupt)
             self.failed.append(f"{what}: {'interrupted' if interrupted else repr(error)}")
@@ -306,14 +306,14 @@ def _appear(results: Path, out: Path) -> None:
 
 
 def _move_listed(
-    results: Path, out: Path, folder: Path, journal: str, beside: Sequence[str]
+    results: Path, out: Path, folder: Path, journal: str, alongside: Sequence[str]
 ) -> None:
     """Move results into a folder that is there, entry by entry, with a list of them meanwhile.
 
     Raises:
         TwinError: Something else is there by now.
     """
-    if {entry.name for entry in out.iterdir()} - {folder.name, journal, *beside}:
+    if {entry.name for entry in out.iterdir()} - {folder.name, journal, *alongside}:
         raise _taken(out)
     partial = folder / f"{_MOVING}.partial"
     partial.write_text(json.dumps({n: _identity(results / n) for n in _files(results)}), "utf-8")

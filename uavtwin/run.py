@@ -18,9 +18,10 @@ from twin.component import unknown_name
 from twin.errors import TwinError
 from twin.vehicle import Vehicle
 
+from .display import DisplayMixin, TextTable
+from .formatting import counted
 from .output import output_file, sha256
 from .series.files import Column, Series, write_frame, write_series_mcap
-from .shown import Shown, TextTable, counted
 from .simulation import Scenario, run_scenario, scenario_system, summary
 from .vehicles import checked_vehicle
 
@@ -38,7 +39,7 @@ _FIGURES = {
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Run(Shown):
+class Run(DisplayMixin):
     """A simulation that was run.
 
     Attributes:

@@ -14,8 +14,8 @@ from twin.logs import Flight
 from twin.vehicle.file import parse_vehicle
 from twin.vehicle.thrust_map import hover_level, polynomial
 
+from .display import DisplayMixin, TextTable
 from .flights import check_names, checked_flights
-from .shown import Shown, TextTable
 from .vehicles import Vehicle
 
 INCH_M = 0.0254
@@ -25,7 +25,7 @@ _LARGEST_M = 20.0
 
 
 @dataclass(frozen=True, repr=False)
-class DraftResult(Shown):
+class DraftResult(DisplayMixin):
     """A vehicle in draft.
 
     Attributes:

@@ -22,7 +22,7 @@ from twin.vehicle import Calibration, Vehicle
 from uavtwin.calibration import CalibrateResult
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.report.headline import headline
-from uavtwin.report.spoken import said
+from uavtwin.wording import said
 
 COPTER = ut.load_vehicle("copter_default")
 DRAG_1_S = 0.5
@@ -295,7 +295,7 @@ def test_what_was_strapped_on_is_named(loaded: ut.ExplainResult) -> None:
     assert mass["no_effect"] == 0.0
     assert loaded.json()["since"] == ["one", "two", "three"]
     assert "rotor_drag.k_xy_1_s" in str(loaded.calibrated_table())
-    assert "told by the calibration" in str(loaded.calibrated_table())
+    assert "set by the calibration" in str(loaded.calibrated_table())
     assert loaded.vehicle.calibration is None
     assert "[calibration]" not in loaded.vehicle.toml()
 

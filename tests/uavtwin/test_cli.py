@@ -20,7 +20,7 @@ from twin.vehicle import layouts
 from twin.vehicle.file import load_vehicle, vehicle_text
 from uavtwin.cli.printing import print_sections, print_table
 from uavtwin.demo.flights import fly
-from uavtwin.shown import TextTable
+from uavtwin.display import TextTable
 
 VEHICLE = "copter_default"
 

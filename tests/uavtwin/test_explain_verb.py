@@ -34,9 +34,9 @@ from uavtwin.cli import main
 from uavtwin.cli.explain import flight_payloads
 from uavtwin.demo.flights import Waypoints, fly
 from uavtwin.explanation import ExplainResult, explained_vehicle, vehicle_today
+from uavtwin.formatting import certainty
 from uavtwin.report.explain import write_explain_report
 from uavtwin.report.headline import headline
-from uavtwin.report.words import certainty
 
 pytestmark = pytest.mark.slow
 COPTER = load_vehicle("copter_default")

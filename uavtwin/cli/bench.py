@@ -28,7 +28,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Measure the speed figures of the README, here and now."""
-    from ..shown import TextTable
+    from ..display import TextTable
 
     if scale:
         _scale(minutes, rate, as_json)
@@ -62,7 +62,7 @@ def _scale(minutes: str, rate_hz: float, as_json: bool) -> None:
 
 def _print_scale(found: "Scale") -> None:
     """Runs, then slopes."""
-    from ..shown import TextTable
+    from ..display import TextTable
 
     runs = [
         (t.verb, f"{t.minutes:g}", f"{t.seconds:.1f}", f"{t.processor_s:.1f}", f"{t.peak_mb:.0f}")

@@ -68,4 +68,4 @@ def _print(found: "CalibrateResult") -> None:
     """Everything that was found, warnings on stderr."""
     for warning in found.warnings:
         STDERR.print(warning, style="yellow")
-    print_sections(found.told())
+    print_sections(found.findings())

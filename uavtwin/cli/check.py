@@ -23,7 +23,7 @@ def check(
     ],
     vehicle: Annotated[
         str | None,
-        typer.Option(help="Vehicle whose hover is put beside that of each flight."),
+        typer.Option(help="Vehicle whose hover is compared with that of each flight."),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -32,21 +32,21 @@ def check(
     from ..vehicles import load_vehicle
 
     model = None if vehicle is None else load_vehicle(vehicle)
-    told, worst = [], Exit.FINE
+    reports, worst = [], Exit.FINE
     for path in files:
         try:
             report = check_file(path, model)
         except Exception as error:  # one that cannot be read hides none of the others
             worst = max(worst, print_error(error, f"check {path}"))
-            told.append({"file": path.name, "error": str(error)})
+            reports.append({"file": path.name, "error": str(error)})
             continue
         if report.problems or report.warnings:
             worst = max(worst, Exit.FINDINGS)
-        told.append(report.json())
+        reports.append(report.json())
         if not as_json:
             STDOUT.print(report.file, style="bold")
             for kind, text in report.lines():
                 STDOUT.print(f"  {text}", style=_STYLES.get(kind))
     if as_json:
-        print_json(told)
+        print_json(reports)
     raise typer.Exit(worst)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..vehicles import Vehicle
 
 COMPENSATOR, FUSED, REPLAY = "compensator", "corrected-twin", "replay"
-"""What can be exported beside the components."""
+"""What can be exported besides the components."""
 MISSION = "mission"
 DRIVES = {
     "commands": "command",
@@ -145,7 +145,9 @@ def export(
     plan = export_components(components, choice)
     with results_folder(out, force) as folder, progress("building") as step:
         written = plan(folder, step)
-        write_run(folder, "export", {"components": components, **choice.told()}, choice.inputs())
+        write_run(
+            folder, "export", {"components": components, **choice.recorded()}, choice.inputs()
+        )
     if as_json:
         print_json([row.as_json() for row in written])
     else:
@@ -190,11 +192,11 @@ class Choice:
     arrays: bool = False
     outputs: str = "typed"
 
-    def told(self) -> dict[str, Any]:
+    def recorded(self) -> dict[str, Any]:
         """For `run.json`, which lists files that were read among its inputs."""
         read = {f.name: getattr(self, f.name) for f in fields(self)}
-        told = {k: v for k, v in read.items() if k not in ("flight", "model")}
-        return {**told, "vehicle": Path(self.vehicle).name}
+        chosen = {k: v for k, v in read.items() if k not in ("flight", "model")}
+        return {**chosen, "vehicle": Path(self.vehicle).name}
 
     def inputs(self) -> list[Path]:
         """Files that are read."""
@@ -242,9 +244,9 @@ def export_components(
 
 def default_vehicle(model: Path | None) -> str:
     """Vehicle where none is given: the one that a trained model corrects, else a default."""
-    beside = None if model is None else model / "vehicle.toml"
-    if beside is not None and beside.is_file():
-        return str(beside)
+    own = None if model is None else model / "vehicle.toml"
+    if own is not None and own.is_file():
+        return str(own)
     return vehicle_named(None, "copter_default")
 
 

@@ -31,10 +31,10 @@ from .options import Exit
 if TYPE_CHECKING:
     from twin.logs import AnyFlight
 
+    from ..display import TextTable
     from ..explanation import ExplainResult
     from ..exports.write import WrittenFile
     from ..output import OptionalSteps
-    from ..shown import TextTable
 
 
 class _Terminal(Console):
@@ -175,7 +175,7 @@ def print_explanation(found: "ExplainResult") -> None:
     if found.details.comparison is not None:
         table = found.gap_table()
         print_table(table, unbroken=table.header[-1])
-    for table in found.beside():
+    for table in found.further_tables():
         print_table(table)
 
 

@@ -23,12 +23,12 @@ def query(
     as_csv: Annotated[bool, typer.Option("--csv", help="Print CSV instead of a table.")] = False,
 ) -> None:
     """Ask the tables of a fleet, in the SQL of DuckDB; nothing else is read, nothing is written."""
-    from ..fleets.query import query as asked
-    from ..shown import TextTable
+    from ..display import TextTable
+    from ..fleets.query import query as run_query
 
     if as_json and as_csv:
         raise TwinError("query: --json and --csv are both given. Choose one.")
-    answer = asked(folder, sql, time_limit)
+    answer = run_query(folder, sql, time_limit)
     if as_json:
         print_json(answer.records())
     elif as_csv:

@@ -88,7 +88,7 @@ def train(
     read = read_alike(flights, rebuild_commands, trust_vehicle)
     inputs = [p for p in (*flights, Path(vehicle)) if p.is_file()]
 
-    def beside(trained: "TrainResult", folder: Path) -> None:
+    def alongside(trained: "TrainResult", folder: Path) -> None:
         """Print what was trained, before the folder is moved to its place, and write run.json."""
         if as_json:
             print_json(trained.json())
@@ -106,7 +106,7 @@ def train(
     samples = 1 if horizon is None else _samples(horizon, rate)
     wanted = Wanted(model, preset, protocol, samples, rate, epochs, seed, device, license)
     with progress("training") as step:
-        trained = run_train(read, twin, out, wanted, force, step, beside)
+        trained = run_train(read, twin, out, wanted, force, step, alongside)
     if not as_json:
         print_written(out, trained.files)
     if print_damage(read):

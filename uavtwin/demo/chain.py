@@ -11,9 +11,9 @@ from twin.representation import short_repr
 from twin.vehicle import Vehicle
 
 from ..explanation import ExplainResult, explain, write_explanation, write_fmus
+from ..formatting import title
 from ..gaps import GapResult, gap
 from ..output import OptionalSteps, write_json
-from ..report.words import title
 from .flights import WAYPOINTS, Hidden, Waypoints, fly, hide
 
 SIDEWAYS: Waypoints = tuple((p, t, (-0.8 * y, 0.8 * x, z)) for p, t, (x, y, z) in WAYPOINTS)

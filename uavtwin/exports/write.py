@@ -16,8 +16,9 @@ from fmus.python_slave.build import build_network_slave, build_python_slave
 from twin.component import Component, unknown_name
 from twin.errors import TwinError
 
+from ..display import DisplayMixin, TextTable
+from ..formatting import counted
 from ..output import results_folder, sha256
-from ..shown import Shown, TextTable, counted
 from .parts import Twin
 
 Exportable = Component | FmuModel | NetworkFile | Twin
@@ -250,7 +251,7 @@ VERSIONS = (2, 3)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ExportResult(Shown):
+class ExportResult(DisplayMixin):
     """Files that were written.
 
     Attributes:

@@ -282,8 +282,8 @@ def _once(content: dict[str, Any], first: dict[bytes, str]) -> dict[str, Any]:
     log = first.setdefault(bytes.fromhex(print_)[:12], about["log"])
     if log == about["log"]:
         return content
-    kept = {k: about[k] for k in ("log", "bytes", "format", "aircraft", "fingerprint")}
-    return {"flights": [kept | {"status": "copy", "error": COPY.format(log)}]}
+    identity = {k: about[k] for k in ("log", "bytes", "format", "aircraft", "fingerprint")}
+    return {"flights": [identity | {"status": "copy", "error": COPY.format(log)}]}
 
 
 def write_dataset(lines: Iterable[Mapping[str, Any]], out: Path) -> None:

@@ -51,7 +51,7 @@ class Measure:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """An aircraft beside the others, in one number.
+    """An aircraft against the others, in one number.
 
     Attributes:
         number: Its name.
@@ -76,8 +76,8 @@ class Difference:
     flights: int
 
     @property
-    def told(self) -> bool:
-        """Whether it counts."""
+    def significant(self) -> bool:
+        """Whether its share of false discoveries is within `FALSE_SHARE`."""
         return self.q <= FALSE_SHARE
 
 
@@ -100,8 +100,8 @@ class Drift:
     q: float
 
     @property
-    def told(self) -> bool:
-        """Whether it counts."""
+    def significant(self) -> bool:
+        """Whether its share of false discoveries is within `FALSE_SHARE`."""
         return self.q <= FALSE_SHARE
 
 
@@ -136,7 +136,7 @@ def measures(folder: Path) -> Iterator[Measure]:
 
 
 def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
-    """Every aircraft beside the others, and over time, the clearest first.
+    """Every aircraft against the others, and over time, the clearest first.
 
     Differences: within a number by Rosner's procedure over the aircraft, over numbers by
     Benjamini and Hochberg. Drifts: by Benjamini and Hochberg over all numbers and aircraft.
@@ -145,7 +145,7 @@ def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
     smallest: dict[str, float] = {}
     drifts: list[Drift] = []
     for m in measures(folder):
-        own = _beside(m)
+        own = _against_others(m)
         if own:
             smallest[m.name] = min(d.p for d in own)
         differences += own
@@ -162,8 +162,8 @@ def compared(folder: Path) -> tuple[list[Difference], list[Drift]]:
     )
 
 
-def _beside(m: Measure) -> list[Difference]:
-    """Each aircraft beside the others."""
+def _against_others(m: Measure) -> list[Difference]:
+    """Each aircraft against the others."""
     names, flights, value, variance = per_aircraft(m.table)
     if len(names) < FEWEST_AIRCRAFT:
         return []
@@ -190,9 +190,9 @@ def per_aircraft(table: pd.DataFrame) -> tuple[list[str], NDArray[np.int64], Arr
     middle = grouped.median().to_numpy(dtype=np.float64)
     away = (table["value"] - grouped.transform("median")).abs()
     within = (NORMAL_MAD * away.groupby(table["aircraft"], sort=True).median()).to_numpy() ** 2
-    told = count >= FEWEST_FLIGHTS
-    usual = float(np.median(within[told])) if told.any() else 0.0
-    variance = MEDIAN_COST * np.where(told, within, usual) / count
+    enough = count >= FEWEST_FLIGHTS
+    usual = float(np.median(within[enough])) if enough.any() else 0.0
+    variance = MEDIAN_COST * np.where(enough, within, usual) / count
     return names, count, middle, np.asarray(variance, dtype=np.float64)
 
 
@@ -279,8 +279,8 @@ class Spread:
 
 def explained_aircraft(folder: Path) -> dict[str, int]:
     """Explanations of each aircraft that could be explained, by name."""
-    told = read_table(folder, "effects", ["log", "aircraft", "verdict"]).drop_duplicates()
-    done = told[(told["verdict"] != "unusable") & (told["aircraft"] != "")]
+    effects = read_table(folder, "effects", ["log", "aircraft", "verdict"]).drop_duplicates()
+    done = effects[(effects["verdict"] != "unusable") & (effects["aircraft"] != "")]
     return {str(a): int(n) for a, n in done.groupby("aircraft", sort=True).size().items()}
 
 
@@ -293,9 +293,11 @@ def spreads(folder: Path, explained: dict[str, int] | None = None) -> list[Sprea
         folder: Of the dataset.
         explained: Explanations by aircraft; None: as the dataset has them.
     """
-    told = read_table(folder, "effects")
+    effects = read_table(folder, "effects")
     count = explained_aircraft(folder) if explained is None else explained
-    sure = told[(told["probability"] >= SURE) & (told["sd"] > 0) & (told["aircraft"] != "")]
+    sure = effects[
+        (effects["probability"] >= SURE) & (effects["sd"] > 0) & (effects["aircraft"] != "")
+    ]
     found = []
     for (effect, number, unit), own in sure.groupby(["effect", "number", "unit"], sort=True):
         each = tuple(a for a in _aircraft(own, count) if a.steady)

@@ -23,7 +23,7 @@ from twin.residuals.hover import HoverDiagnosis
 from twin.vehicle.file import parse_vehicle
 
 from ..file_check import check_flight
-from ..flights import aircraft_told, open_alike
+from ..flights import open_alike, reported_aircraft
 from ..gaps import gap
 from ..jobs.process import Allowed, ProcessWorker
 from ..vehicles import Vehicle
@@ -83,7 +83,7 @@ class LogAnalysis:
         return str(job.job)
 
     def worker(self) -> ProcessWorker[LogJob, JobRows]:
-        """One more that looks at logs."""
+        """One more worker process."""
         return ProcessWorker(self, JobRows.read, self.lost, self.allowed)
 
     def packed(self) -> "LogAnalysis":
@@ -108,7 +108,7 @@ class LogAnalysis:
         return self.analyse(job).json()
 
     def analyse(self, job: LogJob) -> JobRows:
-        """All that is asked for; an error is a part of it."""
+        """Rows of the job; an error is one of them."""
         if job.aircraft:
             return self._aircraft(job)
         found = JobRows(job.job)
@@ -230,35 +230,35 @@ def _explain(
     aircraft: str | None = None,
 ) -> Row:
     """Rows of effects; the verdict. Nothing is flown in closed loop, no manoeuvre is looked for."""
-    told = inner.explain(flights, [], vehicle, missions=(), indoors=indoors, suggest=False)
+    explained = inner.explain(flights, [], vehicle, missions=(), indoors=indoors, suggest=False)
     aircraft = aircraft_name(flights[0]) if aircraft is None else aircraft
-    for text in told.reasons:
+    for text in explained.reasons:
         _say(found, log, aircraft, "explain", "problem", text)
-    for text in told.warnings:
+    for text in explained.warnings:
         _say(found, log, aircraft, "explain", "warning", text)
-    listed = listed_effects(told)
+    listed = listed_effects(explained)
     for effect in listed:
-        _effect(told, effect, log, aircraft, found)
-    if not any(estimates_of(told, e) for e in listed):
-        found.add("effects", log=log, aircraft=aircraft, verdict=told.verdict)
-    nothing = None if told.naming is None else nothing_probability(told.naming)
+        _effect(explained, effect, log, aircraft, found)
+    if not any(estimates_of(explained, e) for e in listed):
+        found.add("effects", log=log, aircraft=aircraft, verdict=explained.verdict)
+    nothing = None if explained.naming is None else nothing_probability(explained.naming)
     return {
-        "verdict": told.verdict,
+        "verdict": explained.verdict,
         "nothing_probability": nothing,
         "named": ", ".join(listed),
     }
 
 
-def _effect(told: Explanation, effect: str, log: str, aircraft: str, found: JobRows) -> None:
-    for e in estimates_of(told, effect):
+def _effect(explained: Explanation, effect: str, log: str, aircraft: str, found: JobRows) -> None:
+    for e in estimates_of(explained, effect):
         low, high = e.ci95 or (None, None)
         found.add(
             "effects",
             log=log,
             aircraft=aircraft,
-            verdict=told.verdict,
+            verdict=explained.verdict,
             effect=effect,
-            probability=probability_of(told, effect),
+            probability=probability_of(explained, effect),
             number=e.number.name,
             value=e.value,
             sd=None if low is None or high is None else (high - low) / 2 / INTERVAL,
@@ -285,7 +285,7 @@ def aircraft_name(flight: AnyFlight) -> str:
     """Name of the aircraft: the identifier of its autopilot and its airframe, as two flights of one
     call are held to be of one aircraft; "" where the log holds no identifier.
     """
-    aircraft, airframe, hardware = aircraft_told(flight)
+    aircraft, airframe, hardware = reported_aircraft(flight)
     own = aircraft or hardware
     return ", ".join(t for t in (own.removeprefix("autopilot "), airframe) if t) if own else ""
 
@@ -303,7 +303,7 @@ def date_of(flight: AnyFlight) -> float | None:
 
 Array = NDArray[np.float64]
 LEAST_S = 5.0
-"""Flight of which a battery or a gyroscope is told."""
+"""Shortest flight from which a battery resistance or a gyroscope bias is estimated, s; made up."""
 LEAST_A = 0.02
 """Share of its mean by which a current has to vary."""
 LEAST_V = 1.0
@@ -316,36 +316,36 @@ WINDOW_S = 0.5
 def vitals_of(
     flight: AnyFlight, hover: Hover | None, diagnosis: HoverDiagnosis | None
 ) -> dict[str, float | None]:
-    """All that are told, by the names of their columns.
+    """Those that can be estimated, by the names of their columns.
 
     Args:
         flight: As read.
         hover: Its hover; None: it has none.
         diagnosis: Of the twin in it; None: none.
     """
-    told: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}
+    vitals: dict[str, float | None] = {"battery_resistance_ohm": battery_resistance(flight)}
     bias = gyro_bias(flight)
     if bias is not None:
-        told |= {f"gyro_bias_{a}_rad_s": float(b) for a, b in zip("xyz", bias, strict=True)}
+        vitals |= {f"gyro_bias_{a}_rad_s": float(b) for a, b in zip("xyz", bias, strict=True)}
     if diagnosis is not None:
         back, right = diagnosis.back_m, diagnosis.right_m
-        told |= {
+        vitals |= {
             "carried": diagnosis.carried.value,
             "back_m": None if back is None else back.value,
             "right_m": None if right is None else right.value,
         }
-    return told | ({} if hover is None else _of_hover(hover))
+    return vitals | ({} if hover is None else _of_hover(hover))
 
 
 def _of_hover(hover: Hover) -> dict[str, float | None]:
-    told: dict[str, float | None] = {}
+    vitals: dict[str, float | None] = {}
     if hover.cmd is not None:
-        told["hover_command"] = hover.level
+        vitals["hover_command"] = hover.level
     if hover.rotor_rad_s is not None:
-        told["hover_speed_rad_s"] = float(np.median(hover.rotor_rad_s.mean(axis=1)))
+        vitals["hover_speed_rad_s"] = float(np.median(hover.rotor_rad_s.mean(axis=1)))
     if hover.voltage_v is not None:
-        told["hover_voltage_v"] = float(np.median(hover.voltage_v))
-    return told | {f"motor_{i}": s for i, s in enumerate(hover.split[:MOTORS], start=1)}
+        vitals["hover_voltage_v"] = float(np.median(hover.voltage_v))
+    return vitals | {f"motor_{i}": s for i, s in enumerate(hover.split[:MOTORS], start=1)}
 
 
 def battery_resistance(flight: AnyFlight) -> float | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ..shown import TextTable
+from ..display import TextTable
 from .dataset import MOTORS, read_table
 from .log_analysis import misfit
 
@@ -45,7 +45,7 @@ class Overview:
 
     @property
     def misfit(self) -> str:
-        """Why the vehicle file does not fit; "" where it does, or where it cannot be told."""
+        """Why the vehicle file does not fit; "" where it does, or where that is not known."""
         text = misfit(self.numbers["carried"], self.vehicle)
         return f"{self.name}: {text}" if text else ""
 

@@ -75,18 +75,19 @@ def query(folder: str | Path, sql: str, time_limit_s: float = 300.0) -> Answer:
         connection.execute(f"SET memory_limit = '{MOST_MEMORY}'")
         connection.execute("SET enable_external_access = false")
         connection.execute("SET lock_configuration = true")
-        told = connection.extract_statements(sql)
-        if len(told) != 1 or told[0].type != duckdb.StatementType.SELECT:
+        statements = connection.extract_statements(sql)
+        if len(statements) != 1 or statements[0].type != duckdb.StatementType.SELECT:
             raise TwinError(
-                f"query: {'no' if not told else 'this is not one'} SELECT: {sql.strip()[:100]!r}. "
+                f"query: {'no' if not statements else 'this is not one'} SELECT: "
+                f"{sql.strip()[:100]!r}. "
                 f"Ask by one SELECT; the dataset is only read."
             )
         clock = threading.Timer(time_limit_s, connection.interrupt)
         clock.start()
         try:
-            asked = connection.execute(told[0])
-            names = tuple(str(d[0]) for d in asked.description or ())
-            return Answer(names, tuple(asked.fetchall()))
+            executed = connection.execute(statements[0])
+            names = tuple(str(d[0]) for d in executed.description or ())
+            return Answer(names, tuple(executed.fetchall()))
         finally:
             clock.cancel()
     except duckdb.InterruptException as error:

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from ..display import DisplayMixin, TextTable
 from ..output import output_file
-from ..shown import Shown, TextTable
 from .dataset import read_table
 from .fleet_statistics import Difference, Drift, Spread, compared, explained_aircraft, spreads
 from .overview import UNNAMED, Overview, of_aircraft, of_logs, table_of
 from .statistics import FEWEST_AIRCRAFT, FEWEST_FLIGHTS
 
-MOST_TOLD = 20
+MOST_ROWS = 20
 """Rows of a table that are printed."""
 BAD = ("unreadable", "failed", "refused", "findings")
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class FleetResult(Shown):
+class FleetResult(DisplayMixin):
     """What came of a fleet.
 
     Attributes:
@@ -31,7 +31,7 @@ class FleetResult(Shown):
         aircraft: Flights by aircraft.
         unnamed: Flights whose log does not name an aircraft.
         dated: Flights with a date.
-        differences: Every aircraft beside the others, the clearest first.
+        differences: Every aircraft against the others, the clearest first.
         drifts: Every number over time, the clearest first.
         spreads: Numbers of effects over aircraft.
         explained: Explanations by aircraft.
@@ -63,12 +63,12 @@ class FleetResult(Shown):
     @property
     def differing(self) -> tuple[Difference, ...]:
         """Differences that count."""
-        return tuple(d for d in self.differences if d.told)
+        return tuple(d for d in self.differences if d.significant)
 
     @property
     def drifting(self) -> tuple[Drift, ...]:
         """Drifts that count."""
-        return tuple(d for d in self.drifts if d.told)
+        return tuple(d for d in self.drifts if d.significant)
 
     @property
     def misfits(self) -> tuple[str, ...]:
@@ -173,10 +173,10 @@ class FleetResult(Shown):
         """The claim, each aircraft, each log, what differs, what drifts, effects, bad logs."""
         yield self.claim
         if self.misfits:
-            yield "\n".join(self.misfits[:MOST_TOLD])
+            yield "\n".join(self.misfits[:MOST_ROWS])
         if self.rows:
-            yield table_of(self.rows, "aircraft", MOST_TOLD)
-        yield table_of(of_logs(self.folder), "log", MOST_TOLD)
+            yield table_of(self.rows, "aircraft", MOST_ROWS)
+        yield table_of(of_logs(self.folder), "log", MOST_ROWS)
         if self.differing:
             head = ("differs", "number", "its median", "others", "unit", "q")
             yield TextTable(
@@ -186,7 +186,7 @@ class FleetResult(Shown):
                         *(d.aircraft, d.number, _g(d.value)),
                         *(f"{_g(d.others)} ± {_g(d.spread)}", d.unit, f"{d.q:.2g}"),
                     )
-                    for d in self.differing[:MOST_TOLD]
+                    for d in self.differing[:MOST_ROWS]
                 ),
             )
         if self.drifting:
@@ -198,7 +198,7 @@ class FleetResult(Shown):
                         *(d.aircraft, d.number, f"{d.trend.slope:+.3g}"),
                         *(f"{d.trend.low:+.3g} to {d.trend.high:+.3g}", d.unit, f"{d.q:.2g}"),
                     )
-                    for d in self.drifting[:MOST_TOLD]
+                    for d in self.drifting[:MOST_ROWS]
                 ),
             )
         if self.spreads:
@@ -210,10 +210,10 @@ class FleetResult(Shown):
                         *(f"{s.effect}.{s.number}", f"{len(s.aircraft)} of {s.explained}"),
                         *(_g(s.common.mean), _interval(s), _g(s.common.between), s.unit),
                     )
-                    for s in self.spreads[:MOST_TOLD]
+                    for s in self.spreads[:MOST_ROWS]
                 ),
             )
-        bad = self.bad_logs(MOST_TOLD)
+        bad = self.bad_logs(MOST_ROWS)
         if len(bad):
             rows = bad.fillna("").itertuples(index=False)
             texts = tuple((str(a), str(b), str(c)[:160]) for a, b, c in rows)

@@ -74,7 +74,7 @@ def _deviates(y: Array, own: Array) -> Array:
 
 
 FALSE_SHARE = 0.05
-"""Of what is told to differ or to drift, the share that is expected to be false."""
+"""Accepted share of false discoveries among the differences and drifts that are reported."""
 
 
 def adjusted(p: Sequence[float]) -> Array:
@@ -125,9 +125,9 @@ def common_of(value: Sequence[float] | Array, sd: Sequence[float] | Array) -> Co
     q = float(w @ (y - mean) ** 2) / (len(y) - 1)
     sd_mean = float(np.sqrt(max(q, 1.0) / w.sum()))
     half = float(student.ppf(0.975, len(y) - 1)) * sd_mean
-    kept = tau2 / (tau2 + s**2)
-    own = mean + kept * (y - mean)
-    own_sd = np.sqrt(kept * s**2 + (1 - kept) ** 2 * sd_mean**2)
+    weight = tau2 / (tau2 + s**2)
+    own = mean + weight * (y - mean)
+    own_sd = np.sqrt(weight * s**2 + (1 - weight) ** 2 * sd_mean**2)
     return Common(mean, sd_mean, float(np.sqrt(tau2)), mean - half, mean + half, own, own_sd)
 
 
@@ -153,7 +153,7 @@ MOST_POINTS = 1000
 """Points of a trend: of more flights, medians of so many groups of them in order of date, since the
 slopes are between all pairs."""
 DAYS = 30.0
-"""Over which a slope is told."""
+"""Days that a slope is per."""
 YEAR_D = 365.25
 
 

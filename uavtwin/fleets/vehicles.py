@@ -52,9 +52,10 @@ class Files:
 def numbers_of_files(spreads: Sequence[Spread], explained: Sequence[str], typed: bool) -> Files:
     """What goes where.
 
-    An effect of the type goes into the files of all its aircraft: where its own flights tell it,
-    as they do, drawn to the type as far as they are unsure; where they do not, as of the type, with
-    the spread between aircraft as standard deviation. Other effects are of their aircraft alone.
+    An effect of the type goes into the files of all its aircraft: where its own flights determine
+    it, as they do, drawn to the type as far as they are unsure; where they do not, as of the type,
+    with the spread between aircraft as standard deviation. Other effects are of their aircraft
+    alone.
 
     Args:
         spreads: Numbers over aircraft.
@@ -67,18 +68,18 @@ def numbers_of_files(spreads: Sequence[Spread], explained: Sequence[str], typed:
             continue
         name, common = f"{s.effect}.{s.number}", s.common
         shared = typed and s.of_type
-        told = f"uavtwin fleet, {len(s.aircraft)} of {s.explained} aircraft"
+        basis = f"uavtwin fleet, {len(s.aircraft)} of {s.explained} aircraft"
         if shared:
-            between = f"{told}, which differ by {common.between:.3g}"
+            between = f"{basis}, which differ by {common.between:.3g}"
             files.of_type[name] = Known(common.mean, common.sd, between)
             unsure = float(np.hypot(common.between, common.sd))
             for numbers in files.of_aircraft.values():
-                source = f"{told}: not told by its own flights, as of the type"
+                source = f"{basis}: not determined by its own flights, as of the type"
                 numbers[name] = Known(common.mean, unsure, source)
         for i, a in enumerate(s.aircraft):
             own = f"uavtwin fleet, named in {a.named} of {a.explained} explanations"
             known = (
-                Known(float(common.own[i]), float(common.own_sd[i]), f"{own}; {told}")
+                Known(float(common.own[i]), float(common.own_sd[i]), f"{own}; {basis}")
                 if shared
                 else Known(a.value, a.sd, own)
             )

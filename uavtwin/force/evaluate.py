@@ -17,16 +17,16 @@ from twin.logs import Flight
 from twin.physics.rotors import Drive
 from twin.residuals.teacher_forced import choose_drive
 
+from ..display import DisplayMixin, TextTable
 from ..exports.parts import LearnedForce, learned_force, twin
 from ..exports.write import export
 from ..flights import check_names
+from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
-from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import horizons_figure
 from ..report.page import plot, render
 from ..series.files import CORRECTED, TWIN, Column, Series, residual_of
 from ..series.files import EXPLAINED as EXPLAINED_SIDE
-from ..shown import Shown, TextTable, counted
 from ..vehicles import Vehicle, load_vehicle
 from .fold import in_force
 from .hovering import Steadiness, hovers
@@ -40,7 +40,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class ForceEvaluation(Shown):
+class ForceEvaluation(DisplayMixin):
     """What exported twins made of flights.
 
     Attributes:

@@ -19,7 +19,7 @@ from twin.logs import Flight
 from twin.physics.residual_force import OUTPUTS
 
 from ..flights import check_names
-from ..report.figures import number, percent
+from ..formatting import number, percent
 from ..report.page import render
 from ..vehicles import Vehicle
 from .choice import BETTER, OBSERVER, WORSE

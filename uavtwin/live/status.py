@@ -14,7 +14,7 @@ from twin.explain.running.alarms import Alarm, Verdict
 from twin.logs.mavlink.frames import dialect
 from twin.residuals.running.table import Rows
 
-from ..report.spoken import clause
+from ..wording import clause
 from .datagrams import ClockEstimate
 
 

@@ -6,7 +6,7 @@ from math import isfinite, nan
 from operator import itemgetter
 from typing import Any
 
-from ..report.figures import number, percent
+from ..formatting import number, percent
 from .markdown import Table
 
 CORRECTED, ALONE = "model", "linear part alone"

@@ -9,7 +9,7 @@ from learning.force.candidates import LAWS
 from learning.model.registry import family_row
 from twin.errors import TwinError
 
-from ..report.figures import number
+from ..formatting import number
 from .markdown import Table
 from .measured import Result
 

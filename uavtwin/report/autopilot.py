@@ -1,4 +1,4 @@
-"""What the autopilot says of a flight, as pages show it: what it was asked for against what it did,
+"""What the autopilot says of a flight, as pages show it: setpoints against the flight,
 vibration with the filters on board, and its words."""
 
 from base64 import b64encode
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 COLUMNS, ROWS = 180, 96
 """Pixels along time and frequency, at most."""
 SEGMENT_S = 1.28
-"""Of a column: lines 1 Hz apart are told apart, a climb of the rotors is followed."""
+"""Of a column: lines 1 Hz apart are distinct, a climb of the rotors is followed."""
 LEAST_RATE_HZ = 20.0
 """Slower signals show no vibration."""
 _KNOWN = 0.7
@@ -147,8 +147,8 @@ MOST_BANDS = 100
 """Modes and failsafes that are drawn, of each."""
 PLACES = 90
 """Marks along a strip, at most; messages nearer to each other share one."""
-_TOLD = 6
-"""Messages that one mark tells."""
+_MOST_LINES = 6
+"""Messages that one mark lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,26 +164,26 @@ class Strip:
     json: Markup
 
 
-def strip(group: str, told: Autopilot | None, end_s: float) -> Strip | None:
+def strip(group: str, autopilot: Autopilot | None, end_s: float) -> Strip | None:
     """The strip of a flight; None where its log tells nothing of that.
 
     Args:
         group: Of its figures.
-        told: What its autopilot says.
+        autopilot: What its autopilot says.
         end_s: End of the record, s.
     """
-    if told is None or not end_s > 0.0:
+    if autopilot is None or not end_s > 0.0:
         return None
     modes, failsafes = (
         [[escape(s.name), s.start_s, s.end_s] for s in several]
-        for several in (told.mode_stretches(end_s), told.failsafes)
+        for several in (autopilot.mode_stretches(end_s), autopilot.failsafes)
     )
     marks: list[list[object]] = []
-    for each in told.armed:
+    for each in autopilot.armed:
         marks.append([each.start_s, "armed", "armed"])
         if each.end_s < end_s:
             marks.append([each.end_s, "disarmed", "disarmed"])
-    marks = [*_messages(told.messages, end_s), *marks[: 2 * MOST_BANDS]]
+    marks = [*_messages(autopilot.messages, end_s), *marks[: 2 * MOST_BANDS]]
     if not (modes or failsafes or marks):
         return None
     content = {"modes": modes[:MOST_BANDS], "failsafes": failsafes[:MOST_BANDS], "marks": marks}
@@ -198,14 +198,14 @@ def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
             places.setdefault(int(each.t_s / end_s * PLACES), []).append(each)
     marks: list[list[object]] = []
     for several in places.values():
-        graver = sorted(several, key=lambda m: not m.grave)[:_TOLD]
+        graver = sorted(several, key=lambda m: not m.grave)[:_MOST_LINES]
         lines = [
             escape(f"{m.level}: {m.text}" if m.level else m.text)
             for m in several
             if any(m is g for g in graver)
         ]
-        if len(several) > _TOLD:
-            lines.append(f"and {len(several) - _TOLD} more")
+        if len(several) > _MOST_LINES:
+            lines.append(f"and {len(several) - _MOST_LINES} more")
         t_s = next((m.t_s for m in several if m.grave), several[0].t_s)
         grave = any(m.grave for m in several)
         marks.append([t_s, "grave" if grave else "said", "<br>".join(lines)])
@@ -215,7 +215,7 @@ def _messages(messages: Sequence[Message], end_s: float) -> list[list[object]]:
 MOST_MESSAGES = 200
 MOST_PARAMETERS = 300
 """Rows of a page, of all its flights together at most five times as many."""
-FLOWN, ASKED = "measured", "setpoint"
+FLOWN, SETPOINT = "measured", "setpoint"
 _HELD = 260
 """Columns of pixels of a series: two figures stand side by side."""
 _ROW_PX = 100
@@ -246,8 +246,8 @@ class Followed:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What a page tells of an autopilot.
+class AutopilotView:
+    """An autopilot as a page shows it.
 
     Attributes:
         autopilot: What it says; None: nothing.
@@ -266,8 +266,8 @@ class Told:
     __repr__ = short_repr
 
 
-def told_of(flight: AnyFlight) -> Told:
-    """What a page tells of a flight's autopilot.
+def autopilot_view(flight: AnyFlight) -> AutopilotView:
+    """The autopilot of a flight as a page shows it.
 
     Args:
         flight: As read, or left in its file.
@@ -278,7 +278,7 @@ def told_of(flight: AnyFlight) -> Told:
     for name in names:
         t, speed = flight.signal([name])
         rotors.append(thinned(t, speed[:, 0] / (2.0 * np.pi), _HELD // 4))
-    return Told(
+    return AutopilotView(
         flight.autopilot,
         float(flight.time_s[-1]) if len(flight.time_s) else 0.0,
         tuple(f for f in followed if f is not None),
@@ -291,14 +291,14 @@ def _followed(
     flight: AnyFlight, columns: tuple[str, ...], words: str, unit: str, names: Sequence[str]
 ) -> Followed | None:
     """None where the setpoint or the signal is missing."""
-    asked = None if flight.autopilot is None else flight.autopilot.setpoint(columns)
-    if asked is None or not flight.has(*columns):
+    setpoint = None if flight.autopilot is None else flight.autopilot.setpoint(columns)
+    if setpoint is None or not flight.has(*columns):
         return None
     t, flown = flight.signal(columns)
-    wanted = asked.values
+    wanted = setpoint.values
     if columns == QUAT:
         flown = np.unwrap(to_euler(flown.T).T, axis=0)
-        near = np.column_stack([np.interp(asked.t_s, t, angle) for angle in flown.T])
+        near = np.column_stack([np.interp(setpoint.t_s, t, angle) for angle in flown.T])
         wanted = near + _wrapped(to_euler(wanted.T).T - near)
         flown, wanted = np.degrees(flown), np.degrees(wanted)
     axes = []
@@ -306,7 +306,7 @@ def _followed(
         if not np.isfinite(wanted[:, k]).any():
             continue
         slow = slow_part(t, flown[:, k]) if columns == GYRO else flown[:, k]
-        pair = thinned(t, slow, _HELD), thinned(asked.t_s, wanted[:, k], _HELD)
+        pair = thinned(t, slow, _HELD), thinned(setpoint.t_s, wanted[:, k], _HELD)
         axes.append((name, *pair))
     return Followed(words, unit, tuple(axes)) if axes else None
 
@@ -316,28 +316,28 @@ def _wrapped(angle: Array) -> Array:
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def told_content(
-    name: str, told: Told, phases: Spans, budget: Budget, share: float = 1.0
+def autopilot_content(
+    name: str, view: AutopilotView, phases: Spans, budget: Budget, share: float = 1.0
 ) -> dict[str, Any]:
     """What the template `autopilot.html.j2` shows of a flight.
 
     Args:
         name: Begins the identifiers, and is the group of the time axes.
-        told: Of the flight.
+        view: Of the flight.
         phases: Drawn as coloured background.
         budget: Of the page.
         share: Of the rows that a page has room for.
     """
-    said = told.autopilot or Autopilot()
-    words: Strip | None = strip(name, told.autopilot, told.end_s)
+    said = view.autopilot or Autopilot()
+    words: Strip | None = strip(name, view.autopilot, view.end_s)
     return {
         "strip": words,
-        "followed": [_followed_plot(name, f, phases, budget) for f in told.followed],
+        "followed": [_followed_plot(name, f, phases, budget) for f in view.followed],
         "spectrogram": None
-        if told.vibration is None
-        else _vibration_plot(name, told, phases, budget),
-        "spectrogram_note": _vibration_note(told),
-        "modes": said.mode_stretches(told.end_s)[:MOST_MESSAGES],
+        if view.vibration is None
+        else _vibration_plot(name, view, phases, budget),
+        "spectrogram_note": _vibration_note(view),
+        "modes": said.mode_stretches(view.end_s)[:MOST_MESSAGES],
         "armed": said.armed[:MOST_MESSAGES],
         "failsafes": said.failsafes[:MOST_MESSAGES],
         "messages": _first(said.messages, round(share * MOST_MESSAGES)),
@@ -361,11 +361,11 @@ def _listed(parameters: Sequence[Parameter], most: int) -> list[tuple[str, str, 
 def _followed_plot(name: str, shown: Followed, phases: Spans, budget: Budget) -> Plot:
     panels = Panels((_ROW_PX,) * len(shown.axes), name)
     times = []
-    for axis, flown, asked in shown.axes:
+    for axis, flown, setpoint in shown.axes:
         number = panels.add(f"{axis}, {shown.unit}")
         for (t, values), label, colour, dash in (
             (flown, FLOWN, BLACK, "solid"),
-            (asked, ASKED, BLUE, "dash"),
+            (setpoint, SETPOINT, BLUE, "dash"),
         ):
             line = {"color": colour, "width": 1.5, "dash": dash}
             panels.line(number, *thinned(t, values, budget.columns), label, line)
@@ -375,18 +375,18 @@ def _followed_plot(name: str, shown: Followed, phases: Spans, budget: Budget) ->
     return plot(f"{name}-setpoint-{shown.words}", label, panels.figure)
 
 
-def _vibration_plot(name: str, told: Told, phases: Spans, budget: Budget) -> Plot:
+def _vibration_plot(name: str, view: AutopilotView, phases: Spans, budget: Budget) -> Plot:
     """Power over time and frequency; rotors and filters as lines on it."""
-    assert told.vibration is not None
-    shown = told.vibration
+    assert view.vibration is not None
+    shown = view.vibration
     panels = Panels((_SPECTROGRAM_PX,), name)
     axes = panels.add("frequency, Hz", y={"range": [0, shown.top_hz]})
     panels.layout["meta"]["spectrogram"] = shown.content(budget.cells)
     ends = np.array([shown.start_s, shown.end_s])
-    for i, (t, hz) in enumerate(told.rotors):
+    for i, (t, hz) in enumerate(view.rotors):
         if np.nanmin(hz, initial=np.inf) < shown.top_hz:
             _line(panels, axes, (t, hz), f"rotor {i + 1}", {"color": ORANGE, "width": 1.2})
-    for each in told.autopilot.filters if told.autopilot else ():
+    for each in view.autopilot.filters if view.autopilot else ():
         if each.sensor == shown.sensor and each.frequency_hz < shown.top_hz:
             label = f"{each.kind} {each.frequency_hz:g} Hz ({each.source})"
             dash = "dash" if each.kind == "low-pass" else "dot"
@@ -410,9 +410,9 @@ def _line(
     )
 
 
-def _vibration_note(told: Told) -> str:
+def _vibration_note(view: AutopilotView) -> str:
     """How to read the spectrogram, and what lies beyond it."""
-    shown = told.vibration
+    shown = view.vibration
     if shown is None:
         return ""
     content: Figure = shown.content()
@@ -422,12 +422,12 @@ def _vibration_note(told: Told) -> str:
         f"{content['low']:.0f} dB, to the strongest, {content['high']:.0f} dB over 1 {unit}; "
         f"samples at {shown.rate_hz:.0f} Hz show up to {shown.top_hz:.0f} Hz."
     )
-    speeds = [hz[np.isfinite(hz) & (hz > 0.0)] for _, hz in told.rotors]
+    speeds = [hz[np.isfinite(hz) & (hz > 0.0)] for _, hz in view.rotors]
     middle = [float(np.median(hz)) for hz in speeds if len(hz)]
     if middle and max(middle) > shown.top_hz:
         turn = f"{min(middle):.0f} to {max(middle):.0f} Hz"
         text += f" Rotors turn at {turn} (medians); what lies above the upper edge is folded down."
-    filters = told.autopilot.filters if told.autopilot else ()
+    filters = view.autopilot.filters if view.autopilot else ()
     beyond = [f for f in filters if f.sensor == shown.sensor and f.frequency_hz >= shown.top_hz]
     if beyond:
         listed = ", ".join(f"{f.kind} {f.frequency_hz:g} Hz ({f.source})" for f in beyond)

@@ -15,9 +15,9 @@ from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData
 from twin.residuals.spectra import spectrum
 from twin.vehicle import Vehicle
 
+from ..formatting import pretty_unit
 from .autopilot import Strip, strip
 from .drawing import TREND_HZ, Axis, Budget, Panels, Spans, spans_of, thinned
-from .figures import pretty_unit
 from .page import BLACK, BLUE, GREY, ORANGE, Figure, Plot, plot
 
 _STEADY = (

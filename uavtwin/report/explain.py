@@ -14,7 +14,9 @@ from twin.explain.estimates import (
 )
 from twin.explain.explanation import Explanation
 
-from .autopilot import Strip, strip, told_content
+from ..formatting import certainty, number, number_cells, percent, pretty_unit, title
+from ..wording import hover_sentence
+from .autopilot import Strip, autopilot_content, strip
 from .drawing import Budget, fitted
 from .evidence import (
     before_after_figure,
@@ -24,22 +26,17 @@ from .evidence import (
     unsteady_evidence,
     unsteady_strip,
 )
-from .figures import number, percent, pretty_unit
 from .headline import got_worse, headline
-from .hover import hover_sentence
 from .overview import flight_spans, overview, overview_plots
 from .page import Plot, plot, render
 from .words import (
     by_prior,
     calibrated_rows,
-    certainty,
     day_rows,
     instead,
     meaning,
-    number_cells,
     shrink_words,
     shrinking,
-    title,
     why_lost,
 )
 
@@ -59,7 +56,7 @@ def write_explain_report(found: Explanation, path: Path) -> None:
 
 def _page(found: Explanation, budget: Budget) -> str:
     """Text of the page."""
-    told = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
+    listed = sorted(listed_effects(found), key=lambda e: not EFFECTS[e].in_the_air)
     return render(
         "explain.html.j2",
         {
@@ -73,7 +70,7 @@ def _page(found: Explanation, budget: Budget) -> str:
         hover=[f"{h.flight}: {hover_sentence(found.vehicle.name, h)}" for h in found.hovers],
         found=found,
         shrinking=shrinking(found),
-        effects=[_effect(found, e, budget) for e in told],
+        effects=[_effect(found, e, budget) for e in listed],
         flight=_flight(found, budget),
         strips=_strips(found),
         before_after=_before_after(found, budget),
@@ -129,13 +126,13 @@ def _effect(found: Explanation, effect: str, budget: Budget) -> dict[str, Any]:
 def _flight(found: Explanation, budget: Budget) -> dict[str, Any]:
     """The last recorded flight, held out where one was: its track, motors and battery."""
     if not found.recorded:
-        return {"name": "", "track": [], "logged": None, "told": None}
+        return {"name": "", "track": [], "logged": None, "view": None}
     flight = found.recorded[-1]
     phases = flight_spans(flight)
     shown = overview(flight)
     track, logged = overview_plots("flight", shown, phases, budget)
-    told = told_content("flight", shown.told, phases, budget)
-    return {"name": flight.name, "track": track, "logged": logged, "told": told}
+    view = autopilot_content("flight", shown.view, phases, budget)
+    return {"name": flight.name, "track": track, "logged": logged, "view": view}
 
 
 def _strips(found: Explanation) -> list[Strip]:
@@ -158,12 +155,12 @@ def _evidence(
     if acts is not None and compared is not None:
         return *steady_evidence(acts, compared.after, compared.model.flights, budget), None
     unsteady = stochastic_effect(found, effect)
-    felt = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
-    if unsteady is None or not felt:
+    recorded = [] if unsteady is None else [f for f in found.recorded if f.has(*unsteady.channels)]
+    if unsteady is None or not recorded:
         return [], "", None
     if compared is None or not isinstance(EFFECTS[effect].observable_as, RandomForce):
-        shown = unsteady_evidence(unsteady, felt[-1], (), found.vehicle, budget)
-        return *shown, unsteady_strip(effect, felt[-1])
+        shown = unsteady_evidence(unsteady, recorded[-1], (), found.vehicle, budget)
+        return *shown, unsteady_strip(effect, recorded[-1])
     flight = compared.model.flights[0].flight
     shown = unsteady_evidence(unsteady, flight, compared.after[0], found.vehicle, budget)
     return *shown, unsteady_strip(effect, flight)

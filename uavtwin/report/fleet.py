@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ..formatting import number, pretty_unit
 from .drawing import Panels
-from .figures import number, pretty_unit
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def write_fleet_report(result: "FleetResult", path: Path) -> None:
         tests={"differences": len(result.differences), "drifts": len(result.drifts)},
         differing=result.differing[:MOST_ROWS],
         drifting=result.drifting[:MOST_ROWS],
-        nearly=[d for d in result.drifts if not d.told][:5],
+        nearly=[d for d in result.drifts if not d.significant][:5],
         by_aircraft=by_aircraft,
         over_time=over_time,
         spreads=result.spreads[:MOST_ROWS],
@@ -94,7 +94,7 @@ def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
     for m in measures(result.folder):
         if m.name in numbers:
             out = {d.aircraft for d in result.differing if d.number == m.name}
-            by_aircraft[numbers.index(m.name)] = _beside(m, out)
+            by_aircraft[numbers.index(m.name)] = _by_aircraft(m, out)
         for k, drift in enumerate(drifts):
             if drift.number == m.name:
                 over_time[k] = _over_time(m, drift, k)
@@ -104,7 +104,7 @@ def _drawn(result: "FleetResult") -> tuple[list[Plot], list[Plot]]:
     )
 
 
-def _beside(m: "Measure", out: set[str]) -> Plot:
+def _by_aircraft(m: "Measure", out: set[str]) -> Plot:
     """A number of every flight, by aircraft."""
     names = sorted({str(a) for a in m.table["aircraft"]})
     if len(names) > MOST_AIRCRAFT:
@@ -114,17 +114,17 @@ def _beside(m: "Measure", out: set[str]) -> Plot:
     panels = Panels((_PX,))
     axis: dict[str, Any] = {**ticks, "range": [-0.6, len(names) - 0.4]}
     axes = panels.add(_axis(m.name, m.unit), axis)
-    for told in (False, True):
-        own = [(i, n) for i, n in enumerate(names) if (n in out) is told]
+    for significant in (False, True):
+        own = [(i, n) for i, n in enumerate(names) if (n in out) is significant]
         if not own:
             continue
         parts = [_values(m.table, n) for _, n in own]
         x = np.concatenate(
             [np.full(len(y), float(i)) for (i, _), y in zip(own, parts, strict=True)]
         )
-        colour = OUT if told else BLUE
+        colour = OUT if significant else BLUE
         marked = {"mode": "markers", "marker": {"color": colour, "size": 5, "opacity": 0.5}}
-        name = "differs" if told else "flights"
+        name = "differs" if significant else "flights"
         panels.line(axes, x, np.concatenate(parts), name, {"color": colour}, **marked)
     return plot(f"by-{m.name}", f"{m.name} of every flight, by aircraft", panels.figure)
 
@@ -203,5 +203,5 @@ def _short(names: Sequence[str]) -> list[str]:
     what plotly.js would take for a mark-up is escaped."""
     ends = [n if len(n) <= 18 else f"\N{HORIZONTAL ELLIPSIS}{n[-17:]}" for n in names]
     heads = [n if len(n) <= 18 else f"{n[:17]}\N{HORIZONTAL ELLIPSIS}" for n in names]
-    told_apart = (some for some in (ends, heads) if len(set(some)) == len(some))
-    return [escape(n) for n in next(told_apart, names)]
+    distinct = (some for some in (ends, heads) if len(set(some)) == len(some))
+    return [escape(n) for n in next(distinct, names)]

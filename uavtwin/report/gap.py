@@ -10,6 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twin.logs.columns import POS
 from twin.residuals.channels import BAND_HZ
 from twin.residuals.gap import (
@@ -22,18 +25,16 @@ from twin.residuals.gap import (
     summaries,
     summarise,
 )
-from twin.residuals.spectra import SLOW_HZ
+from twin.residuals.spectra import SLOW_HZ, Spectrum, spectrum
 
-from .autopilot import told_content
-from .drawing import Budget, Spans, fitted
-from .figures import channel_figures, number, percent, pretty_unit
-from .hover import hover_sentence
-from .kinds import Kind, describe, grouped, mode
-from .laid_over import laid_over
+from ..formatting import number, percent, pretty_unit
+from ..wording import KINDS, Kind, describe, grouped, hover_sentence, mode
+from .autopilot import autopilot_content
+from .drawing import DENSE_HZ, GAP_PX, TREND_HZ, Axis, Budget, Panels, Spans, fitted, thinned
 from .overview import Overview, overview_plots
-from .page import Plot, plot, render
+from .page import BLACK, BLUE, GREY, Figure, Plot, plot, render
 
-FULLY_TOLD = 5
+FULL_DETAIL = 5
 """Of more flights, fewer messages and parameters of each are listed."""
 MOST_LISTED = 200
 """Rows of the table of flights."""
@@ -97,7 +98,7 @@ class _Scored:
         gaps, places = self.gaps, rank(self.pooled)
         drawn = self._furthest_off(budget.parts)
         horizons = sorted({c.horizon_s for g in gaps for c in g.channels if c.horizon_s > 0})
-        share = min(1.0, FULLY_TOLD / max(len(drawn), 1))
+        share = min(1.0, FULL_DETAIL / max(len(drawn), 1))
         return render(
             "report.html.j2",
             {"number": number, "percent": percent, "unit": pretty_unit, "words": describe},
@@ -151,14 +152,14 @@ class _Scored:
         name, phases = f"flight{index}", gap.phases
         ends = [c for c in gap.channels if c.name in POS and c.horizon_s > 0]
         track: list[Plot] = []
-        logged = told = None
+        logged = view = None
         if shown is not None:
             track, logged = overview_plots(name, shown, phases, budget, ends)
-            told = told_content(name, shown.told, phases, budget, share)
+            view = autopilot_content(name, shown.view, phases, budget, share)
         return {
             "track": track,
             "logged": logged,
-            "told": told,
+            "view": view,
             "id": name,
             "name": gap.flight,
             "vehicle": gap.vehicle,
@@ -261,3 +262,250 @@ def _rows(summed: Sequence[Summary]) -> list[dict[str, Any]]:
                 }
             )
     return rows
+
+
+Array = NDArray[np.float64]
+Line = tuple[int, Array, Array]
+"""Place of a flight among those laid over each other, times, s, and values, shape (n,)."""
+GROUP = "laid-over"
+COLOURS = (BLUE, "#d9622b", "#2f8f5b", "#8a4fbf", "#b58900", "#c23b66")
+
+
+@dataclass(frozen=True, slots=True)
+class LaidOver:
+    """What the template needs of flights laid over each other.
+
+    Attributes:
+        zero: What time is counted from, in words.
+        figures: Title, how the twin was held against the flights, and the figure, per quantity.
+    """
+
+    zero: str
+    figures: tuple[tuple[str, str, Plot], ...]
+
+
+def laid_over(
+    gaps: Sequence[FlightGap], overviews: Sequence[Overview | None], budget: Budget
+) -> LaidOver | None:
+    """Measured and residual of every channel that two flights share; None where there is none.
+
+    Args:
+        gaps: Flights; the first six are drawn.
+        overviews: What each was; None: not kept.
+        budget: Of the page.
+    """
+    gaps, overviews = gaps[: len(COLOURS)], overviews[: len(COLOURS)]
+    zero, begins = _begins(gaps, overviews)
+    figures = []
+    for kind, horizon_s, channels in _shared(gaps):
+        panels = Panels((SIGNAL_PX, RESIDUAL_PX) * len(channels), GROUP)
+        for name, of_flights in channels.items():
+            unit = pretty_unit(next(iter(of_flights.values())).unit)
+            for what, attribute in ((name, "measured"), ("residual", "residual")):
+                lines = [
+                    (i, c.t_s - begins[i], getattr(c, attribute)) for i, c in of_flights.items()
+                ]
+                _add(panels, f"{what}, {unit}", lines, gaps, budget)
+        title = f"{kind.title}, {mode(horizon_s)}"
+        name = f"over-{kind.prefix.rstrip('_') or 'other'}-{round(horizon_s * 1000)}ms"
+        label = f"{title}, of {len(gaps)} flights: measured and residual over the time from {zero}"
+        figures.append((kind.title, mode(horizon_s), plot(name, label, _looked(panels, zero))))
+    battery = _battery(gaps, overviews, begins, budget)
+    if battery is not None:
+        label = f"Battery of {len(gaps)} flights over the time from {zero}"
+        figure = plot("over-battery", label, _looked(battery, zero))
+        figures.append(("Battery", "as logged", figure))
+    return LaidOver(zero, tuple(figures)) if figures else None
+
+
+def _begins(
+    gaps: Sequence[FlightGap], overviews: Sequence[Overview | None]
+) -> tuple[str, list[float]]:
+    """What time is counted from, the same in all flights, and when that was in each, s."""
+    lifted = [_lift_off_s(gap) for gap in gaps]
+    if all(at is not None for at in lifted):
+        return "take-off", [at for at in lifted if at is not None]
+    armed = [
+        min((s.start_s for s in o.view.autopilot.armed), default=None)
+        if o is not None and o.view.autopilot is not None
+        else None
+        for o in overviews
+    ]
+    if armed and all(at is not None for at in armed):
+        return "arming", [at for at in armed if at is not None]
+    return "the start of the record", [0.0] * len(gaps)
+
+
+def _lift_off_s(gap: FlightGap) -> float | None:
+    """End of the first time on the ground; None where the record does not hold it."""
+    for (name, _, end_s), after in zip(gap.phases, gap.phases[1:], strict=False):
+        if name == "ground" and after[0] != "ground":
+            return end_s
+    first = gap.phases[0] if gap.phases else ("", 0.0, 0.0)
+    return first[1] if first[0] == "takeoff" else None
+
+
+def _shared(
+    gaps: Sequence[FlightGap],
+) -> list[tuple[Kind, float, dict[str, dict[int, Channel]]]]:
+    """Quantities in the order of a page: kind, horizon, and by name the channel of each flight;
+    only what two flights have in one unit."""
+    found: dict[tuple[int, float], dict[str, dict[int, Channel]]] = {}
+    for i, gap in enumerate(gaps):
+        for kind, members in grouped(gap.channels):
+            place = KINDS.index(kind), members[0].horizon_s
+            by_name = found.setdefault(place, {})
+            for c in members:
+                of_flights = by_name.setdefault(c.name, {})
+                if len(c.t_s) > 1 and all(c.unit == o.unit for o in of_flights.values()):
+                    of_flights.setdefault(i, c)
+    shared = []
+    for (k, horizon_s), by_name in sorted(found.items(), key=lambda item: item[0]):
+        several = {name: each for name, each in by_name.items() if len(each) > 1}
+        if several:
+            shared.append((KINDS[k], horizon_s, several))
+    return shared
+
+
+def _battery(
+    gaps: Sequence[FlightGap],
+    overviews: Sequence[Overview | None],
+    begins: Sequence[float],
+    budget: Budget,
+) -> Panels | None:
+    """Voltage and current of those flights that log them."""
+    found: dict[str, list[Line]] = {}
+    for i, shown in enumerate(overviews):
+        for words, t_s, values in shown.battery if shown is not None else ():
+            found.setdefault(words, []).append((i, t_s - begins[i], values))
+    several: Mapping[str, list[Line]] = {w: lines for w, lines in found.items() if len(lines) > 1}
+    if not several:
+        return None
+    panels = Panels((SIGNAL_PX,) * len(several), GROUP)
+    for words, lines in several.items():
+        _add(panels, words, lines, gaps, budget)
+    return panels
+
+
+def _add(
+    panels: Panels, title: str, lines: Sequence[Line], gaps: Sequence[FlightGap], budget: Budget
+) -> None:
+    """A panel with a curve of each flight; the figure looks at all of them."""
+    axes = panels.add(title)
+    ends = [v for _, t_s, _ in lines for v in (float(t_s[0]), float(t_s[-1]))]
+    before = panels.layout["xaxis"].get("range", ends)
+    panels.look(min(*ends, *before), max(*ends, *before), ())
+    for i, t_s, values in lines:
+        line = {"color": COLOURS[i], "width": 1.5}
+        name = gaps[i].flight
+        panels.series(axes, t_s, values, name, line, budget.columns, band=False)
+
+
+def _looked(panels: Panels, zero: str) -> Figure:
+    """The figure over the time from `zero`; its keys go together with those of the others."""
+    panels.layout["meta"]["keys"] = GROUP
+    last = max((k for k in panels.layout if k.startswith("xaxis")), key=lambda k: int(k[5:] or 1))
+    panels.layout[last]["title"] = {"text": f"time from {zero}, s"}
+    return panels.figure
+
+
+MEASURED, TWIN, RESIDUAL = "measured", "nominal twin", "residual (measured - twin)"
+SIGNAL_PX, RESIDUAL_PX = 165, 96
+_LINES = (  # name, colour, dash, width over time
+    (MEASURED, BLACK, "solid", 1.4),
+    (TWIN, BLUE, "dash", 1.8),
+    (RESIDUAL, GREY, "solid", 1.2),
+)
+
+
+def channel_figures(
+    channels: Sequence[Channel], phases: Spans, time: str, budget: Budget
+) -> tuple[Figure, Figure | None, str]:
+    """Measured, twin and residual over time, one pair of panels per channel, and their spectra.
+
+    Args:
+        channels: Of one quantity and horizon.
+        phases: Drawn as coloured background.
+        time: Group of figures whose time axes move together.
+        budget: Of the page.
+
+    Returns:
+        The figure over time; the spectra, one panel per channel, None where samples are too few;
+        and a note on what the figures leave out ("" if nothing).
+    """
+    panels = Panels((SIGNAL_PX, RESIDUAL_PX) * len(channels), time)
+    banded = False
+    for channel in channels:
+        banded |= _add_time(panels, channel, budget)
+    ends = [(float(c.t_s[0]), float(c.t_s[-1])) for c in channels if len(c.t_s)]
+    if ends:
+        panels.look(min(e[0] for e in ends), max(e[1] for e in ends), phases)
+    notes = []
+    if banded:
+        notes.append(f"curves: below {TREND_HZ:g} Hz; bands: all samples")
+    spectra = [[spectrum(c.wide.t_s, x) for x in _three(c.wide)] for c in channels]
+    if not any(s[0].rate_hz >= DENSE_HZ for s in spectra):
+        return panels.figure, None, "; ".join(notes)
+    rates = sorted({round(s[0].rate_hz) for s in spectra if math.isfinite(s[0].rate_hz)})
+    notes.append(
+        "spectra: Welch, samples resampled on their median rate "
+        f"({', '.join(f'{r} Hz' for r in rates)})"
+    )
+    return panels.figure, _spectra_figure(channels, spectra, budget), "; ".join(notes)
+
+
+def _three(channel: Channel) -> tuple[Array, Array, Array]:
+    """What `_LINES` draws."""
+    return channel.measured, channel.simulated, channel.residual
+
+
+def _add_time(panels: Panels, channel: Channel, budget: Budget) -> bool:
+    """Measured over twin, and the residual below; whether bands were drawn."""
+    unit = pretty_unit(channel.unit)
+    axes = [panels.add(f"{what}, {unit}") for what in (channel.name, "residual")]
+    banded = False
+    for i, (y, (name, color, dash, width)) in enumerate(zip(_three(channel), _LINES, strict=True)):
+        line = {"color": color, "width": width, "dash": dash}
+        shown = panels.series(axes[i == 2], channel.t_s, y, name, line, budget.columns)
+        banded |= shown.band is not None
+    finite = channel.residual[np.isfinite(channel.residual)]
+    if len(finite) >= 20:  # 95 % of the residuals lie in the band
+        low, high = np.percentile(finite, [2.5, 97.5])
+        panels.area(axes[1], float(low), float(high))
+    return banded
+
+
+def _spectra_figure(
+    channels: Sequence[Channel], spectra: Sequence[Sequence[Spectrum]], budget: Budget
+) -> Figure:
+    """Power spectral densities of measured, twin and residual, log-log, beside the panels over
+    time."""
+    panels = Panels((SIGNAL_PX + RESIDUAL_PX + GAP_PX,) * len(channels))
+    for i, (channel, three) in enumerate(zip(channels, spectra, strict=True)):
+        top = max(float(s.psd[s.f_hz > 0].max(initial=0.0)) for s in three)
+        frequency: Axis = {"type": "log", "dtick": 1}
+        if i == len(channels) - 1:
+            frequency["title"] = {"text": "frequency, Hz"}
+        density: Axis = {"type": "log", "exponentformat": "power"}
+        if top > 0 and _spread(three) > 9:  # nine decades below the peak is rounding, not flight
+            density["range"] = [math.log10(top) - 9, math.log10(top) + 0.5]
+        title = f"{channel.name}: PSD, ({pretty_unit(channel.unit)})²/Hz"
+        axes = panels.add(title, frequency, density)
+        for s, (name, color, dash, _) in zip(three, _LINES, strict=True):
+            keep = (s.f_hz > 0) & (s.psd > 0)
+            f, log_psd = thinned(np.log10(s.f_hz[keep]), np.log10(s.psd[keep]), budget.spectrum)
+            panels.line(
+                axes,
+                10**f,
+                10**log_psd,
+                name,
+                {"color": color, "width": 1.3, "dash": dash},
+                hovertemplate="%{y:.3g} at %{x:.3g} Hz<extra>" + name + "</extra>",
+            )
+    return panels.figure
+
+
+def _spread(three: Sequence[Spectrum]) -> float:
+    """Decades between the largest and the smallest positive density."""
+    positive = np.concatenate([s.psd[(s.f_hz > 0) & (s.psd > 0)] for s in three])
+    return float(np.log10(positive.max() / positive.min())) if len(positive) else 0.0

@@ -29,9 +29,8 @@ from twin.explain.inference.detectable import Detectable
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Naming
 
-from .figures import number, percent, pretty_unit
-from .spoken import BLIND_ORDER, blind_clause, clause, joined, quantity, said, said_numbers
-from .words import certainty, title
+from ..formatting import certainty, joined, number, percent, pretty_unit, quantity, title
+from ..wording import BLIND_ORDER, blind_clause, clause, said, said_numbers
 
 MOST_NUMBERS = 3
 """Numbers of an effect that a headline gives; of several effects, one each."""

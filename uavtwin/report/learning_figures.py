@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from twin.residuals.spectra import spectrum
 
+from ..formatting import pretty_unit
 from .drawing import Budget, Panels, thinned
-from .figures import pretty_unit
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from twin.logs.columns import POS, QUAT, motor_columns
 from twin.representation import short_repr
 from twin.residuals.gap import Channel
 
-from .autopilot import Told, told_of
+from .autopilot import AutopilotView, autopilot_view
 from .drawing import Budget, Panels, Spans, thinned
 from .page import BLACK, BLUE, GREY, Plot, plot
 from .track import Track, track_plots
@@ -43,7 +43,7 @@ class Overview:
     attitude: tuple[Array, Array] | None
     motors: tuple[tuple[str, tuple[tuple[Array, Array], ...]], ...]
     battery: tuple[tuple[str, Array, Array], ...]
-    told: Told
+    view: AutopilotView
 
     __repr__ = short_repr
 
@@ -70,7 +70,7 @@ def overview(flight: AnyFlight) -> Overview:
         _vector(flight, QUAT),
         tuple(motors),
         tuple(battery),
-        told_of(flight),
+        autopilot_view(flight),
     )
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from cosim.recording import Recording
 from twin.flight.mission import PHASES
 
+from ..formatting import pretty_unit
 from .drawing import Budget, Panels, Spans, fitted, spans_of, thinned
-from .figures import pretty_unit
 from .page import BLACK, BLUE, Figure, Plot, plot, render
 from .track import Track, track_plots
 

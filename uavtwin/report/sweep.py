@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ..formatting import number, pretty_unit
 from .drawing import Panels
-from .figures import number, pretty_unit
 from .page import BLUE, GREY, ORANGE, Plot, plot, render
 
 if TYPE_CHECKING:
@@ -31,12 +31,12 @@ def write_sweep_report(result: "SweepResult", path: Path) -> None:
     """
     table, figure = result.table, result.led_by
     unit = pretty_unit(result.units.get(figure, ""))
-    told = result.influences(figure)
+    influences = result.influences(figure)
     shown = _thinned(table)
     plots = []
     if figure:
         plots.append(_distribution(table, figure, unit))
-        names = [i.factor for i in told[:MOST_FACTORS]]
+        names = [i.factor for i in influences[:MOST_FACTORS]]
         if names:
             plots.append(_against(shown, names, figure, unit))
     content = result.json()
@@ -50,8 +50,8 @@ def write_sweep_report(result: "SweepResult", path: Path) -> None:
         figures=content["figures"],
         units={n: pretty_unit(u) for n, u in result.units.items()},
         figure=figure,
-        influences=told,
-        sobol=any(np.isfinite(i.total) for i in told),
+        influences=influences,
+        sobol=any(np.isfinite(i.total) for i in influences),
         plots=plots,
         note=f"{len(shown)} of {len(table)} runs are drawn; all are in runs.parquet."
         if len(shown) < len(table)

@@ -14,10 +14,9 @@ from twin.explain.explanation import Explanation
 from twin.explain.holdout import ChannelGap
 from twin.explain.settings import DEFAULT, InferenceSettings
 
-from .figures import number, percent, pretty_unit
-from .spoken import joined, readable
+from ..formatting import joined, number, number_cells, percent, pretty_unit, readable, title
 
-TOLD_BY_PRIOR = "told by the prior"
+SET_BY_PRIOR = "set by the prior"
 
 
 def instead(found: Explanation, effect: str) -> str:
@@ -32,18 +31,10 @@ def instead(found: Explanation, effect: str) -> str:
 
 
 def by_prior(found: Explanation, share: float | None) -> str:
-    """What is said beside a number of which flights say little; "" of others."""
+    """Remark on a number that the prior rather than the flights sets; "" of others."""
     if share is None or share <= UNDETERMINED:
         return ""
-    return TOLD_BY_PRIOR if found.since is None else "told by the calibration"
-
-
-def number_cells(
-    value: float, unit: str, ci95: tuple[float, float] | None = None
-) -> tuple[str, str, str]:
-    """A number in a table: value, unit and 95 % interval, in the unit that a pilot reads."""
-    (shown, *ends), name = readable(unit, value, *(ci95 or ()))
-    return number(shown), name, interval((ends[0], ends[1]) if ends else None)
+    return SET_BY_PRIOR if found.since is None else "set by the calibration"
 
 
 def calibrated_rows(found: Explanation) -> list[tuple[str, str, str, str, str]]:
@@ -74,26 +65,9 @@ def day_rows(found: Explanation) -> list[tuple[str, str, str, str, str]]:
     return rows
 
 
-def title(effect: str) -> str:
-    """Name of an effect in words."""
-    return effect.replace("_", " ")
-
-
 def meaning(effect: str) -> str:
     """What an effect is, in one line."""
     return EFFECTS[effect].meaning if effect in EFFECTS else ""
-
-
-def certainty(probability: float) -> str:
-    """A probability as people say it: never all, never nothing."""
-    if probability > 0.99:
-        return "99 %" if probability < 0.995 else "more than 99 %"
-    return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
-
-
-def interval(ci95: tuple[float, float] | None) -> str:
-    """95 % interval of a number; a dash where there is none."""
-    return "\N{EN DASH}" if ci95 is None else " to ".join(map(number, ci95))
 
 
 def why_lost(rival: Mapping[str, Any], settings: InferenceSettings = DEFAULT.inference) -> str:

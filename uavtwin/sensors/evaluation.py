@@ -22,10 +22,11 @@ from twin.logs import Flight
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
+from ..display import DisplayMixin, TextTable
 from ..flights import check_names
+from ..formatting import counted, number, percent, pretty_unit
 from ..output import output_file
 from ..report.drawing import Budget, fitted
-from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import (
     anomaly_figure,
     correction_figure,
@@ -33,7 +34,6 @@ from ..report.learning_figures import (
 from ..report.page import Plot, plot, render
 from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.files import MODEL as OF_MODEL
-from ..shown import Shown, TextTable, counted
 from .compiled import compiled_compensator
 from .generated import GeneratedEvaluation, evaluate_drawn
 from .training import RESIDUALS, VEHICLE_FILE
@@ -44,7 +44,7 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Evaluation(Shown):
+class Evaluation(DisplayMixin):
     """A model and what it makes of flights.
 
     Attributes:

@@ -27,14 +27,14 @@ from twin.logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, motor_columns
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
+from ..display import DisplayMixin, TextTable
+from ..formatting import counted, number, pretty_unit
 from ..output import output_file
 from ..report.drawing import Budget, fitted
-from ..report.figures import number, pretty_unit
 from ..report.learning_figures import spectra_figure
 from ..report.page import Plot, plot, render
 from ..series.files import DRAWN as DRAWN_SIDE
 from ..series.files import TWIN, Column, Series, compared
-from ..shown import Shown, TextTable, counted
 from .training import RESIDUALS, VEHICLE_FILE
 
 Array = NDArray[np.float64]
@@ -131,7 +131,7 @@ def _every(trained: Sequence[ResidualFlight], columns: slice) -> int | None:
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class GeneratedEvaluation(Shown):
+class GeneratedEvaluation(DisplayMixin):
     """What a model draws, beside flights that it has not seen.
 
     Attributes:

@@ -23,8 +23,8 @@ from twin.errors import TwinError
 from twin.logs import Flight
 
 from ..flights import check_names
+from ..formatting import number, percent, pretty_unit
 from ..output import check_folder
-from ..report.figures import number, percent, pretty_unit
 from ..report.learning_figures import curve_figure
 from ..report.page import Plot, plot, render
 from ..vehicles import Vehicle

@@ -13,8 +13,9 @@ import pyarrow.parquet as pq
 
 from twin.effects import EFFECTS
 
+from ..display import DisplayMixin, TextTable
+from ..formatting import counted
 from ..output import output_file
-from ..shown import Shown, TextTable, counted
 from ..simulation import Scenario
 from .design import Design, Value
 from .outcome import FIGURES, Outcome
@@ -26,7 +27,7 @@ WORST = 10
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class SweepResult(Shown):
+class SweepResult(DisplayMixin):
     """What came of a sweep.
 
     Attributes:
@@ -64,10 +65,10 @@ class SweepResult(Shown):
         counts = self.counts
         kinds = [k for k in ("flown", "run", "lost", "failed") if k in counts]
         if len(kinds) == 1:
-            told = f"all {kinds[0]}"
+            endings = f"all {kinds[0]}"
         else:
-            told = ", ".join(f"{counts[k]} {k}" for k in kinds)
-        text = f"{self.name}: {counted(self.table, 'run')}, {told}"
+            endings = ", ".join(f"{counts[k]} {k}" for k in kinds)
+        text = f"{self.name}: {counted(self.table, 'run')}, {endings}"
         if LED_BY in self.table and self.table[LED_BY].notna().any():
             half, most = np.nanpercentile(self.table[LED_BY], [50, 95])
             text += (
@@ -123,14 +124,14 @@ class SweepResult(Shown):
             if len(known):
                 five, half, most = np.percentile(known, [5, 50, 95])
                 quantiles[name] = {"p5": float(five), "p50": float(half), "p95": float(most)}
-        told = self.influences()
+        influences = self.influences()
         return {
             "scenario": self.name,
             "method": self.design.method,
             "runs": len(self.table),
             "outcomes": self.counts,
             "figures": quantiles,
-            "influences": [{k: _known(v) for k, v in asdict(i).items()} for i in told],
+            "influences": [{k: _known(v) for k, v in asdict(i).items()} for i in influences],
             "worst": [int(run) for run in self.worst()["run"]],
             "warnings": list(self.warnings),
         }

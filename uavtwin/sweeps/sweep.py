@@ -30,7 +30,7 @@ from .result import SweepResult, table_of
 
 
 @dataclass(frozen=True, slots=True)
-class Flown:
+class RunResult:
     """A run and what it left.
 
     Attributes:
@@ -74,9 +74,9 @@ class Flying:
         )
         return Shipment(replace(self, stands=bare), fmus)
 
-    def lost(self, job: Job, why: str) -> Flown:
+    def lost(self, job: Job, why: str) -> RunResult:
         """A run that nobody could fly."""
-        return Flown(Outcome(job.run, "failed", why, 0.0, {}))
+        return RunResult(Outcome(job.run, "failed", why, 0.0, {}))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +116,7 @@ class Flyer:
         self._master: WorkerMaster | None = None
         self._stand: Stand | None = None
 
-    def do(self, job: Job) -> Flown:
+    def do(self, job: Job) -> RunResult:
         """Run a job; whatever an FMU does, there is an outcome."""
         stand = self._flying.stands[job.stand]
         times = stand.times
@@ -132,7 +132,7 @@ class Flyer:
             recording, why = _nothing(), str(error)
             self.close()
         outcome = outcome_of(job.run, recording, stand.arm_m, why)
-        return Flown(outcome, recording if self._flying.keep else None)
+        return RunResult(outcome, recording if self._flying.keep else None)
 
     def _ready(self, stand: Stand) -> WorkerMaster:
         """A master with the system of a stand loaded."""
@@ -277,7 +277,7 @@ def run_sweep(
     force: bool = False,
     progress: Progress = lambda _: None,
     found: Callable[[SweepResult], None] = lambda _: None,
-    beside: Callable[[SweepResult, Path], None] = lambda *_: None,
+    alongside: Callable[[SweepResult, Path], None] = lambda *_: None,
 ) -> SweepResult:
     """Plan a sweep, fly what is not done of it, and write what came of it.
 
@@ -292,7 +292,7 @@ def run_sweep(
         force: Whether files in the folder may be replaced.
         progress: Called with the share done, 0..1.
         found: Takes the result before it is written: a full disk does not keep it from a reader.
-        beside: Writes what else belongs into the folder, which it is given.
+        alongside: Writes what else belongs into the folder, which it is given.
 
     Raises:
         TwinError: As `sweep`.
@@ -320,7 +320,7 @@ def run_sweep(
                 result.save(folder / "runs.parquet")
                 result.report(folder / "report.html")
                 write_json(folder / "sweep.json", result.json())
-                beside(result, folder)
+                alongside(result, folder)
     return result
 
 
@@ -391,7 +391,7 @@ def _fly(
         progress(_BUILDING + (1 - _BUILDING) * done / len(plan.jobs))
 
 
-def _keep(flown: Flown, folder: Path) -> None:
+def _keep(flown: RunResult, folder: Path) -> None:
     """Write a recording, before its run counts as done."""
     if flown.recording is not None and len(flown.recording.time_s):
         path = folder / RECORDINGS / f"run_{flown.outcome.run:06d}.parquet"

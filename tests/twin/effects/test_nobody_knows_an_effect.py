@@ -12,7 +12,7 @@ from twin.effects.observability import Average, Lines, NoiseFloor, RandomForce
 
 ROOT = Path(__file__).parents[3]
 FOLDERS = ("twin/explain", "twin/residuals", "twin/flight", "uavtwin")
-SPOKEN = ("uavtwin/report/spoken.py", "uavtwin/calibration.py")
+SPOKEN = ("uavtwin/wording.py", "uavtwin/calibration.py")
 """Sentences of effects that have one of their own; others are told by their numbers."""
 FILES = sorted(
     p

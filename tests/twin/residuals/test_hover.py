@@ -13,7 +13,7 @@ from twin.residuals.gap import Channel
 from twin.residuals.hover import HoverDiagnosis, Mean, diagnose
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import Waypoints, fly
-from uavtwin.report.hover import hover_sentence
+from uavtwin.wording import hover_sentence
 
 
 def flight(seconds: float = 20.0, **columns: object) -> Flight:

@@ -148,7 +148,7 @@ def test_an_effect_of_most_is_of_the_type_and_one_of_one_its_own(
     assert untold.effects["rotor_drag"] == shared.effects["rotor_drag"]
     share = {n: v.deviations[key].share for n, v in (("type", shared), ("untold", untold))}
     assert share["untold"] > 1.5 * share["type"]  # the spread between aircraft is in it
-    assert "not told by its own flights" in untold.sources[key]
+    assert "not determined by its own flights" in untold.sources[key]
     alone = numbers_of_files(result.spreads, list(result.explained), False)
     assert not alone.of_type  # each aircraft against its own file
     assert set(alone.of_aircraft["A01"]) == set()

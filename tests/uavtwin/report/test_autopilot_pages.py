@@ -21,10 +21,10 @@ from uavtwin.report.autopilot import (
     MOST_PARAMETERS,
     PLACES,
     ROWS,
+    autopilot_content,
+    autopilot_view,
     spectrogram,
     strip,
-    told_content,
-    told_of,
 )
 from uavtwin.report.drawing import Budget
 from uavtwin.report.gap import write_gap_report
@@ -95,8 +95,10 @@ def test_yaw_of_setpoint_and_flight_the_short_way_round() -> None:
     yaw = 2.0 + 0.1 * T
     turned = dict(zip(QUAT, np.asarray(from_euler(0 * T, 0 * T, yaw)), strict=True))
     ahead = np.asarray(from_euler(0 * T, 0.2 + 0 * T, yaw + np.radians(10.0))).T
-    told = told_of(flight(turned, Autopilot(setpoints=(Setpoint(QUAT, T[::4], ahead[::4]),))))
-    (attitude,) = told.followed
+    view = autopilot_view(
+        flight(turned, Autopilot(setpoints=(Setpoint(QUAT, T[::4], ahead[::4]),)))
+    )
+    (attitude,) = view.followed
     (_, flown, _), (_, _, pitch), (name, _, asked) = (
         attitude.axes[0],
         attitude.axes[1],
@@ -149,7 +151,7 @@ def test_texts_of_a_log_stay_texts(tmp_path: Path) -> None:
     text = page.read_text("utf-8")
     assert "alert(" in text
     assert "<script>alert" not in text and "<b>&'" not in text
-    shown = told_content("f", told_of(made), (), Budget(100))
+    shown = autopilot_content("f", autopilot_view(made), (), Budget(100))
     assert len(shown["messages"]) == MOST_MESSAGES and shown["messages_count"] == 1000
     assert any(m.grave for m in shown["messages"])
     assert len(shown["parameters"]) == MOST_PARAMETERS

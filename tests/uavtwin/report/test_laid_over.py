@@ -10,7 +10,7 @@ from page_rigs.circle import gap_of, recorded
 from twin.logs.autopilot import Autopilot, Stretch
 from twin.residuals.gap import FlightGap
 from uavtwin.report.drawing import Budget, degenerate, unpacked
-from uavtwin.report.laid_over import LaidOver, laid_over
+from uavtwin.report.gap import LaidOver, laid_over
 from uavtwin.report.overview import Overview, overview
 from uavtwin.report.page import Plot
 

@@ -11,10 +11,9 @@ import pytest
 
 from twin.residuals.gap import Channel, FlightGap, rank, summaries
 from uavtwin.report.drawing import Budget, unpacked
-from uavtwin.report.figures import channel_figures
-from uavtwin.report.gap import claim, write_gap_report
+from uavtwin.report.gap import channel_figures, claim, write_gap_report
 from uavtwin.report.headline import leading
-from uavtwin.report.kinds import describe
+from uavtwin.wording import describe
 
 HOSTILE = "</script><script>alert('x')</script><b>&"
 

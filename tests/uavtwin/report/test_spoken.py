@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 
 from twin.effects import EFFECTS
 from twin.explain.inference.detectable import Detectable
+from uavtwin.formatting import quantity, readable
 from uavtwin.report.headline import blind, undetermined
-from uavtwin.report.spoken import clause, quantity, readable, said, said_numbers
+from uavtwin.wording import clause, said, said_numbers
 
 UNITS = sorted(
     {p.unit for e in EFFECTS.values() for p in (*e.parameters, *e.of_logs)} | {"Pa", "N"}

@@ -1,13 +1,17 @@
 """What is different about an aircraft, as one pilot says it to another."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twin.effects import EFFECTS
+from twin.physics.sensors.table import BODY, SENSORS, Sensor
+from twin.residuals.gap import Channel
+from twin.residuals.hover import HoverDiagnosis, Mean
 
-from .figures import number, percent, pretty_unit
+from .formatting import joined, number, percent, quantity
 
 Changes = Mapping[str, float]
 """By number of an effect, by how much it differs."""
@@ -23,49 +27,6 @@ PLACES = (
     ("z", "lower", "higher"),
 )
 """Which way a positive and a negative number point, body frame, FRD."""
-_READ_IN = {
-    "T": ("µT", 1e6),
-    "Pa": ("hPa", 1e-2),
-    "rad": ("°", 180 / math.pi),
-    "rad/s": ("°/s", 180 / math.pi),
-}
-"""Units in which a pilot reads a quantity, and the factor from SI."""
-_SMALLER = {"m": 0.1, "s": 0.1, "kg": 0.1}
-"""Quantities below which a pilot reads thousandths of the unit; of others, `_TINY`."""
-_TINY, _PREFIXES = 1e-3, (("m", 1e3), ("µ", 1e6), ("n", 1e9))
-
-
-def readable(unit: str, *values: float) -> tuple[tuple[float, ...], str]:
-    """Values of one quantity in the unit that a pilot reads: degrees, µT, hPa, and milli, micro or
-    nano of a unit where all values are small.
-
-    Args:
-        unit: SI, as in an FMU; "1" of a plain number.
-        values: Share the unit.
-
-    Returns:
-        The values in that unit, and the unit as it is printed, "" of a plain number.
-    """
-    if unit in ("1", ""):
-        return values, ""
-    if unit in _READ_IN:
-        name, factor = _READ_IN[unit]
-        return tuple(factor * v for v in values), name
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    symbol = unit.partition("/")[0].partition(".")[0]
-    if largest >= _SMALLER.get(unit, _TINY) or largest == 0 or not symbol.isalpha():
-        return values, pretty_unit(unit)
-    if unit == "kg":
-        return tuple(1e3 * v for v in values), "g"
-    prefix, factor = next((p for p in _PREFIXES if largest * p[1] >= 1), _PREFIXES[-1])
-    scaled = tuple(factor * v if abs(factor * v) >= _TINY else 0.0 for v in values)
-    return scaled, prefix + pretty_unit(unit)
-
-
-def quantity(value: float, unit: str) -> str:
-    """A value with its unit, as a pilot reads it."""
-    (shown,), name = readable(unit, value)
-    return f"{number(shown)}{name}" if name == "°" else f"{number(shown)} {name}".rstrip()
 
 
 def said(effect: str, change: Changes, since: bool) -> str:
@@ -105,13 +66,6 @@ def unit_of(effect: str, name: str) -> str:
     every = (*EFFECTS[effect].parameters, *EFFECTS[effect].of_logs)
     own = (p for p in every if name == p.name or (p.per_rotor and name.startswith(p.name)))
     return next((p.unit for p in own), "1")
-
-
-def joined(parts: list[str], word: str = "and") -> str:
-    """Parts of a sentence in a row."""
-    if len(parts) < 2:
-        return "".join(parts)
-    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
 
 
 def _plain(effect: str, change: Changes) -> str:
@@ -280,3 +234,127 @@ def blind_clause(effect: str, value: float, unit: str, since: bool) -> str:
 
 
 BLIND_ORDER = tuple(_BLIND)
+
+
+LEAST_M, LEAST_RAD, LEAST_LOSS = 5e-4, math.radians(0.5), 0.02
+"""A centre of mass, an angle, a loss below these is not said."""
+
+
+def hover_sentence(vehicle: str, hover: HoverDiagnosis) -> str:
+    """The weight that a twin carries at the logged commands, where its centre of mass seems to be,
+    and how its thrust leans; what is within two standard errors of zero is left out."""
+    text = (
+        f"At the logged commands {vehicle} carries {100 * hover.carried.value:.0f} % of its weight"
+    )
+    off = _parts(
+        (
+            (hover.back_m, "further back", "further forward"),
+            (hover.right_m, "further to the right", "further to the left"),
+        ),
+        1e3,
+        LEAST_M,
+        " mm",
+    )
+    if off:
+        text += f", and turns as if the centre of mass were {joined(off)}"
+        if (weak := hover.weakest) is not None and weak.loss.value >= LEAST_LOSS:
+            text += f", or as if rotor {weak.rotor} gave {_size(weak.loss, 100, ' %')} less thrust"
+    leans = _parts(
+        (
+            (hover.lean_forward_rad, "forward", "back"),
+            (hover.lean_right_rad, "to the right", "to the left"),
+        ),
+        180 / math.pi,
+        LEAST_RAD,
+        "°",
+    )
+    if leans:
+        text += f"; the thrust leans {joined(leans)} of where the twin's points"
+    return f"{text}."
+
+
+def _parts(
+    means: Sequence[tuple[Mean | None, str, str]], factor: float, least: float, unit: str
+) -> list[str]:
+    """Each mean that differs from zero, with its direction."""
+    return [
+        f"{_size(mean, factor, unit)} {forth if mean.value > 0 else back}"
+        for mean, forth, back in means
+        if mean is not None and mean.clear and abs(mean.value) >= least
+    ]
+
+
+def _size(mean: Mean, factor: float, unit: str) -> str:
+    """A mean with twice its standard error."""
+    return f"{factor * abs(mean.value):.1f} ± {factor * 2 * mean.sd:.1f}{unit}"
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A physical quantity.
+
+    Attributes:
+        prefix: Its channels begin with it.
+        title: Of its figures.
+        axes: Names of its axes.
+        words: It in a sentence.
+        axis: Words for an axis, by its letter.
+    """
+
+    prefix: str
+    title: str
+    axes: str = ""
+    words: str = ""
+    axis: Mapping[str, str] = field(default_factory=dict)
+
+
+def _of_sensor(sensor: Sensor) -> Kind:
+    """Kind of the readings of a sensor beside the IMU."""
+    vector = len(sensor.columns) > 1
+    axes, axis = ("body axes", _BODY) if vector else ("", {})
+    return Kind(f"{sensor.signal}_", sensor.title, axes, sensor.words, axis)
+
+
+_BODY = {"x": "forward axis", "y": "right axis", "z": "down axis"}
+_TURN = {"x": "roll", "y": "pitch", "z": "yaw"}
+_EARTH = {"x": "north", "y": "east", "z": "down"}
+_FRD, _ROLL = "body axes: x forward, y right, z down", "body axes: x roll, y pitch, z yaw"
+_NED = "x north, y east, z down"
+KINDS = (
+    Kind("acc_", "Specific force (accelerometer)", _FRD, "specific force", _BODY),
+    Kind("gyro_rate_", "Angular acceleration", _ROLL, "angular acceleration", _TURN),
+    Kind("gyro_", "Body rates", _ROLL, "body rate", _TURN),
+    Kind("vel_", "Velocity", _NED, "velocity", _EARTH),
+    Kind("pos_", "Position", _NED, "position", _EARTH),
+    Kind("att_", "Attitude", "x roll, y pitch, z yaw", "attitude", _TURN),
+    Kind("q_", "Attitude (quaternion)", "body to NED"),
+    *(_of_sensor(s) for s in SENSORS if s.group != BODY),
+    Kind("", "Other channels"),
+)
+
+
+def describe(channel: str) -> str:
+    """A channel's name in words: `acc_z` is the specific force on the down axis."""
+    name = channel.split("@")[0]
+    kind = kind_of(name)
+    axis = kind.axis.get(name.removeprefix(kind.prefix))
+    return ", ".join(filter(None, (kind.words or name.replace("_", " "), axis)))
+
+
+def kind_of(channel: str) -> Kind:
+    """The quantity that a channel is of."""
+    return next(kind for kind in KINDS if channel.startswith(kind.prefix))
+
+
+def grouped(channels: Sequence[Channel]) -> list[tuple[Kind, list[Channel]]]:
+    """Channels that share a figure: same quantity, same horizon; in the order of `KINDS`."""
+    found: dict[tuple[int, float], list[Channel]] = {}
+    for channel in channels:
+        place = KINDS.index(kind_of(channel.name)), channel.horizon_s
+        found.setdefault(place, []).append(channel)
+    return [(KINDS[i], found[i, horizon_s]) for i, horizon_s in sorted(found)]
+
+
+def mode(horizon_s: float) -> str:
+    """How the twin was held against the flight, in words; 0: at each instant."""
+    return "teacher-forced" if horizon_s == 0 else f"short horizon, {horizon_s:g} s"

@@ -1,7 +1,7 @@
 """Results as a person meets them: text in a console, a table in a notebook, one line as a value."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from html import escape
 
@@ -38,7 +38,7 @@ class TextTable:
         return f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 
-class Shown(ABC):
+class DisplayMixin(ABC):
     """A result: `print` gives all that matters, a notebook the same, the prompt one line."""
 
     __slots__ = ()
@@ -67,8 +67,3 @@ def _html(section: str | TextTable) -> str:
     if isinstance(section, TextTable):
         return section.html()
     return f"<p>{escape(section).replace(chr(10), '<br>')}</p>"
-
-
-def counted(things: Sequence[object], one: str) -> str:
-    """How many: "1 flight", "3 flights"."""
-    return f"{len(things)} {one}{'' if len(things) == 1 else 's'}"
