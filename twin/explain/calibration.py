@@ -14,9 +14,9 @@ from ..logs import Flight
 from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
 from .estimates import UNDETERMINED, Estimate, fitted_estimates
-from .inference.beliefs import Beliefs, beliefs_of, effect_of
 from .inference.evidence import LaplaceEvidence
 from .inference.fit import Fit, fit_of
+from .inference.priors import Priors, effect_of, priors_of
 from .inference.refit import Problem, State
 from .inference.search import calibration_start, search
 from .inference.selection import days_of, shares_of
@@ -89,10 +89,10 @@ def calibrate(
     model = model_of(
         flights, vehicle, candidates(flights), lambda done: progress(0.1 * done), payloads
     )
-    problem = Problem.of(model, beliefs_of(model, trusted=False), settings.evidence, gated=True)
+    problem = Problem.of(model, priors_of(model, trusted=False), settings.evidence, gated=True)
     found = search(
         problem,
-        calibration_start(problem.beliefs),
+        calibration_start(problem.priors),
         progress=lambda done: progress(0.1 + 0.45 * done),
     )
     refused = _refused(problem, found.state, settings)
@@ -100,25 +100,28 @@ def calibrate(
         problem = _without(problem, refused)
         found = search(
             problem,
-            calibration_start(problem.beliefs),
+            calibration_start(problem.priors),
             progress=lambda done: progress(0.55 + 0.4 * done),
         )
-    state = replace(found.state, best=found.laplace.here_as(found.state.effects, found.state.kappa))
-    best, beliefs = state.best, problem.beliefs
-    free = [int(i) for i in best.free if i < len(beliefs.now)]
-    causes = sorted({beliefs.cause[i] for i in free})
+    estimate = found.laplace.at_linearisation(found.state.effects, found.state.kappa)
+    state = replace(found.state, best=estimate)
+        found.state, best=found.laplace.at_linearisation(found.state.effects, found.state.kappa)
+    )
+    best, priors = state.best, problem.priors
+    free = [int(i) for i in best.free if i < len(priors.now)]
+    causes = sorted({priors.cause[i] for i in free})
     fit = fit_of(problem, causes, best.x, best.deviations(), 0.0)
     prior = np.where(
-        np.isin(np.arange(len(beliefs.now)), beliefs.of(state.effects)), beliefs.slab, beliefs.spike
+        np.isin(np.arange(len(priors.now)), priors.of(state.effects)), priors.slab, priors.spike
     )
     sd = best.deviations()
-    share = {beliefs.names[i]: min(1.0, float(sd[i] / prior[i])) for i in free}
-    shapes = {beliefs.names[i] for i in np.flatnonzero(beliefs.shape)}
+    share = {priors.names[i]: min(1.0, float(sd[i] / prior[i])) for i in free}
+    shapes = {priors.names[i] for i in np.flatnonzero(priors.shape)}
     undetermined = [name for name, s in share.items() if s > UNDETERMINED and name not in shapes]
-    undetermined += _undetermined_beyond(beliefs, found.laplace, state)
+    undetermined += _undetermined_beyond(priors, found.laplace, state)
     told = Calibration(
         tuple(f.name for f in flights),
-        tuple(beliefs.names[i] for i in free),
+        tuple(priors.names[i] for i in free),
         _shared_covariance(state, free),
         problem.between_days(state),
         problem.constants_between_days(state),
@@ -126,7 +129,7 @@ def calibrate(
     )
     made = replace(with_effects(vehicle, fit.effects, fit.values), calibration=told)
     days, shares = days_of(problem, best), shares_of(problem, state)
-    estimates = _estimates(fit, beliefs, share, settings)
+    estimates = _estimates(fit, priors, share, settings)
     return Calibrated(
         made, fit, estimates, share, tuple(undetermined), days, problem, state, shares, refused
     )
@@ -136,7 +139,7 @@ def _refused(problem: Problem, state: State, settings: InferenceSettings) -> dic
     """Effects that come with damage or a load, are rare on a sound aircraft, and would be larger
     than `explain` believes: nothing is wrong with the aircraft, that is what a calibration is told.
     """
-    b, found = problem.beliefs, {}
+    b, found = problem.priors, {}
     damage = [c for c in state.effects if b.odds[c] <= RARE and effect_of(c) in CHANGES]
     values = problem.values(state.best.x)
     tension = b.tension({b.names[i]: values[b.names[i]] for i in b.of(damage) if not b.shape[i]})
@@ -151,12 +154,12 @@ def _refused(problem: Problem, state: State, settings: InferenceSettings) -> dic
 
 def _without(problem: Problem, effects: Collection[str]) -> Problem:
     """The same search without some effects."""
-    odds = {c: v for c, v in problem.beliefs.odds.items() if effect_of(c) not in effects}
-    return replace(problem, beliefs=replace(problem.beliefs, odds=odds))
+    odds = {c: v for c, v in problem.priors.odds.items() if effect_of(c) not in effects}
+    return replace(problem, priors=replace(problem.priors, odds=odds))
 
 
 def _estimates(
-    fit: Fit, beliefs: Beliefs, share: Mapping[str, float], settings: InferenceSettings
+    fit: Fit, priors: Priors, share: Mapping[str, float], settings: InferenceSettings
 ) -> dict[str, Estimate]:
     """Every number with its interval, which the number of effects that are fitted together widens
     as it does in `explain`."""
@@ -164,20 +167,20 @@ def _estimates(
     wider = math.sqrt(1 + settings.selection.variance_per_effect * len(told))
     found = {}
     for effect in fit.effects:
-        for t in fitted_estimates(fit, beliefs, effect, wider):
+        for t in fitted_estimates(fit, priors, effect, wider):
             if not t.number.shape:
                 neutral, known = t.number.about.neutral, share.get(t.number.full, 1.0)
                 found[t.number.full] = replace(t, no_effect=neutral, prior_share=known)
     return found
 
 
-def _undetermined_beyond(beliefs: Beliefs, laplace: LaplaceEvidence, state: State) -> list[str]:
+def _undetermined_beyond(priors: Priors, laplace: LaplaceEvidence, state: State) -> list[str]:
     """Numbers of effects that were left out, for all that these flights say of them."""
     found = []
-    for cause in (c for c in beliefs.causes if c not in state.effects):
+    for cause in (c for c in priors.causes if c not in state.effects):
         sd = laplace.best((*state.effects, cause), state.kappa).deviations()
-        own = [i for i in beliefs.of([cause]) if beliefs.cause[i] == cause and not beliefs.shape[i]]
-        found += [beliefs.names[i] for i in own if sd[i] > UNDETERMINED * beliefs.slab[i]]
+        own = [i for i in priors.of([cause]) if priors.cause[i] == cause and not priors.shape[i]]
+        found += [priors.names[i] for i in own if sd[i] > UNDETERMINED * priors.slab[i]]
     return found
 
 

@@ -8,8 +8,8 @@ from scipy.stats import norm
 
 from ..effects import EFFECTS
 from .explanation import Explanation
-from .inference.beliefs import Beliefs, effect_of, parameter_of
 from .inference.fit import INTERVAL, Fit
+from .inference.priors import Priors, effect_of, parameter_of
 from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
 from .stochastic.finding import StochasticEffect
@@ -98,18 +98,18 @@ def credible_interval(number: Number, value: float, half_width: float) -> tuple[
 
 
 def fitted_estimates(
-    fitted: Fit, beliefs: Beliefs, effect: str, wider: float = 1.0
+    fitted: Fit, priors: Priors, effect: str, wider: float = 1.0
 ) -> list[Estimate]:
     """The numbers of an effect in one fit.
 
     Args:
         fitted: Values and half widths.
-        beliefs: Priors of the same search.
+        priors: Priors of the same search.
         effect: Identifier.
         wider: Factor on the half widths.
     """
-    tension = beliefs.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
-    place = {n: i for i, n in enumerate(beliefs.names)}
+    tension = priors.tension({n.full: fitted.values[n.full] for n in fitted.numbers})
+    place = {n: i for i, n in enumerate(priors.names)}
     found = []
     for n, w in zip(fitted.numbers, fitted.half_widths, strict=True):
         if n.effect != effect:
@@ -119,9 +119,9 @@ def fitted_estimates(
             Estimate(
                 n,
                 value,
-                None if n.shape else float(beliefs.now[i] + beliefs.held[i]),
+                None if n.shape else float(priors.now[i] + priors.held[i]),
                 credible_interval(n, value, wider * float(w)),
-                min(1.0, float(w) / INTERVAL / float(beliefs.slab[i])),
+                min(1.0, float(w) / INTERVAL / float(priors.slab[i])),
                 tension[n.full],
             )
         )
@@ -152,8 +152,8 @@ def calibrated_effects(found: Explanation) -> list[str]:
     """Effects whose numbers the file was unsure of, and that lack nothing beyond that."""
     if found.naming is None or found.shown is None:
         return []
-    beliefs = found.naming.problem.beliefs
-    unsure = {effect_of(c) for c, sd in zip(beliefs.cause, beliefs.spike, strict=True) if sd > 0}
+    priors = found.naming.problem.priors
+    unsure = {effect_of(c) for c, sd in zip(priors.cause, priors.spike, strict=True) if sd > 0}
     told = {*listed_effects(found), *(r.effect for r in found.naming.resemblances)}
     return [e for e in found.shown.effects if e in unsure and e not in told]
 
@@ -213,7 +213,7 @@ def estimates_of(found: Explanation, effect: str) -> list[Estimate]:
     naming = found.naming
     assert naming is not None
     wider = math.sqrt(1 + naming.settings.variance_per_effect * reported_count(found))
-    return fitted_estimates(naming.conditional, naming.problem.beliefs, effect, wider)
+    return fitted_estimates(naming.conditional, naming.problem.priors, effect, wider)
 
 
 def channels_and_phases(found: Explanation, effect: str) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -18,8 +18,8 @@ from ..vehicle import Vehicle
 from .attribution import Attribution, attribute_effect
 from .design.designer import Suggestion, next_manoeuvre
 from .holdout import Comparison, compare_holdout
-from .inference.beliefs import UNCALIBRATED
 from .inference.fit import Fit
+from .inference.priors import UNCALIBRATED
 from .inference.selection import Naming, Verdict, name_effects
 from .localization import Place, localize
 from .model.model import Model
@@ -382,7 +382,7 @@ def _with_equations(found: Explanation, seed: int) -> Explanation:
 def _stands(naming: Naming) -> Fit:
     """The model with what puts it right without a name: numbers that the file was unsure of, and
     effects that are there and too small to be worth one."""
-    b = naming.problem.beliefs
+    b = naming.problem.priors
     there = {c for c, p in naming.posterior.inclusion.items() if p >= 0.5}
     rows = zip(b.names, b.spike, b.cause, strict=True)
     known = [n for n, sd, cause in rows if sd > 0 or cause in there]

@@ -21,7 +21,7 @@ from ..logs import Flight
 from ..representation import short_repr
 from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
-from .inference.beliefs import beliefs_of
+from .inference.priors import priors_of
 from .inference.refit import Problem
 from .inference.spectrum import Spectrum
 from .model.model import Model, candidates, model_of
@@ -154,9 +154,9 @@ def compare_holdout(
     seen = {e.name: e for e in candidates(flights)} | {e: EFFECTS[e] for e in effects}
     known = [e for e in EFFECTS.values() if e.name in seen]
     model = model_of(flights, vehicle, known, payloads=payloads)
-    problem = Problem.of(model, beliefs_of(model), evidence)
+    problem = Problem.of(model, priors_of(model), evidence)
     now = _numbers(problem, values)
-    linear = problem.channels(now, range(len(problem.beliefs.now)))
+    linear = problem.channels(now, range(len(problem.priors.now)))
     before, rows = model.channels([]), model.channels([], values)
     after = [[replace(c, slopes=c.slopes[:, :0]) for c in flight] for flight in rows]
     daily = replace(model, days=_days(problem, now, linear)).channels([], values)
@@ -171,9 +171,9 @@ def compare_holdout(
 
 def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
     """Numbers of a model as `MapEstimate.x`."""
-    beliefs = problem.beliefs
-    x = np.zeros(len(beliefs.now) + problem.rest.days.size)
-    for i, (name, now) in enumerate(zip(beliefs.names, beliefs.now, strict=True)):
+    priors = problem.priors
+    x = np.zeros(len(priors.now) + problem.rest.days.size)
+    for i, (name, now) in enumerate(zip(priors.names, priors.now, strict=True)):
         x[i] = values.get(name, now) - now
     return x
 
@@ -181,10 +181,10 @@ def _numbers(problem: Problem, values: Mapping[str, float]) -> Array:
 def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float], ...]:
     """What the days of the flights add to numbers that differ between days, all others at `x`;
     `linear`: channels there, with slopes by every number."""
-    b = problem.beliefs
+    b = problem.priors
     shared, none = problem.split(np.zeros_like(x))
     held = replace(
-        problem, beliefs=replace(b, now=b.now + problem.split(x)[0], file=np.zeros_like(b.file))
+        problem, priors=replace(b, now=b.now + problem.split(x)[0], file=np.zeros_like(b.file))
     )
     laplace = held.laplace(Spectrum.of(linear, shared, none, b.days))
     return held.days(laplace.best((), 1.0).x)
@@ -192,13 +192,13 @@ def _days(problem: Problem, x: Array, linear: Flights) -> tuple[dict[str, float]
 
 def _best(problem: Problem, x: Array, linear: Flights) -> list[list[ChannelData]]:
     """What all numbers leave of each channel, fitted to the flights themselves from `x` on."""
-    beliefs = problem.beliefs
-    laplace = problem.laplace(Spectrum.of(linear, *problem.split(x), beliefs.days))
-    shared, days = problem.split(laplace.best(beliefs.causes, 1.0).x - x)
+    priors = problem.priors
+    laplace = problem.laplace(Spectrum.of(linear, *problem.split(x), priors.days))
+    shared, days = problem.split(laplace.best(priors.causes, 1.0).x - x)
     left = []
     for flight, day in zip(linear, days, strict=True):
         step = shared.copy()
-        step[beliefs.days] += day
+        step[priors.days] += day
         left.append(
             [
                 replace(c, residual=c.residual - c.slopes @ step, slopes=c.slopes[:, :0])

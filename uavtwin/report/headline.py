@@ -262,7 +262,7 @@ def _since(found: Explanation, naming: Naming) -> Headline:
 
 def _fitted(naming: Naming, fit: Fit, effect: str) -> list[Estimate]:
     """Numbers of an effect in one of several hypotheses."""
-    return fitted_estimates(fit, naming.problem.beliefs, effect)
+    return fitted_estimates(fit, naming.problem.priors, effect)
 
 
 def _change(naming: Naming, effect: str, estimates: Sequence[Estimate]) -> Headline:

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from twin.effects import EFFECTS
-from twin.explain.inference.beliefs import beliefs_of, effect_of
 from twin.explain.inference.fit import Fit, fit_of
+from twin.explain.inference.priors import effect_of, priors_of
 from twin.explain.inference.refit import Problem, State
 from twin.explain.model.model import Model, candidates, model_of
 from twin.logs import Flight
@@ -13,7 +13,7 @@ from twin.vehicle import Vehicle
 
 def problem_of(model: Model) -> Problem:
     """What hypotheses about flights are fitted against."""
-    return Problem.of(model, beliefs_of(model))
+    return Problem.of(model, priors_of(model))
 
 
 def against(flight: Flight, vehicle: Vehicle, *effects: str) -> Problem:
@@ -35,7 +35,7 @@ def state_of(problem: Problem, effects: Sequence[str], nothing: State | None = N
         effects: Identifiers.
         nothing: `nothing_of`, where several sets of a problem are asked for.
     """
-    causes = [c for c in problem.beliefs.causes if effect_of(c) in effects]
+    causes = [c for c in problem.priors.causes if effect_of(c) in effects]
     nothing = nothing or nothing_of(problem)
     starts = (
         problem.start(causes, 1.0),

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.inference.beliefs import Beliefs
 from twin.explain.inference.bounds import Bounds
 from twin.explain.inference.evidence import LaplaceEvidence, Noise
+from twin.explain.inference.priors import Priors
 from twin.explain.inference.spectrum import Rows, Spectrum
 from twin.explain.settings import EvidenceSettings
 from twin.physics.sensors.table import SENSORS
@@ -47,10 +47,10 @@ class Linear:
     reach: float = 1e9
 
     @property
-    def beliefs(self) -> Beliefs:
+    def priors(self) -> Priors:
         k = len(self.effects)
         zero, one = np.zeros(k), np.ones(k)
-        return Beliefs(
+        return Priors(
             columns=tuple(range(k)),
             names=tuple(f"{e}.number" for e in self.effects),
             cause=tuple(self.effects),
@@ -68,19 +68,19 @@ class Linear:
 
     @property
     def spectrum(self) -> Spectrum:
-        k, beliefs = len(self.effects), self.beliefs
+        k, priors = len(self.effects), self.priors
         rows = tuple(
             tuple(Rows(b, r, np.arange(k), s.reshape(len(r), k)) for b, r, s in flights)
             for flights in self.channels
         )
-        days = np.zeros((len(self.channels[0]), len(beliefs.days)))
+        days = np.zeros((len(self.channels[0]), len(priors.days)))
         names = tuple(c for s in SENSORS for c in s.channels)[: len(rows)]
-        return Spectrum(names, rows, np.zeros(k), days, beliefs.days)
+        return Spectrum(names, rows, np.zeros(k), days, priors.days)
 
     @property
     def laplace(self) -> LaplaceEvidence:
-        k, beliefs = len(self.effects), self.beliefs
-        bounds = Bounds(beliefs.low, beliefs.high, np.zeros((0, k)), np.zeros(0))
+        k, priors = len(self.effects), self.priors
+        bounds = Bounds(priors.low, priors.high, np.zeros((0, k)), np.zeros(0))
         own = np.ones(len(self.channels)) if self.own is None else self.own
         noise = Noise(self.floor, own, {}, self.silent)
-        return LaplaceEvidence(self.spectrum, noise, beliefs, bounds, EvidenceSettings())
+        return LaplaceEvidence(self.spectrum, noise, priors, bounds, EvidenceSettings())

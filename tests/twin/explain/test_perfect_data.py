@@ -9,7 +9,7 @@ import pytest
 from twin.effects import EFFECTS
 from twin.effects.priors import PRIORS
 from twin.explain.explanation import explain
-from twin.explain.inference.beliefs import beliefs_of
+from twin.explain.inference.priors import priors_of
 from twin.explain.model.model import model_of
 from twin.logs import Flight
 from twin.vehicle import Vehicle
@@ -84,8 +84,8 @@ def test_the_prior_of_a_lag_is_about_the_whole(perfect: Flight) -> None:
     for lag_s in (0.005, 0.05, 0.12):
         vehicle = with_lag(COPTER, lag_s)
         model = model_of([perfect], vehicle, [EFFECTS["motor_lag"]])
-        beliefs = beliefs_of(model)
-        (i,) = [k for k, n in enumerate(beliefs.names) if n == "motor_lag.tau_s"]
-        assert beliefs.mean[i] + lag_s == pytest.approx(whole)
-        assert beliefs.low[i] + lag_s > 0
-        assert beliefs.slab[i] > PRIORS["motor_lag"].of("tau_s", False).sd
+        priors = priors_of(model)
+        (i,) = [k for k, n in enumerate(priors.names) if n == "motor_lag.tau_s"]
+        assert priors.mean[i] + lag_s == pytest.approx(whole)
+        assert priors.low[i] + lag_s > 0
+        assert priors.slab[i] > PRIORS["motor_lag"].of("tau_s", False).sd

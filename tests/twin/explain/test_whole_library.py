@@ -19,8 +19,8 @@ from search_rigs.hypotheses import problem_of as problem_about
 
 from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers, shown
 from twin.effects import EFFECTS, Shift
-from twin.explain.inference.beliefs import effect_of
 from twin.explain.inference.fit import substantial_effects
+from twin.explain.inference.priors import effect_of
 from twin.explain.inference.refit import Problem
 from twin.explain.inference.selection import days_of
 from twin.explain.model.model import Model, candidates
@@ -47,7 +47,7 @@ def likely(problem: Problem) -> list[str]:
     """Single effects by what they gain where the model as it stands is linear, the best first."""
     laplace, gains = problem.laplace(problem.rest), {}
     for e in problem.model.effects:
-        causes = [c for c in problem.beliefs.causes if effect_of(c) == e]
+        causes = [c for c in problem.priors.causes if effect_of(c) == e]
         gains[e] = laplace.best(causes, 1.0).evidence
     return sorted(gains, key=lambda e: -gains[e])
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..model.model import Model
-from .beliefs import effect_of
 from .evidence import LaplaceEvidence
+from .priors import effect_of
 from .refit import State
 
 POWER_95 = 1.645
@@ -80,7 +80,7 @@ def smallest_detectable(
         state: The final set of effects.
         sure: Probability from which on an effect is named.
     """
-    b = laplace.beliefs
+    b = laplace.priors
     present = {effect_of(c) for c in state.effects}
     found: dict[str, tuple[float, Detectable]] = {}
     for cause in (c for c in b.causes if effect_of(c) not in present and not laplace.silent(c)):

@@ -30,9 +30,9 @@ from scipy.optimize import lsq_linear
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ
 from ..settings import DEFAULT, EvidenceSettings
-from .beliefs import Beliefs
 from .bounds import Bounds
 from .constants import sensor_read
+from .priors import Priors
 from .spectrum import BANDS_HZ, Rows, Spectrum
 
 Array = NDArray[np.float64]
@@ -132,7 +132,7 @@ class LaplaceEvidence:
         self,
         spectrum: Spectrum,
         noise: Noise,
-        beliefs: Beliefs,
+        priors: Priors,
         bounds: Bounds,
         settings: EvidenceSettings = DEFAULT.inference.evidence,
     ) -> None:
@@ -141,22 +141,22 @@ class LaplaceEvidence:
         Args:
             spectrum: Residuals and slopes.
             noise: What is known of the noise.
-            beliefs: Priors.
+            priors: Priors.
             bounds: Of the numbers, as changes.
             settings: How much noise levels are known.
         """
-        self.spectrum, self.beliefs, self._bounds = spectrum, beliefs, bounds
+        self.spectrum, self.priors, self._bounds = spectrum, priors, bounds
         self._noise, self._level = noise, settings.level
-        k, f, d = len(beliefs.now), len(spectrum.days), len(spectrum.day_columns)
+        k, f, d = len(priors.now), len(spectrum.days), len(spectrum.day_columns)
         self._k, self._f, self._d = k, f, d
-        self._columns = {e: beliefs.of([e]) for e in beliefs.causes}
+        self._columns = {e: priors.of([e]) for e in priors.causes}
         self._sum()
         self._constant = np.array([b == 0 for _, b in self._labels])
-        self._unsure = np.diag(beliefs.file) > 0
-        days = beliefs.day[spectrum.day_columns]
+        self._unsure = np.diag(priors.file) > 0
+        days = priors.day[spectrum.day_columns]
         self._day = np.tile(days, f)
-        self._low = np.concatenate([beliefs.low - beliefs.now, np.full(f * d, -np.inf)])
-        self._high = np.concatenate([beliefs.high - beliefs.now, np.full(f * d, np.inf)])
+        self._low = np.concatenate([priors.low - priors.now, np.full(f * d, -np.inf)])
+        self._high = np.concatenate([priors.high - priors.now, np.full(f * d, np.inf)])
         self._limited = {
             e for e, c in self._columns.items() if np.any(bounds.rows[:, c] if c.size else 0)
         }
@@ -192,7 +192,7 @@ class LaplaceEvidence:
         reach = np.einsum("bii->bi", self._grams)[:, 1 : 1 + self._k]
         self._reach: dict[str, set[int]] = {
             e: {labels[i][0] for i in np.flatnonzero(reach[:, self._columns[e]].any(axis=1))}
-            for e in self.beliefs.causes
+            for e in self.priors.causes
         }
 
     def _side_by_side(
@@ -235,7 +235,7 @@ class LaplaceEvidence:
         self, on: Sequence[str], kappa: float
     ) -> tuple[NDArray[np.intp], Array, Array, float]:
         """Free entries of `x`, their means and precision matrix, and the log odds of the set."""
-        b, k = self.beliefs, self._k
+        b, k = self.priors, self._k
         there = np.zeros(k, dtype=np.bool_)
         for e in on:
             there[self._columns[e]] = True
@@ -292,7 +292,7 @@ class LaplaceEvidence:
             self._known[key] = self._solve(key[0], kappa, self.here, STEPS)
         return self._known[key]
 
-    def here_as(self, on: Sequence[str], kappa: float) -> MapEstimate:
+    def at_linearisation(self, on: Sequence[str], kappa: float) -> MapEstimate:
         """The evidence of a set with its numbers left where the residuals were taken."""
         return self._solve(tuple(sorted(on)), kappa, self.here, 0)
 

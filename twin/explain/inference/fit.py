@@ -11,8 +11,8 @@ from ...effects.priors import prior_of
 from ...representation import short_repr
 from ..model.model import Model
 from ..model.numbers import Number
-from .beliefs import effect_of
 from .evidence import MapEstimate
+from .priors import effect_of
 from .refit import Problem
 
 Array = NDArray[np.float64]
@@ -65,8 +65,8 @@ def fit_of(
 ) -> Fit:
     """Fit of some causes from `MapEstimate.x`, days included, and its standard deviations."""
     on = tuple(sorted({effect_of(c) for c in causes}))
-    own = problem.beliefs.of(causes)
-    numbers = tuple(problem.model.numbers[problem.beliefs.columns[i]] for i in own)
+    own = problem.priors.of(causes)
+    numbers = tuple(problem.model.numbers[problem.priors.columns[i]] for i in own)
     values = {n.full: n.now + float(x[i]) for n, i in zip(numbers, own, strict=True)}
     return Fit(on, values, numbers, INTERVAL * deviations[own], gain, problem.days(x))
 

@@ -91,9 +91,9 @@ def weigh(
         progress: Called with the share done.
     """
     laplace, kappa = found.laplace, found.state.kappa
-    causes = problem.beliefs.causes
+    causes = problem.priors.causes
     free = [e for e in causes if not laplace.silent(e) and not is_time(e)]
-    met = _Met(laplace, kappa)
+    met = _VisitedSets(laplace, kappa)
     _walk(met, found.state.effects, free, np.random.default_rng(seed), progress)
     gained, weights = _corrected(met, found)
     first = max(weights, key=lambda k: weights[k])
@@ -110,7 +110,7 @@ def weigh(
     return Posterior(sets, inclusion, gained)
 
 
-class _Met:
+class _VisitedSets:
     """Sets that were met about one, with their evidence."""
 
     def __init__(self, laplace: LaplaceEvidence, kappa: float) -> None:
@@ -126,7 +126,7 @@ class _Met:
 
 
 def _walk(
-    met: _Met,
+    met: _VisitedSets,
     start: Set,
     free: Sequence[str],
     rng: np.random.Generator,
@@ -157,7 +157,7 @@ def _walk(
         progress((sweep + 1) / (SWEEPS + 2))
 
 
-def _corrected(met: _Met, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:
+def _corrected(met: _VisitedSets, found: SearchResult) -> tuple[dict[str, float], dict[Set, float]]:
     """What each effect of the end adds as fitted, and the evidence of every set with what the
     linearisation gets wrong about absent effects, but for the share of their lead that others in
     their place take."""

@@ -17,11 +17,11 @@ from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model
 from ..model.numbers import DRIVES, Number
 from ..settings import DEFAULT, EvidenceSettings
-from .beliefs import Beliefs, effect_of
 from .bounds import Bounds
 from .coherence import silent_bands
 from .constants import constants_of_days
 from .evidence import LaplaceEvidence, MapEstimate, Noise
+from .priors import Priors, effect_of
 from .spectrum import Spectrum
 
 Array = NDArray[np.float64]
@@ -85,7 +85,7 @@ class Problem:
 
     Attributes:
         model: Flights.
-        beliefs: Priors of its numbers.
+        priors: Priors of its numbers.
         bounds: Of these, as changes.
         noise: What is known of the noise.
         rest: The model as it stands, with slopes by every number.
@@ -94,7 +94,7 @@ class Problem:
     """
 
     model: Model
-    beliefs: Beliefs
+    priors: Priors
     bounds: Bounds
     noise: Noise
     rest: Spectrum
@@ -107,7 +107,7 @@ class Problem:
     def of(
         cls,
         model: Model,
-        beliefs: Beliefs,
+        priors: Priors,
         settings: EvidenceSettings = DEFAULT.inference.evidence,
         gated: bool = False,
         constants: Mapping[str, float] | None = None,
@@ -116,50 +116,50 @@ class Problem:
 
         Args:
             model: Flights.
-            beliefs: Priors of its numbers.
+            priors: Priors of its numbers.
             settings: See `evidence`.
             gated: Whether bands in which command and motion do not go together have no vote.
             constants: Deviation between days of a channel's constant, where it is known.
         """
-        numbers = [model.numbers[i] for i in beliefs.columns]
-        bounds = Bounds.of(numbers, model.vehicle).around(beliefs.now)
-        theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(beliefs.days)))
-        flights = model.channels(beliefs.columns)
-        rest = Spectrum.of(flights, theta, days, beliefs.days)
+        numbers = [model.numbers[i] for i in priors.columns]
+        bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
+        theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))
+        flights = model.channels(priors.columns)
+        rest = Spectrum.of(flights, theta, days, priors.days)
         usual = constants_of_days(rest.channels, model.vehicle, settings)
         sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
         silent = silent_bands(flights, settings.coherent) if gated else frozenset()
         noise = Noise.of(rest, sizes, settings, silent)
-        odds = {c: v - gained_by_following(c, rest, noise) for c, v in beliefs.odds.items()}
+        odds = {c: v - gained_by_following(c, rest, noise) for c, v in priors.odds.items()}
         kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
-        return cls(model, replace(beliefs, odds=odds), bounds, noise, rest, settings, kappas)
+        return cls(model, replace(priors, odds=odds), bounds, noise, rest, settings, kappas)
 
     def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
         """Sets of effects in a linearisation."""
-        return LaplaceEvidence(spectrum, self.noise, self.beliefs, self.bounds, self.settings)
+        return LaplaceEvidence(spectrum, self.noise, self.priors, self.bounds, self.settings)
 
     def values(self, x: Array) -> dict[str, float]:
         """Numbers that all flights share and that differ from the model as it stands,
         "effect.number" -> value, given `MapEstimate.x`."""
         shared = self.split(x)[0]
-        theta, moved = self.beliefs.now + shared, shared != 0
-        acting = {effect_of(self.beliefs.cause[i]) for i in np.flatnonzero(moved)}
-        moved |= self.beliefs.shape & np.isin(np.array(self.beliefs.cause), [*acting])
-        return {self.beliefs.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
+        theta, moved = self.priors.now + shared, shared != 0
+        acting = {effect_of(self.priors.cause[i]) for i in np.flatnonzero(moved)}
+        moved |= self.priors.shape & np.isin(np.array(self.priors.cause), [*acting])
+        return {self.priors.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
 
     def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
         """Channels of each flight on its day at some numbers, with slopes by some of them."""
-        at = [self.beliefs.columns[i] for i in columns]
+        at = [self.priors.columns[i] for i in columns]
         return replace(self.model, days=self.days(x)).channels(at, self.values(x))
 
     def split(self, x: Array) -> tuple[Array, Array]:
         """Numbers that all flights share, and those of the days."""
-        k = len(self.beliefs.now)
-        return x[:k], x[k:].reshape(len(self.model.flights), len(self.beliefs.days))
+        k = len(self.priors.now)
+        return x[:k], x[k:].reshape(len(self.model.flights), len(self.priors.days))
 
     def days(self, x: Array) -> tuple[dict[str, float], ...]:
         """What the day of each flight adds to numbers that differ between days, as `Model.days`."""
-        names = [self.beliefs.names[i] for i in self.beliefs.days]
+        names = [self.priors.names[i] for i in self.priors.days]
         return tuple(
             {n: float(v) for n, v in zip(names, own, strict=True) if v} for own in self.split(x)[1]
         )
@@ -169,9 +169,9 @@ class Problem:
         best = state.best
         days, doubts = self.split(best.x)[1], self.split(best.deviations())[1]
         found = {}
-        for j, i in enumerate(self.beliefs.days):
+        for j, i in enumerate(self.priors.days):
             shown = days[:, j] ** 2 + doubts[:, j] ** 2
-            found[self.beliefs.names[i]] = _deviation(state.kappa * self.beliefs.day[i], shown)
+            found[self.priors.names[i]] = _deviation(state.kappa * self.priors.day[i], shown)
         return found
 
     def constants_between_days(self, state: State) -> dict[str, float]:
@@ -189,26 +189,26 @@ class Problem:
         By how much is known then, and no common factor is asked for once more.
         """
         shown, left = self.between_days(state), self.constants_between_days(state)
-        pairs = zip(self.beliefs.names, self.beliefs.day, strict=True)
+        pairs = zip(self.priors.names, self.priors.day, strict=True)
         day = np.array([shown.get(n, usual) for n, usual in pairs])
         constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
         return replace(
             self,
-            beliefs=replace(self.beliefs, day=day),
+            priors=replace(self.priors, day=day),
             noise=replace(self.noise, floor={**self.noise.floor, **constants}),
             kappas=(1.0,),
         )
 
     def linearised(self, state: State) -> LaplaceEvidence:
         """All sets about one, slopes by every number taken there."""
-        flights = self.channels(state.best.x, range(len(self.beliefs.now)))
-        return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.beliefs.days))
+        flights = self.channels(state.best.x, range(len(self.priors.now)))
+        return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.priors.days))
 
     def start(self, effects: Sequence[str], kappa: float) -> State:
         """A set from its expected numbers on."""
-        x = np.zeros(len(self.beliefs.now) + self.rest.days.size)
-        own = self.beliefs.of(effects)
-        b = self.beliefs
+        x = np.zeros(len(self.priors.now) + self.rest.days.size)
+        own = self.priors.of(effects)
+        b = self.priors
         x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
         return self.settle(effects, kappa, self.rest, x)
 
@@ -238,7 +238,7 @@ class Problem:
         spectrum = spectrum.only(columns)
         laplace = self.laplace(spectrum)
         now = laplace.at(on, kappa)
-        shaped = bool(np.any(self.beliefs.shape[columns]))
+        shaped = bool(np.any(self.priors.shape[columns]))
         fresh, reach = True, self._reach()
         for n in range(ROUNDS):
             wanted = laplace.best(on, kappa, reach).x
@@ -269,16 +269,16 @@ class Problem:
             if bent > STRAIGHT or (shaped and n == 0):
                 spectrum, fresh = self._renewed(spectrum, x, columns), True
                 laplace = self.laplace(spectrum)
-        return State(on, laplace.here_as(on, kappa), spectrum)
+        return State(on, laplace.at_linearisation(on, kappa), spectrum)
 
     def _reach(self) -> Array:
         """How far a step may move each number: what shifts signals in time is far from linear."""
-        shared = np.array([_farthest(self.model.numbers[i]) for i in self.beliefs.columns])
-        return np.concatenate([shared, np.tile(shared[self.beliefs.days], len(self.model.flights))])
+        shared = np.array([_farthest(self.model.numbers[i]) for i in self.priors.columns])
+        return np.concatenate([shared, np.tile(shared[self.priors.days], len(self.model.flights))])
 
     def _begun(self, on: Sequence[str], columns: NDArray[np.intp], start: Array) -> Array:
         """Numbers of a set inside their ranges, those of others at rest, new shapes as expected."""
-        b, k = self.beliefs, len(self.beliefs.now)
+        b, k = self.priors, len(self.priors.now)
         x = start.copy()
         x[np.setdiff1d(np.arange(k), columns)] = 0.0
         own = b.of(on)
@@ -290,8 +290,8 @@ class Problem:
 
     def _moving(self, on: Sequence[str]) -> NDArray[np.intp]:
         """Columns that a set can move."""
-        spiked = np.flatnonzero((self.beliefs.spike > 0) & ~self.beliefs.shape)
-        return np.unique(np.concatenate([self.beliefs.of(on), self.beliefs.days, spiked]))
+        spiked = np.flatnonzero((self.priors.spike > 0) & ~self.priors.shape)
+        return np.unique(np.concatenate([self.priors.of(on), self.priors.days, spiked]))
 
     def _renewed(self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]) -> Spectrum:
         """Residuals and slopes of some columns taken anew."""

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ...effects import EFFECTS, Shift
 from ...effects.priors import LAST, UNMEASURED, prior_of
 from ...representation import short_repr
-from .beliefs import Beliefs, effect_of
 from .evidence import LaplaceEvidence
+from .priors import Priors, effect_of
 from .refit import Problem, State, gained_by_following
 
 Array = NDArray[np.float64]
@@ -132,13 +132,13 @@ def score_test_candidates(problem: Problem) -> tuple[str, ...]:
     return first[0].effects if ahead is None and first else () if ahead is None else ahead.effects
 
 
-def calibration_start(beliefs: Beliefs) -> list[str]:
+def calibration_start(priors: Priors) -> list[str]:
     """Effects whose numbers nobody measures, the delay that no aircraft is without, and the average
     that most estimates of a pose are."""
     return [
         c
-        for c in beliefs.causes
-        if beliefs.odds[c] >= UNMEASURED or prior_of(EFFECTS[effect_of(c)]).start
+        for c in priors.causes
+        if priors.odds[c] >= UNMEASURED or prior_of(EFFECTS[effect_of(c)]).start
     ]
 
 
@@ -215,8 +215,8 @@ def _clocks(problem: Problem, laplace: LaplaceEvidence, state: State) -> list[Tr
     which is meant. A record of several clocks is thought of last: they come in as other effects do.
     """
     present = [e for e in state.effects if is_time(e)]
-    every = [e for e in problem.beliefs.causes if is_time(e)]
-    odds = problem.beliefs.odds
+    every = [e for e in problem.priors.causes if is_time(e)]
+    odds = problem.priors.odds
     absent = [e for e in every if e not in state.effects and odds[e] > LAST]
     sets: list[Trial] = []
     for old in present:
@@ -260,7 +260,7 @@ def _mistaken(problem: Problem, state: State) -> list[Trial]:
     """
     on = {effect_of(c) for c in state.effects}
     sets: list[Trial] = []
-    for c in problem.beliefs.causes:
+    for c in problem.priors.causes:
         if effect_of(c) in on:
             continue
         for other in EFFECTS[effect_of(c)].mistaken_for:
@@ -288,7 +288,7 @@ def _followed(
     `begun` holds the sets that began so.
     """
     best = state
-    for c in problem.beliefs.causes:
+    for c in problem.priors.causes:
         if EFFECTS[effect_of(c)].observer is None:
             continue
         on = tuple(sorted({*state.effects, c}))
@@ -331,7 +331,7 @@ def is_time(cause: str) -> bool:
 
 def _with_expected(problem: Problem, x: Array, effect: str) -> Array:
     """Numbers with those of an effect as expected, or half a deviation off."""
-    b, own = problem.beliefs, problem.beliefs.of([effect])
+    b, own = problem.priors, problem.priors.of([effect])
     x = x.copy()
     x[own] = np.where(b.mean[own] != b.now[own], b.mean[own], b.now[own] + b.slab[own] / 2)
     x[own] = np.clip(x[own], b.low[own], b.high[own]) - b.now[own]
@@ -365,7 +365,7 @@ def _around(
     for j in (i - 1, i + 1):
         if 0 <= j < len(problem.kappas):
             yield move(on, problem.kappas[j])
-    absent = [e for e in laplace.beliefs.causes if e not in on and not laplace.silent(e)]
+    absent = [e for e in laplace.priors.causes if e not in on and not laplace.silent(e)]
     more = [(e, move([*on, e], kappa)) for e in absent]
     yield from (m for _, m in more)
     for e in (e for e in on if not is_time(e)):

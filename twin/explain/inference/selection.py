@@ -23,12 +23,12 @@ from ..model.model import Model, candidates, model_of
 from ..model.payload import Payloads
 from ..settings import DEFAULT, InferenceSettings, SelectionSettings
 from .adequacy import credible, misfits
-from .beliefs import beliefs_of, beliefs_since, effect_of
 from .bounds import edges
 from .detectable import Detectable, smallest_detectable
 from .evidence import MapEstimate
 from .fit import Fit, fit_of, fit_of_best, substantial_effects
 from .inclusion import Posterior, weigh
+from .priors import effect_of, priors_of, priors_since
 from .refit import Problem, State
 from .search import (
     SearchResult,
@@ -168,7 +168,7 @@ class Naming:
 
     def one_of(self, effect: str) -> tuple[str, ...]:
         """Other causes that may stand in the place of one: effects, or "effect:rotor"."""
-        own = [c for c in self.problem.beliefs.causes if effect_of(c) == effect]
+        own = [c for c in self.problem.priors.causes if effect_of(c) == effect]
         return tuple(dict.fromkeys(o for c in own for o in self.posterior.exchangeable(c)))
 
 
@@ -210,15 +210,15 @@ def name_effects(
 
 def usual_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
     """Everything that a model may lack."""
-    return Problem.of(model, beliefs_of(model), settings.evidence, gated=True)
+    return Problem.of(model, priors_of(model), settings.evidence, gated=True)
 
 
 def since_problem(model: Model, settings: InferenceSettings = DEFAULT.inference) -> Problem:
     """Whatever may have changed on a calibrated aircraft."""
-    beliefs = beliefs_since(model)
+    priors = priors_since(model)
     assert model.vehicle.calibration is not None
     constants = model.vehicle.calibration.constants
-    return Problem.of(model, beliefs, settings.evidence, gated=True, constants=constants)
+    return Problem.of(model, priors, settings.evidence, gated=True, constants=constants)
 
 
 def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) -> SearchResult:
@@ -228,7 +228,7 @@ def climb(problem: Problem, progress: Callable[[float], None] = lambda _: None) 
     searched from what nobody measures on every aircraft: from nothing on, each effect would be
     judged while all others are absent.
     """
-    every = calibration_start(problem.beliefs)
+    every = calibration_start(problem.priors)
     if len(score_test_candidates(problem)) > MANY:
         return search(problem, every, progress=progress)
     found = search(problem, (), progress=progress)
@@ -292,7 +292,7 @@ def _named(
 def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) -> frozenset[str]:
     """Causes for which the flights do not speak: what odds they have are those that they had, or
     less, which is no sign that they are there."""
-    odds = problem.beliefs.odds
+    odds = problem.priors.odds
 
     def silent(cause: str) -> bool:
         """Whether they do not speak for one."""
@@ -301,7 +301,7 @@ def _silent(problem: Problem, posterior: Posterior, rules: SelectionSettings) ->
             return False
         return math.log(chance / (1 - chance)) < odds[cause] + math.log(rules.moved)
 
-    return frozenset(c for c in problem.beliefs.causes if silent(c))
+    return frozenset(c for c in problem.priors.causes if silent(c))
 
 
 def _averaged(
@@ -310,7 +310,7 @@ def _averaged(
     """Effects that may be there, with the means of their numbers over all sets, and over those that
     hold them: what is as likely as not, and of what is less likely whatever moves the mean of a
     number by as much as is worth a name, or has one in the most probable set."""
-    b, k = problem.beliefs, len(problem.beliefs.now)
+    b, k = problem.priors, len(problem.priors.now)
     p = np.array([s.probability for s in posterior.sets])
     x = np.array([s.best.x[:k] for s in posterior.sets])
     days = p @ np.array([s.best.x[k:] for s in posterior.sets])
@@ -366,7 +366,7 @@ def _resemblances(
     believable: Mapping[str, float],
     rules: SelectionSettings,
 ) -> Sequence[Resemblance]:
-    tension = problem.beliefs.tension(
+    tension = problem.priors.tension(
         {n.full: conditional.values[n.full] for n in conditional.numbers}
     )
     bare = Fit(
@@ -398,13 +398,13 @@ def _resemblances(
 
 def shares_of(problem: Problem, state: State) -> dict[str, tuple[float, str]]:
     """Of each effect what `force_shares` says, at the end of a search."""
-    b = problem.beliefs
+    b = problem.priors
     return force_shares(state.spectrum, [effect_of(c) for c in b.cause], state.best.x)
 
 
 def days_of(problem: Problem, best: MapEstimate) -> dict[str, dict[str, tuple[float, float]]]:
     """What stands out of each flight's day: flight -> "effect.number" -> value and deviation."""
-    b = problem.beliefs
+    b = problem.priors
     k, d, sd = len(b.now), len(b.days), best.deviations()
     conditional: dict[str, dict[str, tuple[float, float]]] = {}
     for f, flight in enumerate(problem.model.flights):

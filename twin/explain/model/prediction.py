@@ -231,16 +231,16 @@ def _shown(states: EffectStates, sensed: ca.SX, z: ca.SX, p: ca.SX) -> ca.SX:
 
 
 def _parameters(
-    factor: Component,
+    component: Component,
     effects: Sequence[str],
     names: Sequence[str],
     theta: ca.SX,
     values: dict[str, float],
 ) -> ca.SX:
     """Parameters of a part: its start values, the effects on, the numbers as symbols."""
-    known = {v.name: i for i, v in enumerate(factor.parameters)}
+    known = {v.name: i for i, v in enumerate(component.parameters)}
     on = {f"{e}.enabled": 1.0 for e in effects if f"{e}.enabled" in known}
-    p = ca.SX(factor.parameter_values(on | values))
+    p = ca.SX(component.parameter_values(on | values))
     for i, name in enumerate(names):
         if name in known:
             p[known[name]] = theta[i]

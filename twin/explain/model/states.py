@@ -16,20 +16,20 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def states_reached(factor: Component, index: Sequence[int]) -> dict[str, frozenset[int]]:
+def states_reached(component: Component, index: Sequence[int]) -> dict[str, frozenset[int]]:
     """By parameter, which of some states answer to it: by themselves, or through another of them.
 
     Args:
-        factor: Component.
+        component: Component.
         index: Positions of the states; what the others do is given.
     """
     index = list(index)
     if not index:
         return {}
-    by_p = _depends(factor.derivatives, 2) | _depends(factor.initial, 1)
-    by_x = _depends(factor.derivatives, 0)
-    if factor.sampling is not None:
-        s = factor.sampling
+    by_p = _depends(component.derivatives, 2) | _depends(component.initial, 1)
+    by_x = _depends(component.derivatives, 0)
+    if component.sampling is not None:
+        s = component.sampling
         late = _depends(s.update, 4)
         by_p |= _depends(s.update, 2) | _both(late, _depends(s.signals, 2))
         by_p |= _both(late, _depends(s.delays, 0))
@@ -39,7 +39,7 @@ def states_reached(factor: Component, index: Sequence[int]) -> dict[str, frozens
         by_p = by_p | _both(by_x, by_p)
     return {
         v.name: frozenset(index[k] for k in np.flatnonzero(column))
-        for v, column in zip(factor.parameters, by_p.T, strict=True)
+        for v, column in zip(component.parameters, by_p.T, strict=True)
         if column.any()
     }
 

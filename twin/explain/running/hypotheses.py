@@ -11,7 +11,7 @@ from ...effects.priors import BEGINNINGS, PRIORS, SHOWN_BY_CHANGE, Prior
 from ...errors import ModelError
 from ...representation import short_repr
 from ...vehicle import Vehicle
-from ..inference.beliefs import parameter_of
+from ..inference.priors import parameter_of
 from ..model.numbers import Number, numbers_of
 from .settings import RunningSettings
 

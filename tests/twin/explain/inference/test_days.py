@@ -53,7 +53,7 @@ def test_flights_teach_by_how_much_their_days_differ_number_by_number() -> None:
     accustomed = usual.accustomed(state)
     assert len(usual.kappas) > 1
     assert accustomed.kappas == (1.0,)  # learned once: not to be halved again by a common factor
-    b, learned = usual.beliefs, accustomed.beliefs
+    b, learned = usual.priors, accustomed.priors
     place = {n: i for i, n in enumerate(b.names)}
     assert learned.day[place[X]] > 1.3 * b.day[place[X]]
     assert learned.day[place[Z]] < 0.8 * b.day[place[Z]]

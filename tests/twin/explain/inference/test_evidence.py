@@ -75,7 +75,7 @@ def test_evidence_is_the_integral_over_number_and_noise_level(size: float) -> No
 
 def normal(problem: Linear, on: str, kappa: float = 1.0) -> float:
     """Log density of constants alone, whose noise is known, by their covariance."""
-    beliefs = problem.beliefs
+    priors = problem.priors
     k, f = len(problem.effects), len(problem.channels[0])
     r, noise, shared, own = [], [], [], []
     for c, flights in enumerate(problem.channels):
@@ -87,14 +87,14 @@ def normal(problem: Linear, on: str, kappa: float = 1.0) -> float:
             row[i] = slopes[0]
             own.append(row.ravel())
     there = np.array([e in on for e in problem.effects])
-    spread = np.where(np.outer(there, there), 0.0, beliefs.file)
+    spread = np.where(np.outer(there, there), 0.0, priors.file)
     spread[there] = spread[:, there] = 0.0
-    full = beliefs.file.copy()
-    full[np.diag_indices(k)] = np.where(there, beliefs.slab**2, np.diag(full))
-    days = np.kron(np.eye(f), np.diag((kappa * beliefs.day) ** 2))
+    full = priors.file.copy()
+    full[np.diag_indices(k)] = np.where(there, priors.slab**2, np.diag(full))
+    days = np.kron(np.eye(f), np.diag((kappa * priors.day) ** 2))
     s, d = np.array(shared), np.array(own)
     covariance = np.diag(noise) + s @ full @ s.T + d @ days @ d.T
-    mean = s @ np.where(there, beliefs.mean, 0.0)
+    mean = s @ np.where(there, priors.mean, 0.0)
     density = multivariate_normal(mean, covariance).logpdf(np.array(r))
     return float(density) + 0.5 * len(r) * float(np.log(2 * np.pi))
 

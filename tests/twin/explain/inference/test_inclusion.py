@@ -37,7 +37,7 @@ def weighed(
     laplace = linear.laplace
 
     end = State(tuple(sorted(on)), laplace.best(on, 1.0), linear.spectrum)
-    problem: Any = SimpleNamespace(beliefs=linear.beliefs)
+    problem: Any = SimpleNamespace(priors=linear.priors)
     return weigh(
         problem, SearchResult(end, laplace, {((), 1.0): log_posterior(end)} if bent else {}), seed
     )

@@ -308,7 +308,7 @@ def named_of(
     """What is said of sets of these probabilities, each number as large as given where it is."""
     problem = against(flight, COPTER, "accel_bias", "imu_delay")
     state = problem.start((), 1.0)
-    laplace, names = problem.linearised(state), problem.beliefs.names
+    laplace, names = problem.linearised(state), problem.priors.names
 
     def of(effects: tuple[str, ...], probability: float) -> ScoredModel:
         best = laplace.best(effects, 1.0)

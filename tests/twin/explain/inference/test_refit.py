@@ -41,7 +41,7 @@ def problem() -> Problem:
 @pytest.mark.slow
 def test_five_effects_at_once_come_back_with_their_numbers() -> None:
     state = state_of(problem(), EFFECTS_AT_ONCE)
-    b = problem().beliefs
+    b = problem().priors
     sd = state.best.deviations()
     for name, value in PLANTED.items():
         i = b.names.index(name)
@@ -68,7 +68,7 @@ def test_more_effects_never_fit_worse_and_numbers_stay_in_range() -> None:
     every = problem().settle(EFFECTS_AT_ONCE, 1.0, problem().rest, few.best.x)
     laplace = problem().laplace(every.spectrum)
     assert every.evidence > few.evidence
-    b = problem().beliefs
+    b = problem().priors
     k = len(b.now)
     values = b.now + every.best.x[:k]
     on = b.of(EFFECTS_AT_ONCE)
@@ -85,6 +85,6 @@ def test_a_lag_that_is_far_from_the_files_is_found() -> None:
     sluggish = replace(COPTER, rotors=rotors)
     flight = fly(COPTER, COPTER, 3, "prompt", LEGS)
     far = against(flight, sluggish, "motor_lag", "command_delay")
-    state = far.start(far.beliefs.causes, 1.0)
+    state = far.start(far.priors.causes, 1.0)
     found = far.values(state.best.x)["motor_lag.tau_s"]
     assert found == pytest.approx(COPTER.rotors.lag_up_s - 0.15, abs=0.005)

@@ -32,7 +32,7 @@ UNCALIBRATED = (
 
 
 @dataclass(frozen=True, slots=True)
-class Beliefs:
+class Priors:
     """Priors of the numbers that a search may change, shapes included. Arrays have shape (k,).
 
     Attributes:
@@ -155,7 +155,7 @@ def _whole(key: str, number: Number, vehicle: Vehicle) -> float:
     return 1.0 if scale is None else scale(vehicle)
 
 
-def beliefs_since(model: Model) -> Beliefs:
+def priors_since(model: Model) -> Priors:
     """Priors of what may have changed on an aircraft that flights have calibrated.
 
     Args:
@@ -167,7 +167,7 @@ def beliefs_since(model: Model) -> Beliefs:
     known = model.vehicle.calibration
     if known is None:
         raise ModelError(UNCALIBRATED.format(model.vehicle.name))
-    usual = beliefs_of(model)
+    usual = priors_of(model)
     indoors = all(f.flight.indoors for f in model.flights)
     place = {n: i for i, n in enumerate(usual.names)}
     inside = [i for i, n in enumerate(known.numbers) if n in place]
@@ -201,7 +201,7 @@ def _least(number: Number, vehicle: Vehicle) -> float:
     return number.about.bounds[0] if least is None or number.shape else least
 
 
-def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
+def priors_of(model: Model, trusted: bool = True) -> Priors:
     """Priors of a model's numbers.
 
     Args:
@@ -214,20 +214,20 @@ def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
     effects = list(model.effects)
     columns = [i for i, n in enumerate(numbers) if n.effect in effects]
     own = [numbers[i] for i in columns]
-    priors = {e: prior_of(EFFECTS[e]) for e in effects}
+    of_effect = {e: prior_of(EFFECTS[e]) for e in effects}
     mean, slab, day, spike = (np.zeros(len(own)) for _ in range(4))
     for i, n in enumerate(own):
         about, stem = parameter_of(n)
-        expected = priors[n.effect].of(stem, indoors).sized(about, vehicle)
+        expected = of_effect[n.effect].of(stem, indoors).sized(about, vehicle)
         if n.shape and n.about.unit == "V":
-            expected = priors[n.effect].of(stem, indoors).scaled(n.now)
+            expected = of_effect[n.effect].of(stem, indoors).scaled(n.now)
         if not n.shape:
-            expected = priors[n.effect].change(expected, vehicle)
+            expected = of_effect[n.effect].change(expected, vehicle)
         in_file = n.effect in vehicle.effects
         mean[i] = n.now if in_file else expected.mean
         slab[i], day[i] = expected.sd, expected.day
         spike[i] = 0.0 if n.shape else _unsure(n, vehicle, trusted)
-    return Beliefs(
+    return Priors(
         tuple(columns),
         tuple(n.full for n in own),
         tuple(_cause_of(n) for n in own),
@@ -240,5 +240,5 @@ def beliefs_of(model: Model, trusted: bool = True) -> Beliefs:
         np.array([n.about.bounds[1] for n in own]),
         np.zeros(len(own)),
         day,
-        {_cause_of(n): priors[n.effect].odds_for(vehicle) for n in own},
+        {_cause_of(n): of_effect[n.effect].odds_for(vehicle) for n in own},
     )
