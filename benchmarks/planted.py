@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Equation, Repeats
 from twin.errors import TwinError
-from twin.explain.attribution import Attribution, attribute_effect
-from twin.explain.design.manoeuvres import Manoeuvre, plan
-from twin.explain.design.rehearsal import rehearse
-from twin.explain.model.flight import FlightModel
-from twin.explain.model.model import Model, candidates, model_of
+from twin.explain.design import Manoeuvre, plan, rehearse
+from twin.explain.localization import Attribution, attribute_effect
+from twin.explain.model.model import FlightModel, Model, candidates, model_of
 from twin.explain.model.numbers import Number, numbers_of, numbers_of_logs
 from twin.explain.model.prediction import Physics
-from twin.explain.stochastic.finding import StochasticEffect
-from twin.explain.stochastic.search import find_stochastic, find_stuck
-from twin.explain.stochastic.stuck import stuck_channels, without_stuck
+from twin.explain.stochastic.search import (
+    find_stochastic,
+    find_stuck,
+    stuck_channels,
+    without_stuck,
+)
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.logs.columns import COLUMNS
 from twin.physics.airframe import airframe

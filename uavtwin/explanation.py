@@ -16,7 +16,7 @@ from twin.explain.explanation import Explanation
 from twin.explain.model.numbers import numbers_of, with_effects
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT, SearchSettings
-from twin.explain.stochastic.finding import SURE
+from twin.explain.stochastic.spectral import SURE
 from twin.logs import AnyFlight
 from twin.residuals.channels import ChannelData
 from twin.vehicle import Deviation, Vehicle

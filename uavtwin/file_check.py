@@ -11,7 +11,7 @@ from fmus.inspect import inspect_fmu
 from twin.draft import Hover, drives, hover_of
 from twin.draft.consistency import consistency
 from twin.errors import LogError, ModelError, TwinError
-from twin.explain.observable import observable_effects
+from twin.explain.usable import observable_effects
 from twin.logs import AnyFlight, open_flight
 from twin.logs.columns import POS, QUAT, VEL
 from twin.logs.read import is_archive_of

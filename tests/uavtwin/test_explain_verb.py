@@ -19,12 +19,12 @@ from fmpy import read_model_description
 from page_rigs.browser import VIEWS, browser, faults, needs_browser, pictures
 
 from twin.errors import TwinError
-from twin.explain.design.designer import Suggestion
+from twin.explain.design import Suggestion
 from twin.explain.explanation import Explanation
 from twin.explain.result_json import explain_json
 from twin.explain.settings import DEFAULT
 from twin.explain.settings.group import Value
-from twin.explain.unnamed.equations import Equation
+from twin.explain.unnamed import Equation
 from twin.flight.stability import Mission
 from twin.logs import read_flight, write_flight
 from twin.vehicle import Vehicle

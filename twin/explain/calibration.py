@@ -15,14 +15,12 @@ from ..representation import short_repr
 from ..vehicle import Calibration, Vehicle
 from .estimates import UNDETERMINED, Estimate, fitted_estimates
 from .inference.evidence import LaplaceEvidence
-from .inference.fit import Fit, fit_of
+from .inference.fit import Fit, Problem, State, fit_of
 from .inference.priors import Priors, effect_of, priors_of
-from .inference.refit import Problem, State
 from .inference.search import calibration_start, search
 from .inference.selection import days_of, shares_of
 from .model.model import candidates, model_of
-from .model.numbers import with_effects
-from .model.payload import Payloads
+from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, InferenceSettings
 
 Array = NDArray[np.float64]
@@ -105,8 +103,6 @@ def calibrate(
         )
     estimate = found.laplace.at_linearisation(found.state.effects, found.state.kappa)
     state = replace(found.state, best=estimate)
-        found.state, best=found.laplace.at_linearisation(found.state.effects, found.state.kappa)
-    )
     best, priors = state.best, problem.priors
     free = [int(i) for i in best.free if i < len(priors.now)]
     causes = sorted({priors.cause[i] for i in free})

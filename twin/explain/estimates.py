@@ -12,7 +12,7 @@ from .inference.fit import INTERVAL, Fit
 from .inference.priors import Priors, effect_of, parameter_of
 from .inference.selection import Naming
 from .model.numbers import Number, numbers_of
-from .stochastic.finding import StochasticEffect
+from .stochastic.spectral import StochasticEffect
 
 MOST_RIVALS = 5
 """That are listed."""

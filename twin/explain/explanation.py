@@ -15,24 +15,19 @@ from ..residuals.flight_gap import diagnosis_of
 from ..residuals.hover import HoverDiagnosis
 from ..residuals.teacher_forced import drive_warnings
 from ..vehicle import Vehicle
-from .attribution import Attribution, attribute_effect
-from .design.designer import Suggestion, next_manoeuvre
-from .holdout import Comparison, compare_holdout
+from .design import Suggestion, next_manoeuvre
+from .holdout import Comparison, Span, compare_holdout, held_out_spans, hidden
 from .inference.fit import Fit
 from .inference.priors import UNCALIBRATED
 from .inference.selection import Naming, Verdict, name_effects
-from .localization import Place, localize
+from .localization import Attribution, Place, attribute_effect, localize
 from .model.model import Model
-from .model.numbers import with_effects
-from .model.payload import Payloads
-from .part import part_read
+from .model.numbers import Payloads, with_effects
 from .settings import DEFAULT, SearchSettings
-from .split import Span, held_out_spans, hidden
-from .stochastic.finding import StochasticEffect
-from .stochastic.search import find_stochastic, find_stuck
-from .stochastic.stuck import Stuck, stuck_channels, without_stuck
-from .unnamed.equations import Equation, explains_better, find_equations
-from .usable import flown, usable_part, with_readings
+from .stochastic.search import Stuck, find_stochastic, find_stuck, stuck_channels, without_stuck
+from .stochastic.spectral import StochasticEffect
+from .unnamed import Equation, explains_better, find_equations
+from .usable import flown, part_read, usable_part, with_readings
 
 DIGITS = 6
 """Significant ones that a fitted number is given with."""

@@ -1,12 +1,13 @@
 """The gap of flights that took no part in a fit, before and after effects are added to a model.
 
-Residuals are those of the search (`model.flight`). The noise floor of a channel is the rms of what
-is left of it when every effect of the library at once, with numbers fitted to these very flights,
-has taken what it can; where a model leaves less than that fit of all channels together, what it
-leaves.
+Where no flight is held out, blocks of time of each are: the search does not read the sensors there.
 
-What differs from day to day is not to be known beforehand: beside the rms with the effects added
-there is that with the constants of these days as well, they alone fitted to these very flights.
+Residuals are those of the search (`model.model`). The noise floor of a channel is the rms of the
+residual with every effect of the library at once, fitted to these very flights; where a model
+leaves less than that joint fit of all channels, what it leaves.
+
+Day-to-day variation cannot be known beforehand: the rms with the effects added is also given with
+the constants of these days, which alone are fitted to these very flights.
 """
 
 import math
@@ -18,18 +19,55 @@ from numpy.typing import NDArray
 
 from ..effects import EFFECTS
 from ..logs import Flight
+from ..logs.columns import ACC_NED, POS, QUAT, VEL
+from ..physics.sensors.table import SENSORS
 from ..representation import short_repr
 from ..residuals.channels import ChannelData
 from ..vehicle import Vehicle
+from .inference.fit import Problem
 from .inference.priors import priors_of
-from .inference.refit import Problem
 from .inference.spectrum import Spectrum
-from .model.model import Model, candidates, model_of
-from .model.payload import Payloads
+from .model.model import Model, candidates, missing_imu_signals, model_of
+from .model.numbers import Payloads
 from .settings import DEFAULT, EvidenceSettings, HoldoutSettings
+
+READINGS = tuple(c for s in SENSORS for c in s.columns)
+"""What is hidden. Pose and commands stay: they are inputs of the twin."""
+POSE = (*POS, *VEL, *QUAT, *ACC_NED)
+"""What is hidden as well where it stands in for a sensor."""
+Span = tuple[float, float]
+
+
+def held_out_spans(flight: Flight, settings: HoldoutSettings = DEFAULT.holdout) -> list[Span]:
+    """One block of time in so many, the second one first."""
+    time = flight.table["time"].to_numpy(dtype=np.float64)
+    first, last = float(time[0]), float(time[-1])
+    block_s = settings.spared_s
+    starts = np.arange(first + block_s, last, settings.spared_every * block_s)
+    return [(float(s), min(float(s) + block_s, last)) for s in starts]
+
+
+def hidden(flight: Flight, spans: Sequence[Span], inside: bool) -> Flight:
+    """The flight without the sensor readings inside some spans of time, or outside all of them.
+
+    Where it lacks a sensor of the IMU, for which its pose is compared, that is hidden too.
+    """
+    time = flight.table["time"].to_numpy(dtype=np.float64)
+    within = np.zeros(len(time), dtype=np.bool_)
+    for start, end in spans:
+        within |= (time >= start) & (time < end)
+    table = flight.table.copy()
+    compared = READINGS + POSE if missing_imu_signals([flight]) else READINGS
+    readings = [c for c in compared if c in table]
+    table.loc[within == inside, readings] = np.nan
+    return replace(flight, table=table)
+
 
 Array = NDArray[np.float64]
 Flights = Sequence[Sequence[ChannelData]]
+# -- gap before and after ------------------------------------------------------------------
+
+
 DRAWS = 1000
 """Of the bootstrap."""
 
@@ -39,7 +77,7 @@ class ChannelGap:
     """One channel of all held-out flights.
 
     Attributes:
-        name: See `model.flight`.
+        name: See `model.model`.
         unit: Of the rms.
         n: Samples.
         before: Rms of the residual with the model as it stood.

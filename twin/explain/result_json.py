@@ -20,7 +20,7 @@ from .explanation import Explanation
 from .holdout import ChannelGap
 from .inference.selection import Naming
 from .localization import Place
-from .unnamed.equations import Equation
+from .unnamed import Equation
 
 
 def explain_json(found: Explanation) -> dict[str, Any]:

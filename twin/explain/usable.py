@@ -1,30 +1,87 @@
-"""Which part of a flight is fit for a search, and why the rest is not.
+"""Which part of a flight a search uses, and which effects it can show.
 
-Seconds are left out, not flights: what a blow or a fall leaves of a record is cut in two, and the
-longer part is used; while a motor is at a limit, torque and thrust are not compared, but what the
-accelerometer reads across is. A flight is refused where too little is left, or where its signals
-contradict each other.
+*Longest part*: time and memory of a search grow with the flight, what it learns hardly: a repeated
+manoeuvre adds little. Of a long flight the part in one piece that moves most is read; in one piece,
+as cells discharge and motors warm from its start on.
+
+*Fit for a search*: seconds are left out, not flights. What a blow or a fall leaves of a record is
+cut in two, and the longer part is used; while a motor is at a limit, torque and thrust are not
+compared, but lateral specific force is. A flight is refused where too little is left, or where its
+signals contradict each other.
+
+*Observable effects*: those that the columns of a flight can show.
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects import EFFECTS, Effect
 from ..errors import LogError
-from ..logs import Flight
-from ..logs.columns import ACC, POS, VEL
+from ..logs import AnyFlight, Flight
+from ..logs.columns import ACC, MIN_MOTORS, POS, QUAT, VEL, motor_columns
 from ..physics.sensors.table import sensor_of
 from ..residuals.aligned import AlignedFlight, align_flight
 from ..residuals.channels import GRID_HZ
 from ..residuals.measured import Signal, agreement, differentiate, zero_phase
 from ..vehicle import GRAVITY_M_S2, Vehicle
-from .model.flight import channel_names
-from .model.motion import FORCE, TORQUE
-from .model.payload import Payloads, carrying
+from .model.factors import FORCE, TORQUE
+from .model.model import channel_names
+from .model.numbers import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    SIGNALS,
+    Payloads,
+    carrying,
+    lacking,
+    on_the_body,
+)
 from .settings import DEFAULT, UsableSettings
 
 Array = NDArray[np.float64]
+READ = "{}: {:.0f} to {:.0f} s of {:.0f} s are read, where it moves most; cut the log for others"
+
+
+def part_read(
+    flight: AnyFlight, settings: UsableSettings = DEFAULT.usable
+) -> tuple[Flight, str | None]:
+    """The flight as far as it is read, and which part that is; None: it is read whole."""
+    time = flight.time_s
+    whole_s = float(time[-1] - time[0]) if len(time) else 0.0
+    if whole_s <= settings.longest_s:
+        return flight if isinstance(flight, Flight) else flight.between(-np.inf, np.inf), None
+    edges = np.arange(time[0], time[-1], settings.block_s)
+    moves = np.sum([*_movement(flight, edges)], axis=0)  # (blocks,)
+    length = round(settings.longest_s / settings.block_s)
+    together = np.convolve(moves, np.ones(length), mode="valid")
+    start = float(edges[int(np.argmax(together))])
+    end = min(start + settings.longest_s, float(time[-1]))
+    return flight.between(start, end), READ.format(flight.name, start, end, whole_s)
+
+
+def _movement(flight: AnyFlight, edges: Array) -> Iterator[Array]:
+    """How much each signal changes within each block of time, its mean over the blocks 1."""
+    yield np.zeros(len(edges))
+    rotors = sum(c.startswith("cmd_") for c in flight.columns)
+    for columns in (VEL, QUAT, motor_columns("cmd", rotors)):
+        if not columns or not flight.has(*columns):
+            continue
+        t_s, values = flight.signal(columns)
+        block = np.searchsorted(edges, t_s, side="right") - 1
+        count = np.maximum(np.bincount(block, minlength=len(edges)), 1)
+        spread = np.zeros(len(edges))
+        for column in values.T:
+            mean = np.bincount(block, column, len(edges)) / count
+            spread += np.bincount(block, (column - mean[block]) ** 2, len(edges)) / count
+        if spread.any():
+            yield spread / spread.mean()
+
+
+# -- fit for a search ----------------------------------------------------------------------
+
+
 _BODY_CHANNELS = ("acc_", "gyro_rate_", *FORCE, *TORQUE)
 """What channels of force and torque begin with."""
 Event = tuple[float, float, str]
@@ -266,3 +323,60 @@ def _upward(flight: Flight, aligned: AlignedFlight, settings: UsableSettings) ->
             f"acc_z is {mean:+.1f} m/s² on average in the air, forward-right-down axes read about "
             f"{-GRAVITY_M_S2:.1f}: check the axes"
         )
+
+
+# -- observable effects --------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ObservableEffects:
+    """What a search can look for in a flight.
+
+    Attributes:
+        effects: By the component that they act on.
+        unknown: Effects that it cannot show, by what is missing, in words.
+    """
+
+    effects: dict[str, tuple[str, ...]]
+    unknown: dict[str, tuple[str, ...]]
+
+
+def observable_effects(flight: AnyFlight) -> ObservableEffects:
+    """Effects that the columns of a flight can show, by the rule of the search itself.
+
+    Whether it flew long enough, and moved in a way that shows them, is not asked.
+    """
+    drive = _no_drive(flight)
+    observable: dict[str, list[str]] = {}
+    unknown: dict[str, list[str]] = {}
+    for effect in EFFECTS.values():
+        missing = drive or "; ".join(_missing(effect, flight))
+        if missing:
+            unknown.setdefault(missing, []).append(effect.name)
+        else:
+            observable.setdefault(effect.component, []).append(effect.name)
+    return ObservableEffects(
+        {k: tuple(v) for k, v in observable.items()}, {k: tuple(v) for k, v in unknown.items()}
+    )
+
+
+def _no_drive(flight: AnyFlight) -> str:
+    """What is missing to drive a model, "" where nothing is."""
+    for stem in ("cmd", "rotor"):
+        count = sum(c.startswith(f"{stem}_") for c in flight.columns)
+        if count >= MIN_MOTORS and flight.has(*motor_columns(stem, count)):
+            return ""
+    return "neither commands cmd_1..n nor speeds rotor_1..n of all motors"
+
+
+def _missing(effect: Effect, flight: AnyFlight) -> Iterator[str]:
+    """Each signal that an effect lacks, in words."""
+    for signal in lacking(effect, flight):
+        text = f"no {', '.join(SIGNALS[signal])}"
+        if signal == "vel":
+            text += " (or pos)"
+        if on_the_body(effect) and signal == ACCELEROMETER:
+            text += " (or q with vel, pos or acc_ned)"
+        if on_the_body(effect) and signal == GYROSCOPE:
+            text += " (or q)"
+        yield text

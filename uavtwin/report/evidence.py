@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS, Lines, NoiseFloor, RandomForce, Repeats
-from twin.explain.attribution import Attribution
-from twin.explain.model.flight import FlightModel
-from twin.explain.stochastic.finding import StochasticEffect
+from twin.explain.localization import Attribution
+from twin.explain.model.model import FlightModel
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import AnyFlight
 from twin.physics.sensors.table import SENSORS, Sensor
 from twin.residuals.channels import BAND_HZ, CHANNEL_HZ, ChannelData

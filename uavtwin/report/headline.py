@@ -25,7 +25,7 @@ from twin.explain.estimates import (
     undecided,
 )
 from twin.explain.explanation import Explanation
-from twin.explain.inference.detectable import Detectable
+from twin.explain.inference.adequacy import Detectable
 from twin.explain.inference.fit import Fit
 from twin.explain.inference.selection import Naming
 

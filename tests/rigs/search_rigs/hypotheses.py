@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 from twin.effects import EFFECTS
-from twin.explain.inference.fit import Fit, fit_of
+from twin.explain.inference.fit import Fit, Problem, State, fit_of
 from twin.explain.inference.priors import effect_of, priors_of
-from twin.explain.inference.refit import Problem, State
 from twin.explain.model.model import Model, candidates, model_of
 from twin.logs import Flight
 from twin.vehicle import Vehicle

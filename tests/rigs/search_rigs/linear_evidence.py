@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.inference.bounds import Bounds
 from twin.explain.inference.evidence import LaplaceEvidence, Noise
-from twin.explain.inference.priors import Priors
+from twin.explain.inference.priors import Bounds, Priors
 from twin.explain.inference.spectrum import Rows, Spectrum
 from twin.explain.settings import EvidenceSettings
 from twin.physics.sensors.table import SENSORS

@@ -8,14 +8,21 @@ import pytest
 from search_rigs.hypotheses import fit_set
 from search_rigs.library import library
 
-from twin.explain.design.designer import Held, Suggestion, lead, next_manoeuvre, suggestions
-from twin.explain.design.manoeuvres import hover_height_m, manoeuvres, plan
-from twin.explain.design.rehearsal import rehearse
+from twin.explain.design import (
+    Held,
+    Suggestion,
+    hover_height_m,
+    lead,
+    manoeuvres,
+    next_manoeuvre,
+    plan,
+    rehearse,
+    suggestions,
+)
 from twin.explain.inference.fit import fit_of
 from twin.explain.inference.selection import Naming, name_effects
 from twin.explain.inference.whitening import Block
-from twin.explain.model.numbers import with_effects
-from twin.explain.model.payload import carrying
+from twin.explain.model.numbers import carrying, with_effects
 from twin.explain.settings import DEFAULT
 from twin.flight.closed_loop import STEP_S
 from twin.logs import Flight

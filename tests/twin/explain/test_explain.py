@@ -11,15 +11,13 @@ from search_rigs.library import library
 
 from twin.effects import EFFECTS
 from twin.errors import ModelError
-from twin.explain.attribution import attribute_effect
 from twin.explain.estimates import listed_effects
 from twin.explain.explanation import explain
-from twin.explain.holdout import ChannelGap, Comparison, compare_holdout
-from twin.explain.localization import localize
+from twin.explain.holdout import ChannelGap, Comparison, compare_holdout, held_out_spans, hidden
+from twin.explain.localization import attribute_effect, localize
 from twin.explain.model.model import model_of
 from twin.explain.model.numbers import with_effects
 from twin.explain.settings import DEFAULT
-from twin.explain.split import held_out_spans, hidden
 from twin.explain.usable import reasons_unusable, usable_part
 from twin.flight.stability import fly_missions
 from twin.logs import Flight

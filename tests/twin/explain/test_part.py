@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from twin.explain.part import part_read
 from twin.explain.settings import DEFAULT
+from twin.explain.usable import part_read
 from twin.logs import Flight
 
 SETTINGS = DEFAULT.usable

@@ -12,16 +12,9 @@ from search_rigs.library import library
 from twin.component.sampled import noiseless_outputs
 from twin.explain.explanation import explain
 from twin.explain.inference.fit import Fit
+from twin.explain.inference.sparse_regression import fold_of, over, sparse
 from twin.explain.inference.whitening import Block, WhitenedFlights
-from twin.explain.unnamed.equations import (
-    _band,
-    _spectrum,
-    covered,
-    explains_better,
-    find_equations,
-)
-from twin.explain.unnamed.regression import fold_of, sparse
-from twin.explain.unnamed.terms import over
+from twin.explain.unnamed import _band, _spectrum, covered, explains_better, find_equations
 from twin.frames import to_body
 from twin.logs import Flight
 from twin.logs.columns import MAG

@@ -14,15 +14,17 @@ from scipy.signal import lfilter
 
 from twin.effects import EFFECTS
 from twin.effects.inertial import SENSOR_NOISE_LEVEL, STUCK_SENSOR, VIBRATION
-from twin.explain.model.flight import FlightModel
-from twin.explain.model.model import Model
+from twin.explain.model.model import FlightModel, Model
 from twin.explain.model.numbers import numbers_of
 from twin.explain.model.prediction import Physics
-from twin.explain.stochastic.finding import StochasticEffect
-from twin.explain.stochastic.noise_level import find_noise_level
-from twin.explain.stochastic.search import find_stochastic
-from twin.explain.stochastic.stuck import stuck_channels, stuck_numbers, without_stuck
-from twin.explain.stochastic.vibration import find_vibration
+from twin.explain.stochastic.imu_noise import find_noise_level, find_vibration
+from twin.explain.stochastic.search import (
+    find_stochastic,
+    stuck_channels,
+    stuck_numbers,
+    without_stuck,
+)
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.logs.columns import ACC, GYRO, MAG
 from twin.physics.airframe import airframe

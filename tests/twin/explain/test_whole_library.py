@@ -19,9 +19,8 @@ from search_rigs.hypotheses import problem_of as problem_about
 
 from benchmarks.planted import blank, flown, library, model_of_library, planted_numbers, shown
 from twin.effects import EFFECTS, Shift
-from twin.explain.inference.fit import substantial_effects
+from twin.explain.inference.fit import Problem, substantial_effects
 from twin.explain.inference.priors import effect_of
-from twin.explain.inference.refit import Problem
 from twin.explain.inference.selection import days_of
 from twin.explain.model.model import Model, candidates
 from twin.explain.model.numbers import columns_of

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from benchmarks.planted import unsteady
-from twin.explain.stochastic.finding import StochasticEffect
+from twin.explain.stochastic.spectral import StochasticEffect
 from twin.logs import Flight
 from twin.logs.autopilot import Autopilot, Mode, Stretch
 from twin.residuals.channels import ChannelData

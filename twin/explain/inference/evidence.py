@@ -1,22 +1,24 @@
-"""How probable a set of effects is: noise levels integrated out per channel and band, numbers at
-their best, the rest by Laplace.
+"""Log evidence of a set of effects: noise levels integrated out per channel and band, MAP numbers,
+Laplace's approximation about them.
 
     r_cf = S_cf (theta - now + delta_f) + e_cf,     e_cf,k ~ N(0, v_ck I)
     v_ck ~ scaled-inverse-chi2(nu, s_ck^2);         v_c0 = (kappa d_c)^2, one sample per flight
     log p(r | theta) = -1/2 sum_ck (a_c n_ck + nu) log(s_ck^2 + a_c RSS_ck(theta) / nu)
     a_c = 1 / (1 + n_c / (N0 F))
 
-The level and the colour of the noise belong to the hypothesis: a channel that nobody explains yet
-is noisy, and no reason against what explains another one. One factor a_c tempers all bands of a
+Level and spectrum of the noise belong to the hypothesis: a channel that nothing explains yet is
+noisy, and no reason against what explains another one. One factor a_c tempers all bands of a
 channel (a coarsened posterior: Miller & Dunson, J. Am. Stat. Assoc. 114, 2019): in closed loop the
-log spectrum of d / (1 + KGC), all bands counted alike, does not answer to the model of G, so that
-mere disturbances say nothing of it; that is the prediction-error method with the noise free
-(Ljung, System Identification, sec. 13.4).
+log spectrum of d / (1 + KGC), all bands counted alike, does not depend on the model of G, so that
+disturbances alone carry no information on it; that is the prediction-error method with the noise
+free (Ljung, System Identification, sec. 13.4).
 
-kappa, by which all days differ more or less than is usual, is a number of the hypothesis, too.
+d_c is the standard deviation between flights of a constant of channel c that no effect explains:
+trim, levelling, temperature. kappa scales all day-to-day variation and is a number of the
+hypothesis, too.
 
-To each RSS the power of rounding to the least count of the sensor is added: perfect readings, of a
-simulation without noise, are known no better than that.
+To each RSS the variance of rounding to the least count of the sensor is added: noise-free readings
+of a simulation are known no better than that.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,13 +29,54 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.optimize import lsq_linear
 
+from ...physics.sensors.table import BODY, Sensor, sensor_of
 from ...representation import short_repr
 from ...residuals.channels import CHANNEL_HZ, GRID_HZ
+from ...vehicle import GRAVITY_M_S2, Vehicle
 from ..settings import DEFAULT, EvidenceSettings
-from .bounds import Bounds
-from .constants import sensor_read
-from .priors import Priors
+from .priors import Bounds, Priors
 from .spectrum import BANDS_HZ, Rows, Spectrum
+
+FAST_RAD_S = 0.4
+"""Body rate of a brisk turn."""
+
+
+def constants_of_days(
+    channels: Sequence[str], vehicle: Vehicle, settings: EvidenceSettings
+) -> list[float]:
+    """Standard deviation of the constant of each channel between flights, in its unit."""
+    return [_constant(name, vehicle, settings) for name in channels]
+
+
+def sensor_read(channel: str) -> Sensor:
+    """The sensor that a channel is of: that itself, or the one that the pose stands in for
+    (`motion_`) or is compared with (`pose_`)."""
+    sensor = sensor_of(_reading(channel))
+    assert sensor is not None, channel
+    return sensor
+
+
+def _reading(channel: str) -> str:
+    kind, _, read = channel.partition("_")
+    if kind == "motion":
+        return read.replace("rate_", "gyro_rate_")
+    return read if kind == "pose" else channel
+
+
+def _constant(name: str, vehicle: Vehicle, settings: EvidenceSettings) -> float:
+    """Of one channel."""
+    sensor, read = sensor_read(name), _reading(name)
+    if name.startswith("pose_"):
+        return settings.trim_pose * (FAST_RAD_S if sensor.rate_unit else GRAVITY_M_S2)
+    columns = sensor.channels if read in sensor.channels else sensor.columns
+    axis = columns.index(read)
+    size = sensor.size(vehicle)[axis]
+    if sensor.group != BODY:
+        return settings.trim_other * size
+    if not sensor.rate_unit:
+        return settings.trim_force * size
+    return settings.trim_turn * size * (settings.trim_yaw if axis == 2 else 1.0)
+
 
 Array = NDArray[np.float64]
 STEPS, HALVINGS = 15, 5

@@ -1,21 +1,407 @@
-"""A set of effects with its numbers, as everybody beyond the inference sees it."""
+"""Fit of one set of effects: Gauss-Newton on the exact residuals.
+
+What the linearisation promises is checked by the model itself; a step that falls short of it is
+halved, and slopes are computed again where the model has turned out to bend.
+
+Bands of angular acceleration in which command and motion are not coherent take no part: in a flight
+in which nothing is commanded the commands answer to disturbances, and their gain to the motion
+tends to zero: such bands pull every gain down, of thrust, inertia and torque alike. Source: direct
+identification in closed loop, Ljung, System Identification, ch. 13; the limit and its effect on
+slow flights were measured once on small quadrotors (docs/guide/calibrate.md).
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import csd, welch
 
 from ...effects import EFFECTS
 from ...effects.priors import prior_of
 from ...representation import short_repr
+from ...residuals.channels import CHANNEL_HZ, GRID_HZ, ChannelData
 from ..model.model import Model
-from ..model.numbers import Number
-from .evidence import MapEstimate
-from .priors import effect_of
-from .refit import Problem
+from ..model.numbers import DRIVES, Number
+from ..settings import DEFAULT, EvidenceSettings
+from .evidence import LaplaceEvidence, MapEstimate, Noise, constants_of_days
+from .priors import Bounds, Priors, effect_of
+from .spectrum import BANDS_HZ, Flights, Spectrum
 
 Array = NDArray[np.float64]
+WINDOW = 128
+"""Samples of a window: 2.6 s."""
+
+
+def silent_bands(flights: Flights, least: float) -> frozenset[tuple[int, int]]:
+    """Channels and bands of angular acceleration that do not vote, by their numbers.
+
+    Args:
+        flights: Channels of each flight.
+        least: Coherence from which on a band votes.
+    """
+    found = set()
+    for c, first in enumerate(flights[0]):
+        if not first.name.startswith(("gyro_rate_", "motion_rate_")):
+            continue
+        hz, coherent = _coherence([f[c] for f in flights])
+        for b in range(1, len(BANDS_HZ)):
+            inside = (hz >= BANDS_HZ[b - 1]) & (hz < BANDS_HZ[b])
+            if not inside.any() or float(np.mean(coherent[inside])) < least:
+                found.add((c, b))
+    return frozenset(found)
+
+
+def _coherence(channels: Sequence[ChannelData]) -> tuple[Array, Array]:
+    """Squared coherence of what was measured and what was predicted, all flights together."""
+    hz, sums = np.zeros(0), None
+    for c in channels:
+        for k in np.unique(c.piece):
+            measured = c.measured[c.piece == k]
+            predicted = measured - c.residual[c.piece == k]
+            if len(measured) < WINDOW:
+                continue
+            options = {"fs": CHANNEL_HZ, "nperseg": WINDOW}
+            hz, both = csd(measured, predicted, **options)
+            powers = [welch(v, **options)[1] for v in (measured, predicted)]
+            part = len(measured) * np.array([both, *powers])
+            sums = part if sums is None else sums + part
+    if sums is None:
+        return np.zeros(1), np.zeros(1)
+    both, one, other = sums
+    power = np.maximum(one.real * other.real, 1e-300)
+    return hz, np.asarray(np.abs(both) ** 2 / power, dtype=np.float64)
+
+
+# -- Gauss-Newton --------------------------------------------------------------------------
+
+
+ROUNDS, SHORTEST_STEP = 15, 0.04
+"""Of Gauss-Newton at most; a step that has been halved below this share ends it."""
+ARMIJO = 0.1
+"""Share of what a step promises that it has to keep: Armijo, Pacific J. Math. 16 (1966)."""
+AHEAD, MARGIN = 3.0, 30.0
+"""A fit is on its way to a goal that so many rounds like the last reach, and so many nats."""
+FARTHEST_S = 0.005
+"""A step moves a delay of commands or a lag by no more: a tenth of a period of the fastest band."""
+FARTHEST_POSE_S = 0.02
+"""The same of a sensor or of the pose, whose band is lower."""
+FARTHER = 2.0
+"""By how much farther a step may go after one that was straight; after one that was cut short it
+may go as far as that went: Conn, Gould & Toint, Trust-Region Methods, 2000, sec. 6.1."""
+SETTLED = 0.2
+"""A round that gains less, in nats, is the last."""
+STRAIGHT = 0.02
+"""Share of the power of a step that the model may deviate from a straight line on it."""
+
+BEFORE = 2.0
+"""Days that the table of priors counts for, beside the flights' own."""
+
+
+KAPPAS = tuple(float(2.0**k) for k in range(-6, 1))
+"""By how much days may differ less than is usual. That they differ more takes more flights than
+are ever there: two that may differ as they like would explain nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A set of effects at its best.
+
+    Attributes:
+        effects: Sorted.
+        best: Numbers and evidence.
+        spectrum: Residuals there; slopes of the numbers that could move.
+    """
+
+    effects: tuple[str, ...]
+    best: MapEstimate
+    spectrum: Spectrum
+
+    __repr__ = short_repr
+
+    @property
+    def evidence(self) -> float:
+        """Log of its probability, up to a constant."""
+        return self.best.evidence
+
+    @property
+    def kappa(self) -> float:
+        """By how much days differ more than is usual."""
+        return self.best.kappa
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What hypotheses are fitted against.
+
+    Attributes:
+        model: Flights.
+        priors: Priors of its numbers.
+        bounds: Of these, as changes.
+        noise: What is known of the noise.
+        rest: The model as it stands, with slopes by every number.
+        settings: See `evidence`.
+        kappas: By how much days may differ over what is usual: of one flight, nobody can tell.
+    """
+
+    model: Model
+    priors: Priors
+    bounds: Bounds
+    noise: Noise
+    rest: Spectrum
+    settings: EvidenceSettings = DEFAULT.inference.evidence
+    kappas: tuple[float, ...] = (1.0,)
+
+    __repr__ = short_repr
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        priors: Priors,
+        settings: EvidenceSettings = DEFAULT.inference.evidence,
+        gated: bool = False,
+        constants: Mapping[str, float] | None = None,
+    ) -> "Problem":
+        """Flights with every number of their model.
+
+        Args:
+            model: Flights.
+            priors: Priors of its numbers.
+            settings: See `evidence`.
+            gated: Whether bands in which command and motion do not go together have no vote.
+            constants: Deviation between days of a channel's constant, where it is known.
+        """
+        numbers = [model.numbers[i] for i in priors.columns]
+        bounds = Bounds.of(numbers, model.vehicle).around(priors.now)
+        theta, days = np.zeros(len(numbers)), np.zeros((len(model.flights), len(priors.days)))
+        flights = model.channels(priors.columns)
+        rest = Spectrum.of(flights, theta, days, priors.days)
+        usual = constants_of_days(rest.channels, model.vehicle, settings)
+        sizes = [(constants or {}).get(n, u) for n, u in zip(rest.channels, usual, strict=True)]
+        silent = silent_bands(flights, settings.coherent) if gated else frozenset()
+        noise = Noise.of(rest, sizes, settings, silent)
+        odds = {c: v - gained_by_following(c, rest, noise) for c, v in priors.odds.items()}
+        kappas = KAPPAS if len(model.flights) > 1 else (1.0,)
+        return cls(model, replace(priors, odds=odds), bounds, noise, rest, settings, kappas)
+
+    def laplace(self, spectrum: Spectrum) -> LaplaceEvidence:
+        """Sets of effects in a linearisation."""
+        return LaplaceEvidence(spectrum, self.noise, self.priors, self.bounds, self.settings)
+
+    def values(self, x: Array) -> dict[str, float]:
+        """Numbers that all flights share and that differ from the model as it stands,
+        "effect.number" -> value, given `MapEstimate.x`."""
+        shared = self.split(x)[0]
+        theta, moved = self.priors.now + shared, shared != 0
+        acting = {effect_of(self.priors.cause[i]) for i in np.flatnonzero(moved)}
+        moved |= self.priors.shape & np.isin(np.array(self.priors.cause), [*acting])
+        return {self.priors.names[i]: float(theta[i]) for i in np.flatnonzero(moved)}
+
+    def channels(self, x: Array, columns: Sequence[int] = ()) -> list[list[ChannelData]]:
+        """Channels of each flight on its day at some numbers, with slopes by some of them."""
+        at = [self.priors.columns[i] for i in columns]
+        return replace(self.model, days=self.days(x)).channels(at, self.values(x))
+
+    def split(self, x: Array) -> tuple[Array, Array]:
+        """Numbers that all flights share, and those of the days."""
+        k = len(self.priors.now)
+        return x[:k], x[k:].reshape(len(self.model.flights), len(self.priors.days))
+
+    def days(self, x: Array) -> tuple[dict[str, float], ...]:
+        """What the day of each flight adds to numbers that differ between days, as `Model.days`."""
+        names = [self.priors.names[i] for i in self.priors.days]
+        return tuple(
+            {n: float(v) for n, v in zip(names, own, strict=True) if v} for own in self.split(x)[1]
+        )
+
+    def between_days(self, state: State) -> dict[str, float]:
+        """Deviation between flights of each number of a day: the table's, and what these show."""
+        best = state.best
+        days, doubts = self.split(best.x)[1], self.split(best.deviations())[1]
+        found = {}
+        for j, i in enumerate(self.priors.days):
+            shown = days[:, j] ** 2 + doubts[:, j] ** 2
+            found[self.priors.names[i]] = _deviation(state.kappa * self.priors.day[i], shown)
+        return found
+
+    def constants_between_days(self, state: State) -> dict[str, float]:
+        """The same of what nothing explains, by channel."""
+        found = {}
+        pairs = zip(self.rest.channels, state.spectrum.rows, strict=True)
+        for c, (name, rows) in enumerate(pairs):
+            left = np.array([float(np.sum(r.residual[r.band == 0] ** 2)) for r in rows])
+            found[name] = _deviation(state.kappa * np.sqrt(self.noise.floor[c, 0]), left)
+        return found
+
+    def accustomed(self, state: State) -> "Problem":
+        """The same with days that differ as those of its flights do, number by number.
+
+        By how much is known then, and no common factor is asked for once more.
+        """
+        shown, left = self.between_days(state), self.constants_between_days(state)
+        pairs = zip(self.priors.names, self.priors.day, strict=True)
+        day = np.array([shown.get(n, usual) for n, usual in pairs])
+        constants = {(c, 0): left[name] ** 2 for c, name in enumerate(self.rest.channels)}
+        return replace(
+            self,
+            priors=replace(self.priors, day=day),
+            noise=replace(self.noise, floor={**self.noise.floor, **constants}),
+            kappas=(1.0,),
+        )
+
+    def linearised(self, state: State) -> LaplaceEvidence:
+        """All sets about one, slopes by every number taken there."""
+        flights = self.channels(state.best.x, range(len(self.priors.now)))
+        return self.laplace(Spectrum.of(flights, *self.split(state.best.x), self.priors.days))
+
+    def start(self, effects: Sequence[str], kappa: float) -> State:
+        """A set from its expected numbers on."""
+        x = np.zeros(len(self.priors.now) + self.rest.days.size)
+        own = self.priors.of(effects)
+        b = self.priors
+        x[own] = np.clip(b.mean[own], b.low[own], b.high[own]) - b.now[own]
+        return self.settle(effects, kappa, self.rest, x)
+
+    def settle(
+        self,
+        effects: Sequence[str],
+        kappa: float,
+        spectrum: Spectrum,
+        start: Array,
+        least: float = -np.inf,
+    ) -> State:
+        """The best numbers of a set.
+
+        Args:
+            effects: Identifiers.
+            kappa: By how much days differ more than is usual.
+            spectrum: Slopes to begin with.
+            start: Numbers to begin with, as `MapEstimate.x`.
+            least: Evidence below which the set is of no interest: a fit that is not on its way
+                there is given up.
+        """
+        on = tuple(sorted(effects))
+        columns = self._moving(on)
+        x = self._begun(on, columns, start)
+        if not np.array_equal(x, np.concatenate([spectrum.theta, spectrum.days.ravel()])):
+            spectrum = self._renewed(spectrum, x, columns)
+        spectrum = spectrum.only(columns)
+        laplace = self.laplace(spectrum)
+        now = laplace.at(on, kappa)
+        shaped = bool(np.any(self.priors.shape[columns]))
+        fresh, reach = True, self._reach()
+        for n in range(ROUNDS):
+            wanted = laplace.best(on, kappa, reach).x
+            promised = laplace.at(on, kappa, wanted) - now
+            step, better = 1.0, None
+            while step > SHORTEST_STEP:
+                y = x + step * (wanted - x)
+                there = spectrum.moved(self.channels(y), *self.split(y))
+                over = self.laplace(there)
+                value = over.at(on, kappa)
+                if np.isfinite(value) and value > now + ARMIJO * step * promised:
+                    better = y, there, over, value
+                    break
+                step *= 0.5
+            if better is None and fresh:
+                break
+            if better is None:
+                spectrum, fresh = self._renewed(spectrum, x, columns), True
+                laplace = self.laplace(spectrum)
+                continue
+            bent = _bend(spectrum, better[1])
+            gain = better[3] - now
+            reach = reach * (FARTHER if step == 1 and bent < STRAIGHT else step)
+            x, spectrum, laplace, now = better
+            fresh = False
+            if (gain < SETTLED and not (shaped and n == 0)) or now + AHEAD * gain + MARGIN < least:
+                break
+            if bent > STRAIGHT or (shaped and n == 0):
+                spectrum, fresh = self._renewed(spectrum, x, columns), True
+                laplace = self.laplace(spectrum)
+        return State(on, laplace.at_linearisation(on, kappa), spectrum)
+
+    def _reach(self) -> Array:
+        """How far a step may move each number: what shifts signals in time is far from linear."""
+        shared = np.array([_farthest(self.model.numbers[i]) for i in self.priors.columns])
+        return np.concatenate([shared, np.tile(shared[self.priors.days], len(self.model.flights))])
+
+    def _begun(self, on: Sequence[str], columns: NDArray[np.intp], start: Array) -> Array:
+        """Numbers of a set inside their ranges, those of others at rest, new shapes as expected."""
+        b, k = self.priors, len(self.priors.now)
+        x = start.copy()
+        x[np.setdiff1d(np.arange(k), columns)] = 0.0
+        own = b.of(on)
+        new = [e for e in on if not np.any(start[b.of([e])])]
+        enter = np.intersect1d(b.of(new), np.flatnonzero(b.shape))
+        x[enter] = b.mean[enter] - b.now[enter]
+        x[own] = np.clip(x[own], b.low[own] - b.now[own], b.high[own] - b.now[own])
+        return x
+
+    def _moving(self, on: Sequence[str]) -> NDArray[np.intp]:
+        """Columns that a set can move."""
+        spiked = np.flatnonzero((self.priors.spike > 0) & ~self.priors.shape)
+        return np.unique(np.concatenate([self.priors.of(on), self.priors.days, spiked]))
+
+    def _renewed(self, spectrum: Spectrum, x: Array, columns: NDArray[np.intp]) -> Spectrum:
+        """Residuals and slopes of some columns taken anew."""
+        flights = self.channels(x, columns.tolist())
+        return spectrum.moved(flights, *self.split(x)).renewed(flights, columns)
+
+
+def _deviation(usual: float, shown: Array) -> float:
+    """Of a zero-mean normal variable that is expected to have the usual one, given squares."""
+    return float(np.sqrt((BEFORE * usual**2 + shown.sum()) / (BEFORE + len(shown))))
+
+
+def gained_by_following(cause: str, rest: Spectrum, noise: Noise) -> float:
+    """What an observer gains by following mere noise, in nats.
+
+    It predicts a reading from what the same reading was before. What is left is the innovation,
+    S(f) times what there was, so that the density of the latter is that of the former times |S|,
+    frequency by frequency. ln |S| over all angular frequencies sums to -pi/2 times the gain: Bode's
+    integral of a loop that falls with the first power. On a grid the same is lost again, evenly up
+    to half its rate (the discrete integral is zero), of which the channels see a part.
+    """
+    observer = EFFECTS[effect_of(cause)].observer
+    if observer is None:
+        return 0.0
+    gained = 0.0
+    for c, name in enumerate(rest.channels):
+        if name in observer.channels:
+            n = sum(int(np.count_nonzero(r.band)) for r in rest.rows[c])
+            gained += noise.own[c] * n / CHANNEL_HZ
+    return 0.5 * observer.gain_1_s * gained * (1 - CHANNEL_HZ / GRID_HZ)
+
+
+def _farthest(number: Number) -> float:
+    """How far a step may move a number."""
+    if number.moves:
+        return FARTHEST_S if {*number.moves} & {*DRIVES} else FARTHEST_POSE_S
+    timed = prior_of(EFFECTS[number.effect]).timed and not number.shape
+    return FARTHEST_S if timed else float("inf")
+
+
+def _bend(before: Spectrum, after: Spectrum) -> float:
+    """How far residuals are from where slopes had them, over how far they moved: power."""
+    bend, moved = 0.0, 1e-300
+    step = after.theta - before.theta
+    for own, then in zip(before.rows, after.rows, strict=True):
+        scale = sum(float(r.residual @ r.residual) for r in own) + 1e-300
+        for f, (a, b) in enumerate(zip(own, then, strict=True)):
+            full = step.copy()
+            full[before.day_columns] += after.days[f] - before.days[f]
+            change = a.slopes @ full[a.active]
+            miss = b.residual - (a.residual - change)
+            bend += float(miss @ miss) / scale
+            moved += float(change @ change) / scale
+    return bend / moved
+
+
+# -- result --------------------------------------------------------------------------------
+
+
 INTERVAL = 1.96
 """Half of a 95 % interval over the deviation of a normal distribution."""
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...representation import short_repr
 from .evidence import LaplaceEvidence, MapEstimate
-from .refit import Problem
+from .fit import Problem
 from .search import SearchResult, is_time, log_posterior
 
 Array = NDArray[np.float64]

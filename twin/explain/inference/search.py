@@ -17,8 +17,8 @@ from ...effects import EFFECTS, Shift
 from ...effects.priors import LAST, UNMEASURED, prior_of
 from ...representation import short_repr
 from .evidence import LaplaceEvidence
+from .fit import Problem, State, gained_by_following
 from .priors import Priors, effect_of
-from .refit import Problem, State, gained_by_following
 
 Array = NDArray[np.float64]
 Tried = dict[tuple[tuple[str, ...], float], float]

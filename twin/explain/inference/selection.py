@@ -20,16 +20,13 @@ from ...logs import Flight
 from ...representation import short_repr
 from ...vehicle import Vehicle
 from ..model.model import Model, candidates, model_of
-from ..model.payload import Payloads
+from ..model.numbers import Payloads
 from ..settings import DEFAULT, InferenceSettings, SelectionSettings
-from .adequacy import credible, misfits
-from .bounds import edges
-from .detectable import Detectable, smallest_detectable
+from .adequacy import Detectable, credible, misfits, smallest_detectable
 from .evidence import MapEstimate
-from .fit import Fit, fit_of, fit_of_best, substantial_effects
+from .fit import Fit, Problem, State, fit_of, fit_of_best, substantial_effects
 from .inclusion import Posterior, weigh
-from .priors import effect_of, priors_of, priors_since
-from .refit import Problem, State
+from .priors import edges, effect_of, priors_of, priors_since
 from .search import (
     SearchResult,
     calibration_start,

@@ -1,7 +1,21 @@
-"""A vehicle's model with its flights, as residuals that answer to the numbers of effects."""
+"""Flights and everything that predicts their readings, as a function of the effects' numbers.
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+| channels | measured | predicted by |
+|---|---|---|
+| acc_* | accelerometer | airframe and IMU at the measured motion |
+| gyro_rate_* | rate of change of the gyroscope | the same |
+| pose_acc_* | accelerometer | acceleration of the measured pose, and IMU |
+| pose_gyro_* | gyroscope | turning of the measured attitude, and IMU |
+| mag_* | magnetometer | measured attitude, and magnetometer |
+| baro_pa | barometer | measured height and velocity, and barometer |
+| motion_acc_* | acceleration of the pose less gravity | airframe, at the vehicle's centre of mass |
+| motion_rate_* | rate of change of the attitude's rates | airframe |
+
+The last two stand in where not every flight has an accelerometer, or a gyroscope.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,18 +23,350 @@ from numpy.typing import NDArray
 from ...component import Component
 from ...effects import EFFECTS, Average, Effect, Equation, Shift, acting_late
 from ...errors import LogError
+from ...frames import to_body, to_ned
 from ...logs import Flight
 from ...physics.airframe import airframe
 from ...representation import short_repr
-from ...residuals.channels import ChannelData
+from ...residuals.aligned import align_flight
+from ...residuals.channels import GRID_HZ, ChannelData, mean_over_step, shifted
+from ...residuals.imu import OF_IMU
 from ...residuals.teacher_forced import choose_drive
 from ...vehicle import Vehicle
-from .flight import FlightModel, missing_imu_signals
-from .numbers import DRIVES, Number, at_voltage, has_signal, numbers_of, numbers_of_logs, visible
-from .payload import Payloads, carrying
+from .factors import FlightContext, imu_factors, motion_factors, other_factors, pose_factors
+from .numbers import (
+    DRIVES,
+    PLACE,
+    TURN,
+    Number,
+    Payloads,
+    age_of,
+    at_voltage,
+    carrying,
+    has_signal,
+    numbers_of,
+    numbers_of_logs,
+    values_of,
+    visible,
+)
 from .prediction import Physics
+from .trajectory import Trajectory
 
 Array = NDArray[np.float64]
+AGE_STEP_S = 0.002
+"""By which the age or the heading of what a prediction is made from is moved where its answer is a
+difference."""
+TIME_STEP_S = 0.002
+"""By which a lag is moved where its answer is a difference."""
+SMALL = 0.01
+"""Share of the step of a number in a difference that is to be a derivative."""
+SLOPES_AT_ONCE = 8
+"""Slopes that are seen at the samples of a pose at a time."""
+BEND_S = 0.02
+"""Step of differences of what was averaged over time: they leave vibration out, and are those of
+motion to 5 % at the band of the pose."""
+
+
+def missing_imu_signals(flights: Sequence[Flight]) -> tuple[str, ...]:
+    """Signals of the IMU that not every flight has."""
+    return tuple(s.signal for s in OF_IMU if not all(f.has(*s.columns) for f in flights))
+
+
+def channel_names(flight: Flight, vehicle: Vehicle) -> list[str]:
+    """Channels of a flight by itself, whatever predicts them.
+
+    Raises:
+        LogError: It cannot be put on the grid of the vehicle.
+    """
+    context = FlightContext(flight, vehicle, align_flight(flight, vehicle, 1 / GRID_HZ), (), ())
+    force = np.zeros((len(context.aligned.inputs.t_s), 3))
+    factors = imu_factors(context) + pose_factors(context, force) + other_factors(context)
+    factors += motion_factors(context, missing_imu_signals([flight]))
+    return [name for factor in factors for name in factor.readings.names]
+
+
+class FlightModel:
+    """One flight on a grid of `GRID_HZ`.
+
+    Attributes:
+        flight: As read.
+        vehicle: The model as it stands.
+        numbers: Every number that may change, in the order of the prediction's.
+        aligned: On the grid, with the model as it stands.
+        factors: Its sensors, and what predicts each.
+    """
+
+    def __init__(
+        self,
+        flight: Flight,
+        vehicle: Vehicle,
+        physics: Physics,
+        effects: Sequence[str],
+        numbers: Sequence[Number],
+        missing: Collection[str] | None = None,
+    ) -> None:
+        """Put the flight on the grid and filter its readings.
+
+        Args:
+            flight: As read.
+            vehicle: The model as it stands.
+            physics: Airframe and IMU, made with the same effects and numbers.
+            effects: Effects in the equations, all switched on.
+            numbers: Every number, in the order of the prediction's.
+            missing: Signals of the IMU for which the pose stands in; None: those that it lacks.
+        """
+        self.flight, self.vehicle, self.numbers = flight, vehicle, list(numbers)
+        self._physics = physics
+        self._trajectory = Trajectory(flight, vehicle, physics, effects, numbers)
+        self.aligned = self._trajectory.aligned
+        self._now = values_of(numbers, {})
+        context = FlightContext(flight, vehicle, self.aligned, effects, self.numbers)
+        force = physics.value(self._now, self.aligned.states, self.aligned.inputs.u)[:, :3]
+        self.factors = imu_factors(context) + pose_factors(context, force) + other_factors(context)
+        self.factors += motion_factors(
+            context, missing_imu_signals([flight]) if missing is None else missing
+        )
+        self._resting: dict[int, list[ChannelData]] = {}
+        self._predicted: dict[tuple[int, bool], Array] = {}
+
+    def channels(
+        self, columns: Sequence[int], change: Mapping[str, float] | None = None
+    ) -> list[ChannelData]:
+        """Channels with some numbers changed.
+
+        Args:
+            columns: Numbers to differentiate by.
+            change: "effect.number" -> value, for those that differ from the model as it stands.
+        """
+        change = dict(change or {})
+        touched = {self.numbers[i].effect for i in columns}
+        touched |= {name.partition(".")[0] for name in change}
+        body: dict[bool, tuple[Array, Array]] = {}
+        found: list[ChannelData] = []
+        for k, factor in enumerate(self.factors):
+            if not touched & factor.effects:
+                found += self._untouched(k, len(columns))
+                continue
+            bare = factor.as_logged is not None
+            if factor.batch is None and bare not in body:
+                body[bare] = self._body_answers(columns, change, bare)
+            predicted, slopes = self._answers(k, columns, change, body.get(bare), body.get(False))
+            found += factor.readings.channels(predicted, slopes)
+        return found
+
+    def _untouched(self, k: int, width: int) -> list[ChannelData]:
+        """Channels of a part that no number in question reaches."""
+        if k not in self._resting:
+            factor = self.factors[k]
+            bare = factor.as_logged is not None
+            body = self._body_answers([], {}, bare) if factor.batch is None else None
+            self._resting[k] = factor.readings.channels(*self._answers(k, [], {}, body))
+        return [replace(c, slopes=np.zeros((len(c.t_s), width))) for c in self._resting[k]]
+
+    def _answers(
+        self,
+        k: int,
+        columns: Sequence[int],
+        change: Mapping[str, float],
+        body: tuple[Array, Array] | None,
+        at_imu: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """Prediction of a part on the grid, and its slopes.
+
+        Args:
+            k: Which part.
+            columns: Numbers to differentiate by.
+            change: "effect.number" -> value.
+            body: The same of airframe and IMU, or of the airframe alone, where the part is theirs.
+            at_imu: The same of airframe and IMU, where these numbers reach them.
+        """
+        factor, theta = self.factors[k], values_of(self.numbers, change)
+        if factor.batch is None:
+            assert body is not None
+            at, slopes = (a[:, factor.outputs] for a in body)
+            predicted = at
+            if factor.rate:
+                predicted, slopes = mean_over_step(predicted), mean_over_step(slopes)
+            if factor.as_logged is not None:
+                shown = self._logged(factor.as_logged, columns, theta, predicted, slopes)
+                return shown[0][:, factor.axes], shown[1][:, factor.axes]
+        else:
+            # Numbers change what is clean: a scale below one would damp the noise of the pose.
+            at = factor.batch.value(theta, factor.at)
+            more = (at - self._standing(k, factor.at))[:, factor.outputs]
+            slopes = factor.batch.slopes(columns, theta, factor.at)[:, factor.outputs]
+            predicted, at = self._clean(k, theta)[:, factor.outputs], at[:, factor.outputs]
+            if factor.sampled is not None:
+                more, slopes = _sampled(factor.sampled, more, slopes)
+            if factor.carried is not None:
+                more = more + factor.carried
+            predicted = predicted + more
+            if factor.turning is not None and at_imu is not None:
+                at = at_imu[0][:, factor.outputs]
+        return self._in_time(k, columns, theta, predicted, slopes, at)
+
+    def _body_answers(
+        self, columns: Sequence[int], change: Mapping[str, float], bare: bool
+    ) -> tuple[Array, Array]:
+        """Prediction of airframe and IMU, or of the `bare` airframe, and its slopes."""
+        theta, (states, inputs) = values_of(self.numbers, change), self._trajectory.at(change)
+        physics = self._physics.bare if bare else self._physics
+        value = physics.value(theta, states, inputs)
+        slopes = physics.slopes(columns, theta, states, inputs)
+        for k, i in enumerate(columns):
+            step = self._difference_step(i, change)
+            if step is not None:
+                more, ahead = {**change, self.numbers[i].full: theta[i] + step}, theta.copy()
+                ahead[i] += step
+                moved = physics.value(ahead, *self._trajectory.at(more))
+                slopes[:, :, k] = (moved - value) / step
+        return value, slopes
+
+    def _difference_step(self, i: int, change: Mapping[str, float]) -> float | None:
+        """Step of a number whose answer is no derivative of the equations at given states."""
+        n = self.numbers[i]
+        if set(n.moves) & {*PLACE, *TURN, *DRIVES}:
+            return AGE_STEP_S
+        if self._trajectory.is_followed(n.effect):
+            return n.step * SMALL
+        as_it_is = {**change, n.full: n.now}
+        if i in self._physics.of_sensor or self._trajectory.is_integrated(n.full, as_it_is):
+            return min(n.step, TIME_STEP_S) if n.about.unit == "s" else n.step
+        return None
+
+    # -- answers that are no derivatives of equations ----------------------------------------
+
+    def _logged(
+        self,
+        shown: Callable[[Array, Array], Array],
+        columns: Sequence[int],
+        theta: Array,
+        predicted: Array,
+        slopes: Array,
+    ) -> tuple[Array, Array]:
+        """What happened and its slopes, as a pose of an age and a heading shows them."""
+        value = shown(predicted, theta)
+        answer = np.zeros_like(slopes)
+        for column, i in enumerate(columns):
+            n = self.numbers[i]
+            answer[:, :, column] = shown(slopes[:, :, column], theta)
+            if n.turns_pose or (set(n.moves) & {*PLACE, *TURN} and not n.acts):
+                ahead = theta.copy()
+                ahead[i] += AGE_STEP_S
+                answer[:, :, column] += (shown(predicted, ahead) - value) / AGE_STEP_S
+        return value, answer
+
+    def _in_time(
+        self,
+        k: int,
+        columns: Sequence[int],
+        theta: Array,
+        predicted: Array,
+        answer: Array,
+        at: Array,
+    ) -> tuple[Array, Array]:
+        """Ages, an averaged pose, a turned heading: they shift, bend or turn what is predicted."""
+        factor = self.factors[k]
+        rate = np.gradient(at, 1 / GRID_HZ, axis=0)
+        turned = None if factor.turning is None else self._turned(at)
+        for i, n in enumerate(self.numbers):
+            if theta[i] and set(n.averages) & factor.averaged:
+                predicted = predicted + theta[i] * self._by_average(k, i, at)
+            if n.full in factor.late and theta[i]:
+                predicted = shifted(predicted, factor.late[n.full] * theta[i])
+            if n.turns_pose and theta[i] and turned is not None:
+                predicted = predicted + theta[i] * turned
+        for column, i in enumerate(columns):
+            n = self.numbers[i]
+            if set(n.averages) & factor.averaged:
+                answer[:, :, column] = self._by_average(k, i, at)
+            elif n.full in factor.late:
+                answer[:, :, column] = -factor.late[n.full] * rate
+            elif factor.turning is not None and n.turns_pose:
+                answer[:, :, column] = turned
+            elif factor.older is not None and set(n.moves) & {*PLACE, *TURN}:
+                answer[:, :, column] = self._by_age(k, i, theta, rate, at)
+        return predicted, answer
+
+    def _by_age(self, k: int, i: int, theta: Array, rate: Array, at: Array) -> Array:
+        """Answer to the age of position or attitude, which both make the prediction."""
+        factor, moves = self.factors[k], set(self.numbers[i].moves)
+        if factor.turning is None:
+            ahead = theta.copy()
+            ahead[i] += AGE_STEP_S
+            change = self._clean(k, ahead) - self._clean(k, theta)
+            return np.asarray(change[:, factor.outputs] / AGE_STEP_S)
+        swept = np.cross(factor.turning, at)
+        answer = np.zeros_like(at)
+        if moves & {*PLACE}:
+            answer = rate + swept
+        if moves & {*TURN}:
+            answer = answer - swept
+        return answer
+
+    def _by_average(self, k: int, i: int, at: Array) -> Array:
+        """Answer to the variance of the average over time that a pose is: what was averaged is the
+        average less half the variance times its second derivative.
+
+        Of the gyroscope, as every slope here: the noise of the attitude, twice differentiated on
+        top, hides all. That of the gyroscope, which the residual has too, feigns a little of an
+        average where the vehicle hardly turns.
+        """
+        factor, signals = self.factors[k], set(self.numbers[i].averages)
+        if factor.turning is None:
+            return -0.5 * _bend(at)
+        assert self.aligned.motion.attitude is not None
+        answer = np.zeros_like(at)
+        if signals & {*PLACE}:
+            q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
+            force_n = np.stack(to_ned(q, list(at.T)), axis=-1)
+            answer -= 0.5 * np.stack(to_body(q, list(_bend(force_n).T)), axis=-1)
+        if signals & {*TURN}:
+            ahead, back = (shifted(factor.turning, s) for s in (-BEND_S, BEND_S))
+            answer += 0.5 * np.cross((ahead - back) / (2 * BEND_S), at)
+        return answer
+
+    def _clean(self, k: int, theta: Array) -> Array:
+        """Prediction of the model as it stands, the ages of the pose taken out."""
+        factor = self.factors[k]
+        ages = age_of(self.numbers, theta, PLACE), age_of(self.numbers, theta, TURN)
+        if factor.older is None or not any(ages):
+            return self._standing(k, factor.rows)
+        assert factor.batch is not None
+        return factor.batch.value(self._now, factor.older(*ages))
+
+    def _standing(self, k: int, rows: Array) -> Array:
+        """Prediction of the model as it stands, from one of the two kinds of rows of a part."""
+        batch = self.factors[k].batch
+        assert batch is not None
+        key = k, rows is self.factors[k].at
+        if key not in self._predicted:
+            self._predicted[key] = batch.value(self._now, rows)
+        return self._predicted[key]
+
+    def _turned(self, force_b: Array) -> Array:
+        """Change of a force in body axes per angle by which the measured heading is off."""
+        assert self.aligned.motion.attitude is not None
+        q = list(self.aligned.motion.attitude.at(self.aligned.inputs.t_s).T)
+        north, east, _ = to_ned(q, list(force_b.T))
+        return np.stack(to_body(q, [-east, north, 0 * north]), axis=-1)
+
+
+def _sampled(sampled: Callable[[Array], Array], more: Array, slopes: Array) -> tuple[Array, Array]:
+    """What is added to a prediction, and its slopes, at the samples of a pose; zeros stay zeros."""
+    both = np.concatenate([more[:, :, None], slopes], axis=2)
+    some = np.flatnonzero(np.any(both, axis=(0, 1)))
+    for first in range(0, len(some), SLOPES_AT_ONCE):  # all at once, they would fill the memory
+        few = some[first : first + SLOPES_AT_ONCE]
+        both[:, :, few] = sampled(both[:, :, few])
+    return both[:, :, 0], both[:, :, 1:]
+
+
+def _bend(values: Array) -> Array:
+    """Second derivative in time of values on the grid, by differences over `BEND_S`."""
+    return np.asarray((shifted(values, -BEND_S) - 2 * values + shifted(values, BEND_S)) / BEND_S**2)
+
+
+# -- flights of one vehicle ----------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

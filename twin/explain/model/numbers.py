@@ -1,4 +1,4 @@
-"""The numbers that a search may change: those of every effect that flights can show."""
+"""Numbers that a search may change: those of every effect that flights can show; known payloads."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +12,20 @@ from ...logs.columns import ACC_NED, POS, QUAT, VEL
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
 from ...vehicle import Vehicle
+
+Payloads = Mapping[str, float]
+"""Mass on top of the vehicle's by name of the flight, kg; a flight that is not named has none."""
+
+
+def carrying(vehicle: Vehicle, payload_kg: float) -> Vehicle:
+    """The vehicle with a small heavy thing strapped on at its centre of mass: it turns as before.
+
+    Args:
+        vehicle: Without it.
+        payload_kg: Weighed.
+    """
+    return replace(vehicle, mass_kg=vehicle.mass_kg + payload_kg)
+
 
 Array = NDArray[np.float64]
 STEPS = 30.0

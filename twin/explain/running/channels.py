@@ -1,6 +1,6 @@
 """Residuals and their slopes by frames of half a second.
 
-The channels of `twin.explain.model.flight`: what accelerometer and gyroscope read against airframe
+The channels of `twin.explain.model.model`: what accelerometer and gyroscope read against airframe
 and IMU, and against the pose; magnetometer and barometer against the pose. Slopes are derivatives
 of the CasADi expressions at the measured state; the states of the rotors, which nobody measures,
 carry theirs along. Whatever is computed is computed frame by frame on the clock of the grid, so
@@ -42,7 +42,7 @@ class Group:
     """Channels of one sensor that are compared in one way.
 
     Attributes:
-        names: As in `twin.explain.model.flight`.
+        names: As in `twin.explain.model.model`.
         sensor: Whose readings: "acc", "gyro", "mag", "baro".
         filters_hz: Low-passes that a prediction passes, the last of them readings as well.
         rate: Whether the rate of change is compared.
@@ -217,7 +217,7 @@ class FrameFilter:
         return found
 
     def _of_pose(self, block: GridBlock, predicted: Array) -> dict[int, Array]:
-        """What the IMU reads against what the pose implies; see `twin.explain.model.sensors`."""
+        """What the IMU reads against what the pose implies; see `twin.explain.model.factors`."""
         read, n = block.readings, len(block.t_s)
         if not {"gyro", "turning"} <= read.keys():
             return {}

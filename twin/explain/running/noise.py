@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...vehicle import Vehicle
-from ..inference.constants import constants_of_days
+from ..inference.evidence import constants_of_days
 from ..settings import DEFAULT
 from .channels import FRAME_SAMPLES, Frame, Group
 from .feed import FRAME_S

@@ -7,7 +7,7 @@ from .group import Group, setting
 
 @dataclass(frozen=True, slots=True)
 class HoldoutSettings(Group):
-    """Of `twin.explain.split` and `twin.explain.holdout`."""
+    """Of `twin.explain.holdout` and `twin.explain.holdout`."""
 
     spared_s: float = setting(
         4.0, "s", "block of time that is held out where no flight is", "made up"
@@ -21,7 +21,7 @@ class HoldoutSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class AttributionSettings(Group):
-    """Of `twin.explain.attribution`."""
+    """Of `twin.explain.localization`."""
 
     least_share: float = setting(
         0.1,

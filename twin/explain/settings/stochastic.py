@@ -8,7 +8,7 @@ from .group import Group, setting
 
 @dataclass(frozen=True, slots=True)
 class StuckSettings(Group):
-    """Of `twin.explain.stochastic.stuck`."""
+    """Of `twin.explain.stochastic.search`."""
 
     shortest_s: float = setting(
         0.5, "s", "shorter stand-stills are lost packets, and harm no fit", "made up"
@@ -36,7 +36,7 @@ class StuckSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevelSettings(Group):
-    """Of `twin.explain.stochastic.noise_level`."""
+    """Of `twin.explain.stochastic.imu_noise`."""
 
     slowest_hz: float = setting(
         80.0,
@@ -79,7 +79,7 @@ class NoiseLevelSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class VibrationSettings(Group):
-    """Of `twin.explain.stochastic.vibration`."""
+    """Of `twin.explain.stochastic.imu_noise`."""
 
     from_hz: float = setting(
         25.0, "Hz", "below it the body moves and controllers oscillate", "made up"
@@ -121,7 +121,7 @@ class VibrationSettings(Group):
 
 @dataclass(frozen=True, slots=True)
 class SlowForceSettings(Group):
-    """Of `twin.explain.stochastic.slow_force`."""
+    """Of `twin.explain.stochastic.gust`."""
 
     band_hz: tuple[float, float] = setting(
         (0.1, 3.0), "Hz", "the slow part of the accelerometer residuals", "made up", 5.0

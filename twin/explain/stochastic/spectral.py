@@ -1,10 +1,10 @@
-"""Readings of a sensor at its own rate, and their spectrograms.
+"""Readings of a sensor at its own rate, their spectrograms, and what is found in them.
 
 Cells of a spectrogram of white noise are exponential; their quantiles measure its level whatever
 few cells hold besides (Percival & Walden, Spectral Analysis for Physical Applications, ch. 6).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,43 @@ from numpy.typing import NDArray
 from scipy.signal import spectrogram
 
 from ...residuals.channels import GRID_HZ
-from ..model.flight import FlightModel
+from ..model.model import FlightModel
+from ..settings import DEFAULT, StochasticSettings
+
+SURE = 1.96
+"""Standard deviations of a 95 % interval."""
+
+
+def prior_log_odds(settings: StochasticSettings = DEFAULT.stochastic) -> float:
+    """Log odds for an effect before anything is seen."""
+    return -float(np.log(settings.one_of))
+
+
+@dataclass(frozen=True, slots=True)
+class StochasticEffect:
+    """An effect that changes no mean.
+
+    Attributes:
+        effect: Identifier.
+        log_odds: Evidence for it, natural log, prior included.
+        values: "effect.number" -> value.
+        intervals: 95 % of each.
+        channels: On which it was found.
+        share: Of their power in the band where it acts.
+    """
+
+    effect: str
+    log_odds: float
+    values: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
+    channels: tuple[str, ...]
+    share: float
+
+    @property
+    def probability(self) -> float:
+        """That it acts."""
+        return float(1 / (1 + np.exp(-self.log_odds)))
+
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 from search_rigs.linear_evidence import Linear
 
+from twin.explain.inference.fit import State
 from twin.explain.inference.inclusion import Posterior, weigh
-from twin.explain.inference.refit import State
 from twin.explain.inference.search import SearchResult, log_posterior
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from twin.component.sampled import noiseless_outputs
 from twin.effects import EFFECTS
 from twin.explain.inference import selection as search
 from twin.explain.inference.adequacy import coherent, credible
-from twin.explain.inference.bounds import Bounds, edges
 from twin.explain.inference.fit import Fit, substantial_effects
 from twin.explain.inference.inclusion import Posterior, ScoredModel
+from twin.explain.inference.priors import Bounds, edges
 from twin.explain.inference.search import SearchResult
 from twin.explain.inference.search import search as climbed
 from twin.explain.inference.selection import Naming, Resemblance, _named, name_effects

@@ -8,7 +8,7 @@ import pytest
 from search_rigs.courses import LEGS
 from search_rigs.hypotheses import against, state_of
 
-from twin.explain.inference.refit import Problem
+from twin.explain.inference.fit import Problem
 from twin.logs import Flight
 from twin.vehicle.file import load_vehicle
 from uavtwin.demo.flights import fly

@@ -12,7 +12,7 @@ from twin.effects import EFFECTS, Block, Effect, EffectParameter
 from twin.effects.sensor_stages import ImuReading
 from twin.effects.stages import Thrust
 from twin.explain.model.model import Model, model_of
-from twin.explain.model.states import states_reached
+from twin.explain.model.prediction import states_reached
 from twin.logs import Flight
 from twin.physics.airframe import airframe
 from twin.physics.sensors.imu import imu

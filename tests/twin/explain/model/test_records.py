@@ -10,8 +10,7 @@ from rig import fitted, rows_of
 from scipy.ndimage import gaussian_filter1d
 
 from twin.effects import EFFECTS
-from twin.explain.design.manoeuvres import Manoeuvre, plan
-from twin.explain.design.rehearsal import rehearse
+from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import with_effects
 from twin.logs import Flight

@@ -8,8 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twin.effects import EFFECTS
-from twin.explain.design.manoeuvres import Manoeuvre, plan
-from twin.explain.design.rehearsal import rehearse
+from twin.explain.design import Manoeuvre, plan, rehearse
 from twin.explain.model.model import Model, candidates, model_of
 from twin.logs import Flight
 from twin.vehicle.file import load_vehicle

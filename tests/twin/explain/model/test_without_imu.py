@@ -12,9 +12,9 @@ import pytest
 
 from twin.effects import EFFECTS
 from twin.explain.explanation import explain
+from twin.explain.holdout import hidden
 from twin.explain.model.model import Model, candidates, model_of
 from twin.explain.model.numbers import lacking
-from twin.explain.split import hidden
 from twin.logs import Flight
 from twin.logs.columns import ACC_NED, POS, QUAT, VEL
 from twin.vehicle import Vehicle

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pysindy.optimizers import FROLS
 
-from twin.explain.unnamed.regression import forward
+from twin.explain.inference.sparse_regression import forward
 
 MOST = 4
 

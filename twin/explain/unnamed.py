@@ -1,4 +1,4 @@
-"""Something outside the library: an equation for what is left of each channel.
+"""A cause outside the library: an equation for what is left of each channel.
 
 Sparse regression over products of physical quantities, on residuals that are as white as the
 regressors' noise model makes them; checked on time that neither picked nor fitted the terms.
@@ -12,16 +12,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...physics.sensors.table import BODY, SENSORS, sensor_of
-from ...residuals.channels import CHANNEL_HZ, ChannelData, Measured
-from ..inference.fit import Fit
-from ..inference.whitening import Block, Key, Noise, WhitenedFlights, blocks_of, noise_of
-from ..settings import DEFAULT, LikelihoodSettings, UnnamedSettings
-from .quantities import Quantity, quantities
-from .regression import Sparse, fold_of, longest, sparse
-from .terms import Term, over, powers_of, terms
+from ..physics.sensors.table import BODY, SENSORS, sensor_of
+from ..residuals.channels import CHANNEL_HZ, ChannelData, Measured
+from .inference.fit import Fit
+from .inference.sparse_regression import (
+    Quantity,
+    Sparse,
+    Term,
+    fold_of,
+    longest,
+    over,
+    powers_of,
+    quantities,
+    sparse,
+    terms,
+)
+from .inference.whitening import Block, Key, Noise, WhitenedFlights, blocks_of, noise_of
+from .settings import DEFAULT, LikelihoodSettings, UnnamedSettings
 
 Array = NDArray[np.float64]
+
 DIGITS = 3
 """Significant ones of a coefficient."""
 SMALLEST = 0.005
@@ -36,7 +46,7 @@ class Equation:
     """What is missing in one channel.
 
     Attributes:
-        channel: See `model.flight`.
+        channel: See `model.model`.
         unit: Of the channel.
         terms: Product of quantities, coefficient, unit of the coefficient; the largest first.
         expression: The same for people.

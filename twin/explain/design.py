@@ -1,0 +1,577 @@
+"""What to fly next: the manoeuvre that best discriminates between two explanations.
+
+*Manoeuvres* are sized for a vehicle. Each starts and ends at rest in a hover with the nose north,
+and excites something that the others do not; a plan strings some of them together between takeoff
+and landing. A *rehearsal* is a plan flown by the twin with its effects, recorded as the flights so
+far were.
+
+*Discrimination*: each of the two explanations is taken for the truth in turn. The twin with its
+effects flies every manoeuvre in closed loop; the other explanation, with its numbers free to move
+as far as the flights so far allow, predicts the same readings. The difference of the predictions,
+in the whitened metric of the search, is the expected log likelihood ratio; noise adds nothing to
+it, so none is drawn. Both predictions are those of `FlightModel`, so discretisation errors cancel.
+
+Source: discrimination between rival models, Hunter & Reiner, Technometrics 7 (1965); Atkinson &
+Fedorov, Biometrika 62 (1975).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..effects import EFFECTS
+from ..errors import TwinError
+from ..flight.closed_loop import STEP_S
+from ..flight.control.hover import thrust_inverse
+from ..flight.minimum_jerk import FASTEST, HARDEST, minimum_jerk, ramped_way
+from ..flight.mission import SMALL_ARM_M
+from ..flight.simulate_flight import Recorder, Stream, simulate_flight
+from ..logs import Flight
+from ..representation import short_repr
+from ..residuals.channels import GRID_HZ, ChannelData
+from ..vehicle import GRAVITY_M_S2, Vehicle
+from .inference.evidence import Factored, best_inside
+from .inference.fit import Fit
+from .inference.selection import Naming
+from .inference.whitening import Block, blocks_of
+from .model.model import Model, model_of
+from .model.numbers import Number, carrying, columns_of, with_effects
+from .settings import DEFAULT, DesignSettings
+
+Array = NDArray[np.float64]
+Move = Callable[[Array], Array]
+"""Time from the start, shape (n,) -> north, east, down (m) and heading (rad) off the hover,
+shape (n, 4)."""
+Point = tuple[float, float, float, float, float]
+"""Time to get there in s, then north, east, down in m and heading in rad, off the hover."""
+_GROUND_S, _TAKEOFF_S = 1.0, 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """Something to fly out of a hover and back into it.
+
+    Attributes:
+        name: Identifier.
+        description: One sentence that a pilot can follow.
+        duration_s: How long it takes.
+        move: Where it goes.
+        voltage: Battery voltage over that of the flights so far.
+        payload_kg: Known mass aboard, on top of the vehicle's.
+    """
+
+    name: str
+    description: str
+    duration_s: float
+    move: Move
+    voltage: float = 1.0
+    payload_kg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Setpoints of a flight that starts and ends standing on the ground.
+
+    Attributes:
+        setpoints: In the order of `closed_loop.SETPOINTS`, one row per `STEP_S`, shape (n, 11).
+        phases: Of each row.
+        spans: Of each manoeuvre with the hover after it, first and last time in s, whole multiples
+            of a block of time.
+    """
+
+    setpoints: Array
+    phases: tuple[str, ...]
+    spans: Mapping[str, tuple[float, float]]
+
+
+def manoeuvres(
+    vehicle: Vehicle, charged: bool = True, settings: DesignSettings = DEFAULT.design
+) -> tuple[Manoeuvre, ...]:
+    """All there are.
+
+    Args:
+        vehicle: Its arms scale the ways, its thrust over weight the accelerations.
+        charged: Whether the flights so far had a charged battery.
+        settings: Sizes.
+    """
+    k = hover_height_m(vehicle, settings) / settings.hover_m
+    lift = thrust_inverse(vehicle).full_n / vehicle.hover_thrust_n
+    share, fastest = settings.push, settings.fastest_m_s2
+    climb = min(share * (lift - 1) * GRAVITY_M_S2, fastest)
+    push = min(share * float(np.sqrt(max(lift**2 - 1, 0.0))) * GRAVITY_M_S2, fastest)
+    climb, push = max(climb, 0.3), max(push, 0.3)
+    return (
+        *_on_the_spot(charged, settings.other_voltage),
+        _payload_swap(vehicle, lift, settings),
+        *_vertical(vehicle, k, climb, settings),
+        *_sideways(k, push),
+    )
+
+
+def hover_height_m(vehicle: Vehicle, settings: DesignSettings = DEFAULT.design) -> float:
+    """Over the resting place, where manoeuvres start."""
+    return settings.hover_m * (0.5 if vehicle.arm_m < SMALL_ARM_M else 1.0)
+
+
+def plan(
+    vehicle: Vehicle,
+    chosen: Sequence[Manoeuvre],
+    settings: DesignSettings = DEFAULT.design,
+    block_s: float = DEFAULT.inference.likelihood.block_s,
+) -> Plan:
+    """A flight: stand, take off, fly each manoeuvre, land.
+
+    Args:
+        vehicle: Says where it stands and how high it hovers.
+        chosen: In this order.
+        settings: Sizes.
+        block_s: Blocks of time that flights are judged in.
+    """
+    height = hover_height_m(vehicle, settings)
+    pieces = [
+        ("ground", np.zeros((_rows(_GROUND_S), 4))),
+        ("takeoff", _sampled(_path((_TAKEOFF_S, 0, 0, -height, 0)), _TAKEOFF_S)),
+    ]
+    hover, spans, t = np.array([0.0, 0.0, -height, 0.0]), {}, 0.0
+    before = _GROUND_S + _TAKEOFF_S
+    for m in (Manoeuvre("", "", settings.settle_s, _path()), *chosen):
+        blocks = math.ceil((before + m.duration_s + settings.pause_s) / block_s)
+        last = t + block_s * blocks
+        pieces.append(("tour", hover + _sampled(m.move, m.duration_s)))
+        pieces.append(("hover", np.tile(hover, (_rows(last - t - before - m.duration_s), 1))))
+        spans[m.name] = (t, last)
+        t, before = last, 0.0
+    del spans[""]
+    pieces.append(("land", hover + _sampled(_path((_TAKEOFF_S, 0, 0, height, 0)), _TAKEOFF_S)))
+    pieces.append(("ground", np.zeros((_rows(_GROUND_S), 4))))
+    phases = tuple(phase for phase, rows in pieces for _ in rows)
+    where = np.vstack([rows for _, rows in pieces])
+    where[:, 2] -= vehicle.leg_height_m
+    speed = np.gradient(where[:, :3], STEP_S, axis=0)
+    push = np.gradient(speed, STEP_S, axis=0)
+    armed = np.array([phase != "ground" for phase in phases], dtype=np.float64)
+    return Plan(np.column_stack([where[:, :3], speed, push, where[:, 3], armed]), phases, spans)
+
+
+# -- the list -------------------------------------------------------------------------------
+
+
+def _on_the_spot(charged: bool, other_voltage: float) -> list[Manoeuvre]:
+    """Hovers and turns."""
+    turn = np.pi / 3
+    other = "a nearly empty" if charged else "a freshly charged"
+    voltage = 1 - other_voltage if charged else 1 + other_voltage
+    return [
+        Manoeuvre("hover", "Hover for 7 s without moving.", 7.0, _path()),
+        Manoeuvre("other_voltage", f"Hover for 7 s with {other} battery.", 7.0, _path(), voltage),
+        _pointwise(
+            "yaw_steps",
+            "In hover turn the nose by 60 degrees to the right within 0.8 s, stop, turn it back, "
+            "then the same to the left; twice.",
+            [(s, 0, 0, 0, a) for a in (turn, 0, -turn, 0) for s in (0.8, 0.4)] * 2,
+        ),
+        _pointwise(
+            "four_headings",
+            "Hover for 2 s each with the nose east, south, west and north, turning in 1.5 s.",
+            [(s, 0, 0, 0, i * np.pi / 2) for i in range(1, 5) for s in (1.5, 2.0)],
+        ),
+    ]
+
+
+def _payload_swap(vehicle: Vehicle, lift: float, settings: DesignSettings) -> Manoeuvre:
+    """Hover with a mass that is known: what scales a force acts on it, what adds one does not."""
+    share = max(min(settings.payload, settings.push * (lift - 1)), settings.lightest_payload)
+    payload_kg = float(f"{share * vehicle.mass_kg:.1g}")
+    return Manoeuvre(
+        "payload_swap",
+        f"Strap a weight of {payload_kg:g} kg to the aircraft, as close to its centre of mass as "
+        f"can be, and hover for 7 s; tell explain the weight of that flight.",
+        7.0,
+        _path(),
+        payload_kg=payload_kg,
+    )
+
+
+def _vertical(
+    vehicle: Vehicle, k: float, climb: float, settings: DesignSettings
+) -> list[Manoeuvre]:
+    """Up and down: in steps, for long, to the ground."""
+    short, tall, fast = k, 4 * k, 2.5 * k
+    step_s, tall_s = _time_s(short, climb), _time_s(tall, climb, fast)
+    clearance = max(settings.clearance_m, settings.clearance_arms * vehicle.arm_m)
+    low = hover_height_m(vehicle, settings) - clearance
+    return [
+        _pointwise(
+            "vertical_steps",
+            f"From hover climb {short:g} m within {step_s:.1f} s, stop, sink back as fast; "
+            f"three times.",
+            [(s, 0, 0, z, 0) for z in (-short, 0) for s in (step_s, 0.4)] * 3,
+        ),
+        _pointwise(
+            "climb_and_sink",
+            f"From hover climb {tall:g} m at up to {fast:g} m/s, sink back as fast; twice.",
+            [(tall_s, 0, 0, z, 0) for z in (-tall, 0)] * 2,
+        ),
+        _pointwise(
+            "near_ground",
+            f"From hover sink until the legs are {clearance:.2f} m above the ground, hover there "
+            f"for 4 s, climb back.",
+            [(2.0, 0, 0, low, 0), (4.0, 0, 0, low, 0), (2.0, 0, 0, 0, 0)],
+        ),
+    ]
+
+
+def _sideways(k: float, push: float) -> list[Manoeuvre]:
+    """Jumps, legs at speed, circle and eight."""
+    hop, way, fast, radius = 0.8 * k, 10 * k, 5 * k, 1.5 * k
+    hop_s, leg_s = _time_s(hop, push), _time_s(way, push, fast)
+    there = ((0, 1), (0, -1), (1, 0), (-1, 0))
+    jumps = [(hop_s, i * n * hop, i * e * hop, 0, 0) for n, e in there for i in (1, 0)]
+    legs = [
+        (s, north, 0, 0, yaw)
+        for yaw in (0, np.pi / 2)
+        for s, north in ((1.5, 0), (leg_s, way), (1.0, way), (leg_s, 0))
+    ]
+    rate = float(np.sqrt(0.5 * push / radius))
+    laps = f"{radius:g} m radius at {rate * radius:.1f} m/s, nose north."
+    return [
+        _pointwise(
+            "doublets",
+            f"In hover jump {hop:g} m to the right within {hop_s:.1f} s, back, to the left, back, "
+            f"then the same forward and backward; twice.",
+            jumps * 2,
+        ),
+        _pointwise(
+            "forward_legs",
+            f"Fly {way:g} m north at up to {FASTEST * way / leg_s:.1f} m/s, nose first, and back "
+            f"tail first; then the same with the nose east, sideways.",
+            [*legs, (1.5, 0, 0, 0, 0)],
+        ),
+        _rounds("circle", f"Fly a circle of {laps}", radius, rate, lambda a: 1 - np.cos(a)),
+        _rounds(
+            "eight", f"Fly a figure eight of {laps}", radius, rate, lambda a: np.sin(a) * np.cos(a)
+        ),
+    ]
+
+
+# -- how they move --------------------------------------------------------------------------
+
+
+def _pointwise(name: str, description: str, points: Sequence[Point]) -> Manoeuvre:
+    """From point to point."""
+    return Manoeuvre(name, description, sum(p[0] for p in points), _path(*points))
+
+
+def _path(*points: Point) -> Move:
+    """Minimum-jerk ramps from point to point, starting at the hover."""
+
+    def move(t: Array) -> Array:
+        """Where it is."""
+        where, begin, here = np.zeros((len(t), 4)), 0.0, np.zeros(4)
+        for duration, *place in points:
+            s = np.clip((t - begin) / duration, 0, 1)[:, None]
+            where += minimum_jerk(s) * (np.array(place) - here)
+            begin, here = begin + duration, np.array(place, dtype=np.float64)
+        return where
+
+    return move
+
+
+def _rounds(
+    name: str, description: str, radius: float, rate: float, east: Callable[[Array], Array]
+) -> Manoeuvre:
+    """One round that starts north, the angle to the way east; its rate ramps up and down."""
+    ramp_s, total = 2.0, 2 * np.pi
+    duration_s = total / rate + ramp_s
+
+    def move(t: Array) -> Array:
+        """Where it is."""
+        a = ramped_way(t, total, rate, ramp_s)
+        return np.column_stack([radius * np.sin(a), radius * east(a), 0 * t, 0 * t])
+
+    return Manoeuvre(name, description, duration_s, move)
+
+
+def _time_s(way_m: float, push_m_s2: float, fastest_m_s: float = np.inf) -> float:
+    """Time of a minimum-jerk ramp that stays below an acceleration and a speed."""
+    slow = float(np.sqrt(HARDEST * way_m / push_m_s2))
+    return round(max(slow, FASTEST * way_m / fastest_m_s), 1)
+
+
+def _rows(duration_s: float) -> int:
+    return round(duration_s / STEP_S)
+
+
+def _sampled(move: Move, duration_s: float) -> Array:
+    return move(STEP_S * np.arange(_rows(duration_s), dtype=np.float64))
+
+
+# -- rehearsal -----------------------------------------------------------------------------
+
+
+def rehearse(
+    plan: Plan, vehicle: Vehicle, plant: Vehicle, like: Sequence[Flight], voltage: float = 1.0
+) -> Flight:
+    """Fly a plan in closed loop and record it without noise.
+
+    A late command is recorded early and a late pose late; neither reaches the controller. The
+    record ends where the vehicle is lost.
+
+    Args:
+        plan: Setpoints.
+        vehicle: What the controller is designed for.
+        plant: What really flies, with its effects.
+        like: Flights whose columns are recorded, at their rates, as far as the twin has them.
+        voltage: Of the battery, over that of these flights.
+    """
+    recorder = Recorder(
+        streams=streams_of(like),
+        rate_hz=GRID_HZ,
+        sampled_hz=GRID_HZ,
+        early_commands=True,
+        until_lost=True,
+    )
+    volts = volts_of(like, vehicle) * voltage
+    return simulate_flight(plan.setpoints, plan.phases, vehicle, plant, recorder, "next", volts)
+
+
+def streams_of(flights: Sequence[Flight]) -> tuple[Stream, ...]:
+    """Every column of numbers that one of the flights has, as often as the fastest of them."""
+    periods: dict[str, list[float]] = {}
+    for flight in flights:
+        for column in (c for c in flight.table if c not in ("time", "phase") and flight.has(c)):
+            t_s, _ = flight.signal([column])
+            if len(t_s) > 1:
+                periods.setdefault(column, []).append(float(np.median(np.diff(t_s))))
+    return tuple(Stream((column,), min(found)) for column, found in periods.items())
+
+
+def volts_of(flights: Sequence[Flight], vehicle: Vehicle) -> float:
+    """Median battery voltage of flights, that of the vehicle where none says it."""
+    read = [f.signal(["vbat_v"])[1] for f in flights if f.has("vbat_v")]
+    return float(np.median(np.concatenate(read))) if read else vehicle.voltage_v
+
+
+# -- discrimination between two explanations -----------------------------------------------
+
+
+SHAPE_STEP = 0.03
+"""Relative step by which a shape is moved for its slope."""
+
+
+@dataclass(frozen=True, slots=True)
+class Suggestion:
+    """A manoeuvre that separates two sets of effects.
+
+    Attributes:
+        manoeuvre: Identifier.
+        description: What a pilot can follow.
+        separates: The two sets, the more probable first; an empty one: nothing is missing.
+        separation: Log likelihood by which the true one is expected to lead, mean over both.
+        present: The same in the flights so far.
+    """
+
+    manoeuvre: str
+    description: str
+    separates: tuple[tuple[str, ...], tuple[str, ...]]
+    separation: float
+    present: float
+
+    __repr__ = short_repr
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What holds the numbers of an explanation near their values.
+
+    Attributes:
+        precision: Of flights so far and priors, shape (k, k).
+        low: Largest steps down, shape (k,).
+        high: Largest steps up, shape (k,).
+    """
+
+    precision: Array
+    low: Array
+    high: Array
+
+
+def next_manoeuvre(
+    naming: Naming,
+    vehicle: Vehicle,
+    seed: int = 0,
+    progress: Callable[[float], None] = lambda _: None,
+    settings: DesignSettings = DEFAULT.design,
+) -> Suggestion | None:
+    """The manoeuvre that separates the two leading explanations best.
+
+    Args:
+        naming: What the flights so far say.
+        vehicle: The model as it stands.
+        seed: Not used: nothing is drawn.
+        progress: Called with the share done.
+        settings: Sizes of manoeuvres, and what is enough.
+
+    Returns:
+        None where the name is sure, or where no manoeuvre of the list would help.
+    """
+    if naming.sure:
+        return None
+    best = suggestions(naming, vehicle, progress=progress, settings=settings)[0]
+    return best if best.separation >= settings.enough else None
+
+
+def suggestions(
+    naming: Naming,
+    vehicle: Vehicle,
+    among: Sequence[str] | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+    settings: DesignSettings = DEFAULT.design,
+) -> list[Suggestion]:
+    """What each manoeuvre separates of the two leading explanations, the best first.
+
+    Args:
+        naming: What the flights so far say.
+        vehicle: The model as it stands.
+        among: Names of manoeuvres that can be flown there; default: all.
+        progress: Called with the share done.
+        settings: Sizes of manoeuvres.
+    """
+    block_s = naming.whitened.settings.block_s
+    rivals, flights = naming.fitted[:2], _flights(naming)
+    listed = [m for m in _flyable(naming, vehicle, settings) if among is None or m.name in among]
+    leads = {m.name: 0.0 for m in listed}
+    held = [_held(naming, f) for f in rivals]
+    rounds = [(i, *k) for i in (0, 1) for k in sorted({(m.voltage, m.payload_kg) for m in listed})]
+    for n, (i, voltage, payload_kg) in enumerate(rounds):
+        progress((n + 0.3) / (len(rounds) + 0.3))
+        loaded = carrying(vehicle, payload_kg)
+        chosen = [m for m in listed if (m.voltage, m.payload_kg) == (voltage, payload_kg)]
+        flown = plan(loaded, chosen, settings, block_s)
+        plant = with_effects(loaded, rivals[i].effects, rivals[i].values)
+        try:
+            flight = rehearse(flown, loaded, plant, flights, voltage)
+            blocks = _parting(naming, flight, loaded, rivals[i], rivals[1 - i])
+        except TwinError:  # numbers with which nothing flies: nobody can fly it either
+            continue
+        for name, (first, last) in flown.spans.items():
+            if last <= flight.table["time"].iloc[-1]:
+                inside = [b for (_, k), b in blocks.items() if first <= k * block_s < last]
+                leads[name] += lead(inside, held[1 - i]) / 2
+    pair, present = (rivals[0].effects, rivals[1].effects), _present(naming, *rivals)
+    found = [Suggestion(m.name, m.description, pair, leads[m.name], present) for m in listed]
+    return sorted(found, key=lambda s: -s.separation)
+
+
+# -- what is left between two explanations --------------------------------------------------
+
+
+def _parting(
+    naming: Naming, flight: Flight, vehicle: Vehicle, truth: Fit, other: Fit
+) -> dict[tuple[int, int], Block]:
+    """What one explanation predicts for a flight beyond another, by blocks of time."""
+    union = {*truth.effects, *other.effects}
+    model = model_of([flight], vehicle, [e for e in EFFECTS.values() if e.name in union])
+    noise = dict(zip(_names(naming.whitened.model), naming.whitened.noise, strict=True))
+    true = {c.name: c.residual for c in model.channels([], truth.values)[0]}
+    rows = [
+        replace(c, residual=c.residual - true[c.name])
+        for c in _answers(model, other)[0]
+        if c.name in noise
+    ]
+    even = [replace(noise[c.name], weights=(np.ones(len(c.t_s)),)) for c in rows]
+    return blocks_of([rows], even, naming.whitened.settings) if rows else {}
+
+
+def lead(blocks: Sequence[Block], held: Held) -> float:
+    """Log likelihood by which an explanation falls behind, its numbers moved to their best.
+
+    Args:
+        blocks: Slopes of the explanation, and what is predicted beyond it.
+        held: What its numbers cost to move.
+    """
+    if not blocks:
+        return 0.0
+    total = sum(blocks[1:], blocks[0])
+    if not total.pull.size:
+        return 0.5 * total.power
+    gram = total.gram + held.precision
+    best = best_inside(Factored.of(gram), total.pull, held.low, held.high)
+    return float(0.5 * (total.power - 2 * total.pull @ best + best @ gram @ best))
+
+
+def _held(naming: Naming, fitted: Fit) -> Held:
+    """How far the flights so far, and the priors, let the numbers of an explanation move."""
+    whitened = naming.whitened
+    answers = _answers(whitened.model, fitted)
+    blocks = blocks_of(answers, whitened.noise, whitened.settings).values()
+    numbers = _numbers(whitened.model, fitted)
+    at = {n.full: n.now for n in numbers} | dict(fitted.values)  # of some rotors, maybe
+    prior = np.diag([1 / n.sd**2 for n in numbers])
+    return Held(
+        np.sum([b.gram for b in blocks], axis=0) + prior,
+        np.array([n.about.bounds[0] - at[n.full] for n in numbers]),
+        np.array([n.about.bounds[1] - at[n.full] for n in numbers]),
+    )
+
+
+def _present(naming: Naming, a: Fit, b: Fit) -> float:
+    """Log likelihood by which the truth leads in the flights so far: both are at their best."""
+    whitened, model = naming.whitened, naming.whitened.model
+    ours, theirs = model.channels([], a.values), model.channels([], b.values)
+    rows = [
+        [replace(x, residual=x.residual - y.residual) for x, y in zip(f, g, strict=True)]
+        for f, g in zip(ours, theirs, strict=True)
+    ]
+    blocks = blocks_of(rows, whitened.noise, whitened.settings).values()
+    return 0.5 * sum(block.power for block in blocks)
+
+
+def _answers(model: Model, fitted: Fit) -> list[list[ChannelData]]:
+    """Channels of an explanation at its values, with slopes by its numbers and its shapes."""
+    at = dict(fitted.values)
+    own = columns_of(model.numbers, fitted.effects)
+    flights = model.channels([i for i in own if model.numbers[i].full in at], at)
+    for shape in (n.full for n in _numbers(model, fitted) if n.shape):
+        step = SHAPE_STEP * at[shape]
+        moved = model.channels([], {**at, shape: at[shape] + step})
+        flights = [
+            [
+                replace(c, slopes=np.column_stack([c.slopes, (c.residual - d.residual) / step]))
+                for c, d in zip(now, then, strict=True)
+            ]
+            for now, then in zip(flights, moved, strict=True)
+        ]
+    return flights
+
+
+def _numbers(model: Model, fitted: Fit) -> list[Number]:
+    """Numbers of an explanation in the order of the model, then its shapes."""
+    own = [n for n in model.numbers if n.effect in fitted.effects and n.full in fitted.values]
+    return sorted(own, key=lambda n: n.shape)
+
+
+def _names(model: Model) -> list[str]:
+    return [c.name for c in model.channels([])[0]]
+
+
+# -- flying ---------------------------------------------------------------------------------
+
+
+def _flyable(naming: Naming, vehicle: Vehicle, settings: DesignSettings) -> list[Manoeuvre]:
+    """Manoeuvres that can be told from another: the battery only where its voltage counts."""
+    flights = _flights(naming)
+    charged = volts_of(flights, vehicle) >= vehicle.voltage_v
+    listed = manoeuvres(vehicle, charged, settings)
+    effects = {e for f in naming.fitted[:2] for e in f.effects} | {*vehicle.effects}
+    voltage_matters = vehicle.rotors.reference_voltage_v is not None
+    voltage_matters = voltage_matters or any("vbat" in EFFECTS[e].needs for e in effects)
+    if voltage_matters and all(f.has("vbat_v") for f in flights):
+        return list(listed)
+    return [m for m in listed if m.voltage == 1]
+
+
+def _flights(naming: Naming) -> list[Flight]:
+    return [m.flight for m in naming.whitened.model.flights]

@@ -1,1 +1,0 @@
-"""What to fly next to learn more."""

@@ -1,0 +1,377 @@
+"""Sparse regression of one channel on products of physical quantities of a flight.
+
+*Quantities* of a flight on its grid, with units. Each is known without the reading that it is to
+explain: motion from the pose, turning from the gyroscope, load from the equations of the rotors.
+An accelerometer explains nothing here.
+
+*Terms*: products of quantities, and the units of their coefficients.
+
+*Regression*, whitened, scored on blocks of time that took no part in it: terms are picked by
+forward regression with orthogonal least squares, their number by what they gain out of sample.
+Picking is part of the fit: it is repeated for every part of the time that is left out.
+
+Source: Billings et al., Int. J. Control 49 (1989); Brunton, Proctor & Kutz, PNAS 113 (2016).
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...frames import to_body
+from ...physics.sensors.table import BODY, sensor_of
+from ...residuals.channels import GRID_HZ
+from ...vehicle import GRAVITY_M_S2
+from ...vehicle.thrust_map import hover_level
+from ..model.model import FlightModel
+from ..settings import DEFAULT, UnnamedSettings
+from .whitening import Block, Key
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+Unit = Mapping[str, int]
+"""Powers of base units."""
+PLAIN: Unit = {}
+SPEED: Unit = {"m": 1, "s": -1}
+TURNING: Unit = {"rad": 1, "s": -1}
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One quantity of one flight.
+
+    Attributes:
+        unit: Powers of base units.
+        values: On the grid, shape (n,).
+        degree: 2: it may be multiplied with others; 1: it stands alone.
+    """
+
+    unit: Unit
+    values: Array
+    degree: int = 2
+
+
+def quantities(flight: FlightModel) -> dict[str, Quantity]:
+    """By symbol; what the flight does not hold is left out."""
+    aligned, t = flight.aligned, flight.aligned.inputs.t_s
+    motion = aligned.motion
+    found = _of_rotors(flight)
+    if motion.velocity is not None and motion.attitude is not None:
+        q = list(motion.attitude.at(t).T)
+        speed = np.stack(to_body(q, list(motion.velocity.at(t).T)))
+        found |= {f"v_{a}": Quantity(SPEED, v) for a, v in zip("xyz", speed, strict=True)}
+        found["|v|"] = Quantity(SPEED, np.sqrt((speed**2).sum(axis=0)))
+    if motion.rates is not None:
+        rates = motion.rates.at(t).T
+        found |= {f"omega_{a}": Quantity(TURNING, r) for a, r in zip("xyz", rates, strict=True)}
+    if motion.attitude is not None:
+        q = list(motion.attitude.at(t).T)
+        for name, way in (("north", (1, 0, 0)), ("east", (0, 1, 0)), ("down", (0, 0, 1))):
+            along = to_body(q, [np.full(len(t), float(w)) for w in way])
+            for a, value in zip("xyz", along, strict=True):
+                found[f"{name}_{a}"] = Quantity(PLAIN, np.asarray(value), degree=1)
+    if motion.position is not None:
+        found["height"] = Quantity({"m": 1}, -motion.position.at(t)[:, 2])
+    if "vbat_v" in aligned.airframe.input_names and flight.flight.has("vbat_v"):
+        u = aligned.inputs.u[:, aligned.airframe.input_names.index("vbat_v")]
+        found["voltage"] = Quantity({"V": 1}, u)
+    found["time"] = Quantity({"s": 1}, t - t[0], degree=1)
+    return found
+
+
+def _of_rotors(flight: FlightModel) -> dict[str, Quantity]:
+    """Thrust over the weight, and commands over that of hover: whole, and front over rear, right
+    over left, clockwise over counter-clockwise."""
+    aligned, vehicle = flight.aligned, flight.vehicle
+    body, u = aligned.airframe, aligned.inputs.u
+    rotors = vehicle.rotors
+    y = body.outputs_along(aligned.states, u, {"ground.enabled": 0.0}).T
+    names = [f"thrust_{i + 1}" for i in range(rotors.count)]
+    weight = vehicle.mass_kg * GRAVITY_M_S2
+    thrust = y[[body.output_names.index(n) for n in names]] / weight
+    drives = [i for i, n in enumerate(body.input_names) if n.startswith(("cmd_", "rotor_"))]
+    level = hover_level(vehicle)
+    if not rotors.from_speed or body.input_names[drives[0]].startswith("rotor_"):
+        command = u[:, drives].T / level
+    else:
+        assert rotors.speed_rad_s is not None
+        grid = np.linspace(0, 1, 2001)
+        reached = np.polynomial.polynomial.polyval(grid, rotors.speed_rad_s)
+        command = u[:, drives].T / max(float(grid[int(np.argmin(np.abs(reached - level)))]), 1e-3)
+    place = rotors.position_m / vehicle.arm_m
+    found = {}
+    for stem, values, degree in (
+        ("thrust", thrust.sum(axis=0), 2),
+        ("command", command.mean(0), 1),
+    ):
+        found[stem] = Quantity(PLAIN, values, degree)
+    for side, sign in (("front", place[:, 0]), ("right", place[:, 1]), ("spin", rotors.direction)):
+        share = sign / max(float(np.abs(sign).sum()), 1e-9)
+        found[f"thrust_{side}"] = Quantity(PLAIN, rotors.count * share @ thrust)
+        found[f"command_{side}"] = Quantity(PLAIN, share @ command, degree=1)
+    return found
+
+
+def later(quantity: Quantity, by_s: float) -> Quantity:
+    """The same, late: what it was a while ago."""
+    shift = round(by_s * GRID_HZ)
+    values = np.concatenate([np.full(shift, quantity.values[0]), quantity.values[:-shift]])
+    return Quantity(quantity.unit, values, quantity.degree)
+
+
+RAISED = {2: "²", 3: "³", 4: "⁴"}
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A column of the regression.
+
+    Attributes:
+        text: "|v| v_x".
+        unit: Powers of base units.
+        values: On the grid, shape (n,).
+    """
+
+    text: str
+    unit: Unit
+    values: Array
+
+
+def terms(
+    known: Mapping[str, Quantity],
+    channel: str,
+    tones_hz: tuple[float, ...],
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> list[Term]:
+    """Everything up to products of two, laws of drag and tones that may explain a channel.
+
+    Args:
+        known: Quantities of a flight.
+        channel: See `model.model`.
+        tones_hz: Frequencies at which something may shake.
+        settings: How late turning rates are where they stand for a gyroscope.
+    """
+    axis, sensor = channel[-1], sensor_of(channel)
+    of_rates = sensor is not None and bool(sensor.rate_unit)
+    own = {
+        k: later(v, settings.own_noise_s) if k.startswith("omega_") and of_rates else v
+        for k, v in known.items()
+        if _may_explain(k, channel)
+    }
+    n = len(next(iter(known.values())).values)
+    found = [Term("1", PLAIN, np.ones(n))]
+    found += [Term(k, q.unit, q.values) for k, q in own.items()]
+    plain = [k for k, q in own.items() if q.degree > 1]
+    for a, b in combinations_with_replacement(plain, 2):
+        if (a, b) != ("|v|", "|v|"):  # the sum of three others
+            found.append(_product({a: 1, b: 1} if a != b else {a: 2}, own))
+    for k in (k for k in plain if k.startswith(("v_", "omega_"))):
+        size, unit = np.abs(own[k].values), own[k].unit
+        found.append(Term(f"max({k}, 0)", unit, np.maximum(own[k].values, 0.0)))
+        found.append(Term(f"|{k}| {k}", _times(unit, unit), size * own[k].values))
+    if f"v_{axis}" in own:
+        found.append(_product({"|v|": 2, f"v_{axis}": 1}, own))
+    t = own["time"].values
+    for hz in tones_hz:
+        for name, wave in (("sin", np.sin), ("cos", np.cos)):
+            found.append(Term(f"{name}(2π {hz:.4g} Hz t)", PLAIN, wave(2 * np.pi * hz * t)))
+    return found
+
+
+def _may_explain(symbol: str, channel: str) -> bool:
+    """Directions stand for what is fixed in space: a field; a force along its own axis."""
+    if symbol.partition("_")[0] not in ("north", "east", "down"):
+        return True
+    sensor = sensor_of(channel)
+    if sensor is None or sensor.fixed_in_space:
+        return sensor is not None
+    return sensor.group == BODY and not sensor.rate_unit and symbol[-1] == channel[-1]
+
+
+def _product(powers: Mapping[str, int], known: Mapping[str, Quantity]) -> Term:
+    values, unit = np.ones(1), PLAIN
+    for symbol, power in powers.items():
+        values = values * known[symbol].values ** power
+        for _ in range(power):
+            unit = _times(unit, known[symbol].unit)
+    text = " ".join(s + RAISED.get(p, "") for s, p in powers.items())
+    return Term(text, unit, values)
+
+
+def _times(a: Unit, b: Unit) -> Unit:
+    both = Counter(dict(a))
+    both.update(dict(b))
+    return {k: v for k, v in both.items() if v}
+
+
+def powers_of(unit: str) -> Unit:
+    """Powers of a unit such as "rad/s²"."""
+    raised = {mark: power for power, mark in RAISED.items()}
+    above, _, below = unit.partition("/")
+    found: dict[str, int] = {}
+    for symbols, sign in ((above, 1), (below, -1)):
+        for symbol in symbols.split():
+            power = raised.get(symbol[-1], 1)
+            found[symbol if power == 1 else symbol[:-1]] = sign * power
+    return found
+
+
+def over(channel: Unit, term: Unit) -> str:
+    """Unit of what stands before a term: "1/m", "rad s", "1"."""
+    powers = _times(channel, {k: -v for k, v in term.items()})
+    above, below = (
+        " ".join(k + RAISED.get(abs(v), "") for k, v in powers.items() if v * sign > 0)
+        for sign in (1, -1)
+    )
+    if " " in below:
+        below = f"({below})"
+    return f"{above or '1'}/{below}" if below else above or "1"
+
+
+RIDGE = 1e-6
+"""Share of the power of a column that is added, so that no combination of columns vanishes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sparse:
+    """An equation of one channel.
+
+    Attributes:
+        picked: Columns, in the order of what they explain.
+        coefficients: Of these, shape (k,).
+        by_fold: The same fitted without each part of the time, shape (folds, p).
+        gains: Log likelihood per block of time, out of sample.
+    """
+
+    picked: tuple[int, ...]
+    coefficients: Array
+    by_fold: Array
+    gains: Mapping[Key, float]
+
+    @property
+    def gain(self) -> float:
+        """Over all blocks."""
+        return sum(self.gains.values())
+
+
+def fold_of(
+    keys: Sequence[Key], seed: int, settings: UnnamedSettings = DEFAULT.unnamed
+) -> dict[Key, int]:
+    """Which part of the time each block belongs to."""
+    order = np.random.default_rng(seed).permutation(len(keys))
+    return {keys[i]: int(n) % settings.folds for n, i in enumerate(order)}
+
+
+def sparse(
+    blocks: Mapping[Key, Block],
+    folds: Mapping[Key, int],
+    settings: UnnamedSettings = DEFAULT.unnamed,
+) -> Sparse | None:
+    """The best equation of up to `most_terms` terms; None where none gains anything.
+
+    Args:
+        blocks: Whitened sums of a channel over its candidate columns.
+        folds: Part of the time of each block.
+        settings: How many terms, and their price.
+    """
+    whole, most = _whole(blocks), settings.most_terms
+    size = _size(whole)
+    parts = [
+        _sum([b for k, b in blocks.items() if folds[k] == f], len(size))
+        for f in range(settings.folds)
+    ]
+    paths = []
+    for part in parts:
+        rest = Block(whole.gram - part.gram, whole.pull - part.pull, whole.power - part.power)
+        paths.append(_path(rest, size, most))
+    totals = []
+    for n in range(most + 1):
+        gains = [_gain(part, path[n]) for part, path in zip(parts, paths, strict=True)]
+        totals.append(sum(gains) - settings.per_term * n)
+    best = max(totals)
+    if best <= 0:
+        return None
+    n = next(i for i, total in enumerate(totals) if total >= settings.most_of_it * best)
+    by_fold = np.stack([path[n] for path in paths])
+    final = _path(whole, size, most)[n]
+    picked = np.flatnonzero(final)
+    order = picked[np.argsort(-np.abs(final[picked] * size[picked]))]
+    return Sparse(
+        tuple(int(i) for i in order),
+        final[order],
+        by_fold,
+        {k: _gain(b, by_fold[folds[k]]) for k, b in blocks.items()},
+    )
+
+
+def longest(blocks: Mapping[Key, Block], settings: UnnamedSettings = DEFAULT.unnamed) -> Array:
+    """Coefficients of the equation with `most_terms` terms, fitted to everything, shape (p,)."""
+    whole, most = _whole(blocks), settings.most_terms
+    return _path(whole, _size(whole), most)[most]
+
+
+def _size(block: Block) -> Array:
+    """Root of the power of each column."""
+    return np.sqrt(np.maximum(np.diag(block.gram), 1e-300))
+
+
+def _whole(blocks: Mapping[Key, Block]) -> Block:
+    """Sums over all time."""
+    every = list(blocks.values())
+    return _sum(every, len(every[0].pull))
+
+
+def _sum(blocks: Sequence[Block], p: int) -> Block:
+    """Sums over some blocks of `p` columns."""
+    gram, pull = np.zeros((p, p)), np.zeros(p)
+    for b in blocks:
+        gram, pull = gram + b.gram, pull + b.pull
+    return Block(gram, pull, sum(b.power for b in blocks))
+
+
+def _gain(block: Block, coefficients: Array) -> float:
+    return float(block.pull @ coefficients - 0.5 * coefficients @ block.gram @ coefficients)
+
+
+def forward(gram: Array, pull: Array, most: int) -> IntArray:
+    """Columns by what each explains beside those before it, the most first, shape (most,) or (p,).
+
+    What the columns picked so far leave of the power and of the pull of each is told by the sums
+    alone: picking is a Cholesky factorisation with pivots.
+
+    Args:
+        gram: Sums of products of the columns, shape (p, p).
+        pull: Sums of their products with what is to be explained, shape (p,).
+        most: How many are picked.
+    """
+    p = len(pull)
+    power, left = np.diag(gram).copy(), pull.copy()
+    factors, order = np.zeros((0, p)), np.zeros(0, dtype=np.intp)
+    for _ in range(min(most, p)):
+        explained = np.divide(left**2, power, out=np.zeros(p), where=power > 0)
+        explained[order] = -1.0
+        best = int(np.argmax(explained))
+        factor = (gram[best] - factors.T @ factors[:, best]) / np.sqrt(power[best])
+        left = left - factor * left[best] / np.sqrt(power[best])
+        power = power - factor**2
+        factors, order = np.vstack([factors, factor]), np.append(order, best)
+    return order
+
+
+def _path(block: Block, size: Array, most: int) -> list[Array]:
+    """Coefficients with 0, 1, ... `most` terms, each of shape (p,)."""
+    p = len(size)
+    gram = block.gram / np.outer(size, size) + RIDGE * np.eye(p)
+    pull = block.pull / size
+    order = forward(gram, pull, most)
+    path = []
+    for n in range(most + 1):
+        picked = np.sort(order[:n])
+        coefficients = np.zeros(p)
+        chosen = np.ix_(picked, picked)
+        coefficients[picked] = np.linalg.solve(gram[chosen], pull[picked]) / size[picked]
+        path.append(coefficients)
+    return path

@@ -1,1 +1,0 @@
-"""Something outside the library: equations for what no effect explains."""
