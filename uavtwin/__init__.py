@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .fleets.result import FleetResult
     from .flights import read_flights
     from .gaps import GapResult, gap
-    from .learned import evaluate, generate, train
+    from .learned import evaluate, train
     from .run import Run, simulate
     from .sweeps.result import SweepResult
     from .sweeps.sweep import sweep
@@ -69,7 +69,6 @@ __all__ = [
     "export",
     "fleet",
     "gap",
-    "generate",
     "learned_force",
     "load_vehicle",
     "mission_names",
@@ -113,7 +112,6 @@ _HOME = {
     "export": "uavtwin.exports.write",
     "fleet": "uavtwin.fleets.fleet",
     "gap": "uavtwin.gaps",
-    "generate": "uavtwin.learned",
     "learned_force": "uavtwin.exports.parts",
     "load_vehicle": "uavtwin.vehicles",
     "mission_names": "twin.flight.mission",

@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
     from .force.evaluate import ForceEvaluation
     from .sensors.evaluation import Evaluation
-    from .sensors.generated import GeneratedEvaluation
     from .vehicles import Vehicle as OwnVehicle
 
 Progress = Callable[[float], None]
@@ -120,12 +119,12 @@ def train(
         vehicle: Whose twin is to be corrected.
         folder: To write the model into.
         model: `svq`: ours, taken where nothing is said; `linear`: no network; `trivial`; or a
-            system of the paper's comparison, such as `cvae`: docs/guide/compensator.md.
+            system of the paper's comparison, such as `cvae`, from a source checkout.
         preset: Of the model; of `svq` `best`: ours, `paper`: the paper's text, `published`: its
             code.
         protocol: `force`: force and moment inside the equations. Of the sensors: `track`: it sees
             residuals as old as the horizon; `free`: none; `reconstruct`: the present one;
-            `generate`: none, it draws what might have been.
+            `generate`: none, it draws what might have been (from a source checkout).
         horizon: Of `track`, samples.
         rate_hz: Samples per second: 1000 over an integer.
         epochs: Default: the preset's; none for a preset in closed form.
@@ -290,7 +289,7 @@ def _force_training(
 
 def write_measured_card(
     model: Path,
-    found: "Evaluation | ForceEvaluation | GeneratedEvaluation",
+    found: "Evaluation | ForceEvaluation",
     flights: Sequence[Flight],
     folder: Path,
 ) -> str:
@@ -332,7 +331,7 @@ def evaluate(
     explained: Vehicle | None = None,
     physics: Vehicle | None = None,
     progress: Progress = lambda _: None,
-) -> "Evaluation | ForceEvaluation | GeneratedEvaluation":
+) -> "Evaluation | ForceEvaluation":
     """Measure a compensator on other flights, beside trivial baselines.
 
     Args:
@@ -361,24 +360,6 @@ def evaluate(
     _refuse("physics", physics, "a compensator of the sensors: give the vehicle as explained")
     other = None if explained is None else checked_vehicle(explained, "evaluate")
     return evaluate_model(folder, several, other, progress)
-
-
-def generate(model: TrainResult | str | Path, mission: str = "hover", *, seed: int = 0) -> Flight:
-    """Fly a mission with the twin, and draw what its sensors would have read besides.
-
-    Args:
-        model: What `train(..., protocol="generate")` returned, or the folder that it wrote.
-        mission: Name of the mission.
-        seed: Of the draws: the same one, the same bytes.
-
-    Raises:
-        TwinError: The extra `learn` is not installed, the folder holds no model that draws, or
-            there is no such mission.
-    """
-    folder = model.folder if isinstance(model, TrainResult) else Path(model)
-    with extra_learn():
-        from .sensors.generated import generated_flight
-    return generated_flight(folder, mission, seed)
 
 
 def _refuse(name: str, given: Vehicle | None, model: str) -> None:

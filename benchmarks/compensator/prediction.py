@@ -30,6 +30,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from benchmarks.paper.generated import evaluate_generated, fit_recording
+from benchmarks.paper.innovations import fit_generators
 from learning.data.channels import CHANNELS, GROUPS
 from learning.data.flights import (
     DEFAULT_RATE_HZ,
@@ -38,13 +40,10 @@ from learning.data.flights import (
     restart_before_s,
 )
 from learning.data.scaling import in_spans
-from learning.evaluation.generating import evaluate_generated
 from learning.evaluation.protocols import WHOLE, Task, evaluate, pooled
 from learning.export.write import export_onnx
 from learning.model.compensator import LINEAR_PART, Compensator
 from learning.model.corrected import Model
-from learning.model.generator import fit_generators
-from learning.model.recording import fit_recording
 from learning.preset import BEST, Preset, Protocol
 from learning.training.train import train
 from twin.explain.explanation import explain

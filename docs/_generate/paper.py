@@ -21,20 +21,22 @@ sys.path.insert(
     0, str(Path(__file__).parents[2])
 )  # benchmarks are no part of the installed package
 
-from benchmarks.compensator import edge, paper
-from benchmarks.compensator.mission_figures import best_systems, improvements, timelines
-from benchmarks.compensator.missions import real_missions, simulated_missions
-from benchmarks.compensator.paper_figures import (
+from benchmarks.paper import comparison as paper
+from benchmarks.paper import edge
+from benchmarks.paper.edge import usage, usage_figure
+from benchmarks.paper.figures import (
     Figures,
     Said,
+    best_systems,
     by_sensor,
     by_share,
     comparison,
     figures_page,
+    improvements,
+    timelines,
 )
-from benchmarks.compensator.trainings import pack_scores, run_all, unpack_scores
-from benchmarks.compensator.usage import usage, usage_figure
-from learning.data.paper_tables import paper_flights
+from benchmarks.paper.missions import real_missions, simulated_missions
+from benchmarks.paper.trainings import pack_scores, paper_flights, run_all, unpack_scores
 from learning.devices import device_named
 from learning.preset import BEST, PAPER
 

@@ -63,7 +63,7 @@ class Task:
         if self.protocol not in ("reconstruct", "track", "free"):
             raise ModelError(
                 f"protocol {self.protocol!r}: choose reconstruct, track or free; generated "
-                f"signals are scored by learning.evaluation.generating."
+                f"signals are scored by benchmarks.paper.generated."
             )
         if (self.horizon >= 1) != (self.protocol == "track"):
             raise ModelError(

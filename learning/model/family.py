@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..data.flights import ResidualFlight
 from ..preset import Protocol
-from .corrected import Corrected, Model
+from .corrected import Corrected
 from .info import ModelInfo
 
 Progress = Callable[[float, float | None], None]
@@ -61,14 +61,6 @@ class TrainedModel(Interface):
 
     def details(self) -> Mapping[str, Any]:
         """What the family adds to `model.json`; JSON content."""
-        ...
-
-
-class Draws(Interface):
-    """A model that draws what might have been, of a seed."""
-
-    def with_seed(self, seed: int) -> Model:
-        """The same with these draws; it sees phases and span limits, and no measurement."""
         ...
 
 

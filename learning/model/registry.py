@@ -1,9 +1,11 @@
 """The families of compensators: one row each; `train`, `evaluate` and the folder go by this table.
 
-A family is a member of `learning.families` with its preset, and its row here. Nothing is imported
-before it is used.
+A family is a class in `learning.families` with its presets, and its row here. Nothing is imported
+before it is used. The systems of the paper's comparison have their rows in `benchmarks.paper`,
+which is part of the source checkout and of no wheel.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
@@ -25,7 +27,7 @@ class FamilyRow:
         meaning: What its models are, in a line.
         presets: Names of its presets, no two families have one in common.
         onnx: Whether its models are exported as `model.onnx`, and so as FMUs.
-        member: `MODULE:CLASS` below `learning`, imported when used.
+        member: `MODULE:CLASS`, imported when used.
         otherwise: Preset where nobody says, "": the first.
     """
 
@@ -43,14 +45,7 @@ class FamilyRow:
 
     def load(self) -> "Family[Any, Any]":
         """The family itself."""
-        module, _, name = self.member.partition(":")
-        family = getattr(import_module(f"..{module}", __package__), name)
-        return cast("Family[Any, Any]", family())
-
-
-def _system(name: str, kind: str, meaning: str) -> FamilyRow:
-    """A system of the paper's comparison; its preset is called as it is."""
-    return FamilyRow(name, meaning, (name,), onnx=False, member=f"systems.{name}:{kind}Family")
+        return cast("Family[Any, Any]", _member(self.member)())
 
 
 FAMILIES: tuple[FamilyRow, ...] = (
@@ -59,7 +54,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
         meaning="FC-MC-SVQ network over the linear prediction",
         presets=("paper", "published", "best"),
         onnx=True,
-        member="families.svq:Svq",
+        member="learning.families.svq:Svq",
         otherwise="best",
     ),
     FamilyRow(
@@ -67,7 +62,7 @@ FAMILIES: tuple[FamilyRow, ...] = (
         meaning="the linear prediction alone: what the network has to beat",
         presets=("linear",),
         onnx=False,
-        member="families.linear:Linear",
+        member="learning.families.linear:Linear",
     ),
     FamilyRow(
         name="trivial",
@@ -83,62 +78,59 @@ FAMILIES: tuple[FamilyRow, ...] = (
             "linear-in-inputs",
         ),
         onnx=False,
-        member="families.trivial:Trivial",
+        member="learning.families.trivial:Trivial",
     ),
-    FamilyRow(
-        name="innovations",
-        meaning="autoregression driven by what it cannot say; it draws and corrects nothing",
-        presets=("ar-codebook", "ar-gaussian", "white-noise"),
-        onnx=False,
-        member="families.innovations:Innovations",
-    ),
-    _system("cvae", "Cvae", "a Gaussian latent per sample, given the phase"),
-    _system("vqvae", "VqVae", "one hard codebook for all channels"),
-    _system("wgan", "Wgan", "a generator with noise against a critic, no reconstruction term"),
-    _system("tsgan", "TsGan", "noise and phase to a spectrogram, that to a series"),
-    _system("vqgan", "VqGan", "`vqvae` with a patch critic"),
-    _system("cgan", "Cgan", "LSTM generator and discriminator, after the one-line description"),
-    _system("mrgan", "MrGan", "a frozen regression guides `cgan`, after the one-line description"),
-    _system(
-        "vqwwvae",
-        "VqwwVae",
-        "`vqvae` with a Wasserstein loss per channel, after the one-line description",
-    ),
-    _system(
-        "tdm",
-        "Tdm",
-        "diffusion, 50 cosine steps, gated convolutions, after the one-line description",
-    ),
-    _system(
-        "timeddpm", "TimeDdpm", "diffusion, 100 linear steps, U-Net, after the one-line description"
-    ),
-    _system("autofiltervq", "AutoFilterVq", "learned filters before a soft codebook"),
-    _system(
-        "contrastvq", "ContrastVq", "a soft codebook, and latents that know their window again"
-    ),
-    _system("mcvq", "McVq", "slow and fast part with a soft codebook each"),
 )
 UNSAID = "svq"
 """Family of a folder from before there were others, and of whom nobody says it."""
-_ONCE = {"fc_mc_svq": "svq"}
-"""Names that families had before."""
+CHECKOUT = "benchmarks.paper.families:ROWS"
+"""Rows of the paper's comparison."""
+
+
+def _member(path: str) -> Any:
+    """The object of `MODULE:NAME`."""
+    module, _, name = path.partition(":")
+    return getattr(import_module(module), name)
+
+
+def families() -> tuple[FamilyRow, ...]:
+    """`FAMILIES`, and those of the paper's comparison where their checkout can be imported."""
+    try:
+        return (*FAMILIES, *_member(CHECKOUT))
+    except ModuleNotFoundError as error:
+        if error.name not in ("benchmarks", "benchmarks.paper"):
+            raise
+        return FAMILIES
 
 
 def family_row(name: str) -> FamilyRow:
-    """The family of that name."""
-    for row in FAMILIES:
-        if row.name == _ONCE.get(name, name):
-            return row
-    raise ModelError(f"no family {name!r}; there are {', '.join(r.name for r in FAMILIES)}")
+    """The family of that name.
+
+    Raises:
+        ModelError: There is none; a system of the paper's comparison needs the source checkout.
+    """
+    rows = {row.name: row for row in families()}
+    if name not in rows:
+        raise ModelError(f"no family {name!r}; there are {', '.join(rows)}{_elsewhere(rows)}")
+    return rows[name]
+
+
+def _elsewhere(rows: Collection[str]) -> str:
+    """Where further families are, if not all of them are here."""
+    if len(rows) > len(FAMILIES):
+        return ""
+    return "; systems of the paper's comparison come with the source checkout (benchmarks/paper)"
 
 
 def preset_named(name: str) -> "tuple[FamilyRow, FamilyPreset]":
     """The family that has a preset of that name, and the preset."""
-    for row in FAMILIES:
+    rows = families()
+    for row in rows:
         if name in row.presets:
             return row, row.load().presets()[name]
-    known = (p for row in FAMILIES for p in row.presets)
-    raise ModelError(f"no preset {name!r}; there are {', '.join(known)}")
+    known = ", ".join(p for row in rows for p in row.presets)
+    here = [row.name for row in rows]
+    raise ModelError(f"no preset {name!r}; there are {known}{_elsewhere(here)}")
 
 
 def chosen(model: str | None, preset: str | None) -> "tuple[FamilyRow, FamilyPreset]":

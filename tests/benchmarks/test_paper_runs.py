@@ -14,38 +14,36 @@ import torch
 from learning_rigs.compensator_rig import tiny
 from places import ROOT
 
-from benchmarks.compensator import edge, paper
-from benchmarks.compensator.mission_figures import (
-    best_systems,
-    improvements,
-    removed,
-    timelines,
-)
-from benchmarks.compensator.missions import real_missions, simulated_missions
-from benchmarks.compensator.paper_figures import (
+from benchmarks.paper import comparison as paper
+from benchmarks.paper import edge
+from benchmarks.paper.edge import export_system, untrained_system, usage, usage_figure
+from benchmarks.paper.figures import (
     Said,
+    best_systems,
     by_share,
     comparison,
     error_distributions,
     figures_page,
+    improvements,
+    removed,
+    timelines,
 )
-from benchmarks.compensator.trainings import (
+from benchmarks.paper.missions import real_missions, simulated_missions
+from benchmarks.paper.trainings import (
     METRICS,
     RECORDING,
     Run,
     drawn_scores,
     pack_scores,
+    paper_flights,
     run_all,
     said_by,
     scores,
     shortened,
     unpack_scores,
 )
-from benchmarks.compensator.usage import usage, usage_figure
 from learning.data.channels import GROUPS, N_PHASES
-from learning.data.paper_tables import paper_flights
 from learning.export.step import streaming_model
-from learning.export.system import export_system, untrained_system
 from learning.model.compensator import ModelInfo, untrained_compensator
 from learning.model.folder import write_json
 from learning.model.registry import family_row, preset_named

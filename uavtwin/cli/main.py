@@ -29,7 +29,6 @@ from .explain import explain
 from .export import export
 from .fleet import fleet
 from .gap import gap
-from .generate import generate
 from .hil import hil
 from .live import live
 from .options import Exit
@@ -61,7 +60,7 @@ _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 another order and end in other bits; one is as fast for matrices of this size."""
 VERBS = (
     *(check, convert, gap, calibrate, explain, demo, export, simulate, sweep, fleet, query),
-    *(live, replay, hil, train, evaluate, generate, bench, version),
+    *(live, replay, hil, train, evaluate, bench, version),
 )
 
 app = typer.Typer(

@@ -20,9 +20,8 @@ Protocol = Literal["force", "reconstruct", "track", "free", "generate"]
 ModelName = Annotated[
     str | None,
     typer.Option(
-        help="svq: ours; linear: no network; trivial; or a system of the paper's comparison: "
-        "cvae, vqvae, wgan, tsgan, vqgan, cgan, mrgan, vqwwvae, tdm, timeddpm, autofiltervq, "
-        "contrastvq, mcvq. Default: that of the preset, or svq."
+        help="svq: ours; linear: no network; trivial; from a source checkout also the systems of "
+        "the paper's comparison, such as cvae. Default: that of the preset, or svq."
     ),
 ]
 PresetName = Annotated[
@@ -44,7 +43,7 @@ def train(
         typer.Option(
             help="force: force and moment inside the equations. Of the sensors: track: it sees "
             "residuals as old as the horizon; free: none; reconstruct: the present one, for "
-            "comparison with the paper; generate: none, it draws what might have been."
+            "comparison with the paper; generate: none, it draws (from a source checkout)."
         ),
     ] = "track",
     horizon: Annotated[

@@ -6,8 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.residuals.spectra import spectrum
-
 from ..formatting import pretty_unit
 from .drawing import Budget, Panels, thinned
 from .page import BLACK, BLUE, GREY, ORANGE, Figure
@@ -108,33 +106,6 @@ def correction_figure(
         left = lines["measured"] - lines[line]
         panels.series(axes, t_s, left, f"measured - {line}", style, budget.columns)
     panels.look(float(t_s[0]), float(t_s[-1]), ())
-    return panels.figure
-
-
-def spectra_figure(
-    names: Sequence[str], t_s: Array, lines: Mapping[str, Array], budget: Budget
-) -> Figure:
-    """Power spectra of several signals, a panel per channel.
-
-    Args:
-        names: Of the channels.
-        t_s: Times of the samples, shape (n,).
-        lines: By name, shape (n, channels).
-        budget: Of the page.
-    """
-    panels = Panels((150,) * len(names))
-    for i, name in enumerate(names):
-        last = i == len(names) - 1
-        along = {"type": "log", "dtick": 1}
-        if last:
-            along["title"] = {"text": "frequency, Hz"}
-        axes = panels.add(f"{name}: PSD", along, {"type": "log", "exponentformat": "power"})
-        for (line, values), colour in zip(lines.items(), (BLACK, ORANGE), strict=True):
-            found = spectrum(t_s, values[:, i])
-            keep = (found.f_hz > 0) & (found.psd > 0)
-            f, psd = np.log10(found.f_hz[keep]), np.log10(found.psd[keep])
-            f, psd = thinned(f, psd, budget.spectrum)
-            panels.line(axes, 10**f, 10**psd, line, {"color": colour, "width": 1.2})
     return panels.figure
 
 

@@ -35,7 +35,6 @@ from ..report.page import Plot, plot, render
 from ..series.files import CORRECTED, EXPLAINED, SPREAD, TWIN, Column, Series, compared
 from ..series.files import MODEL as OF_MODEL
 from .compiled import compiled_compensator
-from .generated import GeneratedEvaluation, evaluate_drawn
 from .training import RESIDUALS, VEHICLE_FILE
 
 MODEL = "model"
@@ -124,11 +123,8 @@ def _series(found: Evaluation, i: int) -> Series:
 
 def evaluate_model(
     folder: Path, given: Sequence[Flight], explained: Vehicle | None, progress: Progress
-) -> Evaluation | GeneratedEvaluation:
+) -> Evaluation:
     """Compare, correct and score; what corrects is the exported FMU, where the family has one.
-
-    What a model of the protocol `generate` draws corrects nothing, and is held against the flights
-    by distribution and spectrum.
 
     Args:
         folder: That `train` wrote.
@@ -137,16 +133,22 @@ def evaluate_model(
         progress: Called with the share done.
 
     Raises:
-        TwinError: The folder is no model, a flight was trained on or cannot be compared.
+        TwinError: The folder is no model or one that corrects nothing, a flight was trained on or
+            cannot be compared.
     """
     model = load(folder)
     train = read_residuals(folder / RESIDUALS)
     vehicle = load_vehicle(folder / VEHICLE_FILE)
     check_names(given)
-    _check_new(given, folder, model)
+    check_new(given, folder, model)
     if model.info.channels != SENSORS:
         raise TwinError(
             f"{folder}: is the network of a learned force; evaluate the folder above it."
+        )
+    if model.info.protocol == "generate":
+        raise TwinError(
+            f"{folder}: draws signals and corrects nothing. In a source checkout `python -m "
+            "benchmarks.paper.generated evaluate` compares its draws with flights."
         )
     vehicles = [vehicle] if explained is None else [vehicle, explained]
     residuals: list[list[ResidualFlight]] = [[] for _ in vehicles]
@@ -162,8 +164,6 @@ def evaluate_model(
             found.append(residual_flight(flight, each, rate_hz, before_s, share))
             done += 1
     flights = residuals[0]
-    if model.info.protocol == "generate":
-        return evaluate_drawn(model, train, flights)
     compiled = (folder / FILE).is_file()
     if compiled:
         with compiled_compensator(folder) as fmu:
@@ -198,8 +198,8 @@ class _Said:
         return self.corrected[flight.name]
 
 
-def _check_new(flights: Sequence[Flight], folder: Path, model: TrainedModel) -> None:
-    """Refuse flights of the training, whatever they are called now."""
+def check_new(flights: Sequence[Flight], folder: Path, model: TrainedModel) -> None:
+    """Raise TwinError where a flight is one of the training, whatever its name is now."""
     trained = {said["log_sha256"]: said["name"] for said in model.info.flights}
     for flight in flights:
         if (name := trained.get(flight.fingerprint)) is not None:

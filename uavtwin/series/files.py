@@ -38,17 +38,13 @@ Array = NDArray[np.float64]
 """Nanoseconds in a second."""
 BLOCK_ROWS = 1 << 16
 """Rows that are put together at a time."""
-MEASURED, TWIN, EXPLAINED, CORRECTED, DRAWN = (
-    *("measured", "twin", "explained", "corrected"),
-    "drawn",
-)
+MEASURED, TWIN, EXPLAINED, CORRECTED = (*("measured", "twin", "explained", "corrected"),)
 SPREAD, MODEL = "spread", "model"
 SIDES: Mapping[str, tuple[str, str]] = {
     MEASURED: ("gap, explain, evaluate", "of the flight, filtered as the twin's"),
     TWIN: ("gap, explain, evaluate", "of the vehicle that was given, on the flight's commands"),
     EXPLAINED: ("explain, evaluate", "of the vehicle with the named effects"),
     CORRECTED: ("evaluate", "of the twin with the compensator, or with the learned force"),
-    DRAWN: ("evaluate", "of the twin with one draw of a model of the protocol `generate`"),
     "residual": ("gap, explain, evaluate", "`measured` minus `twin`"),
     "residual_SIDE": (
         "explain, evaluate",
@@ -165,7 +161,7 @@ def compared(
 # Series as MCAP: a topic per side, a field per channel.
 
 _BLOCK_ROWS = 1 << 12
-PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED, DRAWN)
+PLACED = (MEASURED, TWIN, EXPLAINED, CORRECTED)
 """Sides that are somewhere; the others are differences and spreads."""
 
 

@@ -19,7 +19,14 @@ from learning.model.baselines import fit_baselines
 from learning.model.compensator import Compensator
 from learning.model.family import TrainedModel, TrainingTask
 from learning.model.folder import MODEL, WEIGHTS, load, save
-from learning.model.registry import FAMILIES, FamilyRow, check_preset, family_row, preset_named
+from learning.model.registry import (
+    FAMILIES,
+    FamilyRow,
+    check_preset,
+    families,
+    family_row,
+    preset_named,
+)
 from learning.preset import PRESETS, PROTOCOLS, Protocol
 from learning.training.fit import fit_model
 from twin.errors import ModelError
@@ -27,9 +34,8 @@ from twin.errors import ModelError
 HORIZONS = {"reconstruct": 0, "track": 2, "free": 0, "generate": 0}
 FLIGHTS = [made_up(0, every=3), made_up(1, every=3)]
 AWAY = made_up(2, every=3)
-NAMES = [row.name for row in FAMILIES]
-SLOWEST = ("tdm", "timeddpm")
-"""They draw step by step: half of the time of all these tests. One protocol stands for theirs."""
+ROWS = families()
+NAMES = [row.name for row in ROWS]
 LARGEST_WIDTH = 64
 """Presets with more units than that are left to the benchmarks."""
 
@@ -41,15 +47,18 @@ def quick(preset: Any) -> Any:
 
 
 def cases() -> list[Any]:
-    """Every preset that is quick enough under each of its protocols."""
+    """Every preset that is quick enough under each of its protocols.
+
+    One protocol of each system of the paper's comparison; the others take long.
+    """
     found = []
-    for row in FAMILIES:
+    for row in ROWS:
         family = row.load()
         for preset in map(quick, family.presets().values()):
             if max(getattr(preset, "encoder_units", (0,))) <= LARGEST_WIDTH:
                 for number, protocol in enumerate(family.protocols(preset)):
                     name = f"{row.name}-{preset.name}-{protocol}"
-                    marks = [pytest.mark.long] if row.name in SLOWEST and number else []
+                    marks = [pytest.mark.long] if row not in FAMILIES and number else []
                     found.append(pytest.param(row, preset, protocol, id=name, marks=marks))
     return found
 
@@ -133,7 +142,7 @@ def test_a_model_is_finite_and_sees_what_it_may(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
+@pytest.mark.parametrize("row", ROWS, ids=NAMES)
 def test_other_flights_are_refused(row: FamilyRow, once: Trained) -> None:
     family = row.load()
     preset = quick(next(iter(family.presets().values())))
@@ -145,7 +154,7 @@ def test_other_flights_are_refused(row: FamilyRow, once: Trained) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
+@pytest.mark.parametrize("row", ROWS, ids=NAMES)
 def test_what_is_exported_is_what_the_row_says(
     row: FamilyRow, once: Trained, tmp_path: Path
 ) -> None:

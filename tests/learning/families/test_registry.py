@@ -12,17 +12,20 @@ import pytest
 
 import learning
 from learning.model.family import Family
-from learning.model.registry import FAMILIES, FamilyRow, preset_named
+from learning.model.registry import FAMILIES, FamilyRow, families, family_row, preset_named
+from twin.errors import ModelError
 
-NAMES = [row.name for row in FAMILIES]
+ROWS = families()
+ROOT = Path(str(learning.__file__)).parents[1]
+NAMES = [row.name for row in ROWS]
 
 
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
+@pytest.mark.parametrize("row", ROWS, ids=NAMES)
 def test_the_member_of_every_row_is_there(row: FamilyRow) -> None:
     module, _, name = row.member.partition(":")
-    path = Path(str(learning.__file__)).parent / f"{module.replace('.', '/')}.py"
+    path = ROOT / f"{module.replace('.', '/')}.py"
     assert path.is_file(), f"{row.name!r} names {row.member}: there is no {path.name}"
-    kind = getattr(import_module(f"learning.{module}"), name, None)
+    kind = getattr(import_module(module), name, None)
     assert kind is not None, f"{row.name!r}: {path.name} has no class {name}"
     assert issubclass(kind, Family), f"{row.name!r}: {name} is no Family"
     lacking = ", ".join(sorted(kind.__abstractmethods__))
@@ -30,18 +33,19 @@ def test_the_member_of_every_row_is_there(row: FamilyRow) -> None:
 
 
 def test_every_family_has_a_row() -> None:
-    """A family is a class in `learning/families` with `Family[...]` among its bases."""
+    """A family is a class in `learning` with `Family[...]` among its bases."""
     found = set()
-    for path in (Path(str(learning.__file__)).parent / "families").glob("*.py"):
+    for path in (ROOT / "learning").rglob("*.py"):
+        module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
         for node in ast.parse(path.read_text("utf-8")).body:
             bases = [ast.unparse(b) for b in node.bases] if isinstance(node, ast.ClassDef) else []
             if isinstance(node, ast.ClassDef) and any(b.startswith("Family[") for b in bases):
-                found.add(f"families.{path.stem}:{node.name}")
+                found.add(f"{module}:{node.name}")
     forgotten = sorted(found - {row.member for row in FAMILIES})
     assert not forgotten, f"in no row of learning/model/registry.py: {', '.join(forgotten)}"
 
 
-@pytest.mark.parametrize("row", FAMILIES, ids=NAMES)
+@pytest.mark.parametrize("row", ROWS, ids=NAMES)
 def test_the_row_names_the_presets(row: FamilyRow) -> None:
     presets = row.load().presets()
     assert tuple(presets) == row.presets, f"{row.name!r} has the presets {', '.join(presets)}"
@@ -53,13 +57,13 @@ def test_the_row_names_the_presets(row: FamilyRow) -> None:
 
 
 def test_names_are_those_of_one_family() -> None:
-    presets = [p for row in FAMILIES for p in row.presets]
+    presets = [p for row in ROWS for p in row.presets]
     assert len(set(NAMES)) == len(NAMES) and len(set(presets)) == len(presets)
 
 
 def test_the_registry_imports_no_family() -> None:
     code = (
-        "import sys; from learning.model.registry import FAMILIES\n"
+        "import sys; from learning.model.registry import families; families()\n"
         "print([m for m in sys.modules if m == 'torch' or m.startswith('learning.families')])"
     )
     said = subprocess.run(
@@ -67,6 +71,18 @@ def test_the_registry_imports_no_family() -> None:
         capture_output=True,
         text=True,
         check=True,
-        env={**os.environ, "PYTHONPATH": str(Path(str(learning.__file__)).parents[1])},
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert said.stdout == "[]\n"
+
+
+def test_without_the_checkout_its_families_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installed wheel has no `benchmarks`."""
+    monkeypatch.setitem(sys.modules, "benchmarks", None)
+    for name in [m for m in sys.modules if m.startswith("benchmarks.")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert families() == FAMILIES
+    with pytest.raises(ModelError, match=r"no family 'cvae'; there are svq.*source checkout"):
+        family_row("cvae")
+    with pytest.raises(ModelError, match=r"no preset 'cvae'; there are paper.*source checkout"):
+        preset_named("cvae")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.paper.system import SystemModel
 from learning.data.flights import ResidualFlight
 from learning.model.family import TrainingTask
-from learning.model.generative import SystemModel
 from learning.model.registry import family_row
 from learning.preset import Protocol
 from learning.training.fit import fit_model

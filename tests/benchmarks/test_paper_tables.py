@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from benchmarks.paper.trainings import RATE_HZ, paper_flights
 from learning.data.channels import CHANNELS, PHASE_CODES
-from learning.data.paper_tables import RATE_HZ, paper_flights
 from twin.errors import LogError
 
 _COLUMNS = [

@@ -8,11 +8,11 @@ import pytest
 import torch
 from learning_rigs.system_rig import PHASES, SYSTEMS, known, small
 
+from benchmarks.paper.families import SYSTEMS as ROWS
+from benchmarks.paper.system import Batch, SystemModel
 from learning.data.flights import ResidualFlight
 from learning.evaluation.metrics import wasserstein
-from learning.model.generative import SystemModel
-from learning.model.registry import FAMILIES, family_row
-from learning.systems.system import Batch
+from learning.model.registry import family_row
 from twin.errors import ModelError
 
 AWAY = known(9)
@@ -39,8 +39,9 @@ AUTOENCODERS = [
     for n in SYSTEMS
     if family_row(n).load().system.autoencoder  # type: ignore[attr-defined]
 ]
-DIFFUSING = ("tdm", "timeddpm")
-"""They take three times as long as the others."""
+SMOKE = "cvae"
+"""Learns and draws in every run; the others, which take minutes, in `make test-long`. That each is
+trained, stored and read is in `tests/learning/families`."""
 BY_CRITIC = ("wgan", "tsgan")
 """Without a term that says how far off a residual is."""
 
@@ -57,7 +58,7 @@ def model(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 @pytest.mark.parametrize(
     "model",
     [
-        pytest.param(n, marks=pytest.mark.long) if n in DIFFUSING else n
+        n if n == SMOKE else pytest.param(n, marks=pytest.mark.long)
         for n in SYSTEMS
         if n not in BY_CRITIC
     ],
@@ -71,7 +72,7 @@ def test_a_known_sequence_is_learned(model: SystemModel, tmp_path: Path) -> None
 
 
 def test_every_system_has_a_row() -> None:
-    rows = {r.name: r for r in FAMILIES if r.member.startswith("systems.")}
+    rows = {r.name: r for r in ROWS}
     assert tuple(rows) == SYSTEMS and len(SYSTEMS) == 13
     for name in SYSTEMS:
         assert {"reconstruct", "generate"} <= {*rows[name].load().protocols(None)}
@@ -83,12 +84,12 @@ def _apart(away: ResidualFlight, drawn: np.ndarray, phase: int, from_phase: int)
     return float(np.mean([wasserstein(a, b) for a, b in zip(own.T, other.T, strict=True)]))
 
 
-SLOWEST = ("tsgan", *DIFFUSING)
-"""Two networks that learn against critics, two minutes, and those that draw step by step."""
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("model", AUTOENCODERS, indirect=True)
+@pytest.mark.parametrize(
+    "model",
+    [n if n == SMOKE else pytest.param(n, marks=pytest.mark.long) for n in AUTOENCODERS],
+    indirect=True,
+)
 def test_draws_of_an_autoencoder_belong_to_their_phase(model: SystemModel) -> None:
     _check_draws(model, AWAY)
 
@@ -97,7 +98,7 @@ def test_draws_of_an_autoencoder_belong_to_their_phase(model: SystemModel) -> No
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(n, marks=pytest.mark.long) if n in SLOWEST else n
+        pytest.param(n, marks=pytest.mark.long)
         for n in SYSTEMS
         if n not in (*AUTOENCODERS, *SWINGING)
     ],
@@ -134,12 +135,15 @@ def test_what_reconstructs_against_a_critic_draws_nothing(tmp_path: Path) -> Non
         model.with_seed(1)
 
 
-@pytest.mark.parametrize("name", ["wgan", "vqgan", "mrgan"])
+@pytest.mark.parametrize(
+    "name",
+    ["wgan", *(pytest.param(n, marks=pytest.mark.long) for n in ("vqgan", "mrgan"))],
+)
 def test_a_training_that_was_cut_off_ends_with_the_same_bytes(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Players, optimisers and noise go on where they were."""
-    from learning.training import players
+    from benchmarks.paper import system as players
 
     whole = small(name, "reconstruct", 4, tmp_path / "whole")
     monkeypatch.setattr(players, "CHECKPOINT_S", 0.0)

@@ -1,4 +1,4 @@
-"""`uavtwin generate`: signals drawn as those of the training flights were."""
+"""Signals drawn as those of the training flights were, by `benchmarks.paper.generated`."""
 
 import json
 from dataclasses import replace
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.paper import generated
 from twin.errors import TwinError
 from twin.logs import Flight, read_flight, write_flight
 from twin.vehicle.file import load_vehicle
@@ -19,6 +20,10 @@ NOISE_M_S2, BIAS_M_S2 = 0.4, 0.8
 
 def _run(*arguments: object) -> None:
     main.app([str(a) for a in arguments], standalone_mode=False)
+
+
+def _generated(*arguments: object) -> None:
+    generated.main([str(a) for a in arguments])
 
 
 def _noisy(seed: int) -> Flight:
@@ -44,7 +49,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_the_drawn_sensors_are_those_of_the_training(folder: Path) -> None:
     """A flight table that is read again: the offset and noise that were planted, no others."""
-    _run("generate", folder / "model", "--mission", "hover", "--seed", 3, "--out", folder / "a.csv")
+    _generated(
+        "fly", folder / "model", "--mission", "hover", "--seed", 3, "--out", folder / "a.csv"
+    )
     flight = read_flight(folder / "a.csv")
     table = flight.table[flight.table["phase"] == "hover"]
     acc = table[["acc_x", "acc_y"]].dropna()
@@ -61,25 +68,28 @@ def test_the_drawn_sensors_are_those_of_the_training(folder: Path) -> None:
 def test_the_same_seed_gives_the_same_bytes(folder: Path) -> None:
     short = (folder / "model", "--mission", "takeoff")
     for name, seed in (("one", 1), ("two", 1), ("other", 2)):
-        _run("generate", *short, "--seed", seed, "--out", folder / f"{name}.parquet")
+        _generated("fly", *short, "--seed", seed, "--out", folder / f"{name}.parquet")
     one, two, other = ((folder / f"{n}.parquet").read_bytes() for n in ("one", "two", "other"))
     assert one == two != other
     with pytest.raises(TwinError, match=r"one\.parquet: exists"):
-        _run("generate", folder / "model", "--out", folder / "one.parquet")
+        _generated("fly", folder / "model", "--out", folder / "one.parquet")
 
 
 @pytest.mark.slow
 def test_draws_are_held_against_a_flight(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    _run("evaluate", folder / "model", folder / "2.parquet", "--out", tmp_path / "e", "--json")
-    printed = json.loads(capsys.readouterr().out)
+    _generated("evaluate", folder / "model", folder / "2.parquet", "--out", tmp_path / "e")
+    printed = json.loads((tmp_path / "e" / "evaluation.json").read_text("utf-8"))
+    assert capsys.readouterr().out == f"{printed['claim']}\n"
     assert printed["protocol"] == "generate" and printed["family"] == "innovations"
     rows = {(r["group"], r["model"]): r for r in printed["groups"]}
     assert {m for _, m in rows} >= {"model", "white noise", "a training flight"}
     assert rows["acc", "model"]["wasserstein_std"] < 0.2
     page = (tmp_path / "e" / "report.html").read_text("utf-8")
     assert "Drawn signals" in page and "a training flight" in page
+    with pytest.raises(TwinError, match=r"corrects nothing.*benchmarks\.paper\.generated evaluate"):
+        _run("evaluate", folder / "model", folder / "2.parquet", "--out", tmp_path / "f")
 
 
 @pytest.mark.slow
@@ -87,7 +97,7 @@ def test_a_model_that_corrects_draws_nothing(folder: Path, tmp_path: Path) -> No
     options = ("--vehicle", "copter_default", "--protocol", "free", "--model", "linear")
     _run("train", folder / "0.parquet", folder / "1.parquet", *options, "--out", tmp_path / "m")
     with pytest.raises(TwinError, match=r"trained for the protocol free; what draws"):
-        _run("generate", tmp_path / "m", "--out", tmp_path / "x.parquet")
+        _generated("fly", tmp_path / "m", "--out", tmp_path / "x.parquet")
     assert not (tmp_path / "x.parquet").exists()
     with pytest.raises(TwinError, match=r"model linear has the presets linear, no 'best'"):
         _run("train", folder / "0.parquet", *options, "--preset", "best", "--out", tmp_path / "n")

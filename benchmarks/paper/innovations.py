@@ -10,20 +10,26 @@ Sensors are taken at their own sample instants: every so many rows of the grid a
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from ..data.channels import CHANNELS, GROUPS, N_PHASES
-from ..data.flights import ResidualFlight
-from .autoregression import burg, innovations, synthesis
-from .baselines import by_phase, phase_means
-from .corrected import Corrected
+from learning.data.channels import CHANNELS, GROUPS, N_PHASES
+from learning.data.flights import ResidualFlight
+from learning.model.baselines import by_phase, phase_means
+from learning.model.corrected import Corrected
+from learning.model.family import Family, Progress, Tensors, TrainingTask
+from learning.model.info import ModelInfo
+from learning.preset import Protocol
+from learning.training.inputs import describe_training
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -216,3 +222,180 @@ def _root(covariance: Array) -> Array:
     """R with R R^T = covariance, symmetric."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)
+
+
+# ----------------------------------------------------------------------------------------
+# Autoregressive models that never blow up: Burg's method over several stretches of one signal.
+
+
+def burg(stretches: Sequence[Array], order: int) -> Array:
+    """Coefficients of x_t = a_1 x_{t-1} + ... + a_k x_{t-k} + e_t; all poles inside the circle.
+
+    Args:
+        stretches: Uninterrupted pieces, each shape (n_i,), about their common mean.
+        order: k; less where the pieces hold fewer samples or no power is left.
+
+    Returns:
+        Shape (order,).
+
+    Source: Burg, Maximum Entropy Spectral Analysis (1975), sums taken over all pieces.
+    """
+    forward, backward = ([s.astype(np.float64) for s in stretches] for _ in range(2))
+    power = sum(float(s @ s) for s in stretches)
+    found: Array = np.zeros(0)
+    for _ in range(order):
+        forward = [f[1:] for f in forward]
+        backward = [b[:-1] for b in backward]
+        both = sum(float(f @ f + b @ b) for f, b in zip(forward, backward, strict=True))
+        if both <= 1e-12 * power:
+            break
+        cross = sum(float(f @ b) for f, b in zip(forward, backward, strict=True))
+        reflection = 2 * cross / both
+        found = np.append(found - reflection * found[::-1], reflection)
+        forward, backward = (
+            [f - reflection * b for f, b in zip(forward, backward, strict=True)],
+            [b - reflection * f for f, b in zip(forward, backward, strict=True)],
+        )
+    return np.concatenate([found, np.zeros(order - len(found))])
+
+
+def innovations(values: Array, coefficients: Array) -> Array:
+    """e_t of each sample that has enough before it, shape (n - k,)."""
+    whitened = lfilter(np.append(1.0, -coefficients), [1.0], values)
+    return np.asarray(whitened[len(coefficients) :], dtype=np.float64)
+
+
+def synthesis(drive: Array, coefficients: Array) -> Array:
+    """Signal that innovations give, starting from zero, shape as `drive`."""
+    return np.asarray(lfilter([1.0], np.append(1.0, -coefficients), drive), dtype=np.float64)
+
+
+# ----------------------------------------------------------------------------------------
+# Innovations: autoregression driven by what it cannot say, drawn from a codebook or a Gaussian.
+#
+# `benchmarks.paper.innovations` as a family, so that it is trained, kept and compared as the
+# systems are.
+
+_PER_PHASE = ("codes", "counts", "covariance")
+
+
+@dataclass(frozen=True, slots=True)
+class InnovationsPreset:
+    """Hyper-parameters.
+
+    Attributes:
+        name: As printed.
+        order: Of the autoregression; 0: white noise.
+        codes: Of each codebook, at most.
+        drive: What drives it.
+    """
+
+    name: str
+    order: int = ORDER
+    codes: int = CODES
+    drive: Drive = "codebook"
+
+
+PRESETS = MappingProxyType(
+    {
+        p.name: p
+        for p in (
+            InnovationsPreset("ar-codebook"),
+            InnovationsPreset("ar-gaussian", codes=0, drive="gaussian"),
+            InnovationsPreset("white-noise", order=0, codes=0, drive="gaussian"),
+        )
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class InnovationsModel:
+    """A generator with its papers.
+
+    Attributes:
+        info: What it is.
+        generator: What draws.
+    """
+
+    info: ModelInfo[InnovationsPreset]
+    generator: Generator
+
+    @property
+    def family(self) -> str:
+        """Its row in the registry."""
+        return "innovations"
+
+    def run(self, flight: ResidualFlight) -> Corrected:
+        """A draw."""
+        self.info.check_flight(flight)
+        return self.generator.run(flight)
+
+    def with_seed(self, seed: int) -> "InnovationsModel":
+        """The same with other draws."""
+        return replace(self, generator=self.generator.with_seed(seed))
+
+    def tensors(self) -> Tensors:
+        """Means, spreads, and what drives each sensor."""
+        found = {"mean": self.generator.mean, "scale": self.generator.scale}
+        for i, sensor in enumerate(self.generator.sensors):
+            found[f"{i}.channels"] = np.array(sensor.channels, dtype=np.int64)
+            found[f"{i}.every"] = np.array([sensor.every], dtype=np.int64)
+            found[f"{i}.coefficients"] = sensor.coefficients
+            for name in _PER_PHASE:
+                for p, values in enumerate(getattr(sensor, name)):
+                    found[f"{i}.{name}.{p}"] = values
+        return found
+
+    def details(self) -> Mapping[str, Any]:
+        """Nothing more."""
+        return {}
+
+
+class Innovations(Family[InnovationsPreset, InnovationsModel]):
+    """Closed form, but for k-means."""
+
+    def presets(self) -> Mapping[str, InnovationsPreset]:
+        """With a codebook, Gaussian, and no autoregression at all."""
+        return PRESETS
+
+    def protocols(self, preset: InnovationsPreset) -> Sequence[Protocol]:
+        """It draws, and does nothing else."""
+        return ("generate",)
+
+    def fit(
+        self,
+        flights: Sequence[ResidualFlight],
+        preset: InnovationsPreset,
+        task: TrainingTask,
+        folder: Path,
+        progress: Progress,
+    ) -> InnovationsModel:
+        """As `fit_generator`."""
+        info = describe_training("innovations", flights, preset, task)
+        made = fit_generator(flights, task.seed, preset.order, preset.codes)
+        return InnovationsModel(info, replace(made, drive=preset.drive))
+
+    def build(self, info: ModelInfo[InnovationsPreset], tensors: Tensors) -> InnovationsModel:
+        """The generator of these numbers."""
+        count = sum(name.endswith(".every") for name in tensors)
+        sensors = tuple(_sensor(tensors, i) for i in range(count))
+        mean, scale = tensors["mean"], tensors["scale"]
+        if mean.shape != (N_PHASES, len(info.channels)) or scale.shape != mean.shape:
+            raise ValueError(f"means of shape {mean.shape}, spreads of shape {scale.shape}")
+        return InnovationsModel(info, Generator(mean, scale, sensors, info.preset.drive, info.seed))
+
+    def export(self, model: InnovationsModel, folder: Path) -> tuple[str, ...]:
+        """None: what is drawn corrects nothing."""
+        return ()
+
+
+def _sensor(tensors: Tensors, i: int) -> Sensor:
+    per_phase = {
+        name: tuple(tensors[f"{i}.{name}.{p}"] for p in range(N_PHASES + 1)) for name in _PER_PHASE
+    }
+    return Sensor(
+        channels=tuple(int(c) for c in tensors[f"{i}.channels"]),
+        every=int(tensors[f"{i}.every"][0]),
+        coefficients=tensors[f"{i}.coefficients"],
+        **per_phase,
+    )

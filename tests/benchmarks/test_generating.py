@@ -9,13 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from benchmarks.paper.generated import evaluate_generated, fit_recording
+from benchmarks.paper.innovations import (
+    ORDER,
+    Generator,
+    burg,
+    fit_generator,
+    fit_generators,
+    innovations,
+    synthesis,
+)
 from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight, held
-from learning.evaluation.generating import evaluate_generated
-from learning.model.autoregression import burg, innovations, synthesis
 from learning.model.corrected import Model
-from learning.model.generator import ORDER, Generator, fit_generator, fit_generators
-from learning.model.recording import fit_recording
 
 Array = np.ndarray
 HOVER, TAKEOFF = PHASE_CODES["hover"], PHASE_CODES["takeoff"]

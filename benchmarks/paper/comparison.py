@@ -1,4 +1,4 @@
-"""The paper's tables beside ours: `python -m benchmarks.compensator.paper --data D --out OUT`.
+"""The paper's tables beside ours: `python -m benchmarks.paper.comparison --data D --out OUT`.
 
 D holds the paper's residual tables (takeoff_flight1.parquet, ...). Each table names the runs it is
 made of; `--epochs` shortens all of them, `--only` picks tables, and a run that is done is not done
@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from learning.model.registry import FAMILIES, preset_named
+from learning.model.registry import families, preset_named
 from learning.preset import BEST, PAPER, PUBLISHED, SEEDS, Preset, Protocol
-from learning.systems.system import SystemPreset
 
+from .families import SYSTEMS
+from .system import SystemPreset
 from .trainings import (
     ALL,
     DRAWN,
     METRICS,
     MODALITIES,
     RECORDING,
-    SYSTEMS,
+    UNIT_SYSTEMS,
     Run,
     run_all,
     said_by,
@@ -37,7 +38,7 @@ CLAIMED = {"modality 1": (0.0012, 0.0165, 0.0137), "modality 2": (0.0047, 0.0315
 numbers hover 1 and takeoff 2; the paper does not say."""
 CLAIMED_S = 7200
 """On an RTX 3060, as the paper has it."""
-COMPARED = tuple(r.name for r in FAMILIES if r.member.startswith("systems."))
+COMPARED = tuple(row.name for row in SYSTEMS)
 """The thirteen systems of the paper's comparison."""
 TRIVIAL = {"none": "zero", "mean": "mean of the phase", "average": "moving average"}
 """Rows of baselines in `reconstruct`, by preset."""
@@ -153,7 +154,7 @@ def _compared(name: str, options: Options, share: float) -> list[Run]:
 def needed(options: Options) -> list[Run]:
     """Every system and baseline where the answer is not given: an old residual is seen, or none."""
     runs = []
-    for family in FAMILIES:
+    for family in families():
         presets = family.presets if family.name == "trivial" else (family.usual,)
         for name in presets:
             row, preset = preset_named(name)
@@ -236,13 +237,13 @@ def table2_text(found: Sequence[dict[str, Any]]) -> str:
         here = [f for f in found if f["run"]["share"] == share]
         data = "" if share == 1 else f", the first {100 * share:.0f} % of each phase"
         made = _grouped([f for f in here if "scores" in f])
-        for system in SYSTEMS if share == 1 else SYSTEMS[:2]:
+        for system in UNIT_SYSTEMS if share == 1 else UNIT_SYSTEMS[:2]:
             lines += [f"### `reconstruct`{data}. {TITLES[system]}", "", *_head("model", *COSTS)]
             lines += [line for name, v in CLAIMED.items() for line in _claims(name, v)]
             lines += [_row(name, group, system, COSTS) for name, group in made.items()]
             lines.append("")
         drawn = _grouped([f for f in here if "drawn" in f])
-        for system in SYSTEMS[:2]:
+        for system in UNIT_SYSTEMS[:2]:
             lines += [f"### `generate`{data}. {TITLES[system]}", "", *_drawn_head()]
             lines += [_drawn_row(name, group, system) for name, group in drawn.items()]
             lines.append("")
@@ -252,7 +253,7 @@ def table2_text(found: Sequence[dict[str, Any]]) -> str:
 def every_unit_text(found: Sequence[dict[str, Any]]) -> str:
     """One row per variant, in every system of units."""
     lines = []
-    for system in SYSTEMS:
+    for system in UNIT_SYSTEMS:
         lines += [f"### {TITLES[system]}", "", *_head("model", *COSTS)]
         lines += [_row(name, group, system, COSTS) for name, group in _grouped(found).items()]
         lines.append("")

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.compensator.residuals import residuals
+from benchmarks.compensator.simulated import Individual, produce
 from learning.data.flights import DEFAULT_RATE_HZ, ResidualFlight, restart_before_s
 from learning.data.scaling import in_spans
 from learning.model.family import TrainedModel, TrainingTask
@@ -23,8 +25,6 @@ from learning.threads import one_thread
 from learning.training.fit import fit_model
 from learning.training.inputs import describe_flight
 
-from .residuals import residuals
-from .simulated import Individual, produce
 from .trainings import MODALITIES, Run, keyed, rows_of, units
 
 Array = NDArray[np.float64]

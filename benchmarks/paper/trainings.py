@@ -4,8 +4,8 @@
     OUT/runs/KEY.npy   its corrections of the test flights
 
 A run counts as long as model, preset, protocol, seed, flights, share of the data and the sources of
-`learning` are the same. What reconstructs is scored by what it leaves, what draws by its draws; an
-autoencoder, which draws by what it learned of reconstructing, by both.
+`learning` and of the systems are the same. What reconstructs is scored by what it leaves, what
+draws by its draws; an autoencoder, which draws by what it learned of reconstructing, by both.
 """
 
 import hashlib
@@ -25,19 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import learning
-from learning.data.channels import GROUPS, PHASE_CODES
+from learning.data.channels import CHANNELS, GROUPS, PHASE_CODES
 from learning.data.flights import ResidualFlight
-from learning.data.paper_tables import GAUSS_T, paper_flights
 from learning.devices import device_named
 from learning.evaluation import metrics
 from learning.model.corrected import Model
 from learning.model.family import FamilyPreset, TrainingTask
 from learning.model.folder import write_json
-from learning.model.recording import fit_recording
 from learning.model.registry import family_row
 from learning.preset import Protocol
 from learning.threads import one_thread
-from twin.errors import ModelError
+from twin.errors import LogError, ModelError
+from twin.logs.stored import damage_told, opened
+
+from .generated import fit_recording
 
 Array = NDArray[np.float64]
 RECORDING = "recording"
@@ -45,12 +46,17 @@ RECORDING = "recording"
 DRAWS = 8
 """Of each generator."""
 MODALITIES = ("takeoff", "hover")
-SYSTEMS = ("standardised", "physical", "range")
+UNIT_SYSTEMS = ("standardised", "physical", "range")
 """Units: spread of the training residual = 1; SI but gauss, as published; each phase's range over
 all three flights = -1..1, as in the published code."""
 METRICS = ("mse", "rmse", "mae", "wasserstein")
 DRAWN = ("rmse", "wasserstein", "spectral_db")
 ALL = (1, 2, 3)
+SOURCES = (
+    *("adversarial", "autoencoders", "blocks", "diffusing", "innovations", "generated", "system"),
+    "trainings",
+)
+"""Modules beside this one that decide what is learned or how it is scored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +92,14 @@ class Run:
 
 
 def keyed(content: object) -> str:
-    """Short hash of JSON content, and of the sources of `learning` that decide what is learned."""
+    """Short hash of JSON content, and of the sources that decide what is learned."""
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    root = Path(str(learning.__file__)).parent
+    root, here = Path(str(learning.__file__)).parent, Path(__file__).parent
     for path in sorted(root.rglob("*.py")):
         if "export" not in path.relative_to(root).parts:
             digest.update(path.read_bytes())
+    for name in SOURCES:
+        digest.update((here / f"{name}.py").read_bytes())
     return digest.hexdigest()[:12]
 
 
@@ -135,7 +143,7 @@ def unpack_scores(scores: Path, out: Path) -> None:
 
 def pack_scores(out: Path, scores: Path) -> None:
     """Add the scores of all trainings of a folder to one file, a line each, by key; those of other
-    sources of `learning` are left out."""
+    sources are left out."""
     lines = scores.read_text("utf-8").splitlines() if scores.is_file() else []
     found = {one.pop("key"): one for one in map(json.loads, lines)}
     found |= {p.stem: json.loads(p.read_text("utf-8")) for p in (out / "runs").glob("*.json")}
@@ -231,13 +239,13 @@ def drawn_scores(
 def units(
     modality: str, trained: Sequence[ResidualFlight], everything: Sequence[ResidualFlight]
 ) -> dict[str, Array]:
-    """Sizes of the residual's units in `SYSTEMS`, shape (15,) each; `scores` says of what."""
+    """Sizes of the residual's units in `UNIT_SYSTEMS`, shape (15,) each; `scores` says of what."""
     spread = np.concatenate([f.residual[f.fresh.all(1)] for f in trained]).std(axis=0)
     gauss = np.ones_like(spread)
     gauss[GROUPS["mag"]] = GAUSS_T
     code = PHASE_CODES[modality]
     pooled = np.concatenate([f.residual[f.phase == code] for f in everything])
-    return dict(zip(SYSTEMS, (spread, gauss, np.ptp(pooled, axis=0) / 2), strict=True))
+    return dict(zip(UNIT_SYSTEMS, (spread, gauss, np.ptp(pooled, axis=0) / 2), strict=True))
 
 
 def rows_of(flight: ResidualFlight, modality: str) -> NDArray[np.bool_]:
@@ -346,3 +354,78 @@ def _scores_file(out: Path, key: str) -> Path:
     folder = out / "runs"
     folder.mkdir(parents=True, exist_ok=True)
     return folder / f"{key}.json"
+
+
+# ----------------------------------------------------------------------------------------
+# The tables that the paper's network was trained on, as residual flights.
+#
+# One parquet file per phase and flight (`takeoff_flight1`, `hover_flight1`, ...), columns `real_*`
+# and `sim_*` side by side: gyro rad/s, acc m/s2, mag gauss, x..z m, vx..vz m/s, PX4 frames.
+#
+# They hold no time: the authors stretched a real and an unrelated simulated flight by sample index
+# to the same length, slow sensors on straight lines to the *next* sample. Whatever is one step
+# ahead is flattered by that. For comparison with the paper's Table II, and nothing else.
+
+RATE_HZ = 166.0
+"""Nominal: that of the real flights' IMU before they were stretched by index."""
+PHASES = ("takeoff", "hover")
+FLIGHTS = (1, 2, 3)
+GAUSS_T = 1e-4
+_STEMS = {"gyro_": "gyro_", "acc_": "acc_", "mag_": "mag_", "pos_": "", "vel_": "v"}
+
+
+def paper_flights(folder: Path, flights: Sequence[int] = FLIGHTS) -> list[ResidualFlight]:
+    """Residuals of the paper's flights, named flight_1, flight_2, ...
+
+    Takeoff and hover are two spans of one flight, one after the other; there are no commands.
+
+    Args:
+        folder: Holds `takeoff_flight1.parquet` and so on.
+        flights: Their numbers.
+
+    Raises:
+        LogError: A file or a column is missing, or a number is not finite.
+    """
+    return [_flight(folder, number) for number in flights]
+
+
+def _flight(folder: Path, number: int) -> ResidualFlight:
+    tables = [_read(folder / f"{phase}_flight{number}.parquet") for phase in PHASES]
+    sizes = [len(real) for real, _ in tables]
+    ends = np.cumsum(sizes)
+    real, virtual = (np.vstack(part) for part in zip(*tables, strict=True))
+    return ResidualFlight(
+        name=f"flight_{number}",
+        rate_hz=RATE_HZ,
+        t_s=np.arange(ends[-1]) / RATE_HZ,
+        virtual=virtual,
+        residual=real - virtual,
+        fresh=np.ones(real.shape, dtype=np.bool_),
+        commands=np.zeros((ends[-1], 0)),
+        phase=np.repeat(np.array([PHASE_CODES[p] for p in PHASES], dtype=np.intp), sizes),
+        spans=tuple((int(e - n), int(e)) for e, n in zip(ends, sizes, strict=True)),
+        notes=("stretched by sample index by the paper's authors; the rate is nominal",),
+    )
+
+
+def _read(path: Path) -> tuple[Array, Array]:
+    """Real and simulated readings, SI units, shape (n, 15) each."""
+    if not path.is_file():
+        raise LogError(
+            f"{path}: there is no such file. Give the folder with the paper's residual tables, "
+            f"takeoff_flight1.parquet and so on."
+        )
+    with opened(path, path.name) as file, damage_told(path.name):
+        table = file.read().to_pandas()
+    found = []
+    for side in ("real_", "sim_"):
+        columns = [side + _STEMS[c[:-1]] + c[-1] for c in CHANNELS]
+        missing = [c for c in columns if c not in table]
+        if missing:
+            raise LogError(f"{path.name}: no columns {', '.join(missing)}.")
+        values = table[columns].to_numpy(dtype=np.float64, copy=True)
+        values[:, [c.startswith("mag") for c in CHANNELS]] *= GAUSS_T
+        if not np.isfinite(values).all():
+            raise LogError(f"{path.name}: a number is not finite; copy the file again.")
+        found.append(values)
+    return found[0], found[1]

@@ -4,10 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from learning.blocks.adversarial import clip_weights, gradient_penalty, hinge, real_or_fake
-from learning.blocks.codebook import chain_of, drawn_chain
-from learning.blocks.convolution import CausalConvolution, Critic
-from learning.blocks.diffusion import Diffusion
+from benchmarks.paper.blocks import (
+    CausalConvolution,
+    Critic,
+    Diffusion,
+    chain_of,
+    clip_weights,
+    drawn_chain,
+    gradient_penalty,
+    hinge,
+    real_or_fake,
+)
 
 
 @pytest.mark.parametrize(("steps", "schedule"), [(50, "cosine"), (100, "linear")])
