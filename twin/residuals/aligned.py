@@ -138,6 +138,42 @@ class Block:
         return self.first + len(self.states)
 
 
+class TwinGrid:
+    """Grid points of a twin, one block after another: inputs, and states that are
+    measured or integrated along what is measured."""
+
+    def __init__(self, vehicle: Vehicle, airframe: Component, step_s: float) -> None:
+        self._vehicle, self._airframe = vehicle, airframe
+        self._rotors = RotorStates(airframe, step_s)
+        self._hidden = hidden_of(airframe, step_s)
+
+    def block(self, signals: InputSignals, motion: MeasuredMotion, first: int, t_s: Array) -> Block:
+        """The next rows.
+
+        Args:
+            signals: What the flight, or its last seconds, hold of the inputs.
+            motion: Measured motion of the same.
+            first: Number of the first row.
+            t_s: Times of the rows, shape (n,); one row is enough.
+        """
+        u = signals.at(t_s)
+        inputs = Inputs(signals.columns, t_s, u, self._rotors.along(u), signals.notes)
+        return Block(first, inputs, measured_states(self._airframe, motion, inputs, self._hidden))
+
+
+def rows_before(flight: AnyFlight, t_s: Array) -> NDArray[np.intp]:
+    """The last row of the table at or before each time."""
+    rows = np.searchsorted(flight.time_s, t_s + 1e-9, side="right") - 1
+    return np.asarray(np.maximum(rows, 0))
+
+
+def phases_at(flight: AnyFlight, t_s: Array) -> NDArray[np.str_]:
+    """Phases of flight at some times: of the last row of the table at or before each, "" where the
+    flight says nothing."""
+    codes, names = flight.phase_codes
+    return np.asarray(names.astype("<U8")[codes[rows_before(flight, t_s)]])
+
+
 def components_of(
     vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()
 ) -> tuple[Component, Component]:
@@ -204,10 +240,8 @@ class Alignment:
         return np.asarray(rows.astype(np.float64) * self._grid_s)
 
     def phases(self, first: int, end: int) -> NDArray[np.str_]:
-        """Phases of some rows: of the last row of the table at or before each, "" where the flight
-        says nothing."""
-        codes, names = self._flight.phase_codes
-        return np.asarray(names.astype("<U8")[codes[self._table_rows(first, end)]])
+        """Phases of some rows, as of `phases_at`."""
+        return phases_at(self._flight, self.times(first, end))
 
     def spans(self) -> tuple[tuple[str, float, float], ...]:
         """Name, first and last time of each phase, as they lie on the grid."""
@@ -225,9 +259,7 @@ class Alignment:
 
     def _table_rows(self, first: int, end: int) -> NDArray[np.intp]:
         """The last row of the table at or before each row."""
-        at_s = self.times(first, end) + 1e-9
-        rows = np.searchsorted(self._flight.time_s, at_s, side="right") - 1
-        return np.asarray(np.maximum(rows, 0))
+        return rows_before(self._flight, self.times(first, end))
 
     def edges(self, rows: int) -> list[int]:
         """Where blocks of at most so many rows begin, and the end of the last one."""
@@ -235,14 +267,9 @@ class Alignment:
 
     def blocks(self, edges: Sequence[int]) -> Iterator[Block]:
         """The rows between neighbouring edges, from the first row on, none left out."""
-        rotors = RotorStates(self.airframe, self.step_s)
-        hidden = hidden_of(self.airframe, self.step_s)
+        grid = TwinGrid(self._vehicle, self.airframe, self.step_s)
         for first, end in pairwise(edges):
-            t_s = self.times(first, end)
-            u = self._signals.at(t_s)
-            along = rotors.along(u)
-            inputs = Inputs(self._signals.columns, t_s, u, along, self._signals.notes)
-            yield Block(first, inputs, measured_states(self.airframe, self.motion, inputs, hidden))
+            yield grid.block(self._signals, self.motion, first, self.times(first, end))
 
     def airborne(self, blocks: Iterable[Block]) -> NDArray[np.bool_]:
         """Grid points in flight: not said to be on the ground, carried by the rotors, and above the

@@ -28,7 +28,7 @@ from twin.logs.columns import ACC, GYRO, POS, QUAT, VEL, motor_columns
 from twin.logs.mavlink.decoder import GROUPS, Sample
 from twin.logs.mavlink.encode import attitude, heartbeat, imu, local_position
 from twin.logs.mavlink.frames import AUTOPILOT, Message, dialect, parser
-from twin.residuals.running.equations import Equations
+from twin.residuals.stream import Equations
 from twin.residuals.teacher_forced import GRID_S
 
 from .datagrams import Address, sending

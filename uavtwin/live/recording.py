@@ -28,7 +28,7 @@ from twin.logs.mavlink.decoder import GROUPS, LANDED, Sample, best_source
 from twin.logs.mavlink.frames import dialect, stamped
 from twin.logs.table import Notes, TableStream, flight_schema, fold
 from twin.residuals.gap import Channel
-from twin.residuals.running.residuals import ResidualBlock
+from twin.residuals.stream_residuals import ResidualBlock
 
 from ..output import check_folder
 

@@ -5,24 +5,29 @@ raises no alarms.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 from twin.effects import EFFECTS
 from twin.explain.running.alarms import Alarm, Verdict
 from twin.logs.mavlink.frames import dialect
-from twin.residuals.running.table import Rows
+from twin.residuals.stream import Stream
 
 from ..wording import clause
 from .datagrams import ClockEstimate
 
 
 class Evidence(Protocol):
-    """Evidence that is kept while a flight goes on; a new flight has new evidence."""
+    """Evidence that grows while a flight goes on; a new flight has new evidence."""
 
-    def update(self, rows: Rows) -> Verdict:
-        """Take new rows of the flight table, later than all before."""
+    @property
+    def effects(self) -> Sequence[str]:
+        """To be built into the airframe of the stream."""
+        ...
+
+    def follow(self, stream: Stream) -> Verdict:
+        """Take what has come onto the grid since the last call."""
         ...
 
 

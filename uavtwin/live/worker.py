@@ -21,8 +21,8 @@ from twin.component.building import BUILDING
 from twin.errors import TwinError
 from twin.explain.running.alarms import Alarm
 from twin.logs.flight import Finding
-from twin.residuals.running.equations import Equations
-from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
+from twin.residuals.stream import Equations, Stream
+from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
 
 from .recording import Columns, Recording
@@ -49,6 +49,7 @@ class Part(Enum):
     RAW = "raw.tlog"
     TABLES = "recorded tables"
     SECTION = "the flight section"
+    GRID = "the grid of the twin"
     TWIN = "the twin"
     SHOWN = "the twin that is shown"
     PUBLISHER = "the publisher"
@@ -57,7 +58,7 @@ class Part(Enum):
     COMPENSATOR = "the compensator"
 
 
-_STATEFUL = {Part.RAW, Part.TABLES, Part.TWIN, Part.SHOWN, Part.ALARMS, Part.COMPENSATOR}
+_STATEFUL = {Part.RAW, Part.TABLES, Part.GRID, Part.TWIN, Part.SHOWN, Part.ALARMS, Part.COMPENSATOR}
 """Their state is lost with an error: they are called again in the next flight section."""
 
 
@@ -121,7 +122,9 @@ class Parts:
 
 
 EVERY_S = 1.0
-"""Of flight, between two blocks of residuals."""
+"""Of flight, between two blocks of residuals, s."""
+ALARMS_EVERY_S = 0.5
+"""Of flight, between two verdicts on what is wrong, s: a frame of `twin.explain.running`."""
 _MOST_BEHIND_S = 3.0
 _WAITING = 10
 """Batches of rows that may wait, a second: then the receiver waits, and what comes waits in the
@@ -177,7 +180,9 @@ class Worker:
         self.units: dict[str, str] = {}
         self._sums: dict[str, tuple[int, float]] = {}
         with BUILDING:
-            self.equations = Equations.of(vehicle, vehicle.drive)
+            self.equations = Equations(vehicle, vehicle.drive)
+            self.equations.build()
+        self._with_effects = self.equations
         self._begin()
         self._thread.start()
 
@@ -197,7 +202,7 @@ class Worker:
     @property
     def waits_for(self) -> str:
         """Why the twin has not started."""
-        return self._running.waits_for
+        return self._stream.waits_for
 
     @property
     def rms(self) -> dict[str, float]:
@@ -210,14 +215,18 @@ class Worker:
         return None if self._compensator is None else self._compensator.status
 
     def _begin(self) -> None:
-        self._running = RunningResiduals(
-            self._vehicle, horizon_s=self._horizon_s, equations=self.equations
-        )
         self._evidence = self._parts.run(Part.ALARMS, self._built_evidence)
+        effects = () if self._evidence is None else tuple(self._evidence.effects)
+        if effects != self._with_effects.effects:
+            with BUILDING:
+                self._with_effects = Equations(self._vehicle, self.equations.drive, effects)
+        self._stream = Stream(self._vehicle, effects, self._with_effects)
+        self._residuals = StreamResiduals(self._stream, self._horizon_s, self.equations)
         self._sums = {}
         if self._compensator is not None:
             self._parts.run(Part.COMPENSATOR, self._compensator.begin)
         self._updated_s: float | None = None
+        self._judged_s = 0.0
 
     def _built_evidence(self) -> Evidence | None:
         with BUILDING:
@@ -237,29 +246,30 @@ class Worker:
     def _take(self, batch: Batch) -> None:
         rows = batch.rows
         columns = [c for c in rows if c not in ("time", "phase")]
-        if self._parts.run(Part.TWIN, self._running.lacks, columns):
+        if self._parts.run(Part.GRID, self._stream.lacks, columns):
             self._finish()
             self._restart()
-        self._parts.run(Part.TWIN, self._running.append, rows)
+        self._parts.run(Part.GRID, self._stream.push, rows)
         if self._recording is not None:
-            settled, found = self._running.settled, (*batch.findings, *self._parts.findings)
+            settled, found = self._stream.settled, (*batch.findings, *self._parts.findings)
             add = self._recording.add_rows
             self._parts.run(Part.TABLES, add, rows, batch.facts, found, settled)
-        self._parts.run(Part.ALARMS, self._update_alarms, rows)
         self.flight_s = float(rows["time"][-1])
         if self._updated_s is None:
-            self._updated_s = float(rows["time"][0])
+            self._updated_s = self._judged_s = float(rows["time"][0])
+        if self._evidence is not None and self.flight_s - self._judged_s >= ALARMS_EVERY_S:
+            self._judged_s = self.flight_s
+            self._parts.run(Part.GRID, self._stream.advance)
+            self._parts.run(Part.ALARMS, self._update_alarms, self._evidence)
         # What waits is recorded before anything is computed, up to a point.
         behind_s = self.flight_s - self._updated_s
         if behind_s >= (EVERY_S if self._queue.empty() else _MOST_BEHIND_S):
             self._updated_s = self.flight_s
-            self._publish(self._parts.run(Part.TWIN, self._running.update))
+            self._publish(self._parts.run(Part.TWIN, self._residuals.update))
 
-    def _update_alarms(self, rows: Columns) -> None:
+    def _update_alarms(self, evidence: Evidence) -> None:
         """Ask for alarms: here and nowhere else."""
-        if self._evidence is None:
-            return
-        verdict = self._evidence.update(rows)
+        verdict = evidence.follow(self._stream)
         for alarm in (*verdict.opened, *verdict.closed):
             if self._recording is not None:
                 self._recording.add_alarm(alarm_json(alarm, self.sections))
@@ -267,7 +277,7 @@ class Worker:
 
     def _finish(self) -> None:
         """Tell what the section leaves, and note what was settled in it."""
-        self._publish(self._parts.run(Part.TWIN, self._running.update, final=True))
+        self._publish(self._parts.run(Part.TWIN, self._residuals.update, final=True))
 
     def _restart(self) -> None:
         self.sections += 1

@@ -15,8 +15,7 @@ from twin.explain.running.evidence import RunningEvidence
 from twin.logs import Flight, read_flight
 from twin.logs.mavlink.encode import heartbeat
 from twin.logs.mavlink.frames import AUTOPILOT, dialect, parser
-from twin.residuals.running.residuals import RunningResiduals
-from twin.residuals.running.table import Rows
+from twin.residuals.stream import Stream
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.datagrams import MORE_OTHERS, Address, Datagram, Receiver
@@ -58,10 +57,12 @@ def heard(
 class Failing:
     """Evidence that fails at its fifth call."""
 
+    effects = ()
+
     def __init__(self) -> None:
         self.calls = 0
 
-    def update(self, rows: Rows) -> Verdict:
+    def follow(self, stream: Stream) -> Verdict:
         self.calls += 1
         if self.calls == 5:
             raise ZeroDivisionError("as planted")
@@ -97,10 +98,10 @@ def test_an_error_of_alarms_or_page_ends_no_recording(copter: Vehicle, tmp_path:
 @pytest.mark.parametrize(
     ("where", "name", "part"),
     [
-        (RunningResiduals, "append", "the twin"),
-        (RunningResiduals, "update", "the twin"),
-        (RunningResiduals, "lacks", "the twin"),
-        (Worker, "_tell", "the flight section"),
+        (Stream, "push", "the grid of the twin"),
+        (Stream, "advance", "the twin"),
+        (Stream, "lacks", "the grid of the twin"),
+        (Worker, "_publish", "the flight section"),
     ],
 )
 def test_an_error_of_the_twin_ends_no_recording(

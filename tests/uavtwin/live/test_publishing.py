@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from sample_logs import flown_table
 
 from twin.explain.running.alarms import Alarm, EstimatedChange, Verdict
 from twin.logs.mavlink.decoder import Sample
 from twin.logs.mavlink.frames import Message, parser
-from twin.residuals.running.equations import Equations
+from twin.residuals.channels import GRID_HZ
+from twin.residuals.stream import Equations, Stream
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 from uavtwin.live.datagrams import Address
@@ -44,10 +44,14 @@ class Listener:
     """Evidence that raises an alarm when it has seen three seconds."""
 
     seen: list[float] = field(default_factory=list)
+    effects: tuple[str, ...] = ()
 
-    def update(self, rows: pd.DataFrame) -> Verdict:
+    def follow(self, stream: Stream) -> Verdict:
         before = self.seen[-1] if self.seen else 0.0
-        self.seen += rows["time"].tolist()
+        rows = None if stream.grid is None else stream.grid.rows
+        self.seen += [] if rows is None else rows.t_s[rows.t_s > before + 1e-9].tolist()
+        if not self.seen:
+            return Verdict(0.0, True, True, (), (), (), 1.0, {})
         opened = (SAG,) if before < 3.0 <= self.seen[-1] else ()
         return Verdict(self.seen[-1], False, True, (SAG,), opened, (), 0.01, {"battery_sag": 0.97})
 
@@ -67,7 +71,7 @@ def test_an_alarm_says_what_has_changed_and_else_what_its_effect_is() -> None:
 
 def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
     """From a measured state on: the airframe's own step, however readings come."""
-    equations = Equations.of(copter, "command")
+    equations = Equations(copter, "command")
     twin, body = FollowingTwin(equations, Following(10.0)), equations.airframe
     measured = {"pos": (1.0, 2.0, -3.0), "vel": (0.5, 0.0, 0.0), "q": (1.0, 0.0, 0.0, 0.0)}
     command = Sample("cmd", "x", 0, (0.5, 0.52, 0.5, 0.52))
@@ -96,7 +100,7 @@ def test_it_follows_in_the_steps_of_the_fmus(copter: Vehicle) -> None:
 
 
 def test_it_is_set_to_what_was_measured_every_horizon(copter: Vehicle) -> None:
-    twin = FollowingTwin(Equations.of(copter, "command"), Following(0.1))
+    twin = FollowingTwin(Equations(copter, "command"), Following(0.1))
     twin.take(Sample("cmd", "x", 0, (0.0,) * 4))
     twin.take(Sample("vel", "x", 0, (0.0,) * 3))
     twin.take(Sample("q", "x", 0, (1.0, 0.0, 0.0, 0.0)))
@@ -110,7 +114,7 @@ def test_it_is_set_to_what_was_measured_every_horizon(copter: Vehicle) -> None:
 
 def test_an_observer_draws_it_to_what_was_measured(copter: Vehicle) -> None:
     """What it is off decays with the time constant, where equations add nothing: its heading."""
-    quiet = Equations.of(copter, "command")
+    quiet = Equations(copter, "command")
     apart = []
     for observer_s in (0.5, None):
         twin = FollowingTwin(quiet, Following(100.0, observer_s))
@@ -128,7 +132,7 @@ def test_an_observer_draws_it_to_what_was_measured(copter: Vehicle) -> None:
 
 
 def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_path: Path) -> None:
-    """Evidence sees each row once, in order; its alarms are a line, a text and a number."""
+    """Evidence gets each row of the grid, in order; its alarms are a line, a text and a number."""
     listener, recording = Listener(), Recording(tmp_path / "rec", 4)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
         station.bind(("127.0.0.1", 0))
@@ -147,7 +151,8 @@ def test_alarms_reach_the_recording_and_the_ground_station(copter: Vehicle, tmp_
         heard: list[Message] = []
         while not heard or heard[-1].get_type() != "NAMED_VALUE_FLOAT":
             heard += reader.parse_buffer(station.recv(1000)) or ()
-    assert listener.seen == table["time"].tolist()
+    np.testing.assert_allclose(np.diff(listener.seen), 1 / GRID_HZ)
+    assert listener.seen[0] < 0.01 and listener.seen[-1] > table["time"].iloc[-1] - 1.0
     (line,) = (tmp_path / "rec" / "alarms.jsonl").read_text("utf-8").splitlines()
     assert json.loads(line)["effect"] == "battery_sag" and json.loads(line)["section"] == 1
     first, *texts, number = heard

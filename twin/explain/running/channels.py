@@ -18,23 +18,61 @@ from scipy.signal import butter, lfilter, lfilter_zi
 
 from ...component import Component
 from ...component.along import EachRow
+from ...logs.columns import ACC, GYRO
 from ...physics.sensors.table import BODY, SENSORS
 from ...representation import short_repr
 from ...residuals.airborne import LIFT_OFF_HEIGHT_M
-from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ
+from ...residuals.channels import BAND_HZ, EVERY, GRID_HZ, POSE_BAND_HZ, on_grid
 from ...residuals.imu import OF_IMU, prompt_imu
+from ...residuals.measured import rates_of, signal_of
+from ...residuals.stream import Stream
 from ...vehicle import Vehicle
 from ..model.factors import in_body, named, rows_of
 from ..model.numbers import values_of
 from ..model.prediction import Physics, SensorBatch
-from .feed import FRAME_ROWS, FRAME_S, GridBlock
 from .hypotheses import Library
 from .lag import LagSlopes
 from .shaking import high_power, longest_repeats
 
 Array = NDArray[np.float64]
+FRAME_ROWS = 100
+"""Rows of the grid in a frame."""
+FRAME_S = FRAME_ROWS / GRID_HZ
+"""Length of a frame, s."""
 FRAME_SAMPLES = FRAME_ROWS // EVERY
 """Samples of a channel in a frame."""
+
+
+OF_POSE = tuple(s for s in SENSORS if s.group != BODY)
+"""Sensors that are compared with the pose."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridBlock:
+    """Rows of the grid, one after the other, with what is read there.
+
+    Attributes:
+        first: Number of the first of them; the grid begins at the time zero.
+        t_s: Times, shape (n,).
+        states: Of the airframe, shape (n, n_x); NaN where nothing was measured.
+        inputs: Of the airframe, shape (n, n_u).
+        grounded: Where the flight says that it is on the ground, shape (n,).
+        readings: By signal ("acc", "gyro", "pull" NED, "turning", "mag", "baro"), shape (n, k),
+            NaN where unknown.
+        samples: Readings of the IMU as they came: times, shape (m,), and values, shape (m, k).
+        further: Columns of the flight that a sensor of the pose asks for, shape (n,) each.
+    """
+
+    first: int
+    t_s: Array
+    states: Array
+    inputs: Array
+    grounded: NDArray[np.bool_]
+    readings: Mapping[str, Array]
+    samples: Mapping[str, tuple[Array, Array]]
+    further: Mapping[str, Array]
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,21 +155,64 @@ class FrameFilter:
         self._lag = LagSlopes(body, library, self._physics)
         self._imu = prompt_imu(vehicle, effects)
         self._imu_batch = SensorBatch(self._imu, effects, numbers, EachRow)
-        self._kinds = [s for s in SENSORS if s.group != BODY]
-        self._made = [kind.make(vehicle, effects) for kind in self._kinds]
+        self._made = [kind.make(vehicle, effects) for kind in OF_POSE]
         self._batches = [SensorBatch(m, effects, numbers, EachRow) for m in self._made]
         self.groups = tuple(self._list_groups())
         self._passed: dict[int, list[Array]] = {}  # by group, the states of its filters
         self._last: dict[int, Array] = {}  # by group, the last row before this frame
-        self._next, self._rest_m = -1, np.nan
+        self._next: int | None = None  # number of the next frame
+        self._rest_m = np.nan
 
-    def push(self, block: GridBlock) -> list[Frame]:
-        """The whole frames of a block."""
-        first, end = block.first, block.first + len(block.t_s)
+    def frames(self, stream: Stream) -> list[Frame]:
+        """The frames that are complete since the last time.
+
+        Args:
+            stream: Rows of a flight on the grid, the airframe built with the effects.
+        """
+        rows = None if stream.grid is None else stream.grid.rows
+        if rows is None:
+            return []
+        first, end = -(-rows.first // FRAME_ROWS), rows.end // FRAME_ROWS
+        if self._next is not None and first <= self._next:
+            first = self._next
+        else:  # the first frame, or the one after frames that nobody asked for
+            self._passed, self._last = {}, {}
+        if end <= first:
+            return []
+        block = self._block(stream, first * FRAME_ROWS, end * FRAME_ROWS)
+        self._next = end
         return [
-            self._frame(number, _cut(block, number * FRAME_ROWS - first))
-            for number in range(-(-first // FRAME_ROWS), end // FRAME_ROWS)
+            self._frame(number, _cut(block, (number - first) * FRAME_ROWS))
+            for number in range(first, end)
         ]
+
+    def _block(self, stream: Stream, first: int, end: int) -> GridBlock:
+        """Rows of the grid, and what sensors read there."""
+        assert stream.grid is not None and stream.grid.rows is not None
+        flight, motion, rows = stream.window, stream.motion, stream.grid.rows.between(first, end)
+        assert flight is not None
+        t, read = rows.t_s, dict[str, Array]()
+        for name, columns in (("acc", ACC), ("gyro", GYRO)):
+            if flight.has(*columns):
+                read[name] = on_grid(signal_of(flight, columns), t)
+        if motion.attitude is not None and len(motion.attitude.t_s) > 2:
+            read["turning"] = rates_of(motion.attitude).at(t)
+        if motion.velocity is not None:
+            velocity = motion.velocity.at(np.arange(first - 1, end + 1) / GRID_HZ)
+            pull = (velocity[2:] - velocity[:-2]) * (GRID_HZ / 2)
+            read["pull"] = pull - [0.0, 0.0, self._vehicle.gravity_m_s2]
+        for sensor in OF_POSE:
+            if flight.has(*sensor.columns):
+                read[sensor.signal] = signal_of(flight, sensor.columns).at(t)
+        further = {
+            c: signal_of(flight, [c]).held(t)[:, 0] for c in ("ibat_a", "vbat_v") if flight.has(c)
+        }
+        samples = {
+            name: flight.signal(columns)
+            for name, columns in (("acc", ACC), ("gyro", GYRO))
+            if flight.has(*columns)
+        }
+        return GridBlock(first, t, rows.states, rows.u, rows.grounded, read, samples, further)
 
     # -- what there is -------------------------------------------------------------------------
 
@@ -150,7 +231,7 @@ class FrameFilter:
             rate = bool(s.rate_unit)
             found.append(Group(s.channels, s.signal, (*through, BAND_HZ), rate, columns))
             found.append(Group(names, s.signal, (*through, POSE_BAND_HZ), False, pose))
-        for kind, batch in zip(self._kinds, self._batches, strict=True):
+        for kind, batch in zip(OF_POSE, self._batches, strict=True):
             columns = np.flatnonzero(batch.answering()[:, self._columns].any(axis=0))
             found.append(Group(kind.channels, kind.signal, (POSE_BAND_HZ,), False, columns))
         return found
@@ -162,9 +243,6 @@ class FrameFilter:
         predicted = self._physics.value(self._theta, states, inputs)
         along = self._lag.along(states, inputs)
         flying = self._is_flying(block, predicted)
-        if number != self._next:
-            self._passed, self._last = {}, {}
-        self._next = number + 1
         rows: dict[tuple[int, int], Array] = {}
         if flying:
             slopes = self._physics.slopes(self._columns, self._theta, states, inputs)
@@ -203,7 +281,7 @@ class FrameFilter:
                 found[2 * k] = _stacked(read[s.signal], predicted[:, own], moved)
         found |= self._of_pose(block, predicted)
         pose = self._pose(block)
-        for j, kind in enumerate(self._kinds):
+        for j, kind in enumerate(OF_POSE):
             if kind.signal not in read:
                 continue
             rows = rows_of(self._made[j], pose | dict(block.further), len(block.t_s))

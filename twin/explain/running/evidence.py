@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from ...component.building import BUILDING
 from ...effects import EFFECTS, Repeats
 from ...effects.priors import BESIDE
+from ...errors import LogError
 from ...representation import short_repr
-from ...residuals.running.table import Rows
+from ...residuals.recent_rows import Rows
+from ...residuals.stream import LONGEST_WAIT_S, Stream
 from ...vehicle import Vehicle
 from .alarms import Alarm, EstimatedChange, Verdict
 from .change_detector import ChangeDetector, ChangeEvidence
-from .channels import Frame, FrameFilter
-from .feed import FRAME_S, StreamResampler
+from .channels import FRAME_S, Frame, FrameFilter
 from .hypotheses import MONITORED_EFFECTS, library_of
 from .noise import AdaptiveNoise
 from .settings import RUNNING, RunningSettings
@@ -67,6 +68,7 @@ class RunningEvidence:
 
     Attributes:
         learning: Whether the quiet start is not over yet.
+        effects: To be built into the airframe of a stream that is followed.
     """
 
     def __init__(
@@ -89,7 +91,8 @@ class RunningEvidence:
         """
         self._vehicle, self._settings = vehicle, settings
         self._library = library_of(vehicle, effects, standing_effects, settings)
-        self._resampler = StreamResampler(vehicle, self._library.effects)
+        self.effects = self._library.effects
+        self._own: Stream | None = None
         self._filter: FrameFilter | None = None
         self._noise: AdaptiveNoise | None = None
         self._detector: ChangeDetector | None = None
@@ -110,27 +113,39 @@ class RunningEvidence:
         self._nothing = 1.0
 
     def update(self, rows: Rows) -> Verdict:
-        """Look at what has come since the last call.
+        """Follow a flight that nobody else puts on a grid.
 
         Args:
             rows: Of a flight table by column, later than those before; a second of them, or any
                 other portion.
 
         Returns:
-            What is known after the last frame that they complete.
+            The verdict after the last frame that they complete.
 
         Raises:
             LogError: Times do not rise, or nothing drives the vehicle.
         """
+        if self._own is None:
+            self._own = Stream(self._vehicle, self.effects)
+        stream = self._own
+        stream.push(rows)
+        if not stream.advance() and stream.waited_s > LONGEST_WAIT_S:
+            raise LogError(f"live flight: {stream.waits_for}")
+        return self.follow(stream)
+
+    def follow(self, stream: Stream) -> Verdict:
+        """Take what has come onto the grid of a stream since the last call.
+
+        Args:
+            stream: Of this vehicle, with `effects` built into its airframe.
+        """
         self._opened, self._closed = [], []
-        block = self._resampler.push(rows)
-        if block is not None:
-            if self._filter is None:
-                assert self._resampler.airframe is not None
-                with BUILDING:
-                    self._begin(FrameFilter(self._vehicle, self._library, self._resampler.airframe))
-            assert self._filter is not None
-            for frame in self._filter.push(block):
+        if self._filter is None and stream.equations is not None:
+            with BUILDING:
+                body = stream.equations.airframe
+                self._begin(FrameFilter(self._vehicle, self._library, body))
+        if self._filter is not None:
+            for frame in self._filter.frames(stream):
                 self._add_frame(frame)
         return self._verdict()
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from ...vehicle import Vehicle
 from ..inference.evidence import constants_of_days
 from ..settings import DEFAULT
-from .channels import FRAME_SAMPLES, Frame, Group
-from .feed import FRAME_S
+from .channels import FRAME_S, FRAME_SAMPLES, Frame, Group
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]

@@ -13,8 +13,7 @@ from ...effects.observability import Lines, NoiseFloor
 from ...representation import short_repr
 from ..settings import DEFAULT
 from .alarms import EstimatedChange
-from .channels import Frame
-from .feed import FRAME_S
+from .channels import FRAME_S, Frame
 from .settings import RunningSettings
 
 Array = NDArray[np.float64]

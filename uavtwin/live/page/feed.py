@@ -26,7 +26,7 @@ from twin.frames import AXES, to_euler
 from twin.logs.columns import ACC, EULER, GYRO, POS, VEL, motor_columns
 from twin.logs.mavlink.decoder import Sample
 from twin.residuals.gap import Channel
-from twin.residuals.running.residuals import ResidualBlock
+from twin.residuals.stream_residuals import ResidualBlock
 from twin.vehicle import Vehicle
 
 from ..following import Following

@@ -98,7 +98,7 @@ def test_a_reading_that_stands_still_is_named_alone() -> None:
 
 @pytest.mark.slow
 def test_portions_do_not_matter() -> None:
-    """To rounding: the zero-phase low-pass of the body rates begins at other rows."""
+    """To rounding: the zero-phase low-pass of the body rates begins at other rows of the window."""
     flight = flown("rotor_efficiency_loss")
     rng = np.random.default_rng(6)
     cut = tuple(np.sort(np.concatenate([[0.0], rng.uniform(0.0, 22.5, 40)])))
@@ -128,7 +128,7 @@ def test_what_does_not_begin_is_refused() -> None:
 
 
 def test_a_vehicle_without_a_motor_command_is_named() -> None:
-    t = np.arange(400) / 200.0
+    t = np.arange(2200) / 200.0
     rows = {"time": t, "acc_x": t, "acc_y": t, "acc_z": t}
     with pytest.raises(LogError, match="cmd_1"):
         RunningEvidence(load_vehicle("copter_default")).update(rows)

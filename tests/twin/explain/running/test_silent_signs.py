@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from twin.explain.running.channels import Frame
-from twin.explain.running.feed import FRAME_ROWS
+from twin.explain.running.channels import FRAME_ROWS, Frame
 from twin.explain.running.settings import RUNNING
 from twin.explain.running.shaking import high_power, longest_repeats
 from twin.explain.running.silent import Shaking, StandStill

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ...logs import Flight
-from ...logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns
-from ...logs.flight import Settled, finite_rows, missing_signal
+from ..logs import Flight
+from ..logs.columns import ACC, GYRO, MAG, POS, QUAT, VEL, Columns
+from ..logs.flight import Settled, finite_rows, missing_signal
 
 Array = NDArray[np.float64]
 _VECTORS = (ACC, GYRO, MAG, POS, VEL, QUAT)

@@ -1,5 +1,6 @@
-"""Residuals told while a flight goes on are those of the whole flight afterwards."""
+"""Residuals of a flight that goes on are those of the whole flight afterwards."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,44 +10,49 @@ import pytest
 from places import DATA, needs
 from sample_logs import flown_table
 
+from twin.explain.running.hypotheses import MONITORED_EFFECTS
 from twin.logs import Flight, read_flight
 from twin.logs.columns import ACC, GYRO, POS, QUAT
 from twin.logs.flight import Settled
 from twin.residuals.flight_gap import flight_gap
 from twin.residuals.gap import Channel
-from twin.residuals.running.residuals import ResidualBlock, RunningResiduals
+from twin.residuals.stream import Stream
+from twin.residuals.stream_residuals import ResidualBlock, StreamResiduals
 from twin.vehicle import Vehicle
 from twin.vehicle.file import load_vehicle
 
 AGREES = 1e-9
-Told = dict[tuple[str, float], list[Channel]]
+ByChannel = dict[tuple[str, float], list[Channel]]
 
 
-def told_while_flying(
-    table: pd.DataFrame, vehicle: Vehicle, every_s: float
-) -> tuple[RunningResiduals, Told, list[ResidualBlock]]:
-    """All that is told when rows come in pieces of some length."""
-    running, told, blocks = RunningResiduals(vehicle), Told(), []
+def residuals_in_flight(
+    table: pd.DataFrame, vehicle: Vehicle, every_s: float, effects: Sequence[str] = ()
+) -> tuple[Stream, ByChannel, list[ResidualBlock]]:
+    """All residuals of rows that come in pieces of some length."""
+    stream, found, blocks = Stream(vehicle, effects), ByChannel(), []
+    residuals = StreamResiduals(stream)
     time = table["time"].to_numpy()
     edges = np.searchsorted(time, np.arange(time[0], time[-1] + every_s, every_s)).tolist()
     for first, end in zip(edges, [*edges[1:], len(table)], strict=True):
         if end > first:
-            running.append({str(c): table[c].to_numpy()[first:end] for c in table})
-            blocks.append(running.update())
-    blocks.append(running.update(final=True))
+            stream.push({str(c): table[c].to_numpy()[first:end] for c in table})
+            blocks.append(residuals.update())
+    blocks.append(residuals.update(final=True))
     kept = [b for b in blocks if b is not None]
     for block in kept:
         for channel in (*block.channels, *block.short):
-            told.setdefault((channel.name, channel.horizon_s), []).append(channel)
-    return running, told, kept
+            found.setdefault((channel.name, channel.horizon_s), []).append(channel)
+    return stream, found, kept
 
 
-def check_same(table: pd.DataFrame, vehicle: Vehicle, every_s: float) -> list[ResidualBlock]:
-    running, told, blocks = told_while_flying(table, vehicle, every_s)
-    gap = flight_gap(Flight("flown", table, settled=running.settled), vehicle)
-    assert {(c.name, c.horizon_s) for c in gap.channels} == set(told)
+def check_same(
+    table: pd.DataFrame, vehicle: Vehicle, every_s: float, effects: Sequence[str] = ()
+) -> list[ResidualBlock]:
+    stream, found, blocks = residuals_in_flight(table, vehicle, every_s, effects)
+    gap = flight_gap(Flight("flown", table, settled=stream.settled), vehicle)
+    assert {(c.name, c.horizon_s) for c in gap.channels} == set(found)
     for channel in gap.channels:
-        parts = told[channel.name, channel.horizon_s]
+        parts = found[channel.name, channel.horizon_s]
         np.testing.assert_allclose(
             np.concatenate([p.t_s for p in parts]), channel.t_s, rtol=0, atol=1e-12
         )
@@ -70,6 +76,18 @@ def test_the_same_numbers_whenever_it_is_asked(copter: Vehicle, every_s: float) 
 
 
 @pytest.mark.slow
+def test_one_push_of_everything(copter: Vehicle) -> None:
+    """A batch is a stream of one portion."""
+    check_same(flown_table().iloc[:5000], copter, 1000.0)
+
+
+@pytest.mark.slow
+def test_the_same_numbers_on_the_grid_of_the_alarms(copter: Vehicle) -> None:
+    """Effects that are built in, switched off, change nothing."""
+    check_same(flown_table().iloc[:1500], copter, 1.0, MONITORED_EFFECTS)
+
+
+@pytest.mark.slow
 def test_the_same_numbers_across_gaps(copter: Vehicle) -> None:
     """The IMU pauses, the position ends for a while, the ground is said for two seconds."""
     table = flown_table().iloc[:2500].copy()
@@ -90,15 +108,15 @@ def test_the_same_numbers_from_the_ground_up(copter: Vehicle) -> None:
     table.loc[t < 6.0, "pos_z"] = -0.02
     table.loc[t > 16.0, [f"cmd_{i}" for i in range(1, 5)]] = 0.0
     table.loc[t > 15.0, "pos_z"] = 1.5  # lands elsewhere
-    running, _, _ = told_while_flying(table, copter, 1.0)
-    assert running.settled is not None and running.settled.resting_down_m == pytest.approx(-0.02)
+    stream, _, _ = residuals_in_flight(table, copter, 1.0)
+    assert stream.settled is not None and stream.settled.resting_down_m == pytest.approx(-0.02)
     check_same(table, copter, 1.0)
 
 
 @pytest.mark.slow
 def test_blocks_follow_each_other(copter: Vehicle) -> None:
     """Each row of the grid once, in order, with the flight around it."""
-    _, _, blocks = told_while_flying(flown_table().iloc[:1500], copter, 1.0)
+    _, _, blocks = residuals_in_flight(flown_table().iloc[:1500], copter, 1.0)
     rows = np.concatenate([b.aligned.inputs.t_s for b in blocks if b.aligned is not None])
     np.testing.assert_allclose(np.diff(rows), 0.005, atol=1e-9)
     for before, block in pairwise(blocks):
@@ -109,17 +127,17 @@ def test_blocks_follow_each_other(copter: Vehicle) -> None:
 
 def test_a_twin_without_commands_waits_and_says_for_what(copter: Vehicle) -> None:
     table = flown_table().iloc[:600].drop(columns=[f"cmd_{i}" for i in range(1, 5)])
-    running, told, _ = told_while_flying(table, copter, 1.0)
-    assert not told and "cmd_1" in running.waits_for and running.settled is None
+    stream, found, _ = residuals_in_flight(table, copter, 1.0)
+    assert not found and "cmd_1" in stream.waits_for and stream.settled is None
 
 
 def test_a_signal_that_comes_later_is_told(copter: Vehicle) -> None:
     table = flown_table().iloc[:600]
-    running = RunningResiduals(copter)
-    running.append({str(c): table[c].to_numpy() for c in table})
-    assert running.lacks(["vbat_v"]) == []
-    running.update()
-    assert running.lacks(["vbat_v", "baro_pa", "q_w"]) == ["vbat_v"]
+    stream = Stream(copter)
+    stream.push({str(c): table[c].to_numpy() for c in table})
+    assert stream.lacks(["vbat_v"]) == []
+    assert stream.advance()
+    assert stream.lacks(["vbat_v", "baro_pa", "q_w"]) == ["vbat_v"]
 
 
 @pytest.mark.slow

@@ -1,1 +1,0 @@
-"""Residuals of a flight that still goes on: the numbers of `gap`, a second later."""

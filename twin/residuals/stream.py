@@ -1,0 +1,436 @@
+"""A flight put on the grid of its twin while its rows arrive, once for all who compare.
+
+Residuals, alarms and page read the same grid. Its interior has the numbers that `Alignment` has for
+the whole flight, by the same functions over a window that moves along, because
+
+- the low-pass of the body rates, forward and backward, has forgotten its ends after `FORGOTTEN_S`,
+- states that are integrated, rotors and loads, go on from window to window,
+- what depends on the whole flight is settled when the twin starts, and is noted in the recording.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..component.building import BUILDING
+from ..component.rows import OverRows
+from ..effects import late_actions
+from ..errors import LogError
+from ..logs import Flight
+from ..logs.columns import ACC, GYRO, POS, QUAT, VEL
+from ..logs.flight import Settled
+from ..physics.rotors import Drive
+from ..vehicle import Vehicle
+from .airborne import in_flight, resting_height, rotor_thrust, starts_in_air
+from .aligned import AlignedFlight, TwinGrid, components_of, phases_at
+from .channels import GRID_HZ
+from .imu import imu_predictor
+from .measured import LONGEST_GAP_INTERVALS, LONGEST_GAP_S, MeasuredMotion, measured_motion
+from .recent_rows import LastRows, Rows
+from .short_horizon import Windows
+from .teacher_forced import Inputs, InputSignals, choose_drive
+
+Array = NDArray[np.float64]
+NONE = -1
+"""Piece of a row that is in no piece."""
+FORGOTTEN_S = 0.35
+"""The low-pass of the body rates forgets by exp(-133/s): 5e-21 after so long, in samples."""
+BEFORE_S = 2.0
+"""A channel's low-pass forgets by exp(-80/s) at 18 Hz, by exp(-13/s) at the 3 Hz that an IMU of
+8 Hz allows: 3e-12 after so long. The shortest piece of flight that counts is shorter."""
+_DIFFERENCES = 10
+"""Samples on either side that a derivative of position or attitude may need."""
+SETTLE_S = 2.0
+"""From the begin of a flight until the twin starts: so long streams may take to appear. Made up."""
+LONGEST_WAIT_S = 10.0
+"""Longest time for which rows wait for a stream that the twin needs, s. Made up."""
+NEEDED = ("cmd_1", "rotor_1", "q_w", "vel_x", "pos_x", "gyro_x", "acc_x", "vbat_v")
+"""Columns of whose signals the equations depend: one that appears later begins a new flight."""
+
+
+class Equations:
+    """The equations of a twin. Each is built at its first use, which takes up to a second: `build`
+    does so before a flight.
+
+    Attributes:
+        drive: What drives its rotors.
+        effects: Built into the airframe, switched off.
+        airframe: As of `AlignedFlight`.
+        imu: As of `AlignedFlight`.
+    """
+
+    def __init__(self, vehicle: Vehicle, drive: Drive, effects: Iterable[str] = ()) -> None:
+        """Those of a vehicle."""
+        self._vehicle, self.drive, self.effects = vehicle, drive, tuple(effects)
+        self.airframe, self.imu = components_of(vehicle, drive, self.effects)
+
+    @cached_property
+    def imu_predictor(self) -> OverRows:
+        """What the IMU reads at measured states."""
+        return imu_predictor(self.airframe, self._vehicle)
+
+    @cached_property
+    def thrust(self) -> OverRows:
+        """Thrust of all rotors."""
+        return rotor_thrust(self.airframe, self._vehicle.rotors.count)
+
+    @cached_property
+    def windows(self) -> Windows:
+        """For the short horizon."""
+        return Windows(self.airframe, self.imu)
+
+    def build(self) -> None:
+        """Build what is not built yet."""
+        _ = self.imu_predictor, self.thrust, self.windows
+
+
+@dataclass(slots=True)
+class GridRows:
+    """The newest rows of a grid.
+
+    Attributes:
+        first: Number of the first of them, counted from time 0.
+        t_s: Times, s, shape (n,).
+        u: Inputs, shape (n, n_u).
+        rotors: Rotor states, shape (n, n_r).
+        states: Shape (n, n_x).
+        phases: Shape (n,).
+        carried: Shape (n,).
+        grounded: Shape (n,).
+    """
+
+    first: int
+    t_s: Array
+    u: Array
+    rotors: Array
+    states: Array
+    phases: NDArray[np.str_]
+    carried: NDArray[np.bool_]
+    grounded: NDArray[np.bool_]
+
+    @property
+    def end(self) -> int:
+        """Number of the row after the last."""
+        return self.first + len(self.t_s)
+
+    def joined(self, other: "GridRows") -> "GridRows":
+        """These and those after them."""
+        return GridRows(
+            self.first,
+            *(np.concatenate([getattr(self, name), getattr(other, name)]) for name in _ARRAYS),
+        )
+
+    def between(self, first: int, end: int) -> "GridRows":
+        """Those from a number on, up to another."""
+        first = max(first, self.first)
+        part = slice(first - self.first, end - self.first)
+        return GridRows(first, *(getattr(self, name)[part] for name in _ARRAYS))
+
+
+_ARRAYS = ("t_s", "u", "rotors", "states", "phases", "carried", "grounded")
+
+
+class RunningGrid:
+    """Rows of one grid, and which of them make a piece of flight without a break.
+
+    Attributes:
+        airframe: As of `AlignedFlight`.
+        imu: As of `AlignedFlight`.
+        step_s: Step of the grid.
+        rows: The newest ones; None: there are none yet.
+        piece_of: Number of the first row of the piece that each of the rows is in, `NONE` where the
+            state is unknown or the aircraft on the ground.
+    """
+
+    def __init__(self, vehicle: Vehicle, equations: Equations, step_s: float) -> None:
+        airframe = equations.airframe
+        self.airframe, self.imu, self.step_s = airframe, equations.imu, step_s
+        self.rows: GridRows | None = None
+        self.piece_of: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._vehicle = vehicle
+        self._weight = vehicle.mass_kg * vehicle.gravity_m_s2
+        self._thrust = equations.thrust
+        self._grid = TwinGrid(vehicle, airframe, step_s)
+        self._down = [s.name for s in airframe.states].index("pos_z")
+        self._columns: tuple[str, ...] = ()
+        self._in_air = False
+
+    def new_rows(self, window: Flight, motion: MeasuredMotion, until_s: float) -> GridRows | None:
+        """Rows after those that are there, up to a time; None: none.
+
+        Args:
+            window: The last seconds of the flight.
+            motion: Of the window.
+            until_s: Up to where it will not change any more.
+        """
+        first = round(float(window.time_s[0]) / self.step_s) if self.rows is None else self.rows.end
+        end = int(np.floor(until_s / self.step_s + 1e-6)) + 1
+        if end <= first:
+            return None
+        t_s = np.arange(first, end).astype(np.float64) * self.step_s
+        signals = InputSignals(window, self._vehicle, self.airframe)
+        self._columns = signals.columns
+        block = self._grid.block(signals, motion, first, t_s)
+        rotors, u = block.inputs.rotor_states, block.inputs.u
+        phases = phases_at(window, t_s)
+        carried = self._thrust(rotors, u)[:, 0] > 0.5 * self._weight
+        return GridRows(first, t_s, u, rotors, block.states, phases, carried, phases == "ground")
+
+    def height_m(self, rows: GridRows) -> Array:
+        """Measured height of rows, shape (n,)."""
+        return np.asarray(-rows.states[:, self._down])
+
+    def append(self, rows: GridRows, resting_m: float | None, keep: int) -> None:
+        """Take new rows.
+
+        Args:
+            rows: Of `new_rows`.
+            resting_m: Height of the resting place; None: it does not count.
+            keep: How many of the newest rows are retained.
+        """
+        if self.rows is None:
+            self._in_air = starts_in_air(rows.carried, rows.grounded, self.step_s)
+        height_m = self.height_m(rows)
+        flying = in_flight(
+            rows.carried, rows.grounded, height_m, None if self._in_air else resting_m
+        )
+        known = flying & np.all(np.isfinite(rows.states), axis=1)
+        number = np.arange(rows.first, rows.end)
+        before = int(self.piece_of[-1]) if len(self.piece_of) else NONE
+        begins = known & ~np.concatenate([[before != NONE], known[:-1]])
+        since = np.maximum.accumulate(np.where(begins, number, before))
+        piece_of = np.where(known, since, NONE)
+        everything = rows if self.rows is None else self.rows.joined(rows)
+        self.rows = everything.between(everything.end - keep, everything.end)
+        self.piece_of = np.concatenate([self.piece_of, piece_of])[-len(self.rows.t_s) :]
+
+    def piece(self, first: int, end: int) -> AlignedFlight:
+        """Some of the rows as a flight of their own, those that count in the air.
+
+        Args:
+            first: Number of the first.
+            end: Number of the row after the last.
+        """
+        assert self.rows is not None
+        rows = self.rows.between(first, end)
+        part = slice(first - self.rows.first, end - self.rows.first)
+        return AlignedFlight(
+            self.airframe,
+            self.imu,
+            Inputs(self._columns, rows.t_s, rows.u, rows.rotors, ()),
+            _NO_MOTION,
+            rows.states,
+            rows.phases,
+            self.piece_of[part] != NONE,
+            (),
+        )
+
+    def piece_at(self, number: int) -> int:
+        """First row of the piece that a row is in, `NONE` where it is in none."""
+        assert self.rows is not None
+        return int(self.piece_of[number - self.rows.first])
+
+
+_NO_MOTION = MeasuredMotion(None, None, None, None, False, ())
+
+
+def with_motion(aligned: AlignedFlight, motion: MeasuredMotion) -> AlignedFlight:
+    """The same, with the motion of a window that holds it."""
+    return replace(aligned, motion=motion)
+
+
+class Stream:
+    """Rows of one flight as they arrive, put on the grid of `GRID_HZ`.
+
+    Attributes:
+        vehicle: The twin.
+        equations: Of the twin; None: it has not started.
+        waits_for: What is missing for the twin to start, in words; "": nothing.
+        grid: Rows of the grid up to `until_s`; None: the twin has not started.
+        window: The last seconds of the flight table.
+        motion: Measured motion of the window.
+        starts_s: Time of the oldest row when the twin started; NaN: it has not.
+        until_s: Up to where rows will not change any more.
+        needed_s: From where on rows are needed by those who compare, `LONGEST_WAIT_S` before the
+            end of the grid at most.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        effects: Iterable[str] = (),
+        equations: Equations | None = None,
+        name: str = "live",
+    ) -> None:
+        """Nothing has arrived.
+
+        Args:
+            vehicle: The twin.
+            effects: Effects to build into the airframe, switched off.
+            equations: Of the vehicle with these effects, where they are at hand.
+            name: Of the flight.
+        """
+        self.vehicle, self._effects = vehicle, tuple(effects)
+        self.equations: Equations | None = None
+        self._prepared = equations
+        self.waits_for = "the first seconds of flight"
+        self.grid: RunningGrid | None = None
+        self.window: Flight | None = None
+        self.motion = _NO_MOTION
+        self.until_s, self.needed_s, self.starts_s = -np.inf, np.inf, np.nan
+        self._last, self._begins_s, self._advanced_s = LastRows(name), np.nan, np.nan
+        self._heights_m: list[Array] = []
+        self._resting_known = False
+        late_s = max([0.0, *late_actions(vehicle).values()])
+        self._before_s = BEFORE_S + 1.0 + late_s
+
+    @property
+    def settled(self) -> Settled | None:
+        """What a recording has to note; None: the twin has not started."""
+        return self._last.settled
+
+    @property
+    def last_s(self) -> float:
+        """Time of the newest row; NaN: there is none."""
+        return self._last.last_s
+
+    @property
+    def waited_s(self) -> float:
+        """From the first row to the newest one, while the twin waits for what it needs."""
+        return 0.0 if self.equations is not None else self.last_s - self._begins_s
+
+    @property
+    def resting_m(self) -> float | None:
+        """Height of the resting place, m; None: it does not count, or is not known yet."""
+        down_m = None if self.settled is None else self.settled.resting_down_m
+        return None if down_m is None else -down_m
+
+    def push(self, rows: Rows) -> None:
+        """Take new rows of the flight table.
+
+        Args:
+            rows: By column, NaN where a signal has no sample.
+
+        Raises:
+            LogError: Times do not rise.
+        """
+        time, last = rows["time"], self._last
+        if not len(time):
+            return
+        if not np.all(np.diff(time) > 0) or time[0] <= last.last_s:
+            raise LogError(
+                f"live flight: time has to rise, {time[0]:.6g} s comes after {last.last_s:.6g} s. "
+                f"Give each row once, in order; a new clock is a new flight."
+            )
+        last.append(rows)
+        if np.isnan(self._begins_s):
+            self._begins_s = last.first_s
+
+    def lacks(self, columns: Sequence[str]) -> list[str]:
+        """Of new columns those with which the twin would be another."""
+        if self.equations is None:
+            return []
+        return [c for c in columns if c in NEEDED and c not in self._columns]
+
+    def advance(self, final: bool = False) -> bool:
+        """Put on the grid what will not change any more; returns whether the twin has started.
+
+        Args:
+            final: There will be no more rows.
+        """
+        if not len(self._last):
+            return False
+        if self.equations is None and not self._started(final):
+            self._last.forget(self._last.last_s - LONGEST_WAIT_S, {})
+            return False
+        if self._advanced_s == self._last.last_s and not final:
+            return True
+        self._advanced_s = self._last.last_s
+        assert self.grid is not None
+        oldest_s = max(self.needed_s, self.until_s - LONGEST_WAIT_S)
+        self.until_s = self._last.last_s if final else self._settled_until_s()
+        self.window = self._last.flight()
+        self.motion = measured_motion(self.window, doubts=False)
+        new = self.grid.new_rows(self.window, self.motion, self.until_s)
+        if new is not None:
+            keep = round((self._before_s + LONGEST_WAIT_S) * GRID_HZ) + len(new.t_s)
+            self.grid.append(new, self._resting_of(new), keep)
+        samples = {name: count + 1 for name, (_, count) in self._needed.items()}
+        oldest_s = min(oldest_s, self.until_s) - self._before_s - FORGOTTEN_S
+        self._last.forget(oldest_s, samples)
+        return True
+
+    def _started(self, final: bool) -> bool:
+        """Start the twin, where all that it needs is there."""
+        if self._last.last_s - self._begins_s < SETTLE_S and not final:
+            return False
+        self._last.settled = Settled(self._last.rates_hz())
+        try:
+            with BUILDING:
+                self._start(self._last.flight())
+        except LogError as error:
+            self._last.settled = None
+            self.waits_for = str(error).partition(": ")[2]
+            return False
+        self.waits_for = ""
+        return True
+
+    def _start(self, flight: Flight) -> None:
+        self._columns = frozenset(c for c in flight.columns if flight.has(c))
+        drive = choose_drive(flight, self.vehicle)
+        measured_motion(flight)  # says where there is none
+        equations = self._prepared
+        if equations is None or equations.drive != drive:
+            equations = Equations(self.vehicle, drive, self._effects)
+        self.starts_s = float(flight.time_s[0])
+        self.grid = RunningGrid(self.vehicle, equations, 1 / GRID_HZ)
+        self.equations = equations
+        rates = flight.settled.rates_hz if flight.settled else {}
+        self._after_s = max([FORGOTTEN_S, *(_longest_gap_s(r) for r in rates.values())])
+        self._needed = {
+            columns[0]: (columns, _DIFFERENCES)
+            for columns, instead in ((POS, VEL), (QUAT, GYRO))
+            if columns[0] in rates and instead[0] not in self._columns  # then it is derived
+        } | {
+            columns[0]: (columns, max(_DIFFERENCES, int(np.ceil(FORGOTTEN_S * rates[columns[0]]))))
+            for columns in (ACC, GYRO)
+            if columns[0] in rates
+        }
+
+    def _settled_until_s(self) -> float:
+        """Up to where what is there will not change any more.
+
+        Filters and differences go by samples: before a pause of a signal they wait for its end, for
+        `LONGEST_WAIT_S` at most.
+        """
+        newest_s = self._last.last_s
+        known = [self._last.time_before_newest(c, n) for c, n in self._needed.values()]
+        known = [t for t in known if t > newest_s - LONGEST_WAIT_S]
+        return min([newest_s - self._after_s, *known])
+
+    def _resting_of(self, new: GridRows) -> float | None:
+        """Height of the resting place, settled when the rotors carry for the first time."""
+        assert self._last.settled is not None and self.grid is not None
+        if self._resting_known:
+            return self.resting_m
+        height_m = self.grid.height_m(new)
+        if not new.carried.any():
+            self._heights_m.append(height_m[np.isfinite(height_m)])
+            return None  # nothing carries: nothing is in the air
+        self._heights_m.append(height_m[: int(np.argmax(new.carried))])
+        before = np.concatenate(self._heights_m)
+        found = None
+        if self.motion.position is not None:
+            found = resting_height(before, np.zeros(len(before), dtype=np.bool_))
+        self._resting_known, self._heights_m = True, []
+        down_m = None if found is None else -found
+        self._last.settled = replace(self._last.settled, resting_down_m=down_m)
+        return found
+
+
+def _longest_gap_s(rate_hz: float) -> float:
+    """So long after a sample it is known whether a gap follows it."""
+    return min(LONGEST_GAP_INTERVALS / rate_hz, max(LONGEST_GAP_S, 1.5 / rate_hz)) + 0.01
